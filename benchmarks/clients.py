@@ -41,7 +41,7 @@ from boresight.console.runs import run_events
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit.log import append
 from boresight.platform.audit.tables import AuditRecord
-from boresight.platform.db.sessions import Engine, reading, writing
+from boresight.platform.db.sessions import Engine, open_reading, open_writing
 
 LIST, PAGE, FEED = "/api/v1/runs", "/runs", "/api/v1/events"
 MEDIAN_LIMIT_MS = 60.0
@@ -180,7 +180,7 @@ def _heard(port: int, maker: httpx.Client, engine: Engine, filled: Filled, liste
     ]
     with _process("listen") as heard:
         listening = _tell(heard, {"port": port, "listeners": audience})
-        with reading(engine) as session:
+        with open_reading(engine) as session:
             newest = lists.newest(session, AuditRecord, limit=1)[0].id
             before = run_events.newest_event_id(session), newest
         began_s = time.perf_counter()
@@ -197,7 +197,7 @@ def _heard(port: int, maker: httpx.Client, engine: Engine, filled: Filled, liste
 
 def _happened(engine: Engine, before: tuple[int, int], run_id: int | None) -> dict[str, Sequence[int]]:
     """Return the numbers of everything since, or of what concerns one run."""
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         lines = run_events.events_after(session, before[0], limit=1_000_000)
         records = lists.newest(session, AuditRecord, object=None if run_id is None else f"runs/{run_id}")
         return {
@@ -234,7 +234,7 @@ def _looked_at(person: httpx.Client, engine: Engine, path: str, looks: int) -> d
     """Ask for a page so often, something being committed before each time."""
     found = []
     for _ in range(looks):
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             append(session, SYSTEM, "looked", "sensors", None, None)
         found.append(_seconds(person, path))
     seconds = [one[0] for one in found]

@@ -45,7 +45,7 @@ from benchmarks import peers
 from benchmarks.kernels import START_SIGMA
 from benchmarks.stars import EXPOSURES_A_FRAME, STARS, TIME, Views
 from boresight.arrays import FloatArray
-from boresight.calibration.problem import weighed
+from boresight.calibration.problem import whiten_at
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.estimation import arcs as arcsets
 from boresight.estimation import batch
@@ -99,7 +99,7 @@ def batch_fit(views: Views) -> Answer:
     x, scale = views.sensor.initial, views.sensor.typical_sigma
     arcs = _ordered(views)
     for _ in range(2):
-        arcs = weighed(arcs, views.camera, x)
+        arcs = whiten_at(arcs, views.camera, x)
         fitted = batch.fit(arcs, x, np.arange(len(x)), scale)
         x = fitted.x
     P = np.asarray(np.linalg.inv(batch.normal_equations(arcs, x, np.arange(len(x)), scale).A))
@@ -109,7 +109,7 @@ def batch_fit(views: Views) -> Answer:
 def square_root(views: Views) -> Answer:
     """Run the iterated square-root filter without process noise, as a sequential calibration does."""
     x, scale = views.sensor.initial, views.sensor.typical_sigma
-    arcs = weighed(_ordered(views), views.camera, x)
+    arcs = whiten_at(_ordered(views), views.camera, x)
     pooled = pool_start(arcs, START_ARCS_PER_PARAMETER * len(x))
     last = FILTERS["sqrf"](pooled, start(x, len(x), START_SIGMA), np.arange(len(x)), scale, Tuning()).last
     return answer_of(views, last.x, last.P, arcs)
@@ -123,7 +123,7 @@ def _ordered(views: Views) -> ArcSet:
 
 def prepared(views: Views) -> tuple[peers.EqualExposures, FloatArray, FloatArray]:
     """Whitened exposures, start and typical sigmas."""
-    return peers.EqualExposures.of(views.weighed(), STARS), views.sensor.initial, views.sensor.typical_sigma
+    return peers.EqualExposures.of(views.whitened(), STARS), views.sensor.initial, views.sensor.typical_sigma
 
 
 def scipy_least_squares(views: Views) -> Answer:
@@ -131,7 +131,7 @@ def scipy_least_squares(views: Views) -> Answer:
     data, x_0, scale = prepared(views)
     x, evaluations = peers.scipy_fit(data, x_0, scale)
     A, _ = peers.numpy_evaluation(data, x, scale)
-    found = answer_of(views, x, np.asarray(np.linalg.inv(A)), views.weighed())
+    found = answer_of(views, x, np.asarray(np.linalg.inv(A)), views.whitened())
     found.notes["evaluations"] = evaluations
     return found
 
@@ -139,7 +139,7 @@ def scipy_least_squares(views: Views) -> Answer:
 def numpy_extended(views: Views) -> Answer:
     """Vector extended filter as the textbook has it."""
     x, P = peers.numpy_extended_filter(*prepared(views), START_SIGMA)
-    return answer_of(views, x, P, views.weighed())
+    return answer_of(views, x, P, views.whitened())
 
 
 def filterpy_extended(views: Views) -> Answer:
@@ -154,7 +154,7 @@ def filterpy_extended(views: Views) -> Answer:
     for first in range(0, len(data.phi), EXPOSURES_A_FRAME):
         e, H = data.part(first, first + EXPOSURES_A_FRAME).rows(x_0 + filtered.x * scale, scale)
         filtered.update(nothing, lambda _x, H=H: H, lambda _x, e=e: e)
-    return answer_of(views, x_0 + filtered.x * scale, filtered.P, views.weighed())
+    return answer_of(views, x_0 + filtered.x * scale, filtered.P, views.whitened())
 
 
 def filterpy_square_root(views: Views) -> Answer:
@@ -169,7 +169,7 @@ def filterpy_square_root(views: Views) -> Answer:
         e, H = data.part(first, first + EXPOSURES_A_FRAME).rows(x_0 + filtered.x[:, 0] * scale, scale)
         filtered.H = H
         filtered.update(H @ filtered.x - e[:, None])
-    return answer_of(views, x_0 + filtered.x[:, 0] * scale, filtered.P, views.weighed())
+    return answer_of(views, x_0 + filtered.x[:, 0] * scale, filtered.P, views.whitened())
 
 
 def ceres(views: Views) -> Answer:
@@ -194,7 +194,7 @@ def ceres(views: Views) -> Answer:
     summary = pyceres.SolverSummary()
     pyceres.solve(options, problem, summary)
     x = x_0 + camera * scale
-    found = answer_of(views, x, _covariance(costs, camera, turns), views.weighed())
+    found = answer_of(views, x, _covariance(costs, camera, turns), views.whitened())
     found.notes["status"] = str(summary.termination_type).rpartition(".")[2].lower()
     return found
 

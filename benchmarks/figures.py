@@ -49,7 +49,7 @@ from boresight.figures import FIGURES, Trace, figure_json
 from boresight.figures.style.thinning import thinning
 from boresight.platform.blobs.folder import register_blob
 from boresight.platform.blobs.opening import open_blobs
-from boresight.platform.db.sessions import migrate, utc_now, writing
+from boresight.platform.db.sessions import migrate, open_writing, utc_now
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.sensors import sensor_document
@@ -116,7 +116,7 @@ def furnish(folder: Path, frames: int, runs: int, overlaid: int) -> dict[str, An
     with opened(folder) as engine:
         migrate(engine)
         person = analysts(engine, 1)[0]
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             sensor = sensors.register_sensor(session, person, sensor_document(scenario.sensor))
             for sha256 in (table, *addresses):
                 register_blob(session, blobs, sha256, "application/json")

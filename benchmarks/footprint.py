@@ -41,7 +41,7 @@ from boresight.console.runs.tables import TERMINAL_RUN_STATES
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.declared import Base
-from boresight.platform.db.sessions import Engine, migrate, open_engine, reading, writing
+from boresight.platform.db.sessions import Engine, migrate, open_engine, open_reading, open_writing
 from boresight.settings import read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor
@@ -194,7 +194,7 @@ class Ledger:
         """Register sensors, one transaction each."""
         document = sensor_document(st16_sensor(SENSOR))
         for number in range(count):
-            with writing(self.engine) as session:
+            with open_writing(self.engine) as session:
                 row = sensors.register_sensor(session, self._analyst, document | {"name": f"ST-{number:05d}"})
                 self._sensors.append(row.id)
 
@@ -206,7 +206,7 @@ class Ledger:
         for sensor_id in self._sensors:
             shift = 1e-3 * rng.normal(size=(2, len(first)))  # other bytes, the same stars
             moved = replace(first, row_px=first.row_px + shift[0], col_px=first.col_px + shift[1])
-            with uploaded(moved, self._catalogue, SENSOR) as upload, writing(self.engine) as session:
+            with uploaded(moved, self._catalogue, SENSOR) as upload, open_writing(self.engine) as session:
                 row = telemetry_sets.store_prepared(session, self._analyst, self._blobs, sensor_id, upload)
                 self._sets[frames].append(row.id)
 
@@ -214,7 +214,7 @@ class Ledger:
         """Queue runs, so many a transaction, with nobody there to compute them."""
         sets = self._sets[min(self._sets)]
         for first in range(0, count, at_once):
-            with writing(self.engine) as session:
+            with open_writing(self.engine) as session:
                 for number in range(first, min(first + at_once, count)):
                     place, label = number % len(self._sensors), f"pass {number}"
                     runs.launch(
@@ -225,7 +225,7 @@ class Ledger:
         """Take what is queued away again."""
         queued = [0]
         while queued:
-            with writing(self.engine) as session:
+            with open_writing(self.engine) as session:
                 queued = [row.id for row in runs.list_runs(session, state="QUEUED", limit=RUNS_AT_ONCE)]
                 for number in queued:
                     runs.cancel(session, self._analyst, number)
@@ -252,6 +252,6 @@ class Ledger:
         wait_until(lambda: self._ended() >= before + count, STALLED_S, LOOK_EVERY_S)
 
     def _ended(self) -> int:
-        with reading(self.engine) as session:
+        with open_reading(self.engine) as session:
             counts = runs.count_by_state(session)
         return sum(counts[state] for state in TERMINAL_RUN_STATES)

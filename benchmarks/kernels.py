@@ -33,7 +33,7 @@ from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.matching import detections
 from boresight.calibration.matching.rematch import Rematcher, ground_covariance
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.problem import build_problem, weighed
+from boresight.calibration.problem import build_problem, whiten_at
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.inverted_wang import INVERTED_WANG
@@ -51,7 +51,7 @@ from boresight.papers.processes import run_on_one_thread
 from boresight.simulation.sensors import ST16_MAGNITUDE_LIMIT, WU_TRUTH, WU_TYPICAL_SIGMA, st16_sensor, st16_truth
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.telemetry.schema import Telemetry, rows_of
+from boresight.telemetry.schema import Telemetry, select_rows
 from boresight.telemetry.sensors import Sensor
 
 Update = Callable[[], tuple[FloatArray, FloatArray]]
@@ -160,7 +160,7 @@ def limits(times: dict[str, dict[str, float]], gain: float | None) -> dict[str, 
 
 def _filter(arcs: ArcSet, x_0: FloatArray, free: IntArray, scale: FloatArray, method: str) -> None:
     """Run one of the product's filters as a sequential calibration does, taking the weights included."""
-    pooled = pool_start(weighed(arcs, INVERTED_WANG, x_0), START_ARCS_PER_PARAMETER * len(free))
+    pooled = pool_start(whiten_at(arcs, INVERTED_WANG, x_0), START_ARCS_PER_PARAMETER * len(free))
     FILTERS[method](pooled, start(x_0, len(free), START_SIGMA), free, scale, Tuning())
 
 
@@ -240,11 +240,11 @@ def _matching(frames: int, rng: np.random.Generator) -> tuple[dict[str, float], 
     x, P = sensor.initial, ground_covariance(sensor, 10.0)
     matcher = Rematcher(half, sensor, catalogue, CalibrationSettings())
     matcher(x, P, slice(0, 2))
-    arcs, free = build_problem(named, sensor, catalogue).weighed(x).whole(), np.arange(len(x))
+    arcs, free = build_problem(named, sensor, catalogue).whitened(x).whole(), np.arange(len(x))
     evaluation = partial(batch.normal_equations, arcs, x, free, sensor.typical_sigma)
     times = fastest(lambda: matcher(x, P), evaluation, repeats=MATCHING_TURNS)
     few = min(n, MATCHED_PEER_FRAMES)
-    peer = _scipy_matching(rows_of(half, slice(0, few * EXPOSURES_A_FRAME * STARS)), sensor, catalogue)
+    peer = _scipy_matching(select_rows(half, slice(0, few * EXPOSURES_A_FRAME * STARS)), sensor, catalogue)
     ours = {"match_us_per_frame": times[0] / n * 1e6, "match_batch_evaluation_us_per_frame": times[1] / n * 1e6}
     return ours, {"scipy_match_us_per_frame": peer / few * 1e6}
 

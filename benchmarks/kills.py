@@ -37,7 +37,7 @@ from benchmarks.stores import furnish
 from boresight.cli.output import json_option, write_json
 from boresight.console.runs import service as runs
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import reading
+from boresight.platform.db.sessions import open_reading
 from boresight.settings import read_settings
 
 WORKERS, FRAMES, TRACKERS = 2, 150, 4
@@ -149,7 +149,7 @@ class Pass:
     def found(self) -> dict[str, Any]:
         """Look at every run, its log and its result, at the audit log, and at what was left behind."""
         wrong, attempts = Counter(dict.fromkeys(FAULTS, 0)), Counter[int]()
-        with reading(self.site.constellation.database) as session:
+        with open_reading(self.site.constellation.database) as session:
             rows = runs.list_runs(session)
             for row in rows:
                 attempts[row.attempt] += 1

@@ -8,7 +8,7 @@ the field from a k-d tree, each detection its nearest star inside one fixed tole
 dropped first, and the attitude again. There is no parameter covariance in it, no second exposure, no doubt between two stars: it
 does less than the product does.
 
-The update by singular values is there twice. Both do what `kernels.weigh_values`, `value_rows`, `whiten` and `information_update`
+The update by singular values is there twice. Both do what `kernels.factor_values`, `value_rows`, `whiten` and `information_update`
 do for Model 4 with {2, 3}: the catalogue's and the measured values with their gradients, the full R, the rows that determine the
 others, whitening, and
 

@@ -45,7 +45,7 @@ from boresight.console.runs import service as run_service
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry.service import get_telemetry_set
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import Session, reading
+from boresight.platform.db.sessions import Session, open_reading
 from boresight.settings import Settings, read_settings
 from boresight.simulation.sensors import SENSOR_NUMBERS
 from boresight.sky.catalogue import load_catalogue
@@ -99,7 +99,7 @@ class Site:
 
     def ended(self) -> int:
         """Count the runs that have ended."""
-        with reading(self.constellation.database) as session:
+        with open_reading(self.constellation.database) as session:
             counts = run_service.count_by_state(session)
         return sum(counts[state] for state in TERMINAL_RUN_STATES)
 
@@ -218,7 +218,7 @@ def examined(constellation: Constellation, first: int, count: int) -> dict[str, 
     did not succeed exactly once, or have another result than the same work has in this process; `claims_per_run` and
     `settlements_per_run` are transactions, which the runs of a group share, and with them the moment that is written.
     """
-    with reading(constellation.database) as session:
+    with open_reading(constellation.database) as session:
         rows = run_service.list_runs(session)[::-1][first:]
         good = sum(faults(session, constellation, row) == [] for row in rows)
         chain = audit.verify(session)

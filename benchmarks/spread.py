@@ -35,8 +35,8 @@ from boresight.platform.blobs.folder import BlobStore
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
-from boresight.workers.cluster import Connection
-from boresight.workers.security import security_of
+from boresight.workers.cluster import SchedulerClient
+from boresight.workers.security import make_security
 from boresight.workers.tasks import Inputs, execute_group
 
 RATIO_LIMIT = 1.6
@@ -91,27 +91,27 @@ class Site:
         return sha256
 
     @contextmanager
-    def cluster(self, workers: int) -> Iterator[Connection]:
+    def cluster(self, workers: int) -> Iterator[SchedulerClient]:
         """Start a scheduler and workers, and connect to them."""
         address = f"tls://127.0.0.1:{free_port()}"
-        security = security_of(read_settings({**self._environment, "BORESIGHT_SCHEDULER": address}))
+        security = make_security(read_settings({**self._environment, "BORESIGHT_SCHEDULER": address}))
         services = [Service(["scheduler", "--port", address.rpartition(":")[2]], self.folder, self._environment)]
         try:
             words = ["worker", "--scheduler", address]
             services += [Service(words, self.folder, self._environment) for _ in range(workers)]
-            with Connection(address, security=security, timeout=JOIN_S, set_as_default=False) as client:
+            with SchedulerClient(address, security=security, timeout=JOIN_S, set_as_default=False) as client:
                 client.wait_for_workers(workers, timeout=JOIN_S)
                 yield client
         finally:
             for service in reversed(services):
                 service.stop()
 
-    def warm(self, client: Connection, table: str) -> None:
+    def warm(self, client: SchedulerClient, table: str) -> None:
         """Let every worker in turn compute a small set, of which it lends pieces to the others."""
         for worker in sorted(client.nthreads()):
             self._submit(client, table, worker).result()
 
-    def run(self, client: Connection, table: str, kill_after_s: float | None = None) -> dict[str, Any]:
+    def run(self, client: SchedulerClient, table: str, kill_after_s: float | None = None) -> dict[str, Any]:
         """Compute a set, and say what it took and what was found."""
         own, *others = sorted(client.nthreads())
         pids = client.run(os.getpid)
@@ -136,7 +136,7 @@ class Site:
             "document": document,
         }
 
-    def _submit(self, client: Connection, table: str, worker: str) -> Any:
+    def _submit(self, client: SchedulerClient, table: str, worker: str) -> Any:
         """Hand a run to a worker, as the engine does."""
         self._runs += 1
         inputs = Inputs(
@@ -165,7 +165,7 @@ def _cpu_s(pids: Collection[int]) -> dict[int, float]:
 class Kill:
     """A worker of a cluster that is to be killed at a moment, and what it had done for the run until then."""
 
-    def __init__(self, client: Connection, worker: str, pid: int, at_s: float) -> None:
+    def __init__(self, client: SchedulerClient, worker: str, pid: int, at_s: float) -> None:
         self._client, self._worker, self._pid, self._at_s = client, worker, pid, at_s
         self._before = self._groups()["groups_done"]
         self._killed_s: float | None = None

@@ -14,7 +14,7 @@ import pyarrow.parquet as arrow_parquet
 from scipy.spatial.transform import Rotation
 
 from boresight.arrays import FloatArray, IntArray
-from boresight.calibration.problem import build_problem, weighed
+from boresight.calibration.problem import build_problem, whiten_at
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
@@ -57,13 +57,13 @@ def synthetic(frames: int, rng: np.random.Generator) -> ArcSet:
     size = (sensor.rows, sensor.columns)
     arcs = _field(INVERTED_WANG, truth, size, sensor.pixel_pitch_m, counts, sensor.centroid_sigma_px, rng)
     arcs = replace(arcs, frame=np.arange(frames), frame_start=np.arange(frames + 1) * EXPOSURES_A_FRAME)
-    return arcsets.weigh(arcs, arcsets.angular_sigma(INVERTED_WANG, sensor.initial, arcs))[0]
+    return arcsets.whiten(arcs, arcsets.angular_sigma(INVERTED_WANG, sensor.initial, arcs))[0]
 
 
 def wu_field(counts: IntArray, rng: np.random.Generator, noise_px: float = WU_IMPLIED_SIGMA_PX) -> ArcSet:
     """Weighed arcs of exposures of so many stars each over W's detector, one a frame."""
     arcs = _field(PINHOLE_RADIAL, WU_TRUTH, (WU_ROWS, WU_COLUMNS), WU_PIXEL_PITCH_M, counts, noise_px, rng)
-    return arcsets.weigh(arcs, arcsets.angular_sigma(PINHOLE_RADIAL, WU_TRUTH, arcs))[0]
+    return arcsets.whiten(arcs, arcsets.angular_sigma(PINHOLE_RADIAL, WU_TRUTH, arcs))[0]
 
 
 def _field(
@@ -93,7 +93,7 @@ def star_frames(
     so undetected fainter ones stand between them as they do in flight.
     """
     hip = guide_stars(catalogue, ST16_MAGNITUDE_LIMIT, BLEND_RAD).hip
-    star = catalogue.index_of(hip)
+    star = catalogue.find_index(hip)
     s_i = apparent_directions(catalogue, star, np.full(len(star), TIME), None)
     chosen = list[tuple[IntArray, FloatArray, FloatArray]]()
     while len(chosen) < frames:
@@ -169,9 +169,9 @@ class Views:
         """(n_views, n, 3) catalogue directions."""
         return self.arcs.s_i.reshape(-1, STARS, 3)
 
-    def weighed(self) -> ArcSet:
+    def whitened(self) -> ArcSet:
         """Return the arcs with R at the ground calibration."""
-        return weighed(self.arcs, self.camera, self.sensor.initial)
+        return whiten_at(self.arcs, self.camera, self.sensor.initial)
 
     def first(self, frames: int) -> Views:
         """Return the first frames of the set, or the whole."""
@@ -194,7 +194,7 @@ def simulated_views(frames: int, seed: int, catalogue: Catalogue) -> Views:
     arcs = build_problem(telemetry, sensor, catalogue).arcs.whole()
     if telemetry.star_id is None or len(arcs.row_px) != len(telemetry):
         raise ValueError(f"Expected every star in the problem / Received {len(arcs.row_px)} of {len(telemetry)}")
-    star = catalogue.index_of(telemetry.star_id[arcs.source_row])
+    star = catalogue.find_index(telemetry.star_id[arcs.source_row])
     return Views(arcs, catalogue.magnitude[star].reshape(-1, STARS), sensor, truth)
 
 

@@ -25,7 +25,7 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.console.access import api_keys, sessions, users
 from boresight.console.access.credentials import LogInCookie
 from boresight.console.access.passwords import prepare_unjudged
-from boresight.console.access.sessions import Client
+from boresight.console.access.sessions import ClientAddress
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs.tables import Run
@@ -35,7 +35,7 @@ from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.blobs.opening import open_blobs
-from boresight.platform.db.sessions import Engine, Session, migrate, open_engine, utc_after, writing
+from boresight.platform.db.sessions import Engine, Session, migrate, open_engine, open_writing, utc_after
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor
@@ -79,7 +79,7 @@ def opened(folder: Path) -> Iterator[Engine]:
 def analysts(engine: Engine, count: int) -> list[Actor]:
     """Make analysts, every other with one role more, who act as if they had logged in."""
     password, made = prepare_unjudged(PASSWORD), []
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         for number in range(count):
             name, roles = f"analyst-{number}", ("analyst", "viewer") if number % 2 else ("analyst",)
             row = users.create_user(session, COMMAND_LINE, name=name, printed_name=name, password=password, roles=roles)
@@ -89,12 +89,12 @@ def analysts(engine: Engine, count: int) -> list[Actor]:
 
 def key_of(engine: Engine, actor: Actor, label: str = "measurement") -> dict[str, str]:
     """Make a key that may launch runs; returns the header that sends it."""
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         return {"Authorization": f"Bearer {api_keys.create_key(session, actor, label=label, scopes=('runs',))[1]}"}
 
 
 @contextmanager
-def uploaded(telemetry: Telemetry, catalogue: Catalogue, number: int) -> Iterator[telemetry_sets.Prepared]:
+def uploaded(telemetry: Telemetry, catalogue: Catalogue, number: int) -> Iterator[telemetry_sets.PreparedUpload]:
     """Prepare a table for storing, as an upload of sensor `number` is."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"table-{number}.parquet"
@@ -129,17 +129,17 @@ def fill(folder: Path, runs: int, clients: int, people_in_all: int = PEOPLE) -> 
         catalogue, blobs = load_catalogue(settings.catalogue_folder), open_blobs(settings.blob_place)
         telemetry = simulate(replace(calibration_scenario(1), frames=FRAMES), np.random.default_rng(1), catalogue)
         document = sensor_document(st16_sensor(1))
-        with uploaded(telemetry, catalogue, 1) as upload, writing(engine) as session:
+        with uploaded(telemetry, catalogue, 1) as upload, open_writing(engine) as session:
             sensor_id = sensors.register_sensor(session, people[0], document).id
             set_id = telemetry_sets.store_prepared(session, people[0], blobs, sensor_id, upload).id
         for first in range(0, runs, RUNS_A_RECORD):
-            with writing(engine) as session:
+            with open_writing(engine) as session:
                 numbers = range(first, min(first + RUNS_A_RECORD, runs))
                 session.add_all(_run(number, runs, sensor_id, set_id, document) for number in numbers)
                 audit.append(session, SYSTEM, "imported", "runs", None, {"runs": len(numbers)})
         each = [people[number % len(people)] for number in range(clients)]
         keys = [key_of(engine, person, f"client {number}") for number, person in enumerate(each)]
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             log_ins = [_log_in(session, settings, person) for person in each]
     return Filled(sensor_id, set_id, log_ins, list(keys))
 
@@ -149,7 +149,7 @@ def add_sensors(folder: Path, filled: Filled, sensors_in_all: int, runs_each: in
     document = sensor_document(st16_sensor(1))
     with opened(folder) as engine:
         for first in range(1, sensors_in_all, SENSORS_A_RECORD):
-            with writing(engine) as session:
+            with open_writing(engine) as session:
                 person = users.list_users(session)[0]
                 actor = Actor(person.id, person.name, person.printed_name, frozenset(person.roles), "session")
                 like = session.get_one(TelemetrySet, filled.telemetry_set_id)
@@ -183,7 +183,7 @@ def _run(number: int, runs: int, sensor_id: int, set_id: int, document: dict[str
 def _log_in(session: Session, settings: Settings, person: Actor) -> Mapping[str, str]:
     """Make a log-in; returns the header that sends it."""
     response = Response()
-    LogInCookie(settings).write(response, sessions.begin(session, person.user_id or 0, Client("127.0.0.1"))[1])
+    LogInCookie(settings).write(response, sessions.begin(session, person.user_id or 0, ClientAddress("127.0.0.1"))[1])
     return {"Cookie": response.headers["set-cookie"].partition(";")[0]}
 
 
@@ -219,7 +219,7 @@ def furnish(installed: Settings, trackers: int, frames: int, settings: Mapping[s
         telemetry = simulate(scenario, np.random.default_rng(number), catalogue)
         stars += len(telemetry)
         document = sensor_document(st16_sensor(number))
-        with uploaded(telemetry, catalogue, number) as upload, writing(database) as session:
+        with uploaded(telemetry, catalogue, number) as upload, open_writing(database) as session:
             for tracker in range(number, trackers + 1, tables):
                 row = sensors.register_sensor(session, analyst, document | {"name": f"ST-{tracker:05d}"})
                 stored = telemetry_sets.store_prepared(session, analyst, blobs, row.id, upload)

@@ -34,10 +34,10 @@ from benchmarks import Report, held
 from benchmarks.kernels import fastest
 from benchmarks.peers import compiled
 from benchmarks.stars import repeated_fields
-from boresight.calibration.calibrate import calibrate, parameters_of
-from boresight.calibration.matching.sighting import given_matches
+from boresight.calibration.calibrate import calibrate, select_free_parameters
+from boresight.calibration.matching.matched_frames import read_given_matches
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.problem import Problem, problem_from
+from boresight.calibration.problem import Problem, make_problem_of_directions
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.blocks import computing_on
@@ -84,18 +84,18 @@ def _given(path: Path, sensor: Sensor, catalogue: Catalogue) -> dict[str, Any]:
     found = _whole(path, sensor, catalogue, settings, repeats=REPEATS)
     found["one_thread_s"] = _whole(path, sensor, catalogue, settings, repeats=1, threads=1)["total_s"]
     telemetry = read_telemetry(path)
-    matches = given_matches(telemetry, sensor, catalogue)
-    problem = problem_from(telemetry, sensor, matches.s_i, settings.minimum_stars)
+    matches = read_given_matches(telemetry, sensor, catalogue)
+    problem = make_problem_of_directions(telemetry, sensor, matches.s_i, settings.minimum_stars)
     x, scale = sensor.initial, sensor.typical_sigma
     with computing_on(read_settings().computing_threads):
         works: dict[str, Callable[[], object]] = {
-            "sky": lambda: given_matches(telemetry, sensor, catalogue),
-            "ordering": lambda: problem_from(telemetry, sensor, matches.s_i, settings.minimum_stars),
-            "R_of_both_weighings": lambda: replace(problem).weighed(x),
+            "sky": lambda: read_given_matches(telemetry, sensor, catalogue),
+            "ordering": lambda: make_problem_of_directions(telemetry, sensor, matches.s_i, settings.minimum_stars),
+            "R_of_both_weighings": lambda: replace(problem).whitened(x),
         }
         found["of_which_s"] = {name: fastest(work, repeats=REPEATS)[0] for name, work in works.items()}
         found["of_which_s"]["R_of_both_weighings"] *= 2
-    arcs, (first, second) = problem.weighed(x).whole(), _evaluations(problem, sensor, settings)
+    arcs, (first, second) = problem.whitened(x).whole(), _evaluations(problem, sensor, settings)
     found |= {"evaluations": first + second, "evaluations_of_one_weighing": first}
     with compiled() as peers:
         if "c" in peers:
@@ -108,9 +108,9 @@ def _given(path: Path, sensor: Sensor, catalogue: Catalogue) -> dict[str, Any]:
 
 def _evaluations(problem: Problem, sensor: Sensor, settings: CalibrationSettings) -> tuple[int, int]:
     """Count the evaluations of A and b in the two fits of a calibration, those of refused steps too."""
-    x, counts, parameters = sensor.initial, list[int](), parameters_of(sensor, settings)
+    x, counts, parameters = sensor.initial, list[int](), select_free_parameters(sensor, settings)
     for _ in range(2):
-        counted = _Counted(problem.weighed(x).whole())
+        counted = _Counted(problem.whitened(x).whole())
         x = batch.fit(
             cast("ArcSet", counted), x, parameters.free, parameters.scale, max_iterations=settings.max_iterations
         ).x

@@ -34,7 +34,7 @@ def new_password(password: str) -> NewPassword:
 def proved(session: Session, who: Actor | str, password: str) -> PasswordProof:
     if isinstance(who, str):
         return passwords.check(passwords.stored_under(session, who), password)
-    return passwords.check(passwords.stored_of(session, who.user_id), password)
+    return passwords.check(passwords.read_stored(session, who.user_id), password)
 
 
 def add_person(session: Session, name: str, *roles: str, printed_name: str | None = None) -> User:

@@ -28,7 +28,7 @@ FEW, MANY = 4, 40
 
 def weigh_values(arcs):
     exposures, most = arcs.n_exposures, 12
-    kernels.weigh_values(
+    kernels.factor_values(
         arcs.star_start, arcs.s_i, np.full(arcs.n_stars, 1e-4), 1, np.ones(3, np.bool_), APART, DETERMINED,
         np.full((exposures, most, 3), -1), np.empty((exposures, 3 * most)), np.empty((exposures, 3 * most, 3 * most)),
         np.empty((exposures, 3 * most), np.int64), np.empty((exposures, 2), np.int64),
@@ -46,7 +46,7 @@ CALLS = {
     "square-root filter": lambda arcs: FILTERS["sqrf"](arcs, start(X, 8, 10.0), FREE, SCALE, Tuning()),
     "unscented filter": lambda arcs: FILTERS["ukf"](arcs, start(X, 8, 10.0), FREE, SCALE, Tuning()),
     "ordering": lambda arcs: arcsets.order(arcs.star_start, arcs.s_i),
-    "weighing": lambda arcs: arcsets.weigh(arcs, np.full(arcs.n_stars, 1e-4)),
+    "weighing": lambda arcs: arcsets.whiten(arcs, np.full(arcs.n_stars, 1e-4)),
     "arc errors": lambda arcs: arc_errors(arcs, X),
     "singular values": weigh_values,
     "check of the flight code": agree,

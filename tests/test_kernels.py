@@ -28,7 +28,7 @@ def _plain_exposure(field, k, x, sigma):
 def test_the_fused_normal_equations_equal_the_plain_weighted_sums(x):
     field = star_field(np.random.default_rng(5), frames=3)
     sigma = arcsets.angular_sigma(INVERTED_WANG, x, field)
-    field, _ = arcsets.weigh(field, sigma)
+    field, _ = arcsets.whiten(field, sigma)
     fused = normal_equations(field, x, FREE, SCALE)
     A, b, chi2, total = np.zeros((8, 8)), np.zeros(8), 0.0, 0.0
     for k in range(field.n_exposures):

@@ -72,7 +72,7 @@ def test_the_short_form_of_apparent_place_agrees_with_the_standard_one(date):
         )  # fmt: skip
     n = len(stars.hip)
     standard = apparent_directions(
-        catalogue, catalogue.index_of(stars.hip), np.repeat(time, n), np.repeat(velocity, n, 0)
+        catalogue, catalogue.find_index(stars.hip), np.repeat(time, n), np.repeat(velocity, n, 0)
     )
     assert np.linalg.norm(c - standard, axis=1).max() < 1e-9
 

@@ -1,4 +1,4 @@
-"""What a disk that is full, cannot be written or is not there is called: one sentence, whoever met it.
+"""The errors of a disk that is full, read-only or absent, each with one sentence.
 
 Whether a file holds the bytes that its SHA-256 promises; every reader of a stored file asks here first.
 
@@ -136,7 +136,7 @@ _checked: OrderedDict[tuple[str, str], Identity] = OrderedDict()
 _guard = threading.Lock()
 
 
-def digest_of(path: Path) -> str:
+def compute_digest(path: Path) -> str:
     """Return the SHA-256 of a file's bytes, in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -154,7 +154,7 @@ def is_intact(path: Path, sha256: str, *, again: bool = False) -> bool:
     with _guard:
         if not again and _checked.get((str(path), sha256)) == identity:
             return True
-    if digest_of(path) != sha256:
+    if compute_digest(path) != sha256:
         with _guard:
             _checked.pop((str(path), sha256), None)
         return False

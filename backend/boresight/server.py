@@ -32,39 +32,52 @@ from starlette.types import Scope
 import boresight
 from boresight.console import pages
 from boresight.console import routes as api_routes
-from boresight.console.access.credentials import LogInCookie, Memory, carries_credentials, identify, on_the_spot, prove
-from boresight.console.access.password_checks import Passwords
+from boresight.console.access.credentials import (
+    CredentialCache,
+    LogInCookie,
+    carries_credentials,
+    identify,
+    identify_at_once,
+    prove,
+)
+from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.jobs.broadcast import Broadcast
-from boresight.console.jobs.deliveries import Deliveries
 from boresight.console.jobs.heartbeat import Heartbeat
-from boresight.console.jobs.upkeep import KeptHeads, Upkeep
-from boresight.console.pages.frame import FleetMemory
+from boresight.console.jobs.maintenance import ExternalHeadFile, Maintenance
+from boresight.console.jobs.webhook_sender import WebhookSender
+from boresight.console.pages.frame import FleetStatusCache
 from boresight.console.pages.problem import bare_problem_page, is_page, problem_page
 from boresight.console.runs import service as runs
-from boresight.console.runs.dry_runs import Sight
+from boresight.console.runs.dry_runs import ForecastSources
 from boresight.console.webhooks.secrets import encrypt_all
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, StorageError
 from boresight.platform.blobs.opening import open_blobs
-from boresight.platform.db.marks import Kept, Marks
-from boresight.platform.db.sessions import migrate, open_engine, reading
+from boresight.platform.db.data_version import DataVersionReader, VersionedCache
+from boresight.platform.db.sessions import migrate, open_engine, open_reading
 from boresight.platform.web import static_files
-from boresight.platform.web.bodies import Pace, WellFormed
-from boresight.platform.web.changes import Changes
+from boresight.platform.web.cached_check import CachedCheck
+from boresight.platform.web.concurrency_limit import ConcurrencyLimit, ConcurrencyLimits
 from boresight.platform.web.connections import Connections, open_file_limit
-from boresight.platform.web.drawn import Drawn
-from boresight.platform.web.gate import Gate, Limits
-from boresight.platform.web.keeping import COMPRESS_FROM_BYTES, COMPRESSION_LEVEL, Keeping
+from boresight.platform.web.data_version_poller import DataVersionPoller
+from boresight.platform.web.figure_cache import FigureCache
 from boresight.platform.web.metrics import Metrics
-from boresight.platform.web.middleware import Border, Codings, Heads, answer_options, with_allow
+from boresight.platform.web.middleware import (
+    AcceptEncodingMiddleware,
+    HeadMiddleware,
+    RequestMiddleware,
+    answer_options,
+    with_allow,
+)
 from boresight.platform.web.openapi import DESCRIPTION, TAGS, corrected
-from boresight.platform.web.origins import OwnPages
-from boresight.platform.web.problems import problem_of, problem_response
-from boresight.platform.web.ready import Answering, Proof, Ready
-from boresight.platform.web.watched import Watched
+from boresight.platform.web.origins import OriginCheck
+from boresight.platform.web.problems import make_problem, problem_response
+from boresight.platform.web.request_bodies import BodyRate, RequestValidation
+from boresight.platform.web.response_cache import CacheLookup, CredentialProof, ResponseCache
+from boresight.platform.web.response_cache_store import COMPRESS_FROM_BYTES, COMPRESSION_LEVEL, CacheStore
 from boresight.settings import Settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
-from boresight.workers.engine import Engine
+from boresight.workers.dispatcher import RunDispatcher
 
 log = logging.getLogger(__name__)
 
@@ -72,17 +85,19 @@ DRAIN_S = 10
 #: Every route. What each wants of a request is worked out when it is first sought: once a process, however many
 #: servers it makes; so a server's `dependency_overrides` change nothing.
 ROUTES = APIRouter(generate_unique_id_function=lambda route: route.name)
-api_routes.join(ROUTES)
+api_routes.include_routes(ROUTES)
 ROUTES.include_router(static_files.router)
-pages.join(ROUTES)
+pages.include_pages(ROUTES)
 SWITCH_S = (
     0.001  # after so long a thread that computes lets another go on; the event loop waits for that with each answer
 )
 COLLECTIONS = (20_000, 20, 50)  # an answer makes thousands of objects, nearly all of which are let go one by one
-THREADS = 12  # of requests: those whose turn it is, and those that take long (`boresight.platform.web.gate`)
+THREADS = (
+    12  # of requests: those whose turn it is, and those that take long (`boresight.platform.web.concurrency_limit`)
+)
 
 
-def create_app(settings: Settings, *, limits: Limits | None = None, pace: Pace | None = None) -> FastAPI:
+def create_app(settings: Settings, *, limits: ConcurrencyLimits | None = None, pace: BodyRate | None = None) -> FastAPI:
     """Build the server of these settings; nothing runs before its lifespan begins.
 
     Parameters
@@ -109,17 +124,17 @@ def create_app(settings: Settings, *, limits: Limits | None = None, pace: Pace |
     for kind in (BoresightError, RequestValidationError, HTTPException):
         app.add_exception_handler(kind, _refuse)
     app.add_exception_handler(OSError, _refuse_disk)
-    app.add_middleware(WellFormed, refuse=_refuse)  # what is added later is further out
-    app.add_middleware(Keeping, ready=app.state.ready)
+    app.add_middleware(RequestValidation, refuse=_refuse)  # what is added later is further out
+    app.add_middleware(CacheStore, ready=app.state.ready)
     app.add_middleware(GZipMiddleware, minimum_size=COMPRESS_FROM_BYTES, compresslevel=COMPRESSION_LEVEL)
-    app.add_middleware(Gate, refuse=_turn_away, identify=_identify, begin=_begin, limits=limits)
-    app.add_middleware(Answering, ready=app.state.ready)
-    app.add_middleware(Heads)
-    app.add_middleware(Codings)
-    app.add_middleware(OwnPages, refuse=_turn_away, public_url=settings.public_url)
+    app.add_middleware(ConcurrencyLimit, refuse=_turn_away, identify=_identify, begin=_begin, limits=limits)
+    app.add_middleware(CacheLookup, ready=app.state.ready)
+    app.add_middleware(HeadMiddleware)
+    app.add_middleware(AcceptEncodingMiddleware)
+    app.add_middleware(OriginCheck, refuse=_turn_away, public_url=settings.public_url)
     limit_mb = settings.upload_limit_mb
     app.add_middleware(
-        Border,
+        RequestMiddleware,
         observe=app.state.metrics.observe,
         refuse=_refuse,
         upload_limit_mb=limit_mb,
@@ -141,24 +156,24 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     if settings.blob_place.is_folder:
         with suppress(StorageError):  # `readyz` says so, and the first use tries again
             state.blobs.open()
-    state.blobs_watched = Watched(state.blobs.refuse_unusable)
-    state.drawn = Drawn()
+    state.blobs_watched = CachedCheck(state.blobs.refuse_unusable)
+    state.drawn = FigureCache()
     state.log_in_cookie = LogInCookie(settings)
     state.catalogue = _lazy_catalogue(settings)
-    state.sight = Sight(state.blobs, lambda: state.catalogue(), settings.catalogue_folder)  # noqa: PLW0108 - as it is when asked
+    state.sight = ForecastSources(state.blobs, lambda: state.catalogue(), settings.catalogue_folder)  # noqa: PLW0108 - as it is when asked
     state.broadcast = Broadcast(state.engine)
     state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge, settings.data_folder / "last-seen")
-    kept = KeptHeads(settings.kept_head_file, 60.0 * settings.audit_head_minutes)
-    state.upkeep = Upkeep(state.engine, settings.session_limits, state.blobs, kept)
-    state.passwords = Passwords(state.engine, settings.login_attempts)
+    kept = ExternalHeadFile(settings.kept_head_file, 60.0 * settings.audit_head_minutes)
+    state.upkeep = Maintenance(state.engine, settings.session_limits, state.blobs, kept)
+    state.passwords = PasswordWorker(state.engine, settings.login_attempts)
     state.blobs.tell_corrupt = state.upkeep.suspect
     state.secret_box = settings.secret_box
-    state.deliveries = Deliveries(state.engine, settings.targets, state.secret_box)
-    marks = Marks(state.engine)
-    state.changes, state.fleet = Changes(marks), FleetMemory(state.engine, marks)
-    state.known, state.overview = Memory(marks), Kept[object](marks)
+    state.deliveries = WebhookSender(state.engine, settings.targets, state.secret_box)
+    data_versions = DataVersionReader(state.engine)
+    state.changes, state.fleet = DataVersionPoller(data_versions), FleetStatusCache(state.engine, data_versions)
+    state.known, state.overview = CredentialCache(data_versions), VersionedCache[object](data_versions)
     state.written = OrderedDict()
-    state.ready = Ready(state.changes, _prove, lambda: _beside(app))
+    state.ready = ResponseCache(state.changes, _prove, lambda: _beside(app))
     state.workers = None
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
 
@@ -170,7 +185,7 @@ def _beside(app: FastAPI) -> tuple[object, ...]:
 
 
 def _count_runs(app: FastAPI) -> dict[str, int]:
-    with reading(app.state.engine) as session:
+    with open_reading(app.state.engine) as session:
         return runs.count_by_state(session)
 
 
@@ -202,7 +217,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.upkeep.start()
     state.passwords.start()
     state.deliveries.start()
-    state.workers = Engine(state.engine, state.settings, state.broadcast.hear, suspect=state.upkeep.suspect)
+    state.workers = RunDispatcher(state.engine, state.settings, state.broadcast.hear, suspect=state.upkeep.suspect)
     state.workers.start()
     threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
     try:
@@ -242,7 +257,7 @@ async def _identify(scope: Scope) -> int | None:
     state = scope["app"].state
     if not carries_credentials(scope, state.log_in_cookie.name):
         return None
-    actor = await on_the_spot(state.engine, identify, scope)
+    actor = await identify_at_once(state.engine, identify, scope)
     return None if actor is None else actor.user_id
 
 
@@ -252,16 +267,16 @@ async def _begin(scope: Scope) -> None:
     await scope["app"].state.ready.begin(scope)
 
 
-async def _prove(scope: Scope) -> Proof | None:
+async def _prove(scope: Scope) -> CredentialProof | None:
     """Look up the credentials of a request."""
-    return await on_the_spot(scope["app"].state.engine, prove, scope)
+    return await identify_at_once(scope["app"].state.engine, prove, scope)
 
 
 def _turn_away(request: Request, error: Exception) -> Response:
     """Answer who is not let in, without a thread and without the store."""
     if is_page(request):
         return bare_problem_page(request, error)
-    return problem_response(request, problem_of(error))
+    return problem_response(request, make_problem(error))
 
 
 async def _refuse_disk(request: Request, error: Exception) -> Response:
@@ -283,7 +298,7 @@ async def _refuse(request: Request, error: Exception) -> Response:
             return await run_in_threadpool(make, request, error)
         except Exception:
             log.exception("A page for request %s could not be made", request.state.request_id)
-    return problem_response(request, problem_of(error))
+    return problem_response(request, make_problem(error))
 
 
 class _Server(uvicorn.Server):

@@ -16,10 +16,10 @@ from urllib.parse import urlsplit
 
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import Policy, SessionLimits
-from boresight.platform.audit.kept_heads import refuse_place
-from boresight.platform.blobs.places import BlobPlace, parse_address
+from boresight.platform.audit.external_head import refuse_place
+from boresight.platform.blobs.locations import BlobLocation, parse_address
 from boresight.platform.db.secret_box import SecretBox
-from boresight.platform.web.targets import Targets, read_hosts
+from boresight.platform.web.targets import WebhookTargets, read_hosts
 from boresight.telemetry.read.limits import Limits
 
 log = logging.getLogger(__name__)
@@ -187,9 +187,9 @@ class Settings:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
     @property
-    def targets(self) -> Targets:
+    def targets(self) -> WebhookTargets:
         """Where webhooks' messages may go."""
-        return Targets(
+        return WebhookTargets(
             local=bool(self.webhooks_local),
             private=bool(self.webhooks_private),
             hosts=self.webhook_hosts,
@@ -216,7 +216,7 @@ class Settings:
         return self.data_folder / "catalogue"
 
     @property
-    def blob_place(self) -> BlobPlace:
+    def blob_place(self) -> BlobLocation:
         """Where content-addressed files are kept.
 
         Raises
@@ -225,7 +225,7 @@ class Settings:
             When the setting names no place for files.
         """
         address = parse_address(self.blobs or str(self.data_folder / "blobs"))
-        return BlobPlace(address, self.data_folder / "blob-cache", int(self.blob_cache_mb * 1e6))
+        return BlobLocation(address, self.data_folder / "blob-cache", int(self.blob_cache_mb * 1e6))
 
     @property
     def kernel_folder(self) -> Path:

@@ -17,9 +17,9 @@ from plotly.subplots import make_subplots
 
 from benchmarks import ROOT
 from boresight.figures import FIGURES, WIDE, figure_json
-from boresight.figures.guide import guide_page, image_of
+from boresight.figures.example_calibration import PLACE, get_example_calibrations, make_example_calibration
+from boresight.figures.guide import guide_page, name_image
 from boresight.figures.notebook import draw
-from boresight.figures.specimen import PLACE, make_specimen, specimens
 from boresight.sky.catalogue import load_catalogue
 
 DOCS = ROOT / "docs"
@@ -58,16 +58,16 @@ def write_figures(*, renew: bool) -> None:
     """Write the page of figures and its images, forgetting those of figures that are no more."""
     if renew:
         with tempfile.TemporaryDirectory() as folder:
-            PLACE.write_bytes(make_specimen(load_catalogue(Path(folder))))
-        specimens.cache_clear()
+            PLACE.write_bytes(make_example_calibration(load_catalogue(Path(folder))))
+        get_example_calibrations.cache_clear()
     shutil.rmtree(DOCS / "figures", ignore_errors=True)
     (DOCS / "figures").mkdir()
     _write(
         (
-            figure_json(draw(specimens()["filter"], figure.name)).decode(),
+            figure_json(draw(get_example_calibrations()["filter"], figure.name)).decode(),
             "webp",
             WIDE_PX if figure.name in WIDE else WIDTH_PX,
-            DOCS / image_of(figure),
+            DOCS / name_image(figure),
         )
         for figure in FIGURES.values()
     )

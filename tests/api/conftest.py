@@ -25,7 +25,7 @@ from boresight.console.runs.tables import Run
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import register_blob
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.sessions import open_writing
 from boresight.platform.web.connections import Connections
 from boresight.server import _Server, configured, create_app
 from boresight.settings import Settings, read_settings
@@ -151,7 +151,7 @@ class House:
 
     def end(self, run_id: int, state: str = "SUCCEEDED") -> None:
         blobs = self.app.state.blobs
-        with writing(self.app.state.engine) as session:
+        with open_writing(self.app.state.engine) as session:
             sha256 = blobs.put(orjson.dumps(self.result))
             register_blob(session, blobs, sha256, "application/json")
             run = session.get_one(Run, run_id)
@@ -198,7 +198,7 @@ class House:
 
 def add_people(settings: Settings) -> None:
     engine = open_migrated(settings.database_url)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         for name, roles in PEOPLE.items():
             add_person(session, name, *roles)
     engine.dispose()

@@ -5,7 +5,7 @@ from typing import Any
 
 from boresight.console.uplinks import table_definitions
 from boresight.platform.actors import COMMAND_LINE
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.sessions import open_writing
 
 from .conftest import PASSWORD, House
 
@@ -33,7 +33,7 @@ def table(house: House, row: dict[str, Any]) -> bytes:
         for place, name in enumerate(names)
     ]
     document = {"table_id": "CAM", "flight_software_version": "1", "length_bytes": 8 * len(names), "fields": fields}
-    with writing(house.app.state.engine) as session:
+    with open_writing(house.app.state.engine) as session:
         table_definitions.set_definition(session, COMMAND_LINE, row["sensor_id"], document, "As flown.", 0)
     return struct.pack(f">{len(names)}d", *row["document"]["parameters"].values())
 

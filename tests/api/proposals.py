@@ -6,7 +6,7 @@ from typing import Any
 from boresight.console.access import users
 from boresight.console.change_proposals import service as second_person
 from boresight.platform.actors import Policy
-from boresight.platform.db.sessions import reading, writing
+from boresight.platform.db.sessions import open_reading, open_writing
 
 from .conftest import House
 
@@ -22,10 +22,10 @@ def proposed(house: House, who: str = "ada") -> dict[str, Any]:
     ]
     document = {"table_id": "T", "flight_software_version": "1", "length_bytes": 32, "fields": fields}
     engine = house.app.state.engine
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         user = next(user for user in users.list_users(session) if user.name == who)
-        actor = users.actor_of(session, user.id)
-    with writing(engine) as session:
+        actor = users.get_actor(session, user.id)
+    with open_writing(engine) as session:
         asked = ("table-definition", row["id"], document, "Flight software 1.", 0)
         made = second_person.change(session, actor, *asked, policy=Policy(second_person=True))
     return {"id": made.id, "version": 1, "sensor_id": row["id"]}

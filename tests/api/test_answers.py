@@ -5,7 +5,7 @@ import uuid
 import pytest
 
 from boresight.platform.audit.tables import IdempotentResponse
-from boresight.platform.db.sessions import reading, utc_after, writing
+from boresight.platform.db.sessions import open_reading, open_writing, utc_after
 
 from .conftest import House
 
@@ -67,14 +67,14 @@ def test_a_key_is_forgotten_after_a_day(house: House, once: dict[str, str]) -> N
     client = house.person("ada")
     assert client.post("/api/v1/sensors", json=house.sensor_file(), headers=once).status_code == 201
     yesterday = utc_after(-25 * 3600.0)
-    with writing(house.app.state.engine) as session:
+    with open_writing(house.app.state.engine) as session:
         session.get_one(IdempotentResponse, (once["Idempotency-Key"], "ada session")).created_utc = yesterday
     assert client.post("/api/v1/sensors", json=house.sensor_file(), headers=once).status_code == 201
 
 
 def test_what_is_older_than_a_day_is_deleted_when_an_answer_is_stored_and_nothing_younger(house: House) -> None:
     old, young = uuid.uuid4().hex, uuid.uuid4().hex
-    with writing(house.app.state.engine) as session:
+    with open_writing(house.app.state.engine) as session:
         for key, hours in ((old, 24.1), (young, 23.9)):
             row = {
                 "request_sha256": "",
@@ -94,7 +94,7 @@ def test_what_is_older_than_a_day_is_deleted_when_an_answer_is_stored_and_nothin
 
 
 def _known(house: House, key: str) -> bool:
-    with reading(house.app.state.engine) as session:
+    with open_reading(house.app.state.engine) as session:
         return session.get(IdempotentResponse, (key, "nobody session")) is not None
 
 

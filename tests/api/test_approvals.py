@@ -7,7 +7,7 @@ import orjson
 import pytest
 
 from boresight.console.idempotent_responses import response_under
-from boresight.platform.db.sessions import reading
+from boresight.platform.db.sessions import open_reading
 
 from .conftest import PASSWORD, House
 
@@ -86,7 +86,7 @@ def test_a_signature_sent_again_with_its_key_gets_the_first_answer_and_keeps_no_
     other = house.person("alan").post(address, json={**body, "comment": "Other."}, headers=headers)
     assert other.status_code == 422
     bare = orjson.dumps({"meaning": "I approve.", "comment": "Seen."})
-    with reading(house.app.state.engine) as session:
+    with open_reading(house.app.state.engine) as session:
         kept = response_under(session, "sign-once", "alan session")
         assert kept is not None
         assert kept.request_sha256 == hashlib.sha256(f"POST {address}?\n".encode() + bare).hexdigest()

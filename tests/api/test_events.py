@@ -14,10 +14,10 @@ from typing import Any
 import httpx
 import pytest
 
-from boresight.console.jobs.broadcast import QUEUE_LENGTH, Broadcast, Place, Telling, events_after
+from boresight.console.jobs.broadcast import QUEUE_LENGTH, Broadcast, EventBatch, EventCursor, events_after
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import open_engine, reading, writing
+from boresight.platform.db.sessions import open_engine, open_reading, open_writing
 from tests.stores import open_migrated, url_in
 
 from .conftest import House, add_people, serving, settings_in
@@ -71,7 +71,7 @@ def test_what_another_process_writes_is_told_too(house: House) -> None:
     engine = open_engine(house.app.state.settings.database_url)
     with following(house.person("victor")) as events:
         next(events)
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             audit.append(session, SYSTEM, "compared", "fleet/1")
         assert _until(events, object="fleet/1")["data"]["actor"] == "Boresight"
     engine.dispose()
@@ -116,13 +116,13 @@ def test_ids_only_grow(house: House) -> None:
 def test_an_id_that_is_none_begins_now(house: House) -> None:
     with following(house.person("victor"), "nonsense") as events:
         begun = next(events)["id"]
-    assert Place.parse(begun).record > 0
+    assert EventCursor.parse(begun).record > 0
 
 
 def _until_told(house: House) -> None:
     broadcast = house.app.state.broadcast
-    with reading(house.app.state.engine) as session:
-        stored = Place.now(session, broadcast.progress)
+    with open_reading(house.app.state.engine) as session:
+        stored = EventCursor.now(session, broadcast.progress)
     until_s = time.monotonic() + 10
     while not broadcast.place.covers(stored):
         assert time.monotonic() < until_s, (broadcast.place, stored)
@@ -194,7 +194,7 @@ def test_a_listener_that_is_too_slow_is_told_so_and_let_go(tmp_path: Path) -> No
     engine = open_migrated(url_in(tmp_path))
     broadcast = Broadcast(engine)
 
-    async def fall_behind() -> list[Telling | None]:
+    async def fall_behind() -> list[EventBatch | None]:
         with broadcast.listening(SYSTEM) as listener:
             for k in range(QUEUE_LENGTH + 50):
                 broadcast.hear({"kind": "progress", "run_id": k})
@@ -218,11 +218,11 @@ def test_pages_of_missed_records_follow_one_another_without_a_gap(
 ) -> None:
     monkeypatch.setattr("boresight.console.jobs.broadcast.PAGE", 7)
     engine = open_migrated(url_in(tmp_path))
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         records = [audit.append(session, SYSTEM, "did", f"thing/{k}") for k in range(20)]
     made = [record.id for record in records]
-    place, heard = Place(0, made[0] - 1), []
-    with reading(engine) as session:
+    place, heard = EventCursor(0, made[0] - 1), []
+    with open_reading(engine) as session:
         while events := events_after(session, place):
             heard += [event.number for event in events]
             place = events[-1].move(place)

@@ -8,7 +8,7 @@ import sqlalchemy as sa
 
 from boresight.console.routes import NOUNS, routers
 from boresight.platform.db.declared import Base
-from boresight.platform.db.sessions import reading
+from boresight.platform.db.sessions import open_reading
 from boresight.platform.web.openapi import ProblemDocument
 
 from . import alarms
@@ -102,7 +102,7 @@ def test_validate_only_answers_200_and_changes_nothing(name: str, house: House) 
 
 
 def _written(house: House) -> list[int]:
-    with reading(house.app.state.engine) as session:
+    with open_reading(house.app.state.engine) as session:
         tables = [table for table in Base.metadata.sorted_tables if table.name != "webhook_deliveries"]
         return [session.scalar(sa.select(sa.func.count()).select_from(table)) or 0 for table in tables]
 

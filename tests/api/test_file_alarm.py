@@ -8,12 +8,12 @@ import pytest
 from boresight.console.access.sessions import SessionLimits
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
-from boresight.console.jobs.upkeep import Upkeep
+from boresight.console.jobs.maintenance import Maintenance
 from boresight.errors import CorruptFileError
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore, register_blob
-from boresight.platform.db.sessions import Engine, reading, writing
+from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from tests.stores import open_migrated, url_in
 
 CONTENT = b'{"f_m":0.016}'
@@ -29,23 +29,23 @@ def store(tmp_path: Path) -> Iterator[Engine]:
 @pytest.fixture
 def blobs(tmp_path: Path, store: Engine) -> BlobStore:
     blobs = BlobStore(tmp_path / "blobs")
-    with writing(store) as session:
+    with open_writing(store) as session:
         for content in (CONTENT, b"other"):
             register_blob(session, blobs, blobs.put(content), "application/json")
         audit.append(session, COMMAND_LINE, "stored", "blobs")
     return blobs
 
 
-def _upkeep(store: Engine, blobs: BlobStore) -> Upkeep:
-    return Upkeep(store, SessionLimits(age_s=12 * 3600.0, idle_s=3600.0), blobs)
+def _upkeep(store: Engine, blobs: BlobStore) -> Maintenance:
+    return Maintenance(store, SessionLimits(age_s=12 * 3600.0, idle_s=3600.0), blobs)
 
 
 def _alarms(store: Engine) -> list[Alarm]:
-    with reading(store) as session:
+    with open_reading(store) as session:
         return [row for row in alarms.list_alarms(session) if row.kind == "FILES"]
 
 
-def _round(upkeep: Upkeep) -> None:
+def _round(upkeep: Maintenance) -> None:
     upkeep.read_files()
     upkeep.watch()
 

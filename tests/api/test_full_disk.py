@@ -16,7 +16,7 @@ from boresight.cli import main
 from boresight.disks import LEAST_FREE_BYTES, refuse_unwritable, storage_error
 from boresight.errors import StorageError
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.web.problems import problem_of
+from boresight.platform.web.problems import make_problem
 
 ROOT = Path(__file__).resolve().parents[2]
 MOUNT = "mount -t tmpfs -o size=32m none {disk} && exec {python} -m tests.api.full_disk {disk}"
@@ -70,10 +70,10 @@ def test_a_limit_on_the_size_of_files_is_a_full_disk_and_leaves_no_scraps(tmp_pa
 def test_a_system_error_of_a_disk_is_503_with_a_time_to_come_back_and_any_other_is_a_defect(
     number: int, said: str
 ) -> None:
-    problem = problem_of(OSError(number, os.strerror(number), "/data/x"))
+    problem = make_problem(OSError(number, os.strerror(number), "/data/x"))
     assert (problem.status, problem.headers) == (503, {"Retry-After": "30"})
     assert f"/data/x {said}" in problem.detail
-    assert problem_of(OSError(errno.EIO, "io")).status == 500
+    assert make_problem(OSError(errno.EIO, "io")).status == 500
     assert storage_error(FileNotFoundError(errno.ENOENT, "absent", "x")) is None
 
 

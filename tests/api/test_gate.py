@@ -8,14 +8,14 @@ from typing import Any
 import httpx
 import pytest
 
-from boresight.platform.web.gate import COME_BACK_S, Gate
+from boresight.platform.web.concurrency_limit import COME_BACK_S, ConcurrencyLimit
 
 from .conftest import House
 
 
-def gate_of(app: Any) -> Gate:
+def gate_of(app: Any) -> ConcurrencyLimit:
     layer = app.middleware_stack
-    while not isinstance(layer, Gate):
+    while not isinstance(layer, ConcurrencyLimit):
         layer = layer.app
     return layer
 

@@ -16,9 +16,9 @@ import pytest
 from starlette.exceptions import HTTPException
 
 from boresight.platform.web import connections as connections_module
-from boresight.platform.web.bodies import Body, Pace
+from boresight.platform.web.concurrency_limit import ConcurrencyLimits, Slots
 from boresight.platform.web.connections import MOST_OPEN, OTHER_FILES, Connections, Deadlines, open_file_limit
-from boresight.platform.web.gate import Limits, Places
+from boresight.platform.web.request_bodies import BodyRate, RequestBody
 
 from .conftest import PASSWORD, add_people, serving, settings_in
 from .test_gate import gate_of
@@ -33,7 +33,7 @@ UPLOAD = (
     b"Content-Length: 400000000\r\n"
 )
 SHORT = Deadlines(head_s=0.4, idle_s=0.4, linger_s=0.4, stuck_s=0.4)
-QUICK = Limits(unknown=6, unknown_each=2, large=2, large_each=1, unknown_body_s=0.4)
+QUICK = ConcurrencyLimits(unknown=6, unknown_each=2, large=2, large_each=1, unknown_body_s=0.4)
 
 
 @dataclass
@@ -68,7 +68,7 @@ def site_of(folder: Any, connections: Connections, **given: Any) -> Iterator[Sit
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    pace = Pace(window_s=0.4, floor_bytes=4000, slowest_bytes_per_s=300_000)
+    pace = BodyRate(window_s=0.4, floor_bytes=4000, slowest_bytes_per_s=300_000)
     folder = tmp_path_factory.mktemp("quick")
     with site_of(folder, Connections(40, SHORT), limits=QUICK, pace=pace) as site:
         yield site
@@ -171,15 +171,15 @@ def test_a_slow_body_that_goes_on_is_taken(quick: Site) -> None:
 
 
 def test_a_body_has_a_time_for_all_of_it_whatever_its_pace() -> None:
-    pace = Pace(window_s=0.05, floor_bytes=1, slowest_bytes_per_s=1000)
-    assert Pace().longest_s(513_000_000) < 6 * 3600
+    pace = BodyRate(window_s=0.05, floor_bytes=1, slowest_bytes_per_s=1000)
+    assert BodyRate().longest_s(513_000_000) < 6 * 3600
 
     async def piece() -> dict[str, Any]:
         await asyncio.sleep(0.02)
         return {"type": "http.request", "body": b"abc", "more_body": True}
 
     async def read() -> int:
-        body = Body(piece, pace, 100, "too large")
+        body = RequestBody(piece, pace, 100, "too large")
         for number in range(100):
             try:
                 await body.receive()
@@ -300,7 +300,7 @@ def test_an_address_has_its_share_of_places_also_behind_a_proxy(quick: Site) -> 
 
 
 def test_one_person_may_not_hold_every_place_of_large_bodies() -> None:
-    places = Places(most=3, most_each=2)
+    places = Slots(most=3, most_each=2)
     assert [places.take("1"), places.take("1"), places.take("1"), places.take("2"), places.take("3")] == [
         True, True, False, True, False,
     ]  # fmt: skip

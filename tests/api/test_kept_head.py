@@ -13,15 +13,15 @@ from click.testing import CliRunner
 from boresight.cli import main
 from boresight.console.access.sessions import SessionLimits
 from boresight.console.alarms import service as alarms
-from boresight.console.jobs.upkeep import KeptHeads, Upkeep
+from boresight.console.jobs.maintenance import ExternalHeadFile, Maintenance
 from boresight.console.webhooks.service import HEAD
 from boresight.console.webhooks.tables import Webhook, WebhookDelivery
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
-from boresight.platform.audit.kept_heads import KeptHead, read_head, write_head
+from boresight.platform.audit.external_head import ExternalHead, read_head, write_head
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, open_engine, reading, utc_now, writing
+from boresight.platform.db.sessions import Engine, open_engine, open_reading, open_writing, utc_now
 from boresight.settings import read_settings
 from tests.stores import open_migrated, url_in
 
@@ -39,23 +39,23 @@ def store(tmp_path: Path) -> Iterator[Engine]:
 
 def _count(store: Engine, times: int) -> None:
     for number in range(times):
-        with writing(store) as session:
+        with open_writing(store) as session:
             audit.append(session, COMMAND_LINE, "counted", f"numbers/{number}")
 
 
-def _upkeep(store: Engine, file: Path | None, every_s: float = 0.0) -> Upkeep:
+def _upkeep(store: Engine, file: Path | None, every_s: float = 0.0) -> Maintenance:
     folder = Path(str(store.url.database)).parent if store.dialect.name == "sqlite" else Path("/nowhere")
-    return Upkeep(store, LIMITS, BlobStore(folder / "blobs"), KeptHeads(file, every_s))
+    return Maintenance(store, LIMITS, BlobStore(folder / "blobs"), ExternalHeadFile(file, every_s))
 
 
-def _round(upkeep: Upkeep) -> None:
+def _round(upkeep: Maintenance) -> None:
     upkeep.verify()
     upkeep.keep_head()
     upkeep.watch()
 
 
 def _kinds(store: Engine) -> list[str]:
-    with reading(store) as session:
+    with open_reading(store) as session:
         return [row.kind for row in alarms.list_alarms(session) if row.active]
 
 
@@ -68,7 +68,7 @@ def test_the_head_is_written_when_it_moved_and_on_its_schedule(store: Engine, tm
     _round(upkeep)
     lines = [json.loads(line) for line in file.read_text().splitlines()]
     assert [line["id"] for line in lines] == [3, 4, 5]  # the fourth says that heads are kept there
-    with reading(store) as session:
+    with open_reading(store) as session:
         assert lines[-1]["hash"] == audit.head(session)
     rarely = _upkeep(store, tmp_path / "other", every_s=300.0)
     _round(rarely)
@@ -97,7 +97,7 @@ def test_ten_records_that_vanish_with_a_damaged_write_ahead_log_are_told_by_the_
     Path(f"{damaged}-wal").write_bytes(log)
     engine = open_engine(f"sqlite:///{damaged}")
     try:
-        with reading(engine) as session:
+        with open_reading(engine) as session:
             alone, found = audit.verify(session), audit.verify(session, kept=read_head(file))
         assert (alone.ok, alone.records) == (True, 3)  # ten are gone, and the chain holds
         assert (found.ok, "record 14" in found.sentence) == (False, True)  # the one that says that heads are kept
@@ -111,7 +111,7 @@ def test_ten_records_that_vanish_with_a_damaged_write_ahead_log_are_told_by_the_
 
 
 def test_records_lost_between_two_walks_keep_the_next_head_from_being_written(store: Engine, tmp_path: Path) -> None:
-    file, lost = tmp_path / "heads", KeptHead(9, "f" * 64, utc_now())
+    file, lost = tmp_path / "heads", ExternalHead(9, "f" * 64, utc_now())
     upkeep = _upkeep(store, file)
     _round(upkeep)
     write_head(file, lost)
@@ -124,7 +124,7 @@ def test_records_lost_between_two_walks_keep_the_next_head_from_being_written(st
 def test_a_head_file_that_is_gone_is_a_finding_and_is_not_begun_anew(store: Engine, tmp_path: Path) -> None:
     file = tmp_path / "share" / "heads"
     file.parent.mkdir()
-    with reading(store) as session:
+    with open_reading(store) as session:
         before = audit.verify(session, kept=read_head(file), head_file=file)
     assert (before.ok, str(file) in before.sentence) == (True, True)  # a note
     upkeep = _upkeep(store, file)
@@ -136,7 +136,7 @@ def test_a_head_file_that_is_gone_is_a_finding_and_is_not_begun_anew(store: Engi
     file.parent.mkdir()
     _round(_upkeep(store, file))  # another server, and an empty folder in its place
     assert not file.exists()
-    with reading(store) as session:
+    with open_reading(store) as session:
         assert not audit.verify(session, kept=read_head(file), head_file=file).ok
     file.parent.rmdir()
     (tmp_path / "unmounted").rename(file.parent)
@@ -180,7 +180,7 @@ def test_a_head_that_cannot_be_written_is_an_alarm_that_returns(store: Engine, t
 
 
 def test_a_webhook_that_asked_for_heads_gets_each_once(store: Engine) -> None:
-    with writing(store) as session:
+    with open_writing(store) as session:
         for label, actions in (("heads", [HEAD]), ("all", [])):
             session.add(
                 Webhook(label=label, url="https://x.example", actions=actions, secret="s", created_utc=utc_now())
@@ -189,14 +189,14 @@ def test_a_webhook_that_asked_for_heads_gets_each_once(store: Engine) -> None:
     upkeep = _upkeep(store, None)
     for _ in range(2):
         _round(upkeep)
-    with reading(store) as session:
+    with open_reading(store) as session:
         newest = audit.newest_head(session)
         sent = [row for row in session.query(WebhookDelivery).all() if f'"{HEAD}"' in row.body]
     assert [(row.webhook_id, json.loads(row.body)["data"]["audit_hash"]) for row in sent] == [(1, newest.hash)]
 
 
 def test_a_torn_line_is_passed_over_and_not_written_into(tmp_path: Path) -> None:
-    file, heads = tmp_path / "heads", [KeptHead(number, f"{number:064d}", utc_now()) for number in (1, 2)]
+    file, heads = tmp_path / "heads", [ExternalHead(number, f"{number:064d}", utc_now()) for number in (1, 2)]
     assert read_head(file) is None
     write_head(file, heads[0])
     with file.open("ab") as stream:
@@ -218,7 +218,7 @@ def test_a_file_in_the_data_folder_is_refused(tmp_path: Path) -> None:
 def test_a_clock_that_runs_backwards_is_a_record_of_its_own(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("boresight.platform.audit.chain.utc_now", lambda: "2020-01-01T00:00:00.000000Z")
     _count(store, 2)
-    with reading(store) as session:
+    with open_reading(store) as session:
         told = [row.action for row in audit.list_records(session)][::-1]
         report = audit.verify(session)
     assert told == ["counted", "counted", "counted", "clock ran backwards", "counted", "counted"]

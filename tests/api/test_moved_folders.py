@@ -8,9 +8,9 @@ import pytest
 
 from boresight.errors import StorageError
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.marks import Marks
-from boresight.platform.db.sessions import open_engine, reading, writing
-from boresight.platform.web import watched
+from boresight.platform.db.data_version import DataVersionReader
+from boresight.platform.db.sessions import open_engine, open_reading, open_writing
+from boresight.platform.web import cached_check
 from boresight.sky.catalogue import Catalogue
 
 from .conftest import House, house_in
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.sqlite("its file is moved")
 
 @pytest.fixture
 def own(tmp_path: Path, catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch) -> Iterator[House]:
-    monkeypatch.setattr(watched, "LOOK_AGAIN_S", -1.0)
+    monkeypatch.setattr(cached_check, "LOOK_AGAIN_S", -1.0)
     with house_in(tmp_path, catalogue) as made:
         yield made
 
@@ -98,16 +98,16 @@ def test_a_folder_of_files_that_is_moved_away_is_noticed_and_used_again_when_it_
 def test_connections_that_are_open_on_a_moved_database_are_refused_too(tmp_path: Path) -> None:
     place = tmp_path / "data" / "boresight.sqlite3"
     engine = open_engine(f"sqlite:///{place}")
-    marks = Marks(engine)
+    marks = DataVersionReader(engine)
     assert marks.look() is not None
     place.parent.rename(tmp_path / "away")
-    for opened in (reading, writing):
+    for opened in (open_reading, open_writing):
         with pytest.raises(StorageError, match="is not there any more"), opened(engine) as session:
             session.connection()
     assert marks.look() is None
     place.parent.mkdir()
     place.touch()
-    with pytest.raises(StorageError, match="not what this process opened"), reading(engine) as session:
+    with pytest.raises(StorageError, match="not what this process opened"), open_reading(engine) as session:
         session.connection()
     engine.dispose()
 

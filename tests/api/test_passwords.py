@@ -13,13 +13,13 @@ from boresight.console.access import password_checks as checks
 from boresight.console.access import passwords
 from boresight.console.access.log_in_attempts import MOST_RECORDS, REFUSED
 from boresight.console.access.passwords import PasswordProof
-from boresight.console.access.sessions import Client
+from boresight.console.access.sessions import ClientAddress
 from boresight.console.access.tables import User
 from boresight.console.approvals import service as approvals
 from boresight.errors import OverloadedError, TooManyAttemptsError
 from boresight.platform.actors import SYSTEM, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import reading, writing
+from boresight.platform.db.sessions import open_reading, open_writing
 from tests.passwords import new_password
 
 from .conftest import PASSWORD, PEOPLE, add_people, serving, settings_in
@@ -145,7 +145,7 @@ def test_no_password_is_worked_on_while_the_write_lock_is_held(
 
 
 def _restore(app: Any) -> None:
-    with writing(app.state.engine) as session:
+    with open_writing(app.state.engine) as session:
         row = session.get_one(User, list(PEOPLE).index("adele") + 1)
         row.password_hash = new_password(PASSWORD).hash()
         audit.append(session, SYSTEM, "restored", "users")
@@ -222,7 +222,7 @@ def test_attempts_are_slowed_down_and_then_told_to_wait(served: tuple[str, Any])
 
 
 def _failures(app: Any, address: str) -> list[dict[str, Any]]:
-    with reading(app.state.engine) as session:
+    with open_reading(app.state.engine) as session:
         found = [one.after or {} for one in audit.list_records(session, limit=200) if one.action == REFUSED]
     return [one for one in found if str(one.get("address", address)).startswith(address)]
 
@@ -252,7 +252,7 @@ def test_a_flood_of_names_makes_few_records(served: tuple[str, Any]) -> None:
     state.record_failures(whole=True)
     before = len(_failures(app, ""))
     for number in range(1000):
-        state._note(checks.Attempt.of(f"name-{number}", f"10.0.0.{number % 200}"))
+        state._note(checks.FailedAttempt.of(f"name-{number}", f"10.0.0.{number % 200}"))
     state.record_failures(whole=True)
     found = _failures(app, "")
     assert len(found) - before <= checks.PROMPT + MOST_RECORDS + 1
@@ -262,11 +262,11 @@ def test_a_flood_of_names_makes_few_records(served: tuple[str, Any]) -> None:
 def test_only_so_many_passwords_are_worked_on_or_wait_at_once(
     served: tuple[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    state = checks.Passwords(served[1].state.engine, 5)
+    state = checks.PasswordWorker(served[1].state.engine, 5)
     monkeypatch.setattr(passwords, "check", lambda stored, _: time.sleep(0.05) or PasswordProof(stored, fits=False))
 
     async def flood() -> list[object]:
-        one_each = [state.check_log_in(f"n{number}", "x", Client(f"10.0.0.{number}")) for number in range(60)]
+        one_each = [state.check_log_in(f"n{number}", "x", ClientAddress(f"10.0.0.{number}")) for number in range(60)]
         return await asyncio.gather(*one_each, return_exceptions=True)
 
     found = asyncio.run(flood())
@@ -277,27 +277,27 @@ def test_only_so_many_passwords_are_worked_on_or_wait_at_once(
     async def wait() -> list[object]:
         monkeypatch.setattr(checks, "MOST_HELD", 3)
         monkeypatch.setattr(state._limiter, "admit", lambda _: 0.5)
-        attempts = [state.check_log_in("ada", "x", Client("10.0.0.1")) for _ in range(6)]
+        attempts = [state.check_log_in("ada", "x", ClientAddress("10.0.0.1")) for _ in range(6)]
         return await asyncio.gather(*attempts, return_exceptions=True)
 
     assert sum(isinstance(one, OverloadedError) for one in asyncio.run(wait())) == 3
 
 
 def test_a_signer_is_slowed_down_by_their_own_failures_alone(served: tuple[str, Any]) -> None:
-    state = checks.Passwords(served[1].state.engine, 5)
+    state = checks.PasswordWorker(served[1].state.engine, 5)
     alan = Actor(2, "alan", "Alan", frozenset({"approver"}), "session", session_id=1)
 
     async def fail(session_id: int) -> None:
         actor = Actor(2, "alan", "Alan", frozenset({"approver"}), "session", session_id=session_id)
-        await state.check_own(actor, "wrong", Client(HERE))
+        await state.check_own(actor, "wrong", ClientAddress(HERE))
 
     async def all_of_it() -> bool:
         for _ in range(5):
             await fail(7)
-            await state.check_log_in("alan", "wrong", Client(THERE))
+            await state.check_log_in("alan", "wrong", ClientAddress(THERE))
         with pytest.raises(TooManyAttemptsError):
             await asyncio.gather(*(fail(7) for _ in range(4)))
-        return (await state.check_own(alan, PASSWORD, Client(HERE))).fits
+        return (await state.check_own(alan, PASSWORD, ClientAddress(HERE))).fits
 
     assert asyncio.run(all_of_it())
 
@@ -348,15 +348,15 @@ def test_many_names_tried_from_an_address_shut_out_nobody_who_logged_in_from_the
 
 
 def test_strangers_everywhere_share_their_tries_at_a_name_and_its_owner_gets_in(served: tuple[str, Any]) -> None:
-    state = checks.Passwords(served[1].state.engine, 1)
+    state = checks.PasswordWorker(served[1].state.engine, 1)
     with _client(served[0], "127.0.0.11") as olga:
         assert _log_in(olga, "olga").status_code == 201
 
     async def all_of_it() -> bool:
         for number in range(3):
-            await state.check_log_in("olga", "wrong", Client(f"10.1.0.{number}"))
+            await state.check_log_in("olga", "wrong", ClientAddress(f"10.1.0.{number}"))
         with pytest.raises(TooManyAttemptsError):
-            await asyncio.gather(*(state.check_log_in("olga", "wrong", Client(f"10.2.0.{n}")) for n in range(5)))
-        return (await state.check_log_in("olga", PASSWORD, Client("::ffff:127.0.0.11"))).fits
+            await asyncio.gather(*(state.check_log_in("olga", "wrong", ClientAddress(f"10.2.0.{n}")) for n in range(5)))
+        return (await state.check_log_in("olga", PASSWORD, ClientAddress("::ffff:127.0.0.11"))).fits
 
     assert asyncio.run(all_of_it())

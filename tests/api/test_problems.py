@@ -9,7 +9,7 @@ import pytest
 
 from boresight import errors
 from boresight.errors import BoresightError, Fault, RefusedInputError
-from boresight.platform.web.problems import KINDS, problem_of
+from boresight.platform.web.problems import KINDS, make_problem
 
 from .conftest import House
 
@@ -39,7 +39,7 @@ def test_a_problem_names_type_title_status_detail_instance_and_request(house: Ho
 
 def test_faults_become_places() -> None:
     refusal = RefusedInputError("The file is refused.", (Fault(12, "row_px", "It is no number; correct it."),))
-    problem = problem_of(refusal)
+    problem = make_problem(refusal)
     assert problem.status == 422
     assert problem.errors == [{"row": 12, "column": "row_px", "detail": "It is no number; correct it."}]
 
@@ -88,9 +88,9 @@ def test_what_nobody_foresaw_tells_its_request_id_and_nothing_else(
 @pytest.mark.parametrize(
     "broken",
     [
-        "boresight.console.runs.pages.list.page_of",  # what the page shows
-        "boresight.console.pages.rendering.frame_of",  # what every page shows
-        "boresight.console.access.dependencies.reading",  # the database itself
+        "boresight.console.runs.pages.list.read_page",  # what the page shows
+        "boresight.console.pages.rendering.make_page_frame",  # what every page shows
+        "boresight.console.access.dependencies.open_reading",  # the database itself
     ],
 )
 def test_what_nobody_foresaw_gives_a_person_a_page_with_the_request_id(

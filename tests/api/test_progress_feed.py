@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.console.jobs.broadcast import Place, Ring
+from boresight.console.jobs.broadcast import EventCursor, RecentProgress
 from boresight.console.runs.run_events import Line, write_event
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.sessions import open_writing
 
 from .conftest import House
 from .test_events import following
@@ -63,7 +63,7 @@ def test_who_comes_back_with_a_place_of_another_server_is_told_that_progress_was
         house.app.state.broadcast.hear(step(7, 0.5))
         after = next(events)
     assert missed["event"] == "missed"
-    assert Place.parse(missed["id"]).progress == house.app.state.broadcast.progress - 1
+    assert EventCursor.parse(missed["id"]).progress == house.app.state.broadcast.progress - 1
     assert after["data"]["fraction"] == 0.5
 
 
@@ -71,7 +71,7 @@ def test_a_line_of_a_run_s_log_is_told_as_such(house: House) -> None:
     run = house.launched()
     with following(house.person("victor")) as events:
         next(events)
-        with writing(house.app.state.engine) as session:
+        with open_writing(house.app.state.engine) as session:
             write_event(session, run["id"], 1, Line.log("Given up on frame 3."))
         told = next(event for event in events if event["event"] == "log")
     assert (told["event"], told["data"]["message"]) == ("log", "Given up on frame 3.")
@@ -79,7 +79,7 @@ def test_a_line_of_a_run_s_log_is_told_as_such(house: House) -> None:
 
 @given(st.integers(0, 40), st.integers(-3, 45))
 def test_a_bounded_ring_tells_all_after_a_number_or_that_it_cannot(count: int, after: int) -> None:
-    ring = Ring(KEPT)
+    ring = RecentProgress(KEPT)
     begun = ring.newest
     for k in range(count):
         ring.add({"step": k}, None)
@@ -92,7 +92,7 @@ def test_a_bounded_ring_tells_all_after_a_number_or_that_it_cannot(count: int, a
 
 
 def test_an_event_is_written_once_for_all_listeners() -> None:
-    event = Ring(KEPT).add({"run_id": 7}, {"frame": [0]})
+    event = RecentProgress(KEPT).add({"run_id": 7}, {"frame": [0]})
     assert event.text is event.text
     assert json.loads(event.text_with_history) == {"run_id": 7, "history": {"frame": [0]}}
     assert json.loads(event.text) == {"run_id": 7}

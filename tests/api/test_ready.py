@@ -22,8 +22,8 @@ from boresight.console.runs import service as runs
 from boresight.console.runs.tables import Run
 from boresight.platform.actors import SYSTEM, SessionLimits
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import open_engine, utc_after, writing
-from boresight.platform.web import ready as standing
+from boresight.platform.db.sessions import open_engine, open_writing, utc_after
+from boresight.platform.web import response_cache as standing
 from tests.effort import effort
 
 from .conftest import PASSWORD, House, serving
@@ -96,7 +96,7 @@ def test_what_another_process_commits_is_seen_by_the_next_question(house: House)
     client = house.person("victor")
     assert client.get(f"{RUNS}/{run['id']}").json()["label"] != "renamed"
     other = open_engine(house.app.state.settings.database_url)
-    with writing(other) as session:
+    with open_writing(other) as session:
         session.get_one(Run, run["id"]).label = "renamed"
         audit.append(session, SYSTEM, "renamed", f"runs/{run['id']}")
     other.dispose()
@@ -231,7 +231,7 @@ def test_who_must_set_a_password_gets_nothing_that_stands_ready(house: House) ->
 def test_a_key_that_expires_by_the_clock_is_refused_without_any_commit(house: House) -> None:
     key = house.key("ada")
     prefix = key.headers["Authorization"].split("_")[1]
-    with writing(house.app.state.engine) as session:
+    with open_writing(house.app.state.engine) as session:
         row = session.query(ApiKey).filter_by(prefix=prefix).one()
         row.expires_utc = utc_after(1.0)
         audit.append(session, SYSTEM, "shortened", f"api-keys/{row.id}")
@@ -247,7 +247,7 @@ def test_a_log_in_that_expires_by_the_clock_is_refused_without_any_commit(
     client = house.log_in("victor")
     assert client.get(RUNS).status_code == 200
     now_s = time.time()
-    monkeypatch.setattr("boresight.platform.web.ready.time.time", lambda: now_s + 12 * 3600 + 5)
+    monkeypatch.setattr("boresight.platform.web.response_cache.time.time", lambda: now_s + 12 * 3600 + 5)
     monkeypatch.setattr("itsdangerous.timed.time.time", lambda: now_s + 12 * 3600 + 5)
     assert client.get(RUNS).status_code == 401
 
@@ -480,7 +480,7 @@ def act_on_store(house: House, act: str, runs: list[dict[str, Any]], person: int
         noted = house.person("ada").post(f"{RUNS}/{house.launched()['id']}/notes", json={"text": "Seen."})
         assert noted.status_code == 201
     elif act in {"new role", "new name"}:
-        with writing(house.app.state.engine) as session:
+        with open_writing(house.app.state.engine) as session:
             user = session.get_one(User, person)
             if act == "new role":
                 user.roles = ["analyst"] if user.roles == ["viewer"] else ["viewer"]

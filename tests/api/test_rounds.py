@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from boresight.platform.jobs.rounds import Rounds
+from boresight.platform.jobs.periodic_thread import PeriodicThread
 
 LONG_S = 1000.0
 
@@ -12,7 +12,7 @@ LONG_S = 1000.0
 def test_a_step_that_fails_is_logged_and_tried_again_and_the_others_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     monkeypatch.setattr(
-        "boresight.platform.jobs.rounds.log.exception", lambda words, *names: said.append(words % names)
+        "boresight.platform.jobs.periodic_thread.log.exception", lambda words, *names: said.append(words % names)
     )
     taken: list[str] = []
     twice = threading.Event()
@@ -26,7 +26,7 @@ def test_a_step_that_fails_is_logged_and_tried_again_and_the_others_are_taken(mo
         if len(taken) > 3:
             twice.set()
 
-    rounds = Rounds("errand", [fail, go], lambda: 0.001)
+    rounds = PeriodicThread("errand", [fail, go], lambda: 0.001)
     rounds.start()
     assert twice.wait(10)
     rounds.close()
@@ -36,7 +36,7 @@ def test_a_step_that_fails_is_logged_and_tried_again_and_the_others_are_taken(mo
 
 def test_a_nudge_begins_the_next_round_at_once_and_a_close_ends_the_thread() -> None:
     taken = threading.Semaphore(0)
-    rounds = Rounds("errand", [taken.release], lambda: LONG_S)
+    rounds = PeriodicThread("errand", [taken.release], lambda: LONG_S)
     rounds.start()
     assert taken.acquire(timeout=10)
     rounds.nudge()
@@ -50,7 +50,7 @@ def test_a_nudge_begins_the_next_round_at_once_and_a_close_ends_the_thread() -> 
 
 def test_what_was_closed_can_start_again() -> None:
     taken = threading.Semaphore(0)
-    rounds = Rounds("errand", [taken.release], lambda: LONG_S)
+    rounds = PeriodicThread("errand", [taken.release], lambda: LONG_S)
     for _ in range(2):
         rounds.start()
         assert taken.acquire(timeout=10)

@@ -3,7 +3,7 @@
 import pytest
 
 from boresight.console.runs.tables import Run
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.sessions import open_writing
 
 from .conftest import House
 
@@ -122,7 +122,7 @@ def test_a_run_with_nothing_yet_says_that_it_runs(house: House) -> None:
 def test_a_partial_result_is_shown_while_it_computes(house: House) -> None:
     run = house.launched()
     partial = {"schema": "boresight.calibration/1", "status": "running", "frames": 3}
-    with writing(house.app.state.engine) as session:
+    with open_writing(house.app.state.engine) as session:
         session.get_one(Run, run["id"]).progress = {"fraction": 0.1, "message": "frame 3", "partial": partial}
     client = house.person("victor")
     assert client.get(f"/api/v1/runs/{run['id']}/result").json() == partial

@@ -15,8 +15,8 @@ import uvicorn
 from playwright.sync_api import sync_playwright
 
 from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.web.cached_check import CachedCheck
 from boresight.platform.web.middleware import SECURITY_HEADERS, SECURITY_POLICY
-from boresight.platform.web.watched import Watched
 from boresight.server import _Server, create_app
 
 from .conftest import House, serving, settings_in
@@ -96,7 +96,7 @@ def test_a_server_that_cannot_write_its_files_is_not_ready_and_refuses_an_upload
     sensor_id = house.new_sensor()["id"]
     nowhere = BlobStore(tmp_path / "file" / "blobs")
     nowhere.folder.parent.write_text("no folder")
-    instead = {"blobs": nowhere, "blobs_watched": Watched(nowhere.refuse_unusable)}
+    instead = {"blobs": nowhere, "blobs_watched": CachedCheck(nowhere.refuse_unusable)}
     for name, part in instead.items():
         monkeypatch.setitem(house.app.state._state, name, part)
     unready = house.anybody().get("/readyz")
@@ -108,10 +108,10 @@ def test_a_server_that_cannot_write_its_files_is_not_ready_and_refuses_an_upload
 
 def test_files_are_looked_at_once_in_some_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
     looks: list[None] = []
-    watched = Watched(lambda: looks.append(None))
+    watched = CachedCheck(lambda: looks.append(None))
     assert [watched.fault() for _ in range(5)] == [""] * 5
     assert len(looks) == 1
-    monkeypatch.setattr("boresight.platform.web.watched.LOOK_AGAIN_S", -1.0)
+    monkeypatch.setattr("boresight.platform.web.cached_check.LOOK_AGAIN_S", -1.0)
     watched.fault()
     assert len(looks) == 2
 

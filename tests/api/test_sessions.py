@@ -17,11 +17,11 @@ from itsdangerous import URLSafeTimedSerializer
 from boresight.console.access import sessions
 from boresight.console.access.credentials import SESSION_COOKIE, LogInCookie, read_secret
 from boresight.console.access.tables import LoginSession
-from boresight.console.jobs.upkeep import Upkeep
+from boresight.console.jobs.maintenance import Maintenance
 from boresight.errors import SessionEndedError, UnauthenticatedError
 from boresight.platform.blobs.opening import open_blobs
-from boresight.platform.db.marks import Marks
-from boresight.platform.db.sessions import open_engine, reading, utc_after, utc_text, writing
+from boresight.platform.db.data_version import DataVersionReader
+from boresight.platform.db.sessions import open_engine, open_reading, open_writing, utc_after, utc_text
 from boresight.settings import Settings
 
 from .conftest import PASSWORD, House, add_people, serving, settings_in
@@ -152,7 +152,9 @@ def test_only_an_administrator_sees_and_ends_anothers_log_ins_and_no_key_any(hou
 
 
 def test_what_a_program_says_of_itself_is_kept_short_and_printable() -> None:
-    assert sessions.Client.of(None, "a\x7f\u202eb\ud800" + "c" * 300) == sessions.Client("", "ab" + "c" * 195)
+    assert sessions.ClientAddress.of(None, "a\x7f\u202eb\ud800" + "c" * 300) == sessions.ClientAddress(
+        "", "ab" + "c" * 195
+    )
 
 
 def test_neither_the_secret_nor_its_hash_is_told_or_stored_readably(house: House) -> None:
@@ -160,7 +162,7 @@ def test_neither_the_secret_nor_its_hash_is_told_or_stored_readably(house: House
     token = house.app.state.log_in_cookie.read(client.cookies[SESSION_COOKIE]).token
     assert len(token) >= 43  # 256 bits
     listed = client.get("/api/v1/sessions").text
-    with reading(house.app.state.engine) as session:
+    with open_reading(house.app.state.engine) as session:
         hashes = session.scalars(sa.select(LoginSession.token_hash)).all()
     assert hashlib.sha256(token.encode()).hexdigest() in hashes
     assert token not in listed
@@ -198,7 +200,7 @@ def test_idleness_ends_a_log_in_and_survives_a_restart(tmp_path: Path) -> None:
 
 def _shift(settings: Settings, minutes: float) -> None:
     engine = open_engine(settings.database_url)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         for row in session.scalars(sa.select(LoginSession)):
             used = datetime.fromisoformat(row.last_used_utc) - timedelta(minutes=minutes)
             row.last_used_utc = utc_text(used)
@@ -240,7 +242,7 @@ def test_requests_do_not_write_and_a_round_writes_the_last_use_once(tmp_path: Pa
     add_people(settings)
     with serving(settings) as (address, app), httpx.Client(base_url=address) as client:
         client.post("/api/v1/sessions", json={"name": "ada", "password": PASSWORD}).raise_for_status()
-        marks = Marks(app.state.engine)
+        marks = DataVersionReader(app.state.engine)
         before = marks.look()
         for _ in range(20):
             client.get("/api/v1/sensors").raise_for_status()
@@ -257,16 +259,16 @@ def test_what_lapsed_is_written_and_what_ended_long_ago_is_forgotten(tmp_path: P
     settings = settings_in(tmp_path)
     add_people(settings)
     engine = open_engine(settings.database_url)
-    upkeep = Upkeep(engine, settings.session_limits, open_blobs(settings.blob_place))
+    upkeep = Maintenance(engine, settings.session_limits, open_blobs(settings.blob_place))
     ages_h = {"fresh": 0.0, "idle": 1.2, "expired": 13.0}
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         for age_h in ages_h.values():
-            row, _ = sessions.begin(session, 1, sessions.Client())
+            row, _ = sessions.begin(session, 1, sessions.ClientAddress())
             row.created_utc = row.last_used_utc = utc_after(-3600 * age_h)
-        row, _ = sessions.begin(session, 1, sessions.Client())
+        row, _ = sessions.begin(session, 1, sessions.ClientAddress())
         row.ended_utc, row.ended_because = utc_after(-sessions.KEPT_FOR_S - 60), "logged_out"
     upkeep.tidy_sessions()
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         ended = session.scalars(sa.select(LoginSession.ended_because).order_by(LoginSession.id)).all()
     assert ended == [None, "idle", "expired"]
     engine.dispose()

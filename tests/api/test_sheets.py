@@ -5,7 +5,7 @@ import zlib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.platform.web.sheets import NAME_GAP, TOKEN_GAP, Sheet
+from boresight.platform.web.compressed_pages import NAME_GAP, TOKEN_GAP, CompressedPage
 
 GAPS = (TOKEN_GAP.encode(), NAME_GAP.encode())
 PIECES = st.lists(st.one_of(st.sampled_from(GAPS), st.binary(max_size=300)), max_size=12)
@@ -18,13 +18,13 @@ def test_a_filled_sheet_is_the_page_with_the_values_in_its_gaps(
 ) -> None:
     page = b"".join(pieces)
     wanted = b"".join(values[GAPS.index(piece)] if piece in GAPS else piece for piece in pieces)
-    assert Sheet(page, GAPS, compressed=False).filled(values) == wanted
+    assert CompressedPage(page, GAPS, compressed=False).filled(values) == wanted
     reader = zlib.decompressobj(16 + zlib.MAX_WBITS)
-    assert reader.decompress(Sheet(page, GAPS, compressed=True).filled(values)) + reader.flush() == wanted
+    assert reader.decompress(CompressedPage(page, GAPS, compressed=True).filled(values)) + reader.flush() == wanted
     assert reader.eof
     assert not reader.unused_data
 
 
 def test_a_page_is_compressed_as_well_as_without_gaps() -> None:
     page = b"<tr><td>run</td></tr>" * 2000 + GAPS[0] + b"<tr><td>run</td></tr>" * 2000
-    assert len(Sheet(page, GAPS, compressed=True).filled((b"t", b"n"))) < 2 * len(zlib.compress(page, 5))
+    assert len(CompressedPage(page, GAPS, compressed=True).filled((b"t", b"n"))) < 2 * len(zlib.compress(page, 5))

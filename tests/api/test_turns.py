@@ -2,12 +2,12 @@
 
 import asyncio
 
-from boresight.platform.web.gate import Turns
+from boresight.platform.web.concurrency_limit import RequestQueue
 
 
 def test_no_more_have_a_turn_at_once_than_there_are_and_they_come_in_order() -> None:
     async def run() -> tuple[int, list[int]]:
-        turns, at_once, most, order = Turns(3, 60.0), 0, 0, list[int]()
+        turns, at_once, most, order = RequestQueue(3, 60.0), 0, 0, list[int]()
 
         async def work(number: int) -> None:
             nonlocal at_once, most
@@ -28,7 +28,7 @@ def test_no_more_have_a_turn_at_once_than_there_are_and_they_come_in_order() -> 
 
 def test_who_takes_long_makes_room_once_and_gives_no_turn_back_twice() -> None:
     async def run() -> list[str]:
-        turns, seen = Turns(1, 0.02), list[str]()
+        turns, seen = RequestQueue(1, 0.02), list[str]()
 
         async def long() -> None:
             async with turns.turn():
@@ -48,7 +48,7 @@ def test_who_takes_long_makes_room_once_and_gives_no_turn_back_twice() -> None:
 
 def test_who_leaves_while_waiting_or_fails_takes_no_turn_along() -> None:
     async def run() -> int:
-        turns = Turns(1, 60.0)
+        turns = RequestQueue(1, 60.0)
 
         async def work(*, fails: bool = False) -> None:
             async with turns.turn():
@@ -70,7 +70,7 @@ def test_who_leaves_while_waiting_or_fails_takes_no_turn_along() -> None:
 
 def test_the_next_turn_goes_to_what_was_waited_for_longest_by_all_who_wait() -> None:
     async def run() -> list[str]:
-        turns, order = Turns(1, 60.0), list[str]()
+        turns, order = RequestQueue(1, 60.0), list[str]()
 
         async def work(name: str, waited_s: float | None = None) -> None:
             async with turns.turn(None if waited_s is None else lambda _: waited_s):

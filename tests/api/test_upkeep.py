@@ -11,12 +11,12 @@ import sqlalchemy as sa
 
 from boresight.console.access import api_keys, users
 from boresight.console.alarms import service as alarms
-from boresight.console.jobs import upkeep as upkeep_module
-from boresight.console.jobs.upkeep import Upkeep
+from boresight.console.jobs import maintenance as upkeep_module
+from boresight.console.jobs.maintenance import Maintenance
 from boresight.platform.actors import SessionLimits
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, reading, writing
+from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from tests.passwords import add_person
 from tests.stores import open_migrated, url_in
 
@@ -26,16 +26,16 @@ LIMITS = SessionLimits(age_s=12 * 3600.0, idle_s=3600.0)
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Engine]:
     store = open_migrated(url_in(tmp_path))
-    with writing(store) as session:
+    with open_writing(store) as session:
         row = add_person(session, "ada")
-        actor = users.actor_of(session, row.id)
+        actor = users.get_actor(session, row.id)
         api_keys.create_key(session, actor, label="passes")
     yield store
     store.dispose()
 
 
-def _upkeep(store: Engine) -> Upkeep:
-    return Upkeep(store, LIMITS, BlobStore(Path(tempfile.mkdtemp())))
+def _upkeep(store: Engine) -> Maintenance:
+    return Maintenance(store, LIMITS, BlobStore(Path(tempfile.mkdtemp())))
 
 
 def test_before_the_first_walk_nothing_is_claimed(store: Engine) -> None:
@@ -46,7 +46,7 @@ def test_before_the_first_walk_nothing_is_claimed(store: Engine) -> None:
 def test_the_light_tells_through_which_record_and_when(store: Engine) -> None:
     upkeep = _upkeep(store)
     upkeep.verify()
-    with reading(store) as session:
+    with open_reading(store) as session:
         newest = audit.list_records(session, limit=1)[0]
     light = upkeep.light()
     assert (light.state, light.last_id) == ("verified", newest.id)
@@ -75,7 +75,7 @@ def test_a_finding_that_is_not_renewed_becomes_stale(store: Engine, monkeypatch:
 
 def test_a_running_upkeep_looks_at_once_and_writes_the_last_uses_when_it_stops(store: Engine) -> None:
     upkeep = _upkeep(store)
-    with reading(store) as session:
+    with open_reading(store) as session:
         key = api_keys.list_keys(session)[0]
     upkeep.start()
     for _ in range(200):
@@ -86,7 +86,7 @@ def test_a_running_upkeep_looks_at_once_and_writes_the_last_uses_when_it_stops(s
     upkeep.close()
     upkeep.close()
     assert upkeep.light().state == "verified"
-    with reading(store) as session:
+    with open_reading(store) as session:
         assert api_keys.get_key(session, key.id).last_used_utc is not None
 
 
@@ -119,7 +119,7 @@ def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_r
     upkeep.verify()
     for _ in range(2):
         upkeep.watch()
-    with reading(store) as session:
+    with open_reading(store) as session:
         (raised,) = alarms.list_alarms(session)
     assert (raised.kind, raised.level, raised.version) == ("CHAIN", "critical", 1)
     assert "users/1 was changed outside Boresight" in raised.sentence
@@ -127,16 +127,16 @@ def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_r
         connection.execute(sa.text("UPDATE users SET roles = :roles"), {"roles": before})
     upkeep.verify()
     upkeep.watch()
-    with reading(store) as session:
+    with open_reading(store) as session:
         (over,) = alarms.list_alarms(session)
-        assert alarms.state_of(over) == "unacknowledged, returned to normal"
+        assert alarms.get_alarm_state(over) == "unacknowledged, returned to normal"
 
 
 def test_a_server_that_stops_does_not_wait_for_a_long_look(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
     begun, released = threading.Event(), threading.Event()
     monkeypatch.setattr(upkeep_module, "PATIENCE_S", 0.05)
     upkeep = _upkeep(store)
-    monkeypatch.setattr(upkeep_module.watch, "changed_sensors", lambda _: begun.set() or [released.wait(30.0)][:0])
+    monkeypatch.setattr(upkeep_module.rules, "find_changed_sensors", lambda _: begun.set() or [released.wait(30.0)][:0])
     upkeep.start()
     assert begun.wait(30.0)
     upkeep.close()

@@ -16,16 +16,16 @@ from standardwebhooks import Webhook as StandardWebhook
 from standardwebhooks import WebhookVerificationError
 
 from boresight.console.access import users
-from boresight.console.jobs.deliveries import Deliveries
+from boresight.console.jobs.webhook_sender import WebhookSender
 from boresight.console.webhooks import service as webhooks
-from boresight.console.webhooks.secrets import encrypt_all, state_of
+from boresight.console.webhooks.secrets import encrypt_all, get_state
 from boresight.console.webhooks.tables import Webhook, WebhookDelivery
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.db.secret_box import SecretBox
-from boresight.platform.db.sessions import Engine, reading, utc_now, writing
-from boresight.platform.web.targets import Targets
+from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_now
+from boresight.platform.web.targets import WebhookTargets
 from tests.passwords import add_person
 from tests.stores import open_migrated, url_in
 
@@ -88,23 +88,23 @@ def box(tmp_path: Path) -> SecretBox:
 
 @pytest.fixture
 def hook(store: Engine, receiver: Receiver, box: SecretBox) -> Webhook:
-    with writing(store) as session:
+    with open_writing(store) as session:
         add_person(session, "root", "administrator")
         return webhooks.create_webhook(session, _root(session), box, label="Chat", url=receiver.url)[0]
 
 
 def _root(session: Any) -> Actor:
     row = users.list_users(session)[0]
-    return users.actor_of(session, row.id)
+    return users.get_actor(session, row.id)
 
 
 def _trial(store: Engine, hook: Webhook) -> int:
-    with writing(store) as session:
+    with open_writing(store) as session:
         return webhooks.try_webhook(session, _root(session), hook.id).id
 
 
 def _delivery(store: Engine, number: int) -> WebhookDelivery:
-    with reading(store) as session:
+    with open_reading(store) as session:
         return session.get_one(WebhookDelivery, number)
 
 
@@ -112,7 +112,7 @@ def test_the_library_of_standard_webhooks_accepts_what_a_receiver_got(
     store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
 ) -> None:
     number = _trial(store, hook)
-    Deliveries(store, Targets(local=True), box).deliver()
+    WebhookSender(store, WebhookTargets(local=True), box).deliver()
     path, headers, body = receiver.heard[0]
     assert path == "/hook?team=1"
     assert headers["host"].startswith("localhost:")
@@ -130,7 +130,7 @@ def test_a_message_that_was_delivered_is_not_sent_again(
 ) -> None:
     _trial(store, hook)
     for _ in range(3):
-        Deliveries(store, Targets(local=True), box).deliver()
+        WebhookSender(store, WebhookTargets(local=True), box).deliver()
     assert len(receiver.heard) == 1
 
 
@@ -139,7 +139,7 @@ def test_a_refusal_and_a_redirect_are_kept_and_not_followed(
 ) -> None:
     receiver.statuses = [503, 302]
     first, second = _trial(store, hook), _trial(store, hook)
-    Deliveries(store, Targets(local=True), box).deliver()
+    WebhookSender(store, WebhookTargets(local=True), box).deliver()
     assert [path for path, *_ in receiver.heard] == ["/hook?team=1"] * 2
     assert (_delivery(store, first).state, _delivery(store, first).outcome) == ("PENDING", "Refused with 503")
     assert (_delivery(store, second).state, _delivery(store, second).status) == ("PENDING", 302)
@@ -150,7 +150,7 @@ def test_nobody_there_is_an_outcome_and_no_error(
 ) -> None:
     number = _trial(store, hook)
     receiver.close()
-    Deliveries(store, Targets(local=True), box).deliver()
+    WebhookSender(store, WebhookTargets(local=True), box).deliver()
     found = _delivery(store, number)
     assert (found.state, found.status, found.attempts) == ("PENDING", None, 1)
     assert str(found.outcome).startswith("No answer: ")
@@ -162,11 +162,11 @@ def test_nobody_there_is_an_outcome_and_no_error(
 def test_a_dead_receiver_is_asked_once_a_look_and_delays_nobody(
     store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
 ) -> None:
-    with writing(store) as session:
+    with open_writing(store) as session:
         dead, _ = webhooks.create_webhook(session, _root(session), box, label="Dead", url="http://127.0.0.1:9/")
     numbers = [_trial(store, dead) for _ in range(3)]
     _trial(store, hook)
-    Deliveries(store, Targets(local=True), box).deliver()
+    WebhookSender(store, WebhookTargets(local=True), box).deliver()
     assert len(receiver.heard) >= 1
     assert [_delivery(store, number).attempts for number in numbers] == [1, 0, 0]
 
@@ -175,11 +175,11 @@ def test_a_dead_receiver_is_asked_once_a_look_and_delays_nobody(
 def test_this_machine_and_its_link_are_not_reached_unless_allowed(
     store: Engine, hook: Webhook, receiver: Receiver, host: str, box: SecretBox
 ) -> None:
-    with writing(store) as session:
+    with open_writing(store) as session:
         session.get_one(Webhook, hook.id).url = f"http://{host}:{receiver.server.server_address[1]}/hook"
         audit.append(session, _root(session), "brought in", f"webhooks/{hook.id}")
         webhooks.try_webhook(session, _root(session), hook.id)
-    Deliveries(store, Targets(), box).deliver()
+    WebhookSender(store, WebhookTargets(), box).deliver()
     assert receiver.heard == []
     assert "not allowed" in str(_delivery(store, 1).outcome)
 
@@ -194,7 +194,7 @@ def _wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
 def test_the_server_tells_a_webhook_made_over_rest_what_happens_next(house: House, receiver: Receiver) -> None:
     adele = house.person("adele")
     deliveries = house.app.state.deliveries
-    deliveries.targets = Targets(local=True)
+    deliveries.targets = WebhookTargets(local=True)
     made = adele.post("/api/v1/webhooks", json={"label": "Chat", "url": receiver.url, "actions": ["sensors.*"]})
     assert made.status_code == 201, made.text
     try:
@@ -202,7 +202,7 @@ def test_the_server_tells_a_webhook_made_over_rest_what_happens_next(house: Hous
         _wait_for(lambda: bool(receiver.heard))
         assert json.loads(receiver.heard[0][2])["object"] == f"sensors/{sensor['id']}"
     finally:
-        deliveries.targets = Targets()
+        deliveries.targets = WebhookTargets()
         adele.post(f"/api/v1/webhooks/{made.json()['id']}:disable")
 
 
@@ -232,18 +232,18 @@ def test_where_a_name_leads_is_judged_at_each_attempt_and_the_judged_address_is_
         return [(2, 1, 6, "", (address, port)) for address in answers.pop(0)]
 
     number = _trial(store, hook)
-    with writing(store) as session:
+    with open_writing(store) as session:
         webhooks.queue_new(session)
         session.get_one(Webhook, hook.id).url = f"http://rebinding.example:{receiver.server.server_address[1]}/hook"
         session.get_one(Webhook, hook.id).actions = ["nothing.else"]
         audit.append(session, _root(session), "brought in", f"webhooks/{hook.id}")
     monkeypatch.setattr(socket, "getaddrinfo", look_up)
     outcomes = []
-    for targets in (Targets(), Targets(local=True), Targets()):
-        with writing(store) as session:
+    for targets in (WebhookTargets(), WebhookTargets(local=True), WebhookTargets()):
+        with open_writing(store) as session:
             for row in session.query(WebhookDelivery):
                 row.state, row.due_utc = ("PENDING", utc_now()) if row.id == number else ("DELIVERED", utc_now())
-        Deliveries(store, targets, box).deliver()
+        WebhookSender(store, targets, box).deliver()
         outcomes.append(str(_delivery(store, number).outcome))
     assert lookups == ["rebinding.example"] * 3
     assert "leads to 10.0.0.7, an address of a private network" in outcomes[0]
@@ -255,14 +255,14 @@ def test_while_a_former_secret_holds_both_verify_and_afterwards_only_the_new_one
     store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
 ) -> None:
     former = str(box.open(hook.secret))
-    with writing(store) as session:
+    with open_writing(store) as session:
         _, newer = webhooks.renew_secret(session, _root(session), box, hook.id)
     _trial(store, hook)
-    Deliveries(store, Targets(local=True), box).deliver()
-    with writing(store) as session:
+    WebhookSender(store, WebhookTargets(local=True), box).deliver()
+    with open_writing(store) as session:
         _, newest = webhooks.renew_secret(session, _root(session), box, hook.id, overlap_hours=0.0)
     _trial(store, hook)
-    Deliveries(store, Targets(local=True), box).deliver()
+    WebhookSender(store, WebhookTargets(local=True), box).deliver()
     told = [(headers, body) for _, headers, body in receiver.heard if "boresight.trial" in body]
     assert [_verifies(secret, *told[0]) for secret in (former, newer, newest)] == [True, True, False]
     assert [_verifies(secret, *told[1]) for secret in (former, newer, newest)] == [False, False, True]
@@ -281,15 +281,15 @@ def test_without_its_key_a_webhook_is_paused_and_its_messages_wait_for_a_new_sec
 ) -> None:
     elsewhere = SecretBox(tmp_path / "elsewhere" / "webhooks.key")
     number = _trial(store, hook)
-    Deliveries(store, Targets(local=True), elsewhere).deliver()
+    WebhookSender(store, WebhookTargets(local=True), elsewhere).deliver()
     assert (receiver.heard, _delivery(store, number).attempts) == ([], 0)
-    assert (state_of(hook, elsewhere), state_of(hook, box)) == ("PAUSED", "ENABLED")
+    assert (get_state(hook, elsewhere), get_state(hook, box)) == ("PAUSED", "ENABLED")
     assert encrypt_all(store, elsewhere).unreadable == ["Chat"]
     assert not elsewhere.file.exists()
-    with writing(store) as session:
+    with open_writing(store) as session:
         row, secret = webhooks.renew_secret(session, _root(session), elsewhere, hook.id)
-    assert (state_of(row, elsewhere), row.previous_secret) == ("ENABLED", None)
-    Deliveries(store, Targets(local=True), elsewhere).deliver()
+    assert (get_state(row, elsewhere), row.previous_secret) == ("ENABLED", None)
+    WebhookSender(store, WebhookTargets(local=True), elsewhere).deliver()
     assert receiver.heard
     assert all(_verifies(secret, headers, body) for _, headers, body in receiver.heard)
     assert _delivery(store, number).state == "DELIVERED"
@@ -328,7 +328,7 @@ def test_a_new_secret_is_shown_once_and_the_webhook_says_until_when_the_former_s
 def test_an_answer_that_drips_ends_at_the_deadline_of_the_whole(
     store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("boresight.console.jobs.deliveries.TIMEOUT_S", 1.0)
+    monkeypatch.setattr("boresight.console.jobs.webhook_sender.TIMEOUT_S", 1.0)
 
     def drip(wire: Any) -> None:
         with suppress(OSError):
@@ -339,7 +339,7 @@ def test_an_answer_that_drips_ends_at_the_deadline_of_the_whole(
 
     receiver.says = drip
     number, began_s = _trial(store, hook), time.monotonic()
-    Deliveries(store, Targets(local=True), box).deliver()
+    WebhookSender(store, WebhookTargets(local=True), box).deliver()
     assert time.monotonic() - began_s < 5
     found = _delivery(store, number)
     assert (found.state, found.status, found.attempts) == ("PENDING", None, 1)
@@ -359,7 +359,7 @@ def test_of_an_answer_no_more_is_read_than_is_kept(
 
     receiver.says = flood
     number = _trial(store, hook)
-    Deliveries(store, Targets(local=True), box).deliver()
+    WebhookSender(store, WebhookTargets(local=True), box).deliver()
     assert (_delivery(store, number).state, _delivery(store, number).status) == ("PENDING", 500)
     assert len(str(_delivery(store, number).outcome)) < 300
     assert len(sent) < 4000
@@ -372,5 +372,5 @@ def test_an_address_that_no_name_can_have_is_refused_when_it_is_given(
     store: Engine, url: str, box: SecretBox, hook: Webhook
 ) -> None:
     del hook  # its administrator
-    with writing(store) as session, pytest.raises(RefusedInputError):
+    with open_writing(store) as session, pytest.raises(RefusedInputError):
         webhooks.create_webhook(session, _root(session), box, label="Poison", url=url)

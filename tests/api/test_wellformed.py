@@ -13,8 +13,8 @@ from boresight.errors import NotFoundError, RefusedInputError
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import register_blob
-from boresight.platform.db.sessions import Engine, reading, writing
-from boresight.platform.web.gate import SMALL_BODY_BYTES
+from boresight.platform.db.sessions import Engine, open_reading, open_writing
+from boresight.platform.web.concurrency_limit import SMALL_BODY_BYTES
 
 from .conftest import House
 
@@ -204,11 +204,11 @@ def test_what_a_column_cannot_hold_is_refused_by_the_store_itself(
     house: House, asked: str, request: pytest.FixtureRequest
 ) -> None:
     engine: Engine = house.app.state.engine if asked == "sqlite" else request.getfixturevalue("postgresql")
-    with pytest.raises(NotFoundError), reading(engine) as session:
+    with pytest.raises(NotFoundError), open_reading(engine) as session:
         session.get(Run, 2**63)
     given: dict[str, Any] = {"number": 1, "sentence": "", "document": {}, "created_utc": "", "created_by": None}
     for wrong in ({"name": "\ud800"}, {"name": "a", "number": 2**70}):
-        with pytest.raises(RefusedInputError), writing(engine) as session:
+        with pytest.raises(RefusedInputError), open_writing(engine) as session:
             session.add(Preset(**{**given, **wrong}))  # written when it is committed
 
 
@@ -223,7 +223,7 @@ NONSENSE = {
 
 def _with_result(house: House, content: bytes) -> int:
     run_id, blobs = house.launched()["id"], house.app.state.blobs
-    with writing(house.app.state.engine) as session:
+    with open_writing(house.app.state.engine) as session:
         sha256 = blobs.put(content)
         register_blob(session, blobs, sha256, "application/json")
         run = session.get_one(Run, run_id)

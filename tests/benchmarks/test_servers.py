@@ -8,7 +8,7 @@ from benchmarks.stores import add_sensors, fill, opened
 from boresight.console.fleet import status as fleet
 from boresight.console.runs import service as runs
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import reading
+from boresight.platform.db.sessions import open_reading
 
 
 def test_everybody_in_a_crowd_is_answered_and_every_listener_hears_every_event_once_and_in_order():
@@ -33,8 +33,10 @@ def test_no_page_of_a_large_fleet_names_every_sensor():
 
 def test_a_store_that_was_filled_fast_verifies_as_any_other(tmp_path):
     add_sensors(tmp_path, fill(tmp_path, 30, 2), 5, 2)
-    with opened(tmp_path) as engine, reading(engine) as session:
-        assert [one.name for one in fleet.standings(session)][:-1] == [f"ST-{number:05d}" for number in range(1, 5)]
+    with opened(tmp_path) as engine, open_reading(engine) as session:
+        assert [one.name for one in fleet.list_sensor_statuses(session)][:-1] == [
+            f"ST-{number:05d}" for number in range(1, 5)
+        ]
         assert audit.verify(session).ok
 
 
@@ -60,7 +62,7 @@ def test_all_that_was_queued_for_the_clock_is_taken_away_however_many_pages_it_f
         ledger.store(10)
         ledger.launch_only(5)
         ledger.cancel_all()
-        with reading(ledger.engine) as session:
+        with open_reading(ledger.engine) as session:
             assert runs.count_by_state(session)["QUEUED"] == 0
 
 

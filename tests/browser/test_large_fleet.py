@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import expect
 
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import open_engine, writing
+from boresight.platform.db.sessions import open_engine, open_writing
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
 from tests.browser.installation import Installation
@@ -25,7 +25,7 @@ def analyst(tmp_path_factory, pytestconfig, browser):
     printed = ("--printed-name", PRINTED_NAMES["analyst"], "--password-stdin")
     made.command("user", "add", "analyst", "--role", "analyst", *printed, typed=password_of("analyst"))
     engine = open_engine(url_in(made.folder / "data"))
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         add_fleet(session, BlobStore(made.folder / "data" / "blobs"), sensor_document(st16_sensor(1)), 250)
     engine.dispose()
     made.start()

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from playwright.sync_api import expect
 
-from boresight.console.alarms import watch
+from boresight.console.alarms import rules
 from boresight.console.fleet import service as sensors
 from boresight.console.runs.tables import Run
 from boresight.platform.actors import COMMAND_LINE
-from boresight.platform.db.sessions import open_engine, writing
+from boresight.platform.db.sessions import open_engine, open_writing
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
@@ -32,7 +32,7 @@ def store(installation):
 @pytest.fixture(scope="module")
 def drifting(store):
     rng = np.random.default_rng(4)
-    with writing(store) as session:
+    with open_writing(store) as session:
         document = sensor_document(st16_sensor(NUMBER))
         sensor = sensors.register_sensor(session, COMMAND_LINE, document, simulated=True)
         for month in range(10):
@@ -40,15 +40,15 @@ def drifting(store):
             run = add_run(session, data, rng, 0.05 * month * np.eye(8)[0])
             if month == 2:
                 make_baseline(session, run)
-        watch.watch(session, [sensor.id])
+        rules.update_alarms(session, [sensor.id])
         return sensor.id
 
 
 def recalibrated(store, sensor_id):
-    with writing(store) as session:
+    with open_writing(store) as session:
         newest = session.query(Run).filter_by(sensor_id=sensor_id).order_by(Run.id.desc()).first()
         make_baseline(session, newest)
-        watch.watch(session, [sensor_id])
+        rules.update_alarms(session, [sensor_id])
 
 
 def test_a_drift_alarm_is_seen_handled_understood_and_over(people, store, drifting):

@@ -12,7 +12,7 @@ from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.trust import trust_view
-from boresight.calibration.trust.ground import Ground, stand
+from boresight.calibration.trust.fitted_set import FittedSet, fit_best
 from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor
@@ -31,8 +31,8 @@ class Case:
     catalogue: Catalogue
 
     @property
-    def ground(self) -> Ground:
-        return stand(**vars(self))
+    def ground(self) -> FittedSet:
+        return fit_best(**vars(self))
 
     @property
     def trust(self) -> dict:
@@ -43,7 +43,7 @@ def case(telemetry, sensor, catalogue, **settings):
     chosen = CalibrationSettings(**{"match": "given", **settings})
     with (
         mock.patch.object(result, "document", wraps=result.document) as written,
-        mock.patch("boresight.calibration.calibrate.judge"),  # judged here, part by part
+        mock.patch("boresight.calibration.calibrate.evaluate_result"),  # judged here, part by part
     ):
         calibrate(telemetry, sensor, catalogue, chosen)
     return Case(*written.call_args.args[:4], telemetry, catalogue)

@@ -21,11 +21,11 @@ from boresight.estimation import batch
 from boresight.estimation.arcs import angular_sigma
 from boresight.estimation.attitude import (
     attitudes,
-    matrix_of,
     mean_rotation,
-    quaternion_of,
-    quaternion_of_vector,
+    to_matrix,
+    to_quaternion,
     turns_from,
+    vector_to_quaternion,
 )
 from tests.effort import effort
 from tests.estimation.fields import FREE, GROUND, NOISE_PX, PITCH, SCALE, TRUTH, star_field
@@ -60,9 +60,9 @@ def test_with_the_update_of_c_sd_the_sensor_attitude_stays_on_average(problem_of
     problem = problem_of(2, parity=parity)
     found = align(problem, GROUND, TRUTH, KNOWN)
     old, new = attitudes_under(problem, GROUND), attitudes_under(problem, TRUTH)
-    C_sd_old = matrix_of(np.array([0.1, -0.3, 0.2, 0.9]))
+    C_sd_old = to_matrix(np.array([0.1, -0.3, 0.2, 0.9]))
     C_sd_new = C_sd_old @ found.c_sd_update
-    moved = quaternion_of((C_sd_new @ new.C) @ np.swapaxes(C_sd_old @ old.C, 1, 2))
+    moved = to_quaternion((C_sd_new @ new.C) @ np.swapaxes(C_sd_old @ old.C, 1, 2))
     weights = 1 / np.trace(new.covariance, axis1=1, axis2=2)
     left = turns_from(np.array([0.0, 0, 0, 1]), mean_rotation(moved, weights)[None])[0]
     assert np.linalg.norm(found.rotation) * ARCSEC_PER_RAD > 5000
@@ -92,7 +92,7 @@ def test_the_turn_between_ground_and_estimate_is_as_uncertain_as_it_says(problem
     nees, runs = [], effort(30, 120)
     for seed in range(100, 100 + runs):
         problem = problem_of(seed)
-        fit = batch.fit(problem.weighed(TRUTH), TRUTH, FREE, SCALE)
+        fit = batch.fit(problem.whitened(TRUTH), TRUTH, FREE, SCALE)
         found = align(problem, GROUND, fit.x, np.linalg.inv(fit.A) * np.outer(SCALE, SCALE))
         error = turns_from(population.quaternion, found.quaternion[None])[0]
         nees.append(error @ np.linalg.solve(found.covariance, error))
@@ -150,7 +150,7 @@ def test_the_view_holds_the_numbers_that_its_sentence_says(problem_of):
     problem = problem_of(9)
     view = alignment_view(problem, GROUND, TRUTH, np.diag((0.1 * SCALE) ** 2))
     assert view["frames"] == 40
-    np.testing.assert_allclose(matrix_of(np.array(view["quaternion"])).T, view["c_sd_update"], atol=1e-15)
+    np.testing.assert_allclose(to_matrix(np.array(view["quaternion"])).T, view["c_sd_update"], atol=1e-15)
     assert (np.array(view["sigma_arcsec"]) > view["sigma_of_mean_arcsec"]).all()
     assert f"{np.linalg.norm(view['rotation_arcsec']):.0f}"[:3] in view["sentence"]
     assert "multiply C_SD from the right" in view["sentence"]
@@ -171,7 +171,7 @@ def test_undetermined_parameters_leave_the_sigma_open(problem_of):
 )
 def test_the_axis_is_named(theta, words):
     P = np.eye(3) * 1e-10
-    found = Alignment(quaternion_of_vector(np.array(theta)), P, P, 1e-4, 1e-4, 30, consistent=True)
+    found = Alignment(vector_to_quaternion(np.array(theta)), P, P, 1e-4, 1e-4, 30, consistent=True)
     assert words in sentence(found)
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from boresight.calibration.evaluation.evaluate import evaluate_sightings
-from boresight.calibration.matching.sighting import common_arcs, sightings
+from boresight.calibration.evaluation.evaluate import evaluate_matched_frames
+from boresight.calibration.matching.matched_frames import common_arcs, match_under_states
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
 from tests.estimation.fields import TRUTH
@@ -20,7 +20,7 @@ def seen(telemetry_of, sensor, catalogue):
     return (
         telemetry,
         build_problem(telemetry, sensor, catalogue).arcs,
-        sightings(telemetry, sensor, catalogue, states, GIVEN),
+        match_under_states(telemetry, sensor, catalogue, states, GIVEN),
     )
 
 
@@ -40,8 +40,8 @@ def _exposures(arcs):
 
 def test_the_scores_are_those_of_arcs_ordered_anew(seen, sensor):
     telemetry, ordered, (initial, final) = seen
-    anew = evaluate_sightings(telemetry, sensor, initial, final, GIVEN, np.random.default_rng(1))
-    kept = evaluate_sightings(telemetry, sensor, initial, final, GIVEN, np.random.default_rng(1), ordered)
+    anew = evaluate_matched_frames(telemetry, sensor, initial, final, GIVEN, np.random.default_rng(1))
+    kept = evaluate_matched_frames(telemetry, sensor, initial, final, GIVEN, np.random.default_rng(1), ordered)
     assert kept["common_pairs"] == anew["common_pairs"]
     assert kept["stars"] == anew["stars"]
     assert kept["rms_arc_rad"] == pytest.approx(anew["rms_arc_rad"], rel=1e-9)

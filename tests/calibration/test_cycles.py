@@ -7,7 +7,7 @@ import pytest
 
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.matching import matched
-from boresight.calibration.matching.cycles import MOST_CYCLES, Cycle, Ended, cycles_view
+from boresight.calibration.matching.cycles import MOST_CYCLES, Cycle, CyclesEnd, cycles_view
 from boresight.calibration.options import CalibrationSettings
 from boresight.simulation.sensors import st16_truth
 from tests.calibration.rematched import sky
@@ -94,7 +94,7 @@ def test_given_matches_stand_where_nothing_is_matched_again(run):
 
 
 def test_cycles_are_told_with_all_their_counts():
-    ended = Ended(None, None, (Cycle(1, 10, 12, 4, None),))
+    ended = CyclesEnd(None, None, (Cycle(1, 10, 12, 4, None),))
     assert cycles_view(ended) == [{"cycle": 1, "matched": 10, "rematched": 12, "changed": 4, "rms_arc_rad": None}]
 
 

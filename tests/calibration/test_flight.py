@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from boresight.calibration.matching.flight import FLIGHT_REASONS, flight_tolerance, flight_view
+from boresight.calibration.matching.flight_check import FLIGHT_REASONS, check_flight, compute_flight_tolerance
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.arcs import arclength
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.directions import star_directions
-from boresight.telemetry.schema import exposures_of
+from boresight.telemetry.schema import find_exposures
 from tests.estimation.fields import GROUND, PITCH, TRUTH
 
 SETTINGS = CalibrationSettings()
@@ -25,7 +25,7 @@ class Given:
 
 
 def given(telemetry, catalogue=None):
-    exposures = exposures_of(telemetry)
+    exposures = find_exposures(telemetry)
     s_i = star_directions(
         telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
     )
@@ -48,8 +48,8 @@ def plain_agreement(s_d, s_i, tolerance):
 @pytest.mark.parametrize("x", [GROUND, TRUTH], ids=["ground", "truth"])
 def test_the_compiled_check_equals_the_plain_search(telemetry_of, sensor, catalogue, seed, x):
     telemetry = telemetry_of(seed, frames=5)
-    matches, tolerance = given(telemetry, catalogue), flight_tolerance(sensor, SETTINGS)
-    seen = flight_view(telemetry, sensor, matches, x, tolerance, 4)
+    matches, tolerance = given(telemetry, catalogue), compute_flight_tolerance(sensor, SETTINGS)
+    seen = check_flight(telemetry, sensor, matches, x, tolerance, 4)
     s_d = INVERTED_WANG.directions(x, telemetry.row_px, telemetry.col_px, PITCH)
     for first, last in zip(matches.exposure_start[:-1], matches.exposure_start[1:], strict=True):
         expected = plain_agreement(s_d[first:last], matches.s_i[first:last], tolerance)
@@ -58,8 +58,8 @@ def test_the_compiled_check_equals_the_plain_search(telemetry_of, sensor, catalo
 
 def test_no_two_accepted_matches_disagree(telemetry_of, sensor, catalogue):
     telemetry = telemetry_of(1, frames=20)
-    matches, tolerance = given(telemetry, catalogue), flight_tolerance(sensor, SETTINGS)
-    seen = flight_view(telemetry, sensor, matches, GROUND, tolerance, 4)
+    matches, tolerance = given(telemetry, catalogue), compute_flight_tolerance(sensor, SETTINGS)
+    seen = check_flight(telemetry, sensor, matches, GROUND, tolerance, 4)
     s_d = INVERTED_WANG.directions(GROUND, telemetry.row_px, telemetry.col_px, PITCH)
     for first, last in zip(matches.exposure_start[:-1], matches.exposure_start[1:], strict=True):
         rows = first + np.flatnonzero(seen.accepted[first:last])
@@ -74,7 +74,7 @@ def test_a_wrong_match_is_dropped_and_costs_nothing_else(telemetry_of, sensor, c
     s_i = matches.s_i.copy()
     s_i[::12] = s_i[6::12]  # the first detection of each exposure is called another star of it
     wrong = Given(s_i, matches.exposure_start, matches.frame)
-    seen = flight_view(telemetry, sensor, wrong, TRUTH, flight_tolerance(sensor, SETTINGS), 4)
+    seen = check_flight(telemetry, sensor, wrong, TRUTH, compute_flight_tolerance(sensor, SETTINGS), 4)
     dropped = np.flatnonzero(~seen.accepted)
     assert set(dropped % 12) <= {0, 6}
     assert len(dropped) == 20
@@ -92,12 +92,12 @@ def test_every_reason_is_given_where_it_is_due(telemetry_of, sensor, catalogue, 
     s_i[matched:] = np.nan
     s_i[:wrong] = np.random.default_rng(4).normal(size=(wrong, 3))
     s_i[:wrong] /= np.linalg.norm(s_i[:wrong], axis=1, keepdims=True)
-    seen = flight_view(
+    seen = check_flight(
         telemetry,
         sensor,
         Given(s_i, matches.exposure_start, matches.frame),
         TRUTH,
-        flight_tolerance(sensor, SETTINGS),
+        compute_flight_tolerance(sensor, SETTINGS),
         4,
     )
     assert seen.accepted.sum() == matched - wrong
@@ -113,12 +113,12 @@ def test_a_frame_is_available_by_either_exposure_and_counts_the_stars_of_valid_o
     s_i = matches.s_i.copy()
     s_i[3:12] = np.nan  # frame 0, exposure 0 keeps three
     s_i[24:48] = np.nan  # frame 1 keeps none
-    seen = flight_view(
+    seen = check_flight(
         telemetry,
         sensor,
         Given(s_i, matches.exposure_start, matches.frame),
         TRUTH,
-        flight_tolerance(sensor, SETTINGS),
+        compute_flight_tolerance(sensor, SETTINGS),
         4,
     )
     assert seen.frames.tolist() == [0, 1, 2]
@@ -128,8 +128,8 @@ def test_a_frame_is_available_by_either_exposure_and_counts_the_stars_of_valid_o
 
 
 def test_the_tolerance_is_five_sigmas_of_an_arc_or_what_is_asked_for(sensor):
-    assert flight_tolerance(sensor, SETTINGS) == pytest.approx(5 * 84.5e-6, rel=1e-3)
-    assert flight_tolerance(sensor, CalibrationSettings(flight_tolerance_urad=300.0)) == pytest.approx(300e-6)
+    assert compute_flight_tolerance(sensor, SETTINGS) == pytest.approx(5 * 84.5e-6, rel=1e-3)
+    assert compute_flight_tolerance(sensor, CalibrationSettings(flight_tolerance_urad=300.0)) == pytest.approx(300e-6)
 
 
 @pytest.mark.parametrize("number", [3, 4])
@@ -138,9 +138,9 @@ def test_sensors_three_and_four_are_seldom_available_at_their_ground_calibration
 ):
     scenario = calibration_scenario(number)
     telemetry = simulate(scenario, np.random.default_rng(scenario.seed), catalogue)
-    matches, tolerance = given(telemetry, catalogue), flight_tolerance(scenario.sensor, SETTINGS)
-    ground = flight_view(telemetry, scenario.sensor, matches, scenario.sensor.initial, tolerance, 4)
-    truth = flight_view(telemetry, scenario.sensor, matches, scenario.truth, tolerance, 4)
+    matches, tolerance = given(telemetry, catalogue), compute_flight_tolerance(scenario.sensor, SETTINGS)
+    ground = check_flight(telemetry, scenario.sensor, matches, scenario.sensor.initial, tolerance, 4)
+    truth = check_flight(telemetry, scenario.sensor, matches, scenario.truth, tolerance, 4)
     assert ground.availability < 0.4
     assert truth.availability > 0.95
     assert truth.accepted.sum() > 0.995 * np.isfinite(matches.s_i[:, 0]).sum()

@@ -78,7 +78,7 @@ def test_every_frame_of_a_small_set_has_every_curve(seen):
 
 
 def test_the_curves_are_the_smallest_singular_values_of_the_plain_jacobian(judged, seen):
-    arcs, x = judged.problem.weighed(judged.estimate.x), judged.estimate.x
+    arcs, x = judged.problem.whitened(judged.estimate.x), judged.estimate.x
     frame = Frame(arcs, 7, angular_sigma(judged.problem.camera, x, arcs))
     s, D = frame.directions(x)
     rows = []

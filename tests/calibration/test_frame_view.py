@@ -7,15 +7,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.frames.frame_states import states_of
+from boresight.calibration.frames.frame_states import read_run_states
 from boresight.calibration.frames.frame_view import frame_view, pointing
 from boresight.calibration.matching.rematch import rematch
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.trust.residuals import sightings
+from boresight.calibration.trust.residuals import compute_star_residuals
 from boresight.cameras import CAMERA_MODELS
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor, st16_truth
-from boresight.telemetry.schema import rows_of
+from boresight.telemetry.schema import select_rows
 from tests.calibration.judged import case, field
 from tests.estimation.fields import TRUTH
 
@@ -25,13 +25,13 @@ def reader(telemetry, frame):
         first = np.searchsorted(telemetry.frame, frame - neighbours)
         last = np.searchsorted(telemetry.frame, frame + neighbours, side="right")
         own = slice(*(np.searchsorted(telemetry.frame, [frame, frame + 1]) - first).tolist())
-        return rows_of(telemetry, slice(int(first), int(last))), own
+        return select_rows(telemetry, slice(int(first), int(last))), own
 
     return read
 
 
 def view_of(telemetry, sensor, catalogue, result, frame, **settings):
-    states = states_of(result, sensor, CalibrationSettings(**{"match": "given", **settings}))
+    states = read_run_states(result, sensor, CalibrationSettings(**{"match": "given", **settings}))
     return frame_view(states, reader(telemetry, frame), catalogue)
 
 
@@ -43,7 +43,7 @@ def rows_under(view, name):
 def test_residuals_of_a_frame_are_those_that_trust_takes_of_the_set(parity, sensor, catalogue):
     telemetry, sensor = field(1, frames=12, parity=parity), replace(sensor, parity=parity)
     result = calibrate(telemetry, sensor, catalogue, CalibrationSettings(match="given"))
-    found = sightings(case(telemetry, sensor, catalogue).ground)
+    found = compute_star_residuals(case(telemetry, sensor, catalogue).ground)
     view = view_of(telemetry, sensor, catalogue, result, 5)
     of_frame = found.arcs.source_row[found.frame == 5]
     order = np.argsort(of_frame)
@@ -110,7 +110,7 @@ def test_a_frame_matched_alone_has_the_stars_that_the_whole_set_gives_it(catalog
     telemetry = simulate(calibration_scenario(2, 40), np.random.default_rng(5), catalogue)
     settings, sensor = CalibrationSettings(), st16_sensor(2)
     result = calibrate(telemetry, sensor, catalogue, settings)
-    states = states_of(result, sensor, settings)
+    states = read_run_states(result, sensor, settings)
     P = np.diag((settings.initial_sigma_scale * sensor.typical_sigma) ** 2)
     P[np.ix_(states.parameters.free, states.parameters.free)] = states.P * np.outer(
         states.parameters.scale, states.parameters.scale

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from boresight.calibration.matching.cycles import Ended
+from boresight.calibration.matching.cycles import CyclesEnd
 from boresight.calibration.matching.match_report import counted, matching_view
 from boresight.calibration.matching.matched import Matched
-from boresight.calibration.matching.sighting import given_matches
+from boresight.calibration.matching.matched_frames import read_given_matches
 from boresight.calibration.streaming.matching import MatchedRange
 from boresight.calibration.streaming.sample import MatchedRows
 from boresight.sky.guide_stars import DOUBLE, UNRELIABLE
@@ -30,7 +30,9 @@ class AtState:
 
 
 def view(field, telemetry, matches):
-    ended = Ended(Matched(None, (MatchedRange(MatchedRows(telemetry, matches, matches.star_id)),)), AtState(field.x))
+    ended = CyclesEnd(
+        Matched(None, (MatchedRange(MatchedRows(telemetry, matches, matches.star_id)),)), AtState(field.x)
+    )
     return matching_view(telemetry, field.sensor, ended, EVALUATION)
 
 
@@ -81,7 +83,7 @@ def test_where_nothing_is_matched_there_are_nulls(field):
 
 
 def test_given_matches_have_no_view(field, catalogue):
-    assert view(field, field.telemetry, given_matches(field.telemetry, field.sensor, catalogue)) is None
+    assert view(field, field.telemetry, read_given_matches(field.telemetry, field.sensor, catalogue)) is None
 
 
 def test_the_most_frequent_phrase_comes_first():

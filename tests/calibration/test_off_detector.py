@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from boresight.calibration.matching.sighting import sightings
+from boresight.calibration.matching.matched_frames import match_under_states
 from boresight.calibration.options import CalibrationSettings
 from boresight.telemetry.schema import Telemetry
 from tests.calibration.conftest import telemetry
@@ -58,8 +58,8 @@ def test_stars_matched_again_are_those_of_the_set_without_the_row(catalogue):
 def test_flight_scores_are_those_of_the_set_without_the_row(match, catalogue):
     field = sky(catalogue, frames=12)
     settings, states = CalibrationSettings(match=match), [(field.x, field.P)]
-    (found,) = sightings(moved(field.telemetry, field.sensor), field.sensor, catalogue, states, settings)
-    (expected,) = sightings(without(field.telemetry), field.sensor, catalogue, states, settings)
+    (found,) = match_under_states(moved(field.telemetry, field.sensor), field.sensor, catalogue, states, settings)
+    (expected,) = match_under_states(without(field.telemetry), field.sensor, catalogue, states, settings)
     assert not found.taken()[list(MOVED)].any()
     assert found.view.matched_stars == expected.view.matched_stars
     np.testing.assert_array_equal(found.view.valid, expected.view.valid)

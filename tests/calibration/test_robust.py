@@ -68,5 +68,5 @@ def test_the_cosine_error_gives_sigmas_that_hold_and_says_what_it_costs(sensor, 
 
 
 def _chi2(telemetry, sensor, catalogue, x):
-    arcs = build_problem(telemetry, sensor, catalogue).weighed(x)
+    arcs = build_problem(telemetry, sensor, catalogue).whitened(x)
     return batch.normal_equations(arcs, x, FREE, SCALE).chi2

@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 
 from boresight.calibration.evaluation import shadow
 from boresight.calibration.evaluation.shadow import mcnemar, shadow_view, summary
-from boresight.calibration.matching.sighting import sightings
+from boresight.calibration.matching.matched_frames import match_under_states
 from boresight.calibration.options import CalibrationSettings
 from tests.estimation.fields import GROUND, TRUTH
 
@@ -20,7 +20,7 @@ GIVEN = CalibrationSettings(match="given")
 
 @pytest.fixture
 def seen_under(sensor, catalogue):
-    return lambda telemetry, x: sightings(telemetry, sensor, catalogue, [(x, None)], GIVEN)[0]
+    return lambda telemetry, x: match_under_states(telemetry, sensor, catalogue, [(x, None)], GIVEN)[0]
 
 
 def test_what_one_side_loses_the_other_gains(telemetry_of, seen_under):

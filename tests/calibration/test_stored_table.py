@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from boresight.calibration.source import StoredTable
-from boresight.disks import digest_of
-from boresight.telemetry.schema import rows_of
+from boresight.disks import compute_digest
+from boresight.telemetry.schema import select_rows
 from boresight.telemetry.working_table import WorkingTableParts
 from tests.calibration.rematched import sky
 from tests.calibration.streamed import differences, in_memory
@@ -21,14 +21,14 @@ def test_a_calibration_of_a_stored_table_parses_checks_and_converts_nothing(tmp_
     with WorkingTableParts(path) as parts:
         for frames in (field.telemetry.frame < 15, field.telemetry.frame >= 15):
             rows = np.flatnonzero(frames)
-            parts.write(rows_of(field.telemetry, slice(rows[0], rows[-1] + 1)))
-    stored = StoredTable(path, digest_of(path), large_rows, shared)
+            parts.write(select_rows(field.telemetry, slice(rows[0], rows[-1] + 1)))
+    stored = StoredTable(path, compute_digest(path), large_rows, shared)
     for match in ("given", "rematch"):
         whole = in_memory(field.telemetry, field.sensor, catalogue, match=match)
         with (
             mock.patch("boresight.telemetry.read.chunks.open_tables", side_effect=AssertionError),
             mock.patch("boresight.telemetry.read.chunks.Checks", side_effect=AssertionError),
-            mock.patch("boresight.telemetry.read.chunks.arrays_of", side_effect=AssertionError),
+            mock.patch("boresight.telemetry.read.chunks.make_arrays", side_effect=AssertionError),
         ):
             found = in_memory(stored, field.sensor, catalogue, match=match, scratch_folder=tmp_path)
 

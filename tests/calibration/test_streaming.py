@@ -17,7 +17,7 @@ from boresight.calibration.streaming import sample
 from boresight.calibration.streaming.telemetry_pieces import copy_stretch
 from boresight.errors import CancelledError
 from boresight.estimation.blocks import FRAMES
-from boresight.estimation.spread import InThisProcess
+from boresight.estimation.executor import LocalExecutor
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.read.readers import write_parquet
@@ -45,7 +45,7 @@ def long_set(tmp_path_factory):
 
 @pytest.fixture
 def unjudged():
-    with mock.patch("boresight.calibration.calibrate.judge"):
+    with mock.patch("boresight.calibration.calibrate.evaluate_result"):
         yield
 
 
@@ -71,7 +71,7 @@ def test_every_method_gives_the_same_bits_from_a_file_in_pieces(choices, long_se
 
 
 def test_no_size_of_the_pieces_changes_a_bit(long_set, sensor, catalogue):
-    with mock.patch("boresight.calibration.calibrate.judge"):
+    with mock.patch("boresight.calibration.calibrate.evaluate_result"):
         whole = in_memory(long_set[1], sensor, catalogue, match="given")
 
         @settings(max_examples=5, deadline=None)
@@ -148,7 +148,7 @@ def test_what_another_machine_cannot_read_is_read_here(sensor, catalogue, tmp_pa
     path, whole = written(telemetry(8, frames=60), tmp_path)
     asked = []
 
-    class Blind(InThisProcess):
+    class Blind(LocalExecutor):
         def map(self, function, arguments, **choices):
             if function is copy_stretch:
                 asked.extend(arguments)
@@ -245,4 +245,4 @@ def test_a_held_out_file_that_is_large_is_sampled_evenly(sensor, catalogue, tmp_
 def test_pieces_are_asked_for_a_stop_before_each():
     left = iter([False, False, True])
     with pytest.raises(CancelledError, match="after 2 of 3 pieces"):
-        InThisProcess(lambda: next(left)).map(abs, [(1,), (-2,), (3,)])
+        LocalExecutor(lambda: next(left)).map(abs, [(1,), (-2,), (3,)])

@@ -9,14 +9,14 @@ from scipy import stats
 from boresight.calibration.trust.distribution import residual_distribution, residual_outliers, two_sided
 from boresight.calibration.trust.field import cell_edges, residual_field
 from boresight.calibration.trust.innovations import deviates, worst_frames
-from boresight.calibration.trust.residuals import sightings
+from boresight.calibration.trust.residuals import compute_star_residuals
 from tests.calibration.judged import case, field, simulated
 
 
 @pytest.fixture(scope="module")
 def judged(catalogue):
     ground = simulated(catalogue, 1, 120).ground
-    return ground, sightings(ground)
+    return ground, compute_star_residuals(ground)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def test_a_good_fit_leaves_no_pattern_and_the_old_parameters_do(judged):
 
 def test_patterns_are_called_so_in_about_one_clean_set_of_a_hundred(sensor, catalogue):
     p = [
-        residual_field(ground, sightings(ground))["after"]["p"]
+        residual_field(ground, compute_star_residuals(ground))["after"]["p"]
         for ground in (case(field(seed, frames=30), sensor, catalogue).ground for seed in range(30))
     ]
     assert np.mean(np.array(p) < 0.01) <= 2 / 30
@@ -63,7 +63,7 @@ def test_patterns_are_called_so_in_about_one_clean_set_of_a_hundred(sensor, cata
 
 def test_a_distortion_that_is_not_fitted_is_a_pattern(catalogue):
     ground = simulated(catalogue, 1, 120, free=("f_m",)).ground
-    view = residual_field(ground, sightings(ground))
+    view = residual_field(ground, compute_star_residuals(ground))
     assert not view["even"]
     assert "pattern over the detector that noise does not explain" in view["sentence"]
 
@@ -97,7 +97,7 @@ def test_the_tail_probability_is_the_exact_binomial_one():
 
 
 def test_a_star_far_off_is_the_first_outlier_with_its_frame(noisy):
-    view = residual_outliers(noisy, sightings(noisy))
+    view = residual_outliers(noisy, compute_star_residuals(noisy))
     assert view["in_all"] >= 1
     assert view["frame"][0] == 41
     assert abs(view["d_row_px"][0]) == pytest.approx(4, abs=1)
@@ -108,7 +108,7 @@ def test_a_hundredth_of_wrong_centroids_makes_heavy_tails(sensor, catalogue):
     clean, rng = field(3, frames=60), np.random.default_rng(6)
     wrong = clean.row_px + np.where(rng.uniform(size=len(clean)) < 0.01, 3.0, 0.0)
     ground = case(replace(clean, row_px=wrong), sensor, catalogue).ground
-    view = residual_distribution(ground, sightings(ground))
+    view = residual_distribution(ground, compute_star_residuals(ground))
     assert not view["normal_tails"]
     assert view["sentence"].endswith("some stars are wrong; look at the outliers.")
 

@@ -7,7 +7,7 @@ import pytest
 
 from boresight.calibration.trust.drop_one import NEEDED, drop_one, drop_one_sentence
 from boresight.calibration.trust.efficiency import arc_length_rad, arc_sigma_map, efficiency
-from boresight.calibration.trust.ground import Unavailable, chosen
+from boresight.calibration.trust.fitted_set import Unavailable, chosen
 from boresight.calibration.trust.more_data import more_data
 from boresight.calibration.trust.two_halves import two_halves
 from boresight.estimation import batch

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from boresight.calibration.trust.residuals import sightings
+from boresight.calibration.trust.residuals import compute_star_residuals
 from boresight.calibration.trust.stars import StarTable, _merged, star_table, stars
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.sky.guide_stars import phrases, star_flags
@@ -18,7 +18,7 @@ PIXEL_RAD = 2.2e-6 / 0.016
 
 def _displaced(catalogue, star, east_rad):
     ra = catalogue.ra_rad.copy()
-    place = catalogue.index_of(np.array([star]))[0]
+    place = catalogue.find_index(np.array([star]))[0]
     ra[place] += east_rad / np.cos(catalogue.dec_rad[place])
     return replace(catalogue, ra_rad=ra)
 
@@ -32,7 +32,7 @@ def _often_seen(telemetry, rank=0):
 def test_residuals_are_those_of_a_plain_search_for_the_best_attitude(parity, sensor, catalogue):
     telemetry = field(1, frames=10, stars=7, parity=parity)
     ground = case(telemetry, replace(sensor, parity=parity), catalogue).ground
-    found = sightings(ground)
+    found = compute_star_residuals(ground)
     stars_of = slice(*found.arcs.star_start[3:5])
     s_i, row, col = found.arcs.s_i[stars_of], found.arcs.row_px[stars_of], found.arcs.col_px[stars_of]
     mirror = np.array([1.0, parity, 1.0])
@@ -50,7 +50,7 @@ def test_residuals_are_those_of_a_plain_search_for_the_best_attitude(parity, sen
 
 def test_residuals_over_their_own_sigmas_have_unit_variance_however_few_stars(sensor, catalogue):
     for stars_in, seed in ((4, 1), (5, 2), (30, 3)):
-        found = sightings(case(field(seed, frames=100, stars=stars_in), sensor, catalogue).ground)
+        found = compute_star_residuals(case(field(seed, frames=100, stars=stars_in), sensor, catalogue).ground)
         n = found.z.size
         test = chi_square(float(np.sum(found.z**2)), n)
         spread = (test.upper - 1) * (2.0 if stars_in < 6 else 1.2)  # residuals of one exposure are correlated
@@ -60,7 +60,7 @@ def test_residuals_over_their_own_sigmas_have_unit_variance_however_few_stars(se
 
 def test_no_star_of_twenty_clean_sets_is_suspect(catalogue):
     named = [
-        star_table(ground, sightings(ground)).suspect.sum()
+        star_table(ground, compute_star_residuals(ground)).suspect.sum()
         for ground in (simulated(catalogue, 1 + seed % 6, 60, seed).ground for seed in range(20))
     ]
     assert sum(named) == 0
@@ -70,7 +70,7 @@ def test_no_star_of_twenty_clean_sets_is_suspect(catalogue):
 def test_a_star_displaced_by_a_pixel_is_found_alone_with_its_displacement(number, catalogue):
     star = _often_seen(simulated(catalogue, number, 100).telemetry)
     ground = simulated(catalogue, number, 100, sky=_displaced(catalogue, star, -PIXEL_RAD)).ground
-    table = star_table(ground, sightings(ground))
+    table = star_table(ground, compute_star_residuals(ground))
     worst = stars(ground, table)[0]
     assert table.star_id[table.suspect].tolist() == [star]
     assert worst["star_id"] == star
@@ -105,7 +105,7 @@ def test_what_the_catalogue_says_against_a_star_stands_beside_it(catalogue):
     judged = simulated(catalogue, 1, 60)
     flagged = {entry["star_id"]: entry["flags"] for entry in judged.trust["stars"]}
     every = star_flags(catalogue, 5 * PIXEL_RAD)
-    expected = {star: phrases(int(every[catalogue.index_of(np.array([star]))[0]])) for star in flagged}
+    expected = {star: phrases(int(every[catalogue.find_index(np.array([star]))[0]])) for star in flagged}
     assert {star: flags for star, flags in flagged.items() if flags} == {
         star: said for star, said in expected.items() if said
     }

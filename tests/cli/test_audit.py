@@ -10,7 +10,7 @@ from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit.chain import append_own
 from boresight.platform.blobs.folder import BlobStore, register_blob
 from boresight.platform.blobs.tables import Blob
-from boresight.platform.db.sessions import open_engine, writing
+from boresight.platform.db.sessions import open_engine, open_writing
 from tests.stores import drop_triggers, triggers_aside, url_in
 
 NOW = "2026-11-21T00:00:00.000000Z"
@@ -66,7 +66,7 @@ def _edit_by_hand(folder, edit, *, aside=False):
 def test_a_blob_edited_by_hand_is_found_by_the_row_that_named_it(store, tmp_path):
     assert store(*ADD, stdin="correct horse battery\n").exit_code == 0
     engine = open_engine(url_in(tmp_path))
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         session.add(Sensor(name="ST1", document={}, created_utc=NOW))
         session.add(Blob(sha256="a" * 64, size_bytes=1, media_type="text/csv", created_utc=NOW))
         session.flush()
@@ -112,7 +112,7 @@ def test_a_schema_of_another_version_is_refused_and_left_as_it_is(store, tmp_pat
 
 def _store_a_file(folder, content=b"telemetry"):
     engine, blobs = open_engine(url_in(folder)), BlobStore(folder / "blobs")
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         row = register_blob(session, blobs, blobs.put(content), "text/csv")
         append_own(session, "stored", "blobs")
     engine.dispose()

@@ -18,7 +18,7 @@ from boresight.errors import RefusedInputError
 from boresight.platform.audit import chain
 from boresight.platform.blobs.folder import BlobStore, register_blob
 from boresight.platform.db import backup as backups
-from boresight.platform.db.sessions import opened, writing
+from boresight.platform.db.sessions import open_store, open_writing
 from boresight.settings import read_settings
 from tests.stores import environment_in, on_postgresql
 
@@ -162,7 +162,7 @@ def test_a_backup_holds_no_secret_of_a_webhook_and_without_the_key_a_restore_say
     _into(monkeypatch, tmp_path / "first")
     settings = read_settings()
     secret = "whsec_" + "A" * 43  # as an older version stored it
-    with opened(settings.database_url) as engine, writing(engine) as session:
+    with open_store(settings.database_url) as engine, open_writing(engine) as session:
         session.add(
             Webhook(label="Mission chat", url="https://a.example", actions=[], secret=secret, created_utc="2026")
         )
@@ -222,7 +222,7 @@ def test_every_corrupt_member_of_a_backup_is_named(filled, monkeypatch, tmp_path
 
 def _register(folder: Path, content: bytes) -> str:
     blobs, settings = BlobStore(folder / "blobs"), read_settings()
-    with opened(settings.database_url) as engine, writing(engine) as session:
+    with open_store(settings.database_url) as engine, open_writing(engine) as session:
         sha256 = register_blob(session, blobs, blobs.put(content), "text/csv").sha256
         chain.append_own(session, "uploaded", f"files/{sha256[:12]}")
     return sha256

@@ -9,7 +9,7 @@ import pytest
 
 from boresight.console.fleet import service as sensors
 from boresight.platform.actors import COMMAND_LINE
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.sessions import open_writing
 from tests.stores import open_migrated, url_in
 
 INITIAL = {"s": 1.0, "f_m": 0.05, "u0_px": 512.3, "v0_px": 511.2, "k1": 0.01, "k2": -0.02}
@@ -44,7 +44,7 @@ def files(tmp_path):
 @pytest.fixture
 def stocked(store, tmp_path):
     engine = open_migrated(url_in(tmp_path))
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         sensors.register_sensor(session, COMMAND_LINE, SENSOR)
     engine.dispose()
     return store

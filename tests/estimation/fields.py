@@ -59,4 +59,4 @@ def arranged(starts, frame_start, row_px, col_px, s_i, noise_px):
 
 
 def weighed(arcs, x):
-    return arcsets.weigh(arcs, arcsets.angular_sigma(INVERTED_WANG, x, arcs))[0]
+    return arcsets.whiten(arcs, arcsets.angular_sigma(INVERTED_WANG, x, arcs))[0]

@@ -74,7 +74,7 @@ def test_the_banded_factor_is_the_cholesky_factor_of_the_full_covariance(n):
     rng = np.random.default_rng(n)
     field = star_field(rng, frames=1, mean_stars=n)
     sigma = rng.uniform(1e-5, 1e-4, field.n_stars)
-    banded, bad = arcs.weigh(field, sigma)
+    banded, bad = arcs.whiten(field, sigma)
     assert not bad.any()
     for k in range(field.n_exposures):
         stars = slice(field.star_start[k], field.star_start[k + 1])

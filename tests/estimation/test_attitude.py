@@ -8,14 +8,14 @@ from scipy.stats import chi2
 
 from boresight.estimation.attitude import (
     attitudes,
-    matrix_of,
     mean_rotation,
     mean_rotation_covariance,
     product,
-    quaternion_of,
-    quaternion_of_vector,
     rotation_vector,
+    to_matrix,
+    to_quaternion,
     triad,
+    vector_to_quaternion,
     wahba,
 )
 from tests.strategies import rotations
@@ -36,7 +36,7 @@ def noisy(s, sigma_rad, rng):
 
 
 def turn_between(estimated, true):
-    return rotation_vector(quaternion_of(estimated @ true.T))
+    return rotation_vector(to_quaternion(estimated @ true.T))
 
 
 @given(C=rotations(), parity=st.sampled_from([1, -1]), n=st.integers(2, 20), seed=st.integers(0, 2**32 - 1))
@@ -47,7 +47,7 @@ def test_without_noise_the_attitude_is_exact_for_either_parity(C, parity, n, see
     s_d[1] = [-0.1, 0.02, np.sqrt(1 - 0.0104)]
     solved = wahba(s_d, triad(s_d, parity) @ C, rng.uniform(1e-5, 1e-3, n), parity)
     np.testing.assert_allclose(solved.C, C, atol=1e-12)
-    np.testing.assert_allclose(matrix_of(solved.quaternion), C, atol=1e-12)
+    np.testing.assert_allclose(to_matrix(solved.quaternion), C, atol=1e-12)
     assert solved.cost < 1e-15
 
 
@@ -67,12 +67,12 @@ def test_turning_either_frame_turns_the_attitude_with_it(before, after, seed):
 def test_the_attitude_has_the_error_it_claims_and_the_cost_is_chi_square(parity):
     rng = np.random.default_rng(41)
     n, runs = 7, 4000
-    s_d, C = field(rng, n), matrix_of(rng.normal(size=4))
+    s_d, C = field(rng, n), to_matrix(rng.normal(size=4))
     sigma = rng.uniform(5e-5, 3e-4, n)
     start = np.arange(runs + 1) * n
     measured = noisy(np.tile(s_d, (runs, 1)), np.tile(sigma, runs), rng)
     solved = attitudes(start, measured, np.tile(triad(s_d, parity) @ C, (runs, 1)), np.tile(sigma, runs), parity)
-    theta = rotation_vector(quaternion_of(solved.C @ C.T))
+    theta = rotation_vector(to_quaternion(solved.C @ C.T))
     nees = np.einsum("ni,nij,nj->n", theta, np.linalg.inv(solved.covariance), theta)
     assert chi2.ppf(0.005, 3 * runs) < nees.sum() < chi2.ppf(0.995, 3 * runs)
     spread = np.linalg.solve(np.linalg.cholesky(solved.covariance[0]), theta.T)
@@ -85,7 +85,7 @@ def test_the_attitude_has_the_error_it_claims_and_the_cost_is_chi_square(parity)
 def test_the_wrong_parity_leaves_a_cost_no_noise_explains(parity):
     rng = np.random.default_rng(42)
     s_d, sigma = field(rng), np.full(8, 1e-4)
-    s_i = triad(s_d, parity) @ matrix_of(rng.normal(size=4))
+    s_i = triad(s_d, parity) @ to_matrix(rng.normal(size=4))
     assert wahba(s_d, s_i, sigma, parity).cost < 1e-6
     assert wahba(s_d, s_i, sigma, -parity).cost > 1e3
 
@@ -123,23 +123,23 @@ def test_no_star_at_all_is_no_attitude_and_no_error():
 @given(C=rotations(), seed=st.integers(0, 2**32 - 1), n=st.integers(1, 20))
 def test_the_mean_is_blind_to_signs_and_turns_with_its_rotations(C, seed, n):
     rng = np.random.default_rng(seed)
-    q = quaternion_of_vector(0.2 * rng.normal(size=(n, 3)))
+    q = vector_to_quaternion(0.2 * rng.normal(size=(n, 3)))
     weights = rng.uniform(0.1, 1.0, n)
     mean = mean_rotation(q, weights)
-    turned = mean_rotation(product(quaternion_of(C), q) * rng.choice([-1.0, 1.0], (n, 1)), weights)
-    np.testing.assert_allclose(matrix_of(turned), C @ matrix_of(mean), atol=1e-9)
+    turned = mean_rotation(product(to_quaternion(C), q) * rng.choice([-1.0, 1.0], (n, 1)), weights)
+    np.testing.assert_allclose(to_matrix(turned), C @ to_matrix(mean), atol=1e-9)
 
 
 def test_the_mean_minimises_the_weighted_distance_between_matrices():
     rng = np.random.default_rng(44)
-    q, weights = quaternion_of_vector(0.3 * rng.normal(size=(6, 3))), rng.uniform(0.1, 1.0, 6)
+    q, weights = vector_to_quaternion(0.3 * rng.normal(size=(6, 3))), rng.uniform(0.1, 1.0, 6)
     mean = mean_rotation(q, weights)
 
     def distance(p):
-        return float(np.sum(weights * np.sum((matrix_of(p) - matrix_of(q)) ** 2, axis=(1, 2))))
+        return float(np.sum(weights * np.sum((to_matrix(p) - to_matrix(q)) ** 2, axis=(1, 2))))
 
     for step in 1e-3 * np.vstack([np.eye(3), -np.eye(3)]):
-        assert distance(product(quaternion_of_vector(step), mean)) > distance(mean)
+        assert distance(product(vector_to_quaternion(step), mean)) > distance(mean)
 
 
 def test_the_covariance_of_the_mean_is_what_repetition_shows():
@@ -151,8 +151,8 @@ def test_the_covariance_of_the_mean_is_what_repetition_shows():
     errors, claimed = [], []
     for _ in range(1500):
         theta = sigma[:, None] * rng.normal(size=(40, 3)) @ factor.T
-        q = product(quaternion_of_vector(theta), true)
-        errors.append(turn_between(matrix_of(mean_rotation(q, sigma**-2)), matrix_of(true)))
+        q = product(vector_to_quaternion(theta), true)
+        errors.append(turn_between(to_matrix(mean_rotation(q, sigma**-2)), to_matrix(true)))
         claimed.append(mean_rotation_covariance(q, sigma**-2))
     whiten = np.linalg.inv(np.linalg.cholesky(np.mean(claimed, axis=0)))
     np.testing.assert_allclose(whiten @ np.cov(np.transpose(errors)) @ whiten.T, np.eye(3), atol=0.15)

@@ -44,9 +44,9 @@ def test_chunks_of_whole_blocks_add_up_to_the_same_bits(arcs):
 
 def test_order_and_weights_are_the_same_on_two_threads(arcs):
     sigma = arcsets.angular_sigma(INVERTED_WANG, SENSOR.initial, arcs)
-    alone, places = arcsets.weigh(arcs, sigma)[0], arcsets.order(arcs.star_start, arcs.s_i)[0]
+    alone, places = arcsets.whiten(arcs, sigma)[0], arcsets.order(arcs.star_start, arcs.s_i)[0]
     with computing_on(2):
-        beside = arcsets.weigh(arcs, sigma)[0]
+        beside = arcsets.whiten(arcs, sigma)[0]
         assert (arcsets.order(arcs.star_start, arcs.s_i)[0] == places).all()
     assert (beside.band == alone.band).all()
     assert (beside.phi == alone.phi).all()

@@ -23,8 +23,8 @@ def test_the_cost_is_the_sum_of_squared_cosine_errors_to_first_order():
 def test_its_information_equals_the_plain_sandwich():
     field = star_field(np.random.default_rng(2), frames=3)
     sigma = arcsets.angular_sigma(INVERTED_WANG, TRUTH, field)
-    arcs, _ = arcsets.weigh(field, sigma)
-    worth = cosine.worth(arcs, TRUTH, FREE, SCALE)
+    arcs, _ = arcsets.whiten(field, sigma)
+    worth = cosine.compute_information(arcs, TRUTH, FREE, SCALE)
     A, B = np.zeros((8, 8)), np.zeros((8, 8))
     blocks = [(slice(a, b)) for a, b in zip(arcs.star_start[:-1], arcs.star_start[1:], strict=True)]
     all_R = [arcsets.covariance(arcs.s_i[stars], sigma[stars]) for stars in blocks]
@@ -55,7 +55,7 @@ def test_its_errors_are_spread_as_the_sandwich_says_and_a_third_wider_than_those
         first = batch.fit(cosine.unweighted(weighed(field, GROUND)), GROUND, FREE, SCALE)
         arcs = weighed(field, first.x)
         fitted = batch.fit(cosine.unweighted(arcs), first.x, FREE, SCALE)
-        worth = cosine.worth(arcs, fitted.x, FREE, SCALE)
+        worth = cosine.compute_information(arcs, fitted.x, FREE, SCALE)
         error = (fitted.x - TRUTH) / SCALE
         held += error @ worth.held @ error
         claimed += error @ worth.claimed @ error
@@ -70,5 +70,8 @@ def test_its_errors_are_spread_as_the_sandwich_says_and_a_third_wider_than_those
 
 def test_no_direction_is_known_better_than_by_arclengths():
     arcs = weighed(star_field(np.random.default_rng(3), frames=30), TRUTH)
-    worth, best = cosine.worth(arcs, TRUTH, FREE, SCALE), batch.normal_equations(arcs, TRUTH, FREE, SCALE).A
+    worth, best = (
+        cosine.compute_information(arcs, TRUTH, FREE, SCALE),
+        batch.normal_equations(arcs, TRUTH, FREE, SCALE).A,
+    )
     assert np.linalg.eigvals(np.linalg.solve(best, worth.held)).real.max() < 1 + 1e-9

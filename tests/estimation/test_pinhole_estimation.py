@@ -19,7 +19,7 @@ SCALE = np.array([1e-3, 1e-4, 10.0, 10.0, 0.1, 0.5])
 
 
 def _weighed(field, x):
-    return arcsets.weigh(field, arcsets.angular_sigma(PINHOLE, x, field))[0]
+    return arcsets.whiten(field, arcsets.angular_sigma(PINHOLE, x, field))[0]
 
 
 def test_the_rows_of_the_arcs_are_the_slopes_of_the_arcs():

@@ -7,7 +7,7 @@ import pytest
 
 from boresight import kernels
 from boresight.estimation import batch
-from boresight.estimation.robust import insurance
+from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.statistics.consistency import chi_square, nees
 from tests.estimation.fields import FREE, GROUND, SCALE, TRUTH, star_field, weighed
 
@@ -99,6 +99,6 @@ def test_where_every_arc_is_beyond_the_threshold_there_is_no_information():
     arcs = weighed(star_field(np.random.default_rng(4), frames=2), GROUND)
     far = GROUND.copy()
     far[0] *= 10
-    paid = insurance(arcs, far, 8, 1e-6)
+    paid = measure_huber_effect(arcs, far, 8, 1e-6)
     assert paid.beyond == arcs.n_arcs
     assert paid.information_share == 0

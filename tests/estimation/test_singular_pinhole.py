@@ -26,7 +26,7 @@ def _in_chunks(field, method):
 @pytest.fixture(scope="module")
 def ends():
     fields = [wu_field(np.random.default_rng(seed)) for seed in range(40)]
-    weighed = [arcs.weigh(field, arcs.angular_sigma(PINHOLE, WU_TRUTH, field))[0] for field in fields]
+    weighed = [arcs.whiten(field, arcs.angular_sigma(PINHOLE, WU_TRUTH, field))[0] for field in fields]
     return [_in_chunks(field, "svd") for field in weighed]
 
 

@@ -20,7 +20,7 @@ SETS = 40
 @pytest.fixture(scope="module")
 def ends():
     fields = [wu_field(np.random.default_rng(seed), frames=60) for seed in range(SETS)]
-    fields = [arcs.weigh(field, arcs.angular_sigma(PINHOLE, WU_TRUTH, field))[0] for field in fields]
+    fields = [arcs.whiten(field, arcs.angular_sigma(PINHOLE, WU_TRUTH, field))[0] for field in fields]
     return {
         values: [
             FILTERS["svd"](field, start(WU_TRUTH, 6, 1.0), np.arange(6), SCALE, Tuning(selection=Selection(4, values)))

@@ -5,8 +5,8 @@ import pytest
 
 from boresight.figures import FIGURES, Trace
 from boresight.figures.charts import radial as radial_contrast
-from boresight.figures.course import settled_step
-from boresight.figures.rms_tail import tail_of, tailed
+from boresight.figures.history import settled_step
+from boresight.figures.rms_tail import summarise_tail, tailed
 from boresight.figures.style.axes import EXTRAPOLATED
 from boresight.verdicts.verdict import sigma_of_rms
 
@@ -44,7 +44,7 @@ def test_the_tail_begins_where_the_run_had_settled_or_where_a_reader_wants_it(se
 
 def test_the_tail_s_mean_and_its_sigma_are_those_of_the_window(sequential_result):
     (trace,) = tailed([Trace("Run", sequential_result)], 100)
-    tail = tail_of(trace.result)
+    tail = summarise_tail(trace.result)
     mean = np.mean(sequential_result["history"]["tail_rms_rad"][100:])
     assert (tail.points, tail.chosen) == (100, True)
     assert tail.tail_rad == pytest.approx(mean)

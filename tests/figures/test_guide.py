@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from boresight.figures import FIGURES
-from boresight.figures.guide import guide_page, image_of
+from boresight.figures.guide import guide_page, name_image
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 MOST_BYTES = 1_000_000
@@ -21,8 +21,8 @@ def test_the_page_says_what_the_registry_says():
 def test_a_figure_is_named_explained_and_shown(figure):
     page = guide_page()
     assert f"`{figure.name}`" in page
-    assert f"![{figure.title}]({image_of(figure)})" in page
-    assert (DOCS / image_of(figure)).read_bytes()[8:12] == b"WEBP"
+    assert f"![{figure.title}]({name_image(figure)})" in page
+    assert (DOCS / name_image(figure)).read_bytes()[8:12] == b"WEBP"
 
 
 def test_the_images_are_those_of_the_registry_and_small_together():

@@ -5,22 +5,22 @@ import pytest
 
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
+from boresight.figures.example_calibration import get_example_calibrations
 from boresight.figures.notebook import TEMPLATES, draw, table
-from boresight.figures.specimen import specimens
 from boresight.figures.style.theme import TOKENS
 
 
 @pytest.fixture
 def file(tmp_path):
     path = tmp_path / "result.json"
-    path.write_bytes(orjson.dumps(specimens()["filter"]))
+    path.write_bytes(orjson.dumps(get_example_calibrations()["filter"]))
     return path
 
 
 @pytest.mark.parametrize("name", ["rms", "convergence"])
 def test_a_file_and_the_result_in_it_give_the_same_drawing(name, file):
-    assert draw(file, name) == draw(str(file), name) == draw(specimens()["filter"], name)
-    assert table(file, name) == FIGURES[name].table(specimens()["filter"])
+    assert draw(file, name) == draw(str(file), name) == draw(get_example_calibrations()["filter"], name)
+    assert table(file, name) == FIGURES[name].table(get_example_calibrations()["filter"])
 
 
 @pytest.mark.parametrize("theme", TEMPLATES)
@@ -38,7 +38,7 @@ def test_a_notebook_finds_out_by_itself_how_to_show_it(file):
 
 
 def test_several_calibrations_are_drawn_over_one_another_under_their_labels(file):
-    drawn = draw({"on the ground": specimens()["batch"], "in flight": file}, "rms")
+    drawn = draw({"on the ground": get_example_calibrations()["batch"], "in flight": file}, "rms")
     names = " ".join(str(trace.name) for trace in drawn.data)
     assert "on the ground" in names
     assert "in flight" in names
@@ -50,7 +50,7 @@ def test_several_calibrations_are_drawn_over_one_another_under_their_labels(file
         (("absent.json", "rms"), "cannot be read"),
         (({}, "rms"), "no calibration"),
         (({"schema": "boresight.evaluation/1"}, "rms"), "no calibration"),
-        ((specimens()["filter"], "nothing"), "There is no figure nothing; choose from"),
+        ((get_example_calibrations()["filter"], "nothing"), "There is no figure nothing; choose from"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused_in_a_sentence(arguments, sentence):

@@ -8,7 +8,7 @@ from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
 from boresight.figures.report import command, render_report
 from boresight.figures.tables.parameter_table import digits, printed_rows
-from boresight.verdicts.verdict import trust_doubts, verdict
+from boresight.verdicts.verdict import make_verdict, trust_doubts
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
 
@@ -92,13 +92,13 @@ def test_what_is_no_calibration_is_refused(document):
     ],
 )
 def test_the_verdict_is_as_good_as_its_worst_answer(change, level, sequential_result):
-    judged = verdict(sequential_result | {"trust": None} | change)
+    judged = make_verdict(sequential_result | {"trust": None} | change)
     assert judged.level == level
     assert all(reason.endswith(".") for reason in judged.reasons)
 
 
 def test_a_doubt_of_the_examination_is_a_reservation_of_the_verdict(sequential_result):
-    judged = verdict(sequential_result)
+    judged = make_verdict(sequential_result)
     assert (judged.level, judged.word) == ("caution", "converged, with reservations")
     assert set(judged.reasons) == set(trust_doubts(sequential_result))
 

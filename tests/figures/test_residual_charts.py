@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from boresight.figures import FIGURES, Trace
 from boresight.figures.charts.trust.residual_distribution import shares
 from boresight.figures.charts.trust.residual_outliers import reasons
-from boresight.figures.charts.trust.residual_quiver import CIRCLE, Cells, cells_of, scale_of
+from boresight.figures.charts.trust.residual_quiver import CIRCLE, MeanCells, choose_scale, read_cells
 
 
 def draw(name, result):
@@ -23,7 +23,7 @@ def test_arrows_and_noise_circles_are_drawn_to_the_scale_of_the_bar(sequential_r
     drawn = draw("residual-quiver", sequential_result)
     field = sequential_result["trust"]["residual_field"]
     circles, arrows, _, bar = [trace for trace in drawn.data if trace.xaxis == "x2"]
-    cells = cells_of(field, "after")
+    cells = read_cells(field, "after")
     scale = (bar.x[1] - bar.x[0]) / float(bar.text[1].split("px")[0])
     x, y = numbers(arrows.x).reshape(-1, 3), numbers(arrows.y).reshape(-1, 3)
     np.testing.assert_allclose(x[:, 1] - x[:, 0], scale * cells.d_col, rtol=1e-3, atol=0.02)
@@ -51,7 +51,7 @@ def test_before_is_left_out_where_the_old_parameters_have_no_residuals(sequentia
 @given(st.floats(1e-6, 1e3), st.floats(1.0, 1e3))
 def test_the_scale_of_arrows_is_round_and_keeps_them_inside_their_cells(length_px, size_px):
     one = np.ones(3)
-    scale = scale_of(Cells(one, one, length_px * one, 0 * one, one, one, one), size_px)
+    scale = choose_scale(MeanCells(one, one, length_px * one, 0 * one, one, one, one), size_px)
     assert scale * length_px <= size_px
     assert scale * length_px >= 0.3 * size_px
     assert float(f"{scale:.0e}"[0]) in {1, 2, 5}

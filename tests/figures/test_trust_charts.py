@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.figures import CHAPTERS, FIGURES, Trace
-from boresight.figures.charts.rms import running, spread_of
+from boresight.figures.charts.rms import compute_axis_residuals, running
 from boresight.figures.charts.trust.innovations import running_mean
 from boresight.figures.charts.trust.more_data import round_ticks
-from boresight.figures.charts.trust.residual_map import CLEAR_SIGMA, Field, cell_means
+from boresight.figures.charts.trust.residual_map import CLEAR_SIGMA, ArrowField, cell_means
 
 PART_OF = {
     "two-halves": "two_halves",
@@ -150,7 +150,7 @@ def test_a_cell_mean_is_clear_only_where_it_leaves_its_noise():
     row, col = rng.uniform(0, 1000, (2, 20_000))
     noise = 0.1 * rng.normal(size=(2, 20_000))
     shifted = row < 100
-    means = cell_means(Field(row, col, noise[0] + 0.2 * shifted, noise[1], np.zeros(20_000, dtype=bool)))
+    means = cell_means(ArrowField(row, col, noise[0] + 0.2 * shifted, noise[1], np.zeros(20_000, dtype=bool)))
     assert means.clear[means.row < 90].all()
     assert means.clear[means.row > 110].mean() < 0.05  # 0.5 % are expected beyond three sigmas in either component
     assert CLEAR_SIGMA == 3.0
@@ -176,7 +176,7 @@ def test_a_run_with_given_matches_says_so(sequential_result):
 
 
 def test_residuals_are_turned_to_the_radius_without_changing_their_length(sequential_result):
-    found = spread_of(sequential_result)
+    found = compute_axis_residuals(sequential_result)
     rows, columns, along, across = found.by_axis.values()
     assert np.hypot(rows, columns) == pytest.approx(np.hypot(along, across))
     seen = sequential_result["trust"]["residuals"]
@@ -191,7 +191,7 @@ def test_the_rms_of_an_axis_stands_with_its_sigma_and_bins_of_frames_hold_equal_
     rows = np.array(sequential_result["trust"]["residuals"]["d_row_px"])
     assert columns["rms_px"][0] == pytest.approx(np.sqrt(np.mean(rows**2)))
     assert columns["sigma_of_rms_px"][0] == pytest.approx(columns["rms_px"][0] / np.sqrt(2 * len(rows)))
-    frame, level, sigma = running(spread_of(sequential_result), "across the radius")
+    frame, level, sigma = running(compute_axis_residuals(sequential_result), "across the radius")
     assert len(frame) == 40
     assert (np.diff(frame) > 0).all()
     assert sigma == pytest.approx(level / np.sqrt(2 * len(rows) / 40), rel=0.02)

@@ -10,7 +10,7 @@ from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES, Trace, figure_json
 from boresight.figures.charts.alignment import ALIGNMENTS, aligned, name_axis
 from boresight.figures.focus import POINT_BUDGET, focus
-from boresight.figures.style.envelope import as_band, span_of
+from boresight.figures.style.envelope import as_band, find_span
 from boresight.figures.style.theme import run_styles
 from boresight.figures.style.thinning import keep_extremes, thinning
 from tests.figures.conftest import batch, sequential
@@ -82,7 +82,7 @@ def test_a_band_holds_every_point_of_every_curve_and_touches_the_extremes(drawn)
         by_place = dict(points)
         x = np.array(sorted(by_place), dtype=float)
         curves.append((x, np.array([by_place[int(place)] for place in x])))
-    places, low, high = span_of(curves)
+    places, low, high = find_span(curves)
     for x, y in curves:
         at = np.searchsorted(places, x)
         assert np.all(low[at] <= y)

@@ -17,7 +17,7 @@ import orjson
 import pytest
 from fastapi import Response
 
-from boresight.calibration import listening
+from boresight.calibration import progress_reports
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
@@ -31,7 +31,7 @@ from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.blobs.tables import Blob
-from boresight.platform.db.sessions import migrate, open_engine, utc_now, writing
+from boresight.platform.db.sessions import migrate, open_engine, open_writing, utc_now
 from boresight.server import create_app
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
@@ -61,7 +61,9 @@ def results(catalogue: Catalogue) -> dict[str, dict[str, Any]]:
     validation = simulate(held_out, np.random.default_rng(2), catalogue)
     sensor, found, partials = scenario.sensor, {}, []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(listening, "REPORT_EVERY_S", 0.0)  # of a run as short as this nothing would be told on its way
+        patch.setattr(
+            progress_reports, "REPORT_EVERY_S", 0.0
+        )  # of a run as short as this nothing would be told on its way
         for method in ("batch", "sqrf"):
             settings = CalibrationSettings(method=method)
             found[method] = calibrate(
@@ -87,7 +89,7 @@ def furnished(tmp_path_factory: pytest.TempPathFactory, results: dict[str, Any])
     settings = _settings(tmp_path_factory.mktemp("furnished"))
     engine, blobs = open_engine(settings.database_url), open_blobs(settings.blob_place)
     migrate(engine)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         for name, (printed_name, roles) in PEOPLE.items():
             add_person(session, name, *roles, printed_name=printed_name)
         description = calibration_scenario(1).sensor
@@ -142,7 +144,7 @@ class House:
         self.blobs = self.app.state.blobs
 
     def add_run(self, method: str = "batch", *, state: str = "QUEUED", result: Any = None, **columns: Any) -> int:
-        with writing(self.engine) as session:
+        with open_writing(self.engine) as session:
             sensor = session.get_one(Sensor, columns.pop("sensor_id", 1))
             values = {
                 "sensor_id": sensor.id,
@@ -180,8 +182,8 @@ class House:
 
     def visitor(self, name: str) -> Visitor:
         carrier = Response()
-        with writing(self.engine) as session:
-            _, token = sessions.begin(session, list(PEOPLE).index(name) + 1, sessions.Client())
+        with open_writing(self.engine) as session:
+            _, token = sessions.begin(session, list(PEOPLE).index(name) + 1, sessions.ClientAddress())
         csrf_token = self.app.state.log_in_cookie.write(carrier, token)
         value = re.search(f"{SESSION_COOKIE}=([^;]+)", carrier.headers["set-cookie"])[1]
         return Visitor(self.app, csrf_token, httpx.Cookies({SESSION_COOKIE: value}))

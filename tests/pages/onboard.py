@@ -5,7 +5,7 @@ from typing import Any
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.uplinks import read_backs, table_definitions
 from boresight.console.uplinks import service as uplinks
-from boresight.platform.db.sessions import Session, reading, writing
+from boresight.platform.db.sessions import Session, open_reading, open_writing
 from tests.passwords import proved
 from tests.services.onboard import DOCUMENT
 
@@ -13,24 +13,24 @@ from .conftest import PASSWORD
 
 
 def define(house: Any) -> None:
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         table_definitions.set_definition(session, house.actor("ada"), 1, DOCUMENT, "As flown.", 0)
 
 
 def climb(house: Any, *states: str, set_id: int = 1) -> None:
     for state in states:
-        with reading(house.engine) as session:
+        with open_reading(house.engine) as session:
             undefined = table_definitions.definition_in_force(session, 1) is None
         if state == "VERIFIED" and undefined:
             define(house)
-        with writing(house.engine) as session:
+        with open_writing(house.engine) as session:
             _step(session, house, set_id, state)
 
 
 def _step(session: Session, house: Any, set_id: int, state: str) -> None:
     olga, source, row = house.actor("olga"), f"pass for {state}", session.get_one(ParameterSet, set_id)
     if state == "VERIFIED":
-        sent = read_backs.reference_of(session, house.blobs, row).content
+        sent = read_backs.get_sent_table(session, house.blobs, row).content
         read_backs.read_back(session, olga, house.blobs, set_id, sent, source, row.version)
     elif state == "ACTIVE":
         uplinks.activate(session, olga, set_id, source, "I saw it.", proved(session, olga, PASSWORD), row.version)
@@ -39,12 +39,12 @@ def _step(session: Session, house: Any, set_id: int, state: str) -> None:
 
 
 def table(house: Any, set_id: int = 1) -> bytes:
-    with reading(house.engine) as session:
-        return read_backs.reference_of(session, house.blobs, session.get_one(ParameterSet, set_id)).content
+    with open_reading(house.engine) as session:
+        return read_backs.get_sent_table(session, house.blobs, session.get_one(ParameterSet, set_id)).content
 
 
 def version(house: Any, set_id: int = 1) -> str:
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         return str(session.get_one(ParameterSet, set_id).version)
 
 

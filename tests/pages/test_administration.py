@@ -8,7 +8,7 @@ import pytest
 from boresight.console.access import users
 from boresight.console.access.tables import ApiKey, User
 from boresight.console.administration.pages import keys_at, warnings
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.sessions import open_writing
 from tests.passwords import new_password
 
 
@@ -28,7 +28,7 @@ def _person(*roles: str, disabled_utc: str | None = None) -> User:
 
 
 def test_the_page_says_who_must_set_a_password_and_how_to_back_up(house, read):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         users.change_password(session, house.actor("adele"), 5, new_password("a given password"))
     page = read(house.visitor("adele").get("/administration"))
     assert "Must set a password of their own: Victor Viewer." in page

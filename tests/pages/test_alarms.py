@@ -6,27 +6,27 @@ import io
 import numpy as np
 import pytest
 
+from boresight.console.alarms import rules
 from boresight.console.alarms import service as alarms
-from boresight.console.alarms import watch
-from boresight.console.alarms.watch import chain_condition
-from boresight.platform.db.sessions import reading, writing
+from boresight.console.alarms.rules import check_chain
+from boresight.platform.db.sessions import open_reading, open_writing
 from tests.missions import add_run, add_set, make_baseline
 
 
 @pytest.fixture
 def drifting(house):
     rng = np.random.default_rng(1)
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         make_baseline(session, add_run(session, add_set(session, 1, 0), rng))
         for day in (30, 60, 90):
             add_run(session, add_set(session, 1, day, temperature_c=20.0), rng, 0.01 * day * np.eye(8)[0])
-        watch.watch(session, [1])
+        rules.update_alarms(session, [1])
     return house
 
 
 def alarm(house):
-    with reading(house.engine) as session:
-        (row,) = alarms.list_alarms(session, alarms.Sought(kind="DRIFT"))
+    with open_reading(house.engine) as session:
+        (row,) = alarms.list_alarms(session, alarms.AlarmFilter(kind="DRIFT"))
         return row
 
 
@@ -95,8 +95,8 @@ def test_a_quiet_fleet_says_what_would_raise_an_alarm(house):
 
 
 def test_an_alarm_of_the_installation_has_no_sensor_and_leads_to_the_audit_log(house, read):
-    with writing(house.engine) as session:
-        watch.watch_chain(session, chain_condition("broken", "Record 7 is not as it was written."))
+    with open_writing(house.engine) as session:
+        rules.update_chain_alarm(session, check_chain("broken", "Record 7 is not as it was written."))
     visitor = house.visitor("adele")
     assert "Record 7" in read(visitor.get("/alarms"))
     assert 'href="/audit">Audit</a>' in visitor.get("/alarms/1")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from boresight.console.approvals.pages.approval import warnings_of
+from boresight.console.approvals.pages.approval import list_warnings
 from boresight.figures.tables.parameter_table import parameter_rows
 
 PASSWORD = "correct horse battery"
@@ -114,11 +114,11 @@ def test_a_request_of_before_a_promotion_is_stale_and_cannot_be_signed(house, re
 
 def test_a_change_beyond_what_such_sensors_make_is_a_warning(results):
     moved = {**results["batch"], "initial": {**results["batch"]["initial"], "f_m": 0.0150}}
-    said = warnings_of(moved, parameter_rows(moved), is_ground=False)
+    said = list_warnings(moved, parameter_rows(moved), is_ground=False)
     assert any(sentence.startswith("f_m moves by") for sentence in said)
     assert not any("g_y" in sentence for sentence in said)
 
 
 def test_a_result_without_validation_is_a_warning(results):
-    said = warnings_of({**results["batch"], "validation": None}, [], is_ground=False)
+    said = list_warnings({**results["batch"], "validation": None}, [], is_ground=False)
     assert "No validation set" in said[-1]

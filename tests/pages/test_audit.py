@@ -2,9 +2,9 @@
 
 import pytest
 
-from boresight.console.audit.pages import changes, line_of
+from boresight.console.audit.pages import changes, make_audit_line
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import reading, writing
+from boresight.platform.db.sessions import open_reading, open_writing
 from tests.stores import drop_triggers
 
 
@@ -34,7 +34,7 @@ def test_records_of_one_object_are_found_by_its_address(house, read):
 
 
 def test_older_records_follow_where_the_page_ended(house):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         for number in range(60):
             audit.append(session, house.actor("ada"), f"did-{number}", "runs/1")
     page = house.visitor("victor").get("/audit?object=runs/1")
@@ -45,7 +45,7 @@ def test_older_records_follow_where_the_page_ended(house):
 
 
 def test_filters_in_the_address_narrow_the_list_and_stay_in_the_form(house, read):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         audit.append(session, house.actor("ada"), "tested", "runs/1", None, {"state": "x"}, "why")
         audit.append(session, house.actor("olga"), "tested", "runs/2")
     visitor = house.visitor("victor")
@@ -60,7 +60,7 @@ def test_filters_in_the_address_narrow_the_list_and_stay_in_the_form(house, read
 
 def test_a_record_is_shown_whole_with_names_and_units(house, read):
     before, after = {"initial": {"f_m": 0.016}, "version": 1}, {"initial": {"f_m": 0.0161}, "version": 2}
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         record = audit.append(session, house.actor("ada"), "edited", "sensors/1", before, after, "focus moved")
     page = read(house.visitor("victor").get(f"/audit/{record.id}"))
     for said in ("Initial, f", "mm", "16.1", "focus moved", "Roles then analyst", "Rows sealed none by this record"):
@@ -72,7 +72,7 @@ def test_the_bar_tells_through_which_record_the_chain_was_verified(house):
     visitor = house.visitor("victor")
     assert "NOT YET" in visitor.get("/sensors").split("<main")[0]
     house.app.state.upkeep.verify()
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         last = audit.list_records(session, limit=1)[0].id
     assert f"#{last} " in visitor.get("/sensors").split("<main")[0]
     with house.engine.begin() as connection:
@@ -103,13 +103,13 @@ def test_a_removed_member_and_a_hash_are_shown_short():
     ],
 )
 def test_a_record_leads_to_the_page_of_its_object(house, subject, address):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         record = audit.append(session, house.actor("ada"), "did", subject)
-        assert line_of(record).address == address
+        assert make_audit_line(record).address == address
 
 
 def test_what_people_wrote_is_never_markup(house):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         audit.append(session, house.actor("ada"), "did", "runs/1", None, {"label": "<i>x</i>"}, "<script>")
     page = house.visitor("victor").get("/audit")
     assert "&lt;i&gt;x&lt;/i&gt;" in page
@@ -120,5 +120,5 @@ def test_the_log_is_not_for_strangers(house):
     visitor = house.visitor("ada")
     visitor.cookies.clear()
     assert visitor.send("GET", "/audit").status_code in {303, 401}
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert audit.verify(session).ok

@@ -2,7 +2,7 @@
 
 import pytest
 
-from boresight.console.audit.pages import changes, title_of, unit_of
+from boresight.console.audit.pages import changes, find_unit, name_member
 
 
 @pytest.mark.parametrize(
@@ -19,7 +19,7 @@ from boresight.console.audit.pages import changes, title_of, unit_of
     ],
 )
 def test_a_member_has_a_name_and_the_unit_it_is_shown_in(name: str, title: str, unit: str) -> None:
-    assert (title_of(name), unit_of(name)) == (title, unit)
+    assert (name_member(name), find_unit(name)) == (title, unit)
 
 
 def test_parameters_are_shown_in_the_units_that_operators_think_in() -> None:

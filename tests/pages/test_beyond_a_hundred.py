@@ -23,14 +23,14 @@ from boresight.console.notes.tables import Note
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
-from boresight.console.runs.pages.run import parameter_set_of
+from boresight.console.runs.pages.run import find_parameter_set
 from boresight.console.runs.tables import Run, RunEvent
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.uplinks import packages
 from boresight.console.uplinks.tables import Package
 from boresight.platform.actors import COMMAND_LINE, POLICY
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import reading, utc_now, writing
+from boresight.platform.db.sessions import open_reading, open_writing, utc_now
 
 from .statements import counted
 
@@ -46,7 +46,7 @@ def like(row, **changed):
 
 def fill(house, state="OPEN", submitted_by=None):
     """Give sensor 1 runs, each with a set; every set has a request, and different people had their hands in them."""
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         run, ground = session.get_one(Run, 1), session.scalar(sa.select(ParameterSet))
         for number in range(1, MANY + 1):
             launched_by = BOTH if number % 5 == 0 else ADA
@@ -108,12 +108,12 @@ def test_every_open_request_is_counted_in_the_top_bar(full):
 @pytest.mark.parametrize("four_eyes", [True, False])
 def test_the_requests_open_to_somebody_are_those_that_they_may_sign_one_by_one(full, name, four_eyes):
     policy, actor = type(POLICY)(**{**vars(POLICY), "four_eyes": four_eyes}), full.actor(name)
-    with reading(full.engine) as session:
+    with open_reading(full.engine) as session:
         requests = approvals.list_approvals(session, state="OPEN")
         may = {one.id for one in requests if approvals.why_not_sign(session, actor, one.id, policy=policy) is None}
         who = approvals.signatory(session, actor, policy=policy)
         found = set() if who is None else {
-            one.id for one in lists.page_of(session, "approvals", {"open_to": who}, "-request", limit=MANY)
+            one.id for one in lists.read_page(session, "approvals", {"open_to": who}, "-request", limit=MANY)
         }  # fmt: skip
         counted_ones = 0 if who is None else lists.count(session, "approvals", {"open_to": who})
     assert len(requests) == MANY
@@ -138,7 +138,7 @@ def test_the_overview_counts_what_waits_for_a_signature_and_reads_what_it_shows(
 
 def test_the_overview_counts_what_came_back_approved_sets_baselines_and_alarms_beyond_a_hundred(house, read):
     fill(house, state="STALE", submitted_by=ADA)
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         sensor, ground = session.get_one(Sensor, 1), session.scalar(sa.select(ParameterSet))
         for number in range(2, MANY + 2):
             other = like(sensor, name=f"Fleet-{number}")
@@ -159,7 +159,7 @@ def test_the_overview_counts_what_came_back_approved_sets_baselines_and_alarms_b
                 )
             )  # fmt: skip
         audit.append(session, COMMAND_LINE, "brought in", "sensors")
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         alarms_in_all = alarms.unacknowledged(session)
     assert alarms_in_all >= MANY
     olga = read(house.visitor("olga").get("/"))
@@ -170,7 +170,7 @@ def test_the_overview_counts_what_came_back_approved_sets_baselines_and_alarms_b
 
 
 def test_the_overview_counts_every_sensor_whose_newest_run_failed_whatever_it_draws(house, read):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         sensor = session.get_one(Sensor, 1)
         for number in range(2, MANY + 2):
             other = like(sensor, name=f"Fleet-{number}")
@@ -186,7 +186,7 @@ def test_the_overview_counts_every_sensor_whose_newest_run_failed_whatever_it_dr
 def test_no_note_proposal_log_in_or_version_is_left_out_beyond_a_hundred(house, read):
     many = 2 * MANY
     house.visitor("ada").get("/sensors/1/gates")
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         first = gate_profiles.list_profiles(session, 1)[0]
         session.add(first)
         session.flush()
@@ -202,7 +202,7 @@ def test_no_note_proposal_log_in_or_version_is_left_out_beyond_a_hundred(house, 
                 like(first, number=first.number + number, sha256=f"{number:064x}"),
             ))  # fmt: skip
         audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert (
             notes.count_notes(session, "runs", 1)
             == len(notes.list_notes(session, house.actor("ada"), "runs", 1))
@@ -216,17 +216,17 @@ def test_no_note_proposal_log_in_or_version_is_left_out_beyond_a_hundred(house, 
 
 
 def test_a_run_finds_its_set_however_many_are_newer(full):
-    with reading(full.engine) as session:
+    with open_reading(full.engine) as session:
         oldest = session.scalar(sa.select(sa.func.min(ParameterSet.run_id)))
         newer = parameter_sets.list_parameter_sets(session, sensor_id=1, limit=100)
-        made = parameter_set_of(session, runs.get_run(session, oldest))
+        made = find_parameter_set(session, runs.get_run(session, oldest))
         assert made.run_id == oldest
         assert made.id not in {row.id for row in newer}
     assert made.name in full.visitor("ada").get(f"/runs/{oldest}")
 
 
 def test_a_set_of_telemetry_finds_its_runs_and_how_many_there_are_behind_hundreds_of_others(full):
-    with writing(full.engine) as session:
+    with open_writing(full.engine) as session:
         digest = session.get_one(Run, 1).result_sha256
         other = like(session.get_one(TelemetrySet, 1), name="later", original_sha256=digest)
         session.add(other)
@@ -234,7 +234,7 @@ def test_a_set_of_telemetry_finds_its_runs_and_how_many_there_are_behind_hundred
         row = session.get_one(Run, 1)
         session.add_all(like(row, telemetry_set_id=other.id, validation_set_id=None) for _ in range(520))
         audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
-    with reading(full.engine) as session:
+    with open_reading(full.engine) as session:
         for number in (1, 2):  # fitted with, and validated with
             newest, uses = runs.runs_of_set(session, number, 100)
             assert (len(newest), uses) == (100, MANY + 2)
@@ -244,25 +244,25 @@ def test_a_set_of_telemetry_finds_its_runs_and_how_many_there_are_behind_hundred
 def test_a_run_in_a_long_queue_knows_its_place(house, read):
     for _ in range(3):
         house.add_run()
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         waiting = session.scalar(sa.select(Run).where(Run.state == "QUEUED"))
         session.add_all(like(waiting) for _ in range(600))
         audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         last = session.scalar(sa.select(sa.func.max(Run.id)))
     assert "Position 603 in the queue." in read(house.visitor("ada").get(f"/runs/{last}"))
 
 
 def test_the_newest_result_with_a_validation_set_is_found_behind_many_without(house):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         session.add_all(like(session.get_one(Run, 1), validation_set_id=None) for _ in range(MANY))
         audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert runs.newest_finished(session, 1, 1)[0].id == 2
 
 
 def test_a_long_log_is_given_whole(house):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         session.add_all(
             RunEvent(run_id=1, attempt=1, at_utc=utc_now(), kind="log", message=f"line {k}") for k in range(1500)
         )
@@ -277,7 +277,7 @@ def test_a_long_log_is_given_whole(house):
 
 
 def test_a_package_is_found_again_behind_a_hundred_others(house):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         row = session.scalar(sa.select(ParameterSet))
         sha256 = session.get_one(TelemetrySet, 1).original_sha256
         session.add_all(
@@ -291,7 +291,7 @@ def test_a_package_is_found_again_behind_a_hundred_others(house):
 
 def test_no_version_of_the_limits_is_lost_over_rest(house):
     house.visitor("ada").get("/sensors/1/gates")
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         first = gate_profiles.list_profiles(session, 1)[0]
         session.add(first)
         session.flush()

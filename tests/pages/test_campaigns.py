@@ -13,7 +13,7 @@ from boresight.console.runs import presets
 from boresight.console.runs.tables import Run
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import reading, writing
+from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
 
@@ -28,7 +28,7 @@ FORM = {
 
 @pytest.fixture
 def bare(house):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         return sensors.register_sensor(session, COMMAND_LINE, sensor_document(st16_sensor(2))).id
 
 
@@ -40,7 +40,7 @@ def launched(house, bare):  # noqa: ARG001 - the second sensor is part of it
 
 
 def _end(house, state, reason=None, summary=None):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         run = session.query(Run).order_by(Run.id.desc()).first()
         run.state, run.reason, run.summary = state, reason, summary
         audit.append(session, COMMAND_LINE, "ended", f"runs/{run.id}")
@@ -66,7 +66,7 @@ def test_a_check_names_the_sensors_that_can_have_no_run_and_queues_nothing(house
     assert "1 of 2 sensors" in text
     assert "has no calibration set" in text
     assert 'value="after eclipse"' in answer.text
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert campaigns.list_campaigns(session) == []
 
 
@@ -172,12 +172,12 @@ def test_the_failed_are_launched_again_and_all_can_be_cancelled(house, launched,
 def test_a_viewer_reads_and_changes_nothing(house, launched, move):
     victor = house.visitor("victor")
     victor.post(f"{launched}/{move}")
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert campaigns.list_campaigns(session)[0].counts["QUEUED"] == 1
 
 
 def test_presets_are_listed_with_what_they_change_and_archived_by_an_analyst(house, read):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         row = presets.save_preset(session, house.actor("ada"), "Mondays", "On Mondays.", {"robust": "huber"})
     ada = house.visitor("ada")
     assert "Loss Huber: bounds what a false star may say" in read(ada.get("/presets"))

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from boresight.console.approvals import gate_profiles
-from boresight.platform.db.sessions import reading, writing
+from boresight.platform.db.sessions import open_reading, open_writing
 from tests.passwords import add_person
 
 from .conftest import PEOPLE
@@ -19,7 +19,7 @@ REASON = "Corners matter."
 def asking(house, monkeypatch):
     house.app.state.policy = replace(house.app.state.policy, second_person=True)
     monkeypatch.setitem(PEOPLE, "agnes", ("administrator",))  # the next number is hers
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         add_person(session, "agnes", "administrator")
     return house
 
@@ -33,7 +33,7 @@ def _proposed(house) -> str:
 
 
 def _in_force(house) -> int:
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         return gate_profiles.profile_in_force(session, 1).number
 
 

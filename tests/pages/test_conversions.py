@@ -4,7 +4,7 @@ import pytest
 
 from boresight.console.parameter_sets import pages as conversions
 from boresight.console.transitions import get_parameter_set
-from boresight.platform.db.sessions import reading
+from boresight.platform.db.sessions import open_reading
 
 STRAIGHT = "/parameter-sets/1"  # the ground calibration: no decentring
 
@@ -28,8 +28,8 @@ def test_a_set_with_decentring_shows_why_it_has_no_values(house, read):
 
 
 def test_the_page_and_the_api_give_the_same_numbers(house):
-    with reading(house.engine) as session:
-        (shown,) = conversions.conversions_of(session, get_parameter_set(session, 1))
+    with open_reading(house.engine) as session:
+        (shown,) = conversions.list_conversions(session, get_parameter_set(session, 1))
     answer = house.visitor("victor").send("GET", "/api/v1/parameter-sets/1/conversion", params={"to": "pinhole_radial"})
     assert answer.status_code == 200
     assert answer.json() == shown.document

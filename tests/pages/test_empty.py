@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from boresight.platform.db.sessions import migrate, writing
+from boresight.platform.db.sessions import migrate, open_writing
 from tests.passwords import add_person
 from tests.stores import url_in
 
@@ -15,7 +15,7 @@ def bare(house, tmp_path):
     settings = dataclasses.replace(house.settings, data_folder=folder, database_url=url_in(folder))
     bare = type(house)(settings)
     migrate(bare.engine)
-    with writing(bare.engine) as session:
+    with open_writing(bare.engine) as session:
         roles = ["analyst", "operator", "administrator"]
         add_person(session, "ada", *roles, printed_name="Ada Analyst")
     bare.app.state.workers = None

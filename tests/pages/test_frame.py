@@ -11,11 +11,18 @@ from urllib.parse import quote
 import pytest
 
 from boresight.console.fleet.tables import Sensor
-from boresight.console.pages.frame import FLASH_COOKIE, NAVIGATION, REST, FleetMemory, fleet_standing, worst_standing
+from boresight.console.pages.frame import (
+    FLASH_COOKIE,
+    NAVIGATION,
+    REST,
+    FleetStatusCache,
+    find_worst_status,
+    read_fleet_status,
+)
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
-from boresight.platform.db.marks import Marks
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.data_version import DataVersionReader
+from boresight.platform.db.sessions import open_writing
 
 PAGES = ("/sensors", "/sensors/1", "/telemetry", "/audit", "/users")
 
@@ -107,7 +114,7 @@ def test_a_frame_stands_where_the_store_cannot_be_read(house, monkeypatch):
     def broken(_session):
         raise OSError("disk I/O error")
 
-    monkeypatch.setattr("boresight.console.pages.frame.fleet_standing", broken)
+    monkeypatch.setattr("boresight.console.pages.frame.read_fleet_status", broken)
     page = visitor.get("/audit")
     assert "The store could not be read." in page
     assert "disk I/O" not in page
@@ -118,9 +125,9 @@ def test_the_frame_has_read_the_store_before_the_page_holds_a_connection(house, 
 
     def watched(session):
         held.append(house.engine.pool.checkedout())
-        return fleet_standing(session)
+        return read_fleet_status(session)
 
-    monkeypatch.setattr("boresight.console.pages.frame.fleet_standing", watched)
+    monkeypatch.setattr("boresight.console.pages.frame.read_fleet_status", watched)
     monkeypatch.setattr("boresight.console.pages.frame.HELD_S", 0.0)
     for path in PAGES:
         house.visitor("ada").get(path)
@@ -132,16 +139,16 @@ def test_the_top_bar_looks_at_the_fleet_once_for_many_pages_and_again_after_any_
 
     def watched(session):
         looks.append(house.engine)
-        return fleet_standing(session)
+        return read_fleet_status(session)
 
-    monkeypatch.setattr("boresight.console.pages.frame.fleet_standing", watched)
+    monkeypatch.setattr("boresight.console.pages.frame.read_fleet_status", watched)
     visitor = house.visitor("ada")
     visitor.get("/audit")
     del looks[:]
     for _ in range(5):
         visitor.get("/audit")
     assert looks == []
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         session.get_one(Sensor, 1).name = "ST-RENAMED"
         audit.append(session, COMMAND_LINE, "renamed", "sensors/1")
     assert "ST-RENAMED" in visitor.get("/audit")
@@ -155,15 +162,15 @@ def test_a_look_at_a_large_fleet_is_followed_by_a_rest_whatever_is_committed(hou
     def look(_session):
         asked.append(1)
         clock[0] += 2.0
-        return (worst_standing([]), 0, 0)
+        return (find_worst_status([]), 0, 0)
 
-    monkeypatch.setattr("boresight.console.pages.frame.fleet_standing", look)
+    monkeypatch.setattr("boresight.console.pages.frame.read_fleet_status", look)
     monkeypatch.setattr("boresight.console.pages.frame.LARGE", large)  # there is one sensor
     monkeypatch.setattr("boresight.console.pages.frame.time", SimpleNamespace(monotonic=lambda: clock[0]))
-    memory = FleetMemory(house.engine, Marks(house.engine))
+    memory = FleetStatusCache(house.engine, DataVersionReader(house.engine))
     for _ in range(3):
         memory.standing(clock[0])
-        with writing(house.engine) as session:
+        with open_writing(house.engine) as session:
             audit.append(session, COMMAND_LINE, "did", "things/1")
     assert len(asked) == looks
     clock[0] += REST * 2.0
@@ -176,13 +183,13 @@ def test_a_look_answers_who_asked_before_it_began_whatever_is_committed_after_it
 
     def look(_session):
         asked.append(1)
-        return (worst_standing([]), 0, 0)
+        return (find_worst_status([]), 0, 0)
 
-    monkeypatch.setattr("boresight.console.pages.frame.fleet_standing", look)
+    monkeypatch.setattr("boresight.console.pages.frame.read_fleet_status", look)
     monkeypatch.setattr("boresight.console.pages.frame.time", SimpleNamespace(monotonic=lambda: clock[0]))
-    memory = FleetMemory(house.engine, Marks(house.engine))
+    memory = FleetStatusCache(house.engine, DataVersionReader(house.engine))
     memory.standing(99.0)
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         audit.append(session, COMMAND_LINE, "did", "things/1")
     memory.standing(99.5)
     assert len(asked) == 1
@@ -196,10 +203,10 @@ def test_one_page_looks_at_the_fleet_for_all_that_ask_meanwhile(house, monkeypat
     def look(_session):
         asked.append(1)
         go.wait(5)
-        return (worst_standing([]), 0, 0)
+        return (find_worst_status([]), 0, 0)
 
-    monkeypatch.setattr("boresight.console.pages.frame.fleet_standing", look)
-    memory = FleetMemory(house.engine, Marks(house.engine))
+    monkeypatch.setattr("boresight.console.pages.frame.read_fleet_status", look)
+    memory = FleetStatusCache(house.engine, DataVersionReader(house.engine))
     with ThreadPoolExecutor(4) as pool:
         found = [pool.submit(memory.standing, time.monotonic()) for _ in range(4)]
         go.set()

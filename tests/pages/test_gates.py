@@ -7,7 +7,7 @@ import pytest
 from boresight.console.approvals import gate_profiles
 from boresight.console.approvals import gates as waivers
 from boresight.console.parameter_sets import service as parameter_sets
-from boresight.platform.db.sessions import reading, writing
+from boresight.platform.db.sessions import open_reading, open_writing
 
 from .conftest import PASSWORD
 
@@ -17,7 +17,7 @@ REASON = "The shift is the one that launch made; we know it."
 
 @pytest.fixture
 def candidate(house):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         return parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1).id
 
 
@@ -30,7 +30,7 @@ def fields(page):
 @pytest.fixture
 def blocked(house, candidate):
     document = {"gates": [{"name": "parameter-shift", "limit": 0.5, "marginal": 0.5}]}
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         gate_profiles.set_profile(session, house.actor("adele"), 1, document, "To be tried.", 0)
     assert house.visitor("ada").post(f"/parameter-sets/{candidate}/assess").status_code == 303
     return candidate
@@ -72,7 +72,7 @@ def test_limits_are_tried_on_past_runs_and_stay_in_the_form(house, read):
     words = read(page)
     assert "These limits would have blocked 2 of the newest 2 runs. Blocked that are not now: #2, #1." in words
     assert fields(page)["parameter-shift.limit"] == "0.5"
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert gate_profiles.profile_in_force(session, 1).number == 0
 
 
@@ -133,7 +133,7 @@ def test_a_gate_that_blocks_is_named_and_waived_with_a_reason_and_the_waiver_sta
     assert "(1 gate waived)" in words
     assert "cannot be approved" not in words
     assert REASON in words
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert [one.gate for one in waivers.active_waivers(session, blocked)] == ["parameter-shift"]
 
 

@@ -17,7 +17,7 @@ from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.tables import Blob
-from boresight.platform.db.sessions import reading, utc_now, writing
+from boresight.platform.db.sessions import open_reading, open_writing, utc_now
 from tests.pages.conftest import House, _settings
 from tests.stores import copied
 
@@ -41,7 +41,7 @@ LAST = "Fleet-0290"  # in either fleet, and beyond the first two hundred by name
 
 
 def furnish(house: House, n: int) -> House:
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         first, now = session.get_one(Sensor, 1), utc_now()
         added = [
             Sensor(name=f"Fleet-{k:04d}", document={**first.document, "name": f"Fleet-{k:04d}"}, created_utc=now)
@@ -160,7 +160,7 @@ def test_a_launch_begins_with_the_first_sensor_by_name_and_holds_only_its_sets_a
 
 def test_a_launch_is_of_the_sensor_that_the_address_or_its_set_or_its_run_names(ada, fleets):
     assert selected(ada.get("/runs/new?sensor=290"), "sensor_id") == ("290", LAST)
-    with reading(fleets[1000].engine) as session:
+    with open_reading(fleets[1000].engine) as session:
         number = session.scalar(sa.select(TelemetrySet.id).where(TelemetrySet.name == f"validation of {LAST}"))
     page = ada.get(f"/runs/new?set={number}")
     assert selected(page, "sensor_id") == ("290", LAST)
@@ -215,13 +215,13 @@ def test_without_scripts_another_sensor_is_chosen_by_the_form_which_keeps_what_w
         answer = ada.post("/runs/new", **queued, intent="queue")
     assert answer.status_code == 303, answer.text
     assert asked.rows < 300
-    with reading(fleets[1000].engine) as session:
+    with open_reading(fleets[1000].engine) as session:
         run = runs.get_run(session, int(answer.headers["location"].removeprefix("/runs/")))
         assert (run.sensor_id, run.telemetry_set_id, run.settings["free"]) == (290, int(number), ["f_m"])
 
 
 def test_a_clone_keeps_its_sets_however_many_are_newer(ada, fleets):
-    with writing(fleets[1000].engine) as session:
+    with open_writing(fleets[1000].engine) as session:
         run = runs.get_run(session, 1)
         like = session.get_one(TelemetrySet, run.telemetry_set_id)
         columns = {one.key: getattr(like, one.key) for one in sa.inspect(TelemetrySet).column_attrs if one.key != "id"}
@@ -247,7 +247,7 @@ def test_a_campaign_of_a_large_fleet_begins_with_nothing_ticked_and_says_what_to
 
 
 def test_finding_sensors_for_a_campaign_keeps_every_tick_and_every_set(ada, fleets):
-    with reading(fleets[1000].engine) as session:
+    with open_reading(fleets[1000].engine) as session:
         number = session.scalar(sa.select(TelemetrySet.id).where(TelemetrySet.name == f"calibration of {LAST}"))
     form = {"sensors": ["290", "3"], "calibration-290": str(number), "validation-290": "", "label": "after eclipse"}
     page = ada.post("/campaigns/new", **form, find="fleet-099", intent="find").text
@@ -271,7 +271,7 @@ def test_a_campaign_of_a_sensor_far_down_the_list_is_queued_with_its_sets(ada, f
         answer = ada.post("/campaigns/new", **form, intent="queue")
     assert answer.status_code == 303, answer.text
     assert asked.rows < 100
-    with reading(fleets[1000].engine) as session:
+    with open_reading(fleets[1000].engine) as session:
         number = int(answer.headers["location"].removeprefix("/campaigns/"))
         assert [one.sensor_id for one in campaigns.results(session, number)] == [290, 777]
 
@@ -282,7 +282,7 @@ def test_sensors_that_an_address_names_begin_a_campaign(ada):
 
 
 def test_parameter_sets_are_narrowed_by_the_sensor_s_name(fleets, ada, read):
-    with reading(fleets[1000].engine) as session:
+    with open_reading(fleets[1000].engine) as session:
         assert session.scalar(sa.select(sa.func.count(ParameterSet.id))) == 1
     assert 'class="empty"' in ada.get("/parameter-sets?sensor_name=fleet")
     assert "PS-" in read(ada.get("/parameter-sets?sensor_name=st16"))

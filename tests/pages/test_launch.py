@@ -9,7 +9,7 @@ from boresight.console.runs import service as runs
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.tables import Blob
-from boresight.platform.db.sessions import reading, utc_now, writing
+from boresight.platform.db.sessions import open_reading, open_writing, utc_now
 
 FORM = {
     "sensor_id": "1",
@@ -36,7 +36,7 @@ def test_the_form_begins_with_the_newest_set_of_either_purpose_and_the_sensor_s_
 
 @pytest.mark.parametrize(("number", "place", "other"), [(3, "telemetry", "validation"), (4, "validation", "telemetry")])
 def test_the_set_whose_page_one_came_from_is_chosen_for_its_purpose(house, number, place, other):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         for purpose in ("calibration", "validation", "calibration", "validation"):
             sha256 = house.blobs.put(f"{purpose} {number} {session.query(TelemetrySet).count()}".encode())
             session.add(Blob(sha256=sha256, size_bytes=1, media_type="text/csv", created_utc=utc_now()))
@@ -73,7 +73,7 @@ def test_a_check_says_what_would_run_and_queues_nothing(house, read):
 def test_queueing_stores_the_settings_as_typed_and_opens_the_run(house):
     answer = house.visitor("ada").post("/runs/new", **FORM, intent="queue")
     run_id = int(answer.headers["location"].removeprefix("/runs/"))
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         run = runs.get_run(session, run_id)
     assert run.state == "QUEUED"
     assert run.label == "drift test"
@@ -163,7 +163,7 @@ def test_more_options_are_closed_until_one_differs_from_the_usual(house):
 def test_more_options_reach_the_run_and_its_clone(house):
     ada = house.visitor("ada")
     location = ada.post("/runs/new", **BATCH_FORM, intent="queue").headers["location"]
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         settings = runs.get_run(session, int(location.removeprefix("/runs/"))).settings
     chosen = {
         "method": "batch",
@@ -190,7 +190,7 @@ def test_more_options_reach_the_run_and_its_clone(house):
 def test_choices_of_a_filter_reach_the_run_and_those_of_the_batch_do_not(house):
     form = {**FORM, "method": "ukf", "variant": "no-refit", "forgetting_factor": "0.99", "robust": "huber"}
     location = house.visitor("ada").post("/runs/new", **form, intent="queue").headers["location"]
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         settings = runs.get_run(session, int(location.removeprefix("/runs/"))).settings
     assert (settings["method"], settings["variant"], settings["forgetting_factor"]) == ("ukf", "no-refit", 0.99)
     assert settings["process_noise_sigma"] == 0.03
@@ -201,7 +201,7 @@ def test_the_choices_of_singular_values_reach_the_run_and_its_clone(house):
     ada = house.visitor("ada")
     form = {**FORM, "method": "svd", "star_model": "2", "singular_values": "1,3", "gain_form": "gain"}
     location = ada.post("/runs/new", **form, intent="queue").headers["location"]
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         settings = runs.get_run(session, int(location.removeprefix("/runs/"))).settings
     assert (settings["star_model"], settings["singular_values"], settings["gain_form"]) == (2, [1, 3], "gain")
     page = ada.get(f"/runs/new?clone={location.removeprefix('/runs/')}")
@@ -240,5 +240,5 @@ def test_a_refusal_of_more_options_keeps_them_open_as_typed(house, read, typed, 
 
 
 def _count(house):
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         return len(runs.list_runs(session))

@@ -8,7 +8,7 @@ from boresight.console.runs import presets
 from boresight.console.runs.pages.launch import DEFAULTS, differences
 from boresight.console.runs.presets import BUILT_IN
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.platform.db.sessions import reading, writing
+from boresight.platform.db.sessions import open_reading, open_writing
 from tests.pages.test_launch import FORM
 
 KEPT = {"preset_name": "Mondays", "preset_sentence": "On Mondays.", "intent": "save"}
@@ -101,7 +101,7 @@ def test_settings_are_kept_as_a_preset_and_offered_at_once(house, read):
     page = house.visitor("ada").get(answer.headers["location"])
     assert answer.headers["location"].startswith("/runs/new?sensor=1&preset=")
     assert "Mondays, version 1" in read(page)
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         row = presets.list_presets(session)[0]
     assert (row.name, row.document["variant"], row.document["free"]) == ("Mondays", "q", ["f_m", "b2_per_m2"])
 
@@ -157,7 +157,7 @@ def test_the_dry_run_shows_predicted_sigmas_weak_directions_and_what_would_help(
 
 def test_a_check_holds_no_lock_that_writers_wait_for(house):
     visitor = house.visitor("ada")
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         session.get_one(TelemetrySet, 1)
         answer = visitor.post("/runs/new", **FORM, intent="check")
     assert answer.status_code == 200

@@ -9,7 +9,7 @@ import pytest
 from boresight.console.approvals import submissions
 from boresight.console.fleet.pages import overview
 from boresight.console.parameter_sets import service as parameter_sets
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.sessions import open_writing
 from boresight.resources import folder
 
 
@@ -20,7 +20,7 @@ def house(house):
 
 
 def submitted(house):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         row = parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1)
         submissions.submit(
             session, house.actor("ada"), house.blobs, row.id, "Focus moved with temperature.", row.version
@@ -71,7 +71,7 @@ def test_a_waiting_request_is_counted_in_the_bar_of_every_page(house):
 def test_an_analyst_is_asked_to_judge_a_converged_run_until_a_set_is_made_of_it(house, read):
     visitor = house.visitor("ada")
     assert "run 2 converged; judge it." in read(visitor.get("/"))
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 2)
     assert "judge it" not in read(visitor.get("/"))
 
@@ -97,8 +97,8 @@ def test_of_a_large_fleet_those_that_stand_worst_are_drawn_and_the_page_says_so(
     levels = ("normal", "critical", "off", "caution", "critical")
     stand = [SimpleNamespace(sensor_id=number, status=level) for number, level in enumerate(levels)]
     monkeypatch.setattr(overview, "MOST_TILES", 3)
-    assert [one.sensor_id for one in overview.drawn_of(stand)] == [1, 4, 3]
-    assert overview.drawn_of(stand[:3]) == stand[:3]
+    assert [one.sensor_id for one in overview.choose_drawn_sensors(stand)] == [1, 4, 3]
+    assert overview.choose_drawn_sensors(stand[:3]) == stand[:3]
     assert "that stand worst" not in read(house.visitor("ada").get("/"))
     monkeypatch.setattr(overview, "MOST_TILES", 0)
     page = house.visitor("ada").get("/")

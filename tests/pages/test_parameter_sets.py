@@ -4,7 +4,7 @@ import pytest
 
 from boresight.console import transitions
 from boresight.console.parameter_sets import service as parameter_sets
-from boresight.platform.db.sessions import reading
+from boresight.platform.db.sessions import open_reading
 
 
 @pytest.fixture
@@ -102,8 +102,8 @@ def test_an_approved_set_becomes_the_baseline_and_supersedes_the_old_one(house, 
     assert answer.headers["location"] == candidate
     text = read(olga.get(candidate))
     assert "This set is the baseline; it replaced PS-ST16-1-0." in text
-    with reading(house.engine) as session:
-        assert parameter_sets.baseline_of(session, 1).name == "PS-ST16-1-1"
+    with open_reading(house.engine) as session:
+        assert parameter_sets.get_baseline(session, 1).name == "PS-ST16-1-1"
         assert transitions.get_parameter_set(session, 1).ground_state == "SUPERSEDED"
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from boresight.console.approvals import service as approvals
-from boresight.platform.db.sessions import reading
+from boresight.platform.db.sessions import open_reading
 
 PASSWORD = "correct horse battery"
 WORDS = {"decision": "APPROVE", "meaning": "", "comment": "Seen."}
@@ -69,7 +69,7 @@ def test_a_second_person_signs_at_the_submitters_console_and_the_roll_says_so(ho
     text = read(ada.get(address))
     assert "Alan Approver at the console of Ada Analyst Password given by Command line at 20" in text
     assert "Ada Analyst" in ada.get("/approvals"), "the console's log-in became another's"
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert approvals.get_approval(session, 1).state == "APPROVED"
 
 

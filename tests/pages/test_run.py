@@ -6,8 +6,8 @@ import pytest
 
 from boresight.console.runs.tables import RunEvent
 from boresight.figures.tables.parameter_table import parameter_rows
-from boresight.platform.db.sessions import utc_now, writing
-from boresight.verdicts.verdict import marks
+from boresight.platform.db.sessions import open_writing, utc_now
+from boresight.verdicts.verdict import make_verdict_marks
 
 
 def test_the_head_says_the_verdict_and_the_weakest_direction_over_every_part(house, read, results):
@@ -88,7 +88,7 @@ def test_a_run_without_a_result_says_what_happened_and_offers_no_parameter_set(h
 
 
 def test_the_log_is_shown_in_order_with_later_attempts_named(house, read):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         session.add(RunEvent(run_id=1, attempt=1, at_utc=utc_now(), kind="log", message="first words"))
         session.add(RunEvent(run_id=1, attempt=2, at_utc=utc_now(), kind="log", message="second words"))
     text = read(house.visitor("victor").get("/runs/1?part=log"))
@@ -129,29 +129,40 @@ def test_a_run_that_does_not_exist_is_not_found(house):
 
 
 def test_a_filter_is_judged_by_its_innovations_and_a_batch_is_not(results):
-    by_question = {mark.question: mark for mark in marks(results["sqrf"])}
+    by_question = {mark.question: mark for mark in make_verdict_marks(results["sqrf"])}
     assert by_question["Innovations (NIS)"].word == "consistent"
-    assert {mark.question: mark for mark in marks(results["batch"])}["Innovations (NIS)"].word == "not applicable"
+    assert {mark.question: mark for mark in make_verdict_marks(results["batch"])}[
+        "Innovations (NIS)"
+    ].word == "not applicable"
 
 
 def test_a_filter_on_its_way_counts_the_frames_so_far_and_no_star_that_is_still_to_come(results):
     partial = results["sqrf-partial"]
-    fit = marks({**partial, "frames": 200, "frames_done": 12, "history": {**partial["history"], "frame": [7, 11]}})[0]
+    fit = make_verdict_marks(
+        {**partial, "frames": 200, "frames_done": 12, "history": {**partial["history"], "frame": [7, 11]}}
+    )[0]
     assert (fit.word, fit.value, fit.detail) == ("running", "as of frame 11", "12 of 200 frames so far")
     batch = {**results["batch"], "status": "running", "frames_done": None, "frames": 200, "iterations": 3}
-    assert (marks(batch)[0].value, marks(batch)[0].detail) == ("as of iteration 3", "200 frames in all")
-    assert "stars" in marks(results["sqrf"])[0].detail
+    assert (make_verdict_marks(batch)[0].value, make_verdict_marks(batch)[0].detail) == (
+        "as of iteration 3",
+        "200 frames in all",
+    )
+    assert "stars" in make_verdict_marks(results["sqrf"])[0].detail
 
 
 def test_no_validation_is_no_data_and_never_passes(results):
-    mark = next(mark for mark in marks({**results["batch"], "validation": None}) if mark.question == "Validation RMS")
+    mark = next(
+        mark
+        for mark in make_verdict_marks({**results["batch"], "validation": None})
+        if mark.question == "Validation RMS"
+    )
     assert mark.word == "NO DATA"
     assert mark.level != "normal"
 
 
 def test_noise_above_the_model_is_a_caution(results):
     result = {**results["batch"], "chi2_per_dof": 3.0, "chi2": {**results["batch"]["chi2"], "consistent": False}}
-    mark = next(mark for mark in marks(result) if mark.question.startswith("χ²"))
+    mark = next(mark for mark in make_verdict_marks(result) if mark.question.startswith("χ²"))
     assert (mark.level, mark.word) == ("caution", "noise above model")
 
 

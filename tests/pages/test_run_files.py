@@ -1,11 +1,11 @@
 """What a run gives to take along."""
 
 from boresight.console.runs.tables import RunEvent
-from boresight.platform.db.sessions import utc_now, writing
+from boresight.platform.db.sessions import open_writing, utc_now
 
 
 def test_the_log_is_text_a_line_an_event(house):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         session.add(RunEvent(run_id=1, attempt=2, at_utc=utc_now(), kind="lost", message="the worker died"))
     lines = house.visitor("victor").send("GET", "/runs/1/log").text.splitlines()
     assert lines[-1].endswith(" 2 lost the worker died")

@@ -11,7 +11,7 @@ from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import register_blob
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.sessions import open_writing
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.telemetry.writers import write_parquet
 
@@ -27,7 +27,7 @@ def table(tmp_path_factory, catalogue):
 @pytest.fixture
 def house(house, table, catalogue):
     house.app.state.catalogue = lambda: catalogue
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         sha256 = house.blobs.put(table)
         register_blob(session, house.blobs, sha256, "application/vnd.apache.parquet")
         session.get_one(TelemetrySet, 1).table_sha256 = sha256
@@ -90,7 +90,7 @@ def test_a_queued_run_shows_its_frames_under_the_parameters_it_has(house, read):
 
 
 def test_missing_telemetry_is_said_and_the_page_still_opens(house, read, run_id):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         table = session.get_one(TelemetrySet, 1).table_sha256
     house.blobs.path(table).unlink()
     assert "No frame can be shown: The stored file" in read(frames_page(house, run_id, frame=3))

@@ -6,7 +6,7 @@ import pytest
 
 from boresight.console.runs.run_events import Line, write_event
 from boresight.console.runs.tables import RUN_STATES
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.sessions import open_writing
 
 LINES = [
     (Line.moved("QUEUED"), "QUEUED", "info"),
@@ -24,7 +24,7 @@ LINES = [
 @pytest.fixture
 def run_id(house):
     made = house.add_run(state="FAILED", reason="given up")
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         for line, *_ in LINES:
             write_event(session, made, 1, line)
     return made

@@ -7,7 +7,7 @@ import pytest
 
 from boresight.console.runs.run_events import Line
 from boresight.console.runs.tables import RunEvent
-from boresight.platform.db.sessions import utc_after, utc_now, writing
+from boresight.platform.db.sessions import open_writing, utc_after, utc_now
 
 FREE = {"turns": True, "connected": True, "threads": 2, "tasks": 1}
 HALF = {"fraction": 0.43, "message": "frame 17: 17 of 40 frames", "elapsed_s": 8.6}
@@ -16,7 +16,7 @@ HALF = {"fraction": 0.43, "message": "frame 17: 17 of 40 frames", "elapsed_s": 8
 @pytest.fixture
 def tell(house):
     def write(run_id, line, *, at_utc=None):
-        with writing(house.engine) as session:
+        with open_writing(house.engine) as session:
             session.add(RunEvent(run_id=run_id, attempt=1, at_utc=at_utc or utc_now(), **asdict(line)))
 
     return write

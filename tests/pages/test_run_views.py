@@ -3,12 +3,12 @@
 import pytest
 from starlette.datastructures import QueryParams
 
-from boresight.console.runs.pages.run import course_facts, sight_facts, tail_facts, view_of
-from boresight.verdicts.verdict import marks
+from boresight.console.runs.pages.run import list_history_facts, read_run_view, sight_facts, tail_facts
+from boresight.verdicts.verdict import make_verdict_marks
 
 
 def view(text, result):
-    return view_of(QueryParams(text), result)
+    return read_run_view(QueryParams(text), result)
 
 
 def test_a_view_is_what_the_address_asks_for_as_far_as_it_can_be_had(results):
@@ -56,9 +56,9 @@ def test_a_result_that_kept_no_number_of_held_out_arcs_shows_the_value_and_says_
     _, value, meaning = tail_facts({**result, "validation": kept}, view("", result))[1][-1]
     assert float(value) == pytest.approx(1e6 * kept["rms_arc_rad"]["final"], rel=1e-3)
     assert meaning.endswith("σ not kept.")
-    said = {mark.question: mark.detail for mark in marks({**result, "validation": kept})}
+    said = {mark.question: mark.detail for mark in make_verdict_marks({**result, "validation": kept})}
     assert said["Validation RMS"].endswith("σ not kept")
-    assert "(3σ)" in next(mark.detail for mark in marks(result) if mark.question == "Validation RMS")
+    assert "(3σ)" in next(mark.detail for mark in make_verdict_marks(result) if mark.question == "Validation RMS")
 
 
 def test_without_a_held_out_set_the_desk_says_how_to_have_one(results):
@@ -67,9 +67,9 @@ def test_without_a_held_out_set_the_desk_says_how_to_have_one(results):
 
 
 def test_a_course_says_where_it_settled_or_that_it_has_not_yet(results):
-    assert course_facts(results["batch"])[0][1].startswith("iteration ")
-    assert course_facts({**results["sqrf"], "status": "running"})[0][1] == "not yet"
-    assert course_facts(None) == []
+    assert list_history_facts(results["batch"])[0][1].startswith("iteration ")
+    assert list_history_facts({**results["sqrf"], "status": "running"})[0][1] == "not yet"
+    assert list_history_facts(None) == []
 
 
 def test_what_the_data_see_is_said_in_words(results):

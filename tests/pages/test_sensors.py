@@ -7,11 +7,11 @@ import re
 import pytest
 
 from boresight.console.fleet import service as sensors
-from boresight.console.fleet.pages.sensor import baseline_values, optics_of
+from boresight.console.fleet.pages.sensor import baseline_values, compute_optics
 from boresight.console.fleet.pages.sensors import EXAMPLE, FIELDS, read_document
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.platform.db.sessions import reading, writing
+from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.telemetry.sensors import parse_sensor
 
 
@@ -60,7 +60,7 @@ def test_a_chosen_file_counts_before_typed_text(house):
     files = {"file": ("tracker.json", EXAMPLE.replace("ST16-7", "FROM-FILE"), "application/json")}
     data = {"csrf_token": visitor.csrf_token, "document": "{}"}
     assert visitor.send("POST", "/sensors", data=data, files=files).status_code == 303
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert "FROM-FILE" in {row.name for row in sensors.list_sensors(session)}
 
 
@@ -100,9 +100,9 @@ def test_a_ground_calibration_claims_no_measured_sigma(house):
 
 
 def test_a_calibrated_baseline_shows_its_sigma_and_its_change_from_the_ground(house):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         made = parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1)
-        ground = parameter_sets.baseline_of(session, 1)
+        ground = parameter_sets.get_baseline(session, 1)
         ground.ground_state = "SUPERSEDED"
         session.flush()
         session.get_one(ParameterSet, made.id).ground_state = "BASELINE"
@@ -112,13 +112,13 @@ def test_a_calibrated_baseline_shows_its_sigma_and_its_change_from_the_ground(ho
 
 
 def test_values_are_the_sensor_files_where_there_is_no_baseline(house):
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         sensor = sensors.get_sensor(session, 1)
         assert {it.name: it.value for it in baseline_values(sensor, None)} == sensor.document["initial"]
 
 
 def test_the_field_of_view_follows_from_f_and_the_detector():
-    optics = optics_of({"rows": 1000, "columns": 2000, "pixel_pitch_m": 1e-5}, {"f_m": 0.01})
+    optics = compute_optics({"rows": 1000, "columns": 2000, "pixel_pitch_m": 1e-5}, {"f_m": 0.01})
     assert optics.columns_deg == pytest.approx(2 * math.degrees(math.atan(1.0)))
     assert optics.pixel_urad == pytest.approx(1000.0)
     assert (optics.principal_row_px, optics.principal_col_px) == (499.5, 999.5)
@@ -133,14 +133,14 @@ def test_what_was_baseline_at_a_time_is_answered_and_nonsense_refused(house, rea
 
 def test_an_edit_of_an_older_version_is_refused_and_the_text_kept(house):
     visitor = house.visitor("ada")
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         document = dict(sensors.get_sensor(session, 1).document)
     text = json.dumps(document | {"centroid_sigma_px": 0.25})
     assert visitor.post("/sensors/1", document=text, version="1").status_code == 303
     answer = visitor.post("/sensors/1", document=text.replace("0.25", "0.35"), version="1")
     assert answer.status_code == 412
     assert "&#34;centroid_sigma_px&#34;: 0.35" in answer.text
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert sensors.get_sensor(session, 1).document["centroid_sigma_px"] == 0.25
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from boresight.console.uplinks import table_definitions
 from boresight.console.uplinks.pages.table_definition import written_as_text
-from boresight.platform.db.sessions import reading
+from boresight.platform.db.sessions import open_reading
 from boresight.uplink.table_definition import plain_definition
 
 ADDRESS = "/sensors/1/table-definition"
@@ -20,7 +20,7 @@ def _typed(page):
 
 
 def _in_force(house):
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         return table_definitions.definition_in_force(session, 1)
 
 

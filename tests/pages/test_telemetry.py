@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from boresight.console.telemetry import service as telemetry_sets
-from boresight.platform.db.sessions import reading
+from boresight.platform.db.sessions import open_reading
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.telemetry.read.readers import write_csv
 
@@ -62,7 +62,7 @@ def test_a_refused_file_shows_row_and_column_and_keeps_the_choices(house, table,
     assert "5 row_px" in read(answer.text)
     assert '<option value="1" selected>' in answer.text
     assert 'value="validation" checked' in answer.text
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert len(telemetry_sets.list_telemetry_sets(session)) == 2
 
 
@@ -85,7 +85,7 @@ def test_what_is_no_telemetry_is_refused_in_one_sentence(house, read, content, n
 def test_an_upload_without_this_log_ins_token_is_refused(house, table):
     answer = upload(house.visitor("ada"), table, csrf_token="another", headers={"accept": "text/html"})
     assert answer.status_code == 403
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert len(telemetry_sets.list_telemetry_sets(session)) == 2
 
 
@@ -99,7 +99,7 @@ def test_a_figures_numbers_add_up_to_the_usable_stars(house, table):
     visitor = house.visitor("ada")
     address = upload(visitor, table).headers["location"]
     rows = list(csv.reader(io.StringIO(visitor.get(f"{address}/figures/radial-coverage.csv"))))
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         quality = telemetry_sets.get_telemetry_set(session, int(address.rsplit("/", 1)[1])).quality
     assert sum(int(row[1]) for row in rows[1:]) == quality["usable"]
     assert visitor.send("GET", f"{address}/figures/nothing.csv").status_code == 404

@@ -4,7 +4,7 @@ import re
 from urllib.parse import quote
 
 from boresight.console.uplinks import service as uplinks
-from boresight.platform.db.sessions import reading, utc_after, writing
+from boresight.platform.db.sessions import open_reading, open_writing, utc_after
 
 from .onboard import climb, define
 
@@ -45,7 +45,7 @@ def test_what_is_no_time_is_refused_in_place_with_the_events_still_there(house, 
 
 
 def test_what_was_learned_later_is_shown_apart(house, read):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         uplinks.record(session, house.actor("olga"), 1, "SENT", "pass 7", happened=utc_after(-7200.0))
     words = read(house.visitor("victor").get(f"{PAGE}?at={quote(utc_after(-3600.0))}"))
     assert "Nobody could act on it then." in words
@@ -65,7 +65,7 @@ def test_the_events_are_paged_and_keep_the_question(house, read):
 
 
 def test_a_source_that_is_markup_is_shown_as_text(house):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         uplinks.record(session, house.actor("olga"), 1, "SENT", "<script>alert(1)</script>")
     for address in (PAGE, "/uplink", "/parameter-sets/1/uplink"):
         page = house.visitor("victor").get(address)
@@ -75,11 +75,11 @@ def test_a_source_that_is_markup_is_shown_as_text(house):
 
 def test_every_state_of_the_store_is_left_as_it_was_by_looking(house):
     climb(house, "SENT")
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         before = [row.id for row in uplinks.list_uplinks(session)]
     for address in (PAGE, "/uplink", "/parameter-sets/1/uplink"):
         house.visitor("olga").get(address)
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert [row.id for row in uplinks.list_uplinks(session)] == before
 
 

@@ -5,7 +5,7 @@ from html import unescape
 import pytest
 
 from boresight.console.parameter_sets import service as parameter_sets
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.sessions import open_writing
 
 WORDS = 'Words of a tired operator, "quoted" & <kept>.'
 ODD = '{"name": "half of a document'
@@ -52,7 +52,7 @@ FORMS = {  # who sends what to which address, and what of it must be there again
 @pytest.fixture
 def office(house, results):
     run_id = house.add_run(state="SUCCEEDED", result=results["batch"] | {"iterations": 77})
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1)
         parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, run_id)
     ada = house.visitor("ada")

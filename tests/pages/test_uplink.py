@@ -10,20 +10,20 @@ from boresight.console.fleet import timeline
 from boresight.console.fleet.pages.sensors import EXAMPLE
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.runs.pages.list import Names
+from boresight.console.runs.pages.list import RunNames
 from boresight.console.uplinks import packages
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.pages import board as uplink
-from boresight.console.uplinks.pages.board import line_of, standing_of
-from boresight.console.uplinks.pages.steps import LADDER, exported_of, members_of, steps_of
+from boresight.console.uplinks.pages.board import find_worst_known, make_uplink_line
+from boresight.console.uplinks.pages.steps import LADDER, find_exported_package, list_package_members, list_steps
 from boresight.console.uplinks.service import add_entry
 from boresight.console.uplinks.tables import Package, Uplink
-from boresight.platform.db.sessions import reading, writing
+from boresight.platform.db.sessions import open_reading, open_writing
 
 from .conftest import PASSWORD
 from .onboard import climb, define, send_dump, table, version
 
-NAMES = Names({}, {}, {1: "Olga Operator"})
+NAMES = RunNames({}, {}, {1: "Olga Operator"})
 STEPS = "/parameter-sets/1/uplink"
 
 
@@ -47,17 +47,17 @@ def _records(*states: str) -> list[Uplink]:
     ],
 )
 def test_the_ladder_shows_the_present_climb(states, words):
-    assert [step.word for step in steps_of(None, _records(*states), NAMES)] == words
+    assert [step.word for step in list_steps(None, _records(*states), NAMES)] == words
 
 
 def test_the_exported_package_is_the_one_that_was_sent_and_before_that_the_newest():
     built = [Package(id=2), Package(id=1)]
-    assert exported_of(built, []).id == 2
-    assert exported_of([], []) is None
+    assert find_exported_package(built, []).id == 2
+    assert find_exported_package([], []) is None
     records = _records("SENT", "LOADED")
-    assert exported_of(built, records).id == 2
+    assert find_exported_package(built, records).id == 2
     records[1].evidence = {"package": {"id": 1, "sha256": "ab"}}
-    assert exported_of(built, records).id == 1
+    assert find_exported_package(built, records).id == 1
 
 
 def test_the_fleet_shows_ground_and_board_side_by_side_and_active_only_where_it_was_recorded(house, read):
@@ -92,7 +92,7 @@ def fleet(house):
     }
     for name, states in climbs.items():
         assert visitor.post("/sensors", document=EXAMPLE.replace("ST16-7", name)).status_code == 303
-        with reading(house.engine) as session:
+        with open_reading(house.engine) as session:
             (row,) = session.scalars(select(ParameterSet).where(ParameterSet.name == f"PS-{name}-0"))
         climb(house, *states, set_id=row.id)
     return ["C-mismatch", "D-unknown", "B-sent", "E-loaded", "ST16-1"]
@@ -108,10 +108,10 @@ def test_the_fleet_is_ordered_and_narrowed_as_its_lines_say(house, fleet):
     assert names_of(visitor.get("/uplink?q=-&status=SENT")) == ["B-sent"]
     assert names_of(visitor.get("/uplink?status=nonsense&page=nonsense&q=D")) == ["D-unknown", "E-loaded"]
     assert names_of(visitor.get("/uplink?q=nobody")) == []
-    with reading(house.engine) as session:
-        for board in timeline.boards(session):
-            line = line_of(timeline.as_of(session, board.sensor_id))
-            assert (board.name, standing_of(board.baseline_id, board.on_board)) == (
+    with open_reading(house.engine) as session:
+        for board in timeline.read_situations(session):
+            line = make_uplink_line(timeline.get_state_at(session, board.sensor_id))
+            assert (board.name, find_worst_known(board.baseline_id, board.on_board)) == (
                 line.known.sensor.name,
                 (line.level, line.word),
             )
@@ -178,7 +178,7 @@ def test_a_signed_entry_makes_it_active_with_name_and_meaning(house, read):
 
 def test_what_was_verified_by_word_alone_is_to_be_read_back_before_it_is_signed(house, read):
     climb(house, "SENT", "LOADED")
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         add_entry(session, house.actor("olga"), session.get_one(ParameterSet, 1), "VERIFIED", "pass 1")
     visitor = house.visitor("olga")
     assert "VERIFIED by statement alone: read it back before you sign." in read(visitor.get(STEPS))
@@ -218,7 +218,7 @@ def test_who_is_no_operator_is_told_who_may_and_refused_by_the_server(house, nam
 
 
 def test_a_candidate_is_told_that_only_the_baseline_is_sent(house, read):
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         row = parameter_sets.create_from_run(session, house.actor("ada"), house.blobs, 1)
     words = read(house.visitor("olga").get(f"/parameter-sets/{row.id}/uplink"))
     assert f"{row.name} is CANDIDATE: only the baseline is sent." in words
@@ -238,9 +238,9 @@ def test_the_package_is_built_once_and_listed_with_hashes_and_the_way_back(house
     assert "Exported done" in words
     assert "Way back PS-ST16-1-0" in words
     assert "SHA256SUMS" in words
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         (package,) = packages.list_packages(session)
-        members = members_of(packages.read(session, house.blobs, package.id))
+        members = list_package_members(packages.read(session, house.blobs, package.id))
     assert {"MANIFEST.json", "parameters.json"} <= {member.name.rpartition("/")[2] for member in members}
 
 

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from boresight.console.access import api_keys, users
-from boresight.platform.db.sessions import reading
+from boresight.platform.db.sessions import open_reading
 
 PASSWORD = "correct horse battery"
 
@@ -43,7 +43,7 @@ def test_a_disabled_person_is_out_at_once_and_can_be_let_in_again(house):
     visitor.post("/users/5/disable")
     assert victim.send("GET", "/audit", headers={"accept": "text/html"}).status_code == 303
     visitor.post("/users/5/enable")
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert users.get_user(session, 5).disabled_utc is None
 
 
@@ -60,7 +60,7 @@ def test_a_keys_secret_is_shown_once_and_works(house):
     secret = re.search(r"bs_[0-9a-f]{8}_[\w-]+", answer.text)[0]
     assert answer.headers["cache-control"] == "no-store"
     assert secret not in visitor.get("/users")
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert api_keys.actor_of_key(session, secret).scopes == {"runs"}
 
 

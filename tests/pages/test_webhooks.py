@@ -3,7 +3,7 @@
 import re
 
 from boresight.console.webhooks import service as webhooks
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.sessions import open_writing
 
 FORM = {
     "label": "Mission chat",
@@ -37,7 +37,7 @@ def test_a_trial_stands_in_the_log_and_a_message_given_up_can_be_sent_again(hous
     visitor, address = house.visitor("adele"), _made(house)
     assert visitor.post(f"{address}/try").status_code == 303
     number = int(re.search(r"msg_(\d+)", visitor.get(address))[1])
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         for _ in range(webhooks.MOST_ATTEMPTS):
             webhooks.settle(session, number, status=None, outcome="No answer: nobody is there.")
     page = read(visitor.get(address))

@@ -20,7 +20,7 @@ from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore, register_blob
-from boresight.platform.db.sessions import Engine, Session, open_engine, reading, utc_now, writing
+from boresight.platform.db.sessions import Engine, Session, open_engine, open_reading, open_writing, utc_now
 from tests.passwords import add_person, approve
 from tests.stores import copied, open_migrated, url_in
 
@@ -66,7 +66,7 @@ SENSOR: dict[str, Any] = {
 def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("filled")
     engine = open_migrated(url_in(folder))
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         for name, roles in PEOPLE.items():
             add_person(session, name, *roles)
         sensors.register_sensor(session, COMMAND_LINE, SENSOR)
@@ -83,7 +83,7 @@ def engine(filled: Path, tmp_path: Path) -> Iterator[Engine]:
 
 @pytest.fixture
 def session(engine: Engine) -> Iterator[Session]:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         yield session
 
 
@@ -94,9 +94,9 @@ def blobs(tmp_path: Path) -> BlobStore:
 
 @pytest.fixture
 def people(engine: Engine) -> Mapping[str, Actor]:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         rows = {row.name: row for row in users.list_users(session)}
-        return {name: users.actor_of(session, row.id) for name, row in rows.items()}
+        return {name: users.get_actor(session, row.id) for name, row in rows.items()}
 
 
 @pytest.fixture
@@ -131,7 +131,7 @@ def candidate(
     made = []
 
     def make(launched_by: str = "ana") -> ParameterSet:
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             made.append(launched_by)
             parameters = SENSOR["initial"] | {"f_m": 0.016 + 1e-6 * len(made)}
             run = finished_run(session, people[launched_by].user_id, parameters=parameters)
@@ -146,7 +146,7 @@ def submitted(
 ) -> Callable[[], ParameterSet]:
     def make() -> ParameterSet:
         row = candidate()
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
             return transitions.get_parameter_set(session, row.id)
 
@@ -159,7 +159,7 @@ def approved(
 ) -> Callable[[], ParameterSet]:
     def make() -> ParameterSet:
         row = submitted()
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
             approve(session, people["cy"], approval)
             return transitions.get_parameter_set(session, row.id)

@@ -6,12 +6,12 @@ from typing import Any
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks import table_definitions
-from boresight.console.uplinks.read_backs import Reference, read_back, reference_of
+from boresight.console.uplinks.read_backs import SentTable, get_sent_table, read_back
 from boresight.console.uplinks.tables import TableDefinition, Uplink
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, Session, reading, writing
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from tests.passwords import proved
 
 from .conftest import PASSWORD
@@ -30,7 +30,7 @@ DOCUMENT: dict[str, Any] = {
 
 
 def define(engine: Engine, actor: Actor, **changed: Any) -> TableDefinition:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         current = table_definitions.definition_in_force(session, 1)
         seen = 0 if current is None else current.number
         return table_definitions.set_definition(session, actor, 1, DOCUMENT | changed, "As flown.", seen)
@@ -41,7 +41,7 @@ def climb(engine: Engine, actor: Actor, *states: str, set_id: int = 1) -> None:
         if state == "VERIFIED":
             _tell_crc(engine, actor, set_id)
             continue
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             if state == "ACTIVE":
                 seen = session.get_one(ParameterSet, set_id).version
                 uplinks.activate(
@@ -52,28 +52,28 @@ def climb(engine: Engine, actor: Actor, *states: str, set_id: int = 1) -> None:
 
 
 def _tell_crc(engine: Engine, actor: Actor, set_id: int) -> None:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         known = table_definitions.definition_in_force(session, 1)
     if known is None:
         define(engine, COMMAND_LINE)
     told = sent_table(engine, set_id).crc or ""
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         seen = session.get_one(ParameterSet, set_id).version
         read_back(session, actor, BlobStore(Path("nowhere")), set_id, told, "pass 4711", seen)
 
 
-def sent_table(engine: Engine, set_id: int = 1) -> Reference:
-    with reading(engine) as session:
-        return reference_of(session, BlobStore(Path("nowhere")), session.get_one(ParameterSet, set_id))
+def sent_table(engine: Engine, set_id: int = 1) -> SentTable:
+    with open_reading(engine) as session:
+        return get_sent_table(session, BlobStore(Path("nowhere")), session.get_one(ParameterSet, set_id))
 
 
 def newest(engine: Engine, set_id: int = 1) -> Uplink:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return uplinks.list_uplinks(session, parameter_set_id=set_id, limit=1)[0]
 
 
 def onboard(engine: Engine, set_id: int = 1) -> str:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return session.get_one(ParameterSet, set_id).onboard_state
 
 

@@ -22,7 +22,7 @@ from boresight.errors import (
 )
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import Engine, reading, utc_now, writing
+from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_now
 from tests.passwords import new_password, proved
 
 from .conftest import PASSWORD
@@ -34,7 +34,7 @@ MEANING = "I saw this table active in telemetry."
 
 def activate(engine: Engine, actor: Actor, **given: Any) -> Uplink:
     entry = {"source": "TM page STR-2", "meaning": MEANING, "password": PASSWORD} | given
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         entry["proof"] = proved(session, actor, entry.pop("password"))
         seen = entry.pop("seen", session.get_one(ParameterSet, 1).version)
         return uplinks.activate(session, actor, 1, seen_version=seen, **entry)
@@ -49,13 +49,13 @@ def verified(engine: Engine, people: People) -> None:
 def test_a_signed_entry_keeps_name_meaning_source_and_the_hash_of_what_was_shown(
     engine: Engine, people: People
 ) -> None:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         shown = uplinks.shown_sha256(session, session.get_one(ParameterSet, 1))
     row = activate(engine, people["dee"])
     assert (row.onboard_state, onboard(engine)) == ("ACTIVE", "ACTIVE")
     assert (row.printed_name, row.meaning, row.source, row.method) == ("Dee", MEANING, "TM page STR-2", None)
     assert (row.evidence or {})["shown_sha256"] == shown
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         change = audit.last_change(session, "parameter-sets/1")
     assert change is not None
     assert (change.action, (change.after or {})["meaning"]) == ("recorded ACTIVE for", MEANING)
@@ -97,7 +97,7 @@ def test_neither_a_key_nor_an_administrator_who_is_also_operator_signs(engine: E
 @pytest.mark.usefixtures("verified")
 def test_whose_password_somebody_else_set_does_not_sign(engine: Engine, people: People) -> None:
     dee = people["dee"]
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         users.change_password(session, people["root"], dee.user_id or 0, new_password("given by root"))
     with pytest.raises(ForbiddenError, match="Somebody else set your password"):
         activate(engine, dee, password="given by root")
@@ -113,7 +113,7 @@ def test_what_an_earlier_version_took_for_verified_on_somebodys_word_is_read_bac
     engine: Engine, people: People
 ) -> None:
     climb(engine, people["dee"], "SENT", "LOADED")
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         add_entry(session, people["dee"], session.get_one(ParameterSet, 1), "VERIFIED", "pass 4711")
     with pytest.raises(ConflictError, match="is VERIFIED by statement alone; read it back by dump or CRC"):
         activate(engine, people["dee"])
@@ -125,16 +125,16 @@ def test_a_record_names_the_package_that_was_sent_and_no_other_sets(
     engine: Engine, people: People, candidate: Any
 ) -> None:
     other = candidate()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         sha256 = session.get_one(ParameterSet, other.id).document["result_sha256"]
         for set_id in (1, other.id):
             session.add(Package(parameter_set_id=set_id, inputs={}, sha256=sha256, created_utc=utc_now()))
         session.flush()
         audit.append(session, people["dee"], "built", "packages/1")
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         row = uplinks.record(session, people["dee"], 1, "SENT", "pass 1", package_id=1)
     assert (row.evidence or {})["package"] == {"id": 1, "sha256": sha256}
-    with pytest.raises(RefusedInputError, match="no package 2 of PS-ST16-1-0"), writing(engine) as session:
+    with pytest.raises(RefusedInputError, match="no package 2 of PS-ST16-1-0"), open_writing(engine) as session:
         uplinks.record(session, people["dee"], 1, "LOADED", "pass 1", package_id=2)
 
 
@@ -143,11 +143,11 @@ def test_a_package_for_a_table_that_is_no_longer_in_force_is_not_sent(
 ) -> None:
     sha256 = candidate().document["result_sha256"]
     old = define(engine, people["ana"])
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         columns = {"inputs": {}, "sha256": sha256, "created_utc": utc_now(), "table_definition_id": old.id}
         session.add(Package(parameter_set_id=1, **columns))
         session.flush()
         audit.append(session, people["dee"], "built", "packages/1")
     define(engine, people["ana"], flight_software_version="4.3")
-    with pytest.raises(ConflictError, match="built for another table definition"), writing(engine) as session:
+    with pytest.raises(ConflictError, match="built for another table definition"), open_writing(engine) as session:
         uplinks.record(session, people["dee"], 1, "SENT", "pass 1", package_id=1)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.alarms import rules
 from boresight.console.alarms import service as alarms
-from boresight.console.alarms import watch
+from boresight.console.alarms.rules import check_chain
 from boresight.console.alarms.tables import Alarm
-from boresight.console.alarms.watch import chain_condition
 from boresight.console.fleet.drift import GROUND_SHIFTED
-from boresight.console.fleet.status import fleet_overview
+from boresight.console.fleet.status import list_fleet_tiles
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import (
     ConflictError,
@@ -28,25 +28,25 @@ from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Session, utc_after
 from tests.missions import add_run, add_set, make_baseline
 
-BROKEN = chain_condition("broken", "Record 7 is not as it was written.")
+BROKEN = check_chain("broken", "Record 7 is not as it was written.")
 
 
 @pytest.fixture
 def alarm(session: Session) -> Alarm:
-    assert watch.watch_chain(session, BROKEN) == 1
+    assert rules.update_chain_alarm(session, BROKEN) == 1
     (row,) = alarms.list_alarms(session)
     return row
 
 
 def _events(session: Session, row: Alarm) -> list[str]:
-    return [event.event for event in alarms.events_of(session, row.id)]
+    return [event.event for event in alarms.list_alarm_events(session, row.id)]
 
 
 def test_a_condition_raises_one_alarm_and_looking_again_writes_nothing(session: Session, alarm: Alarm) -> None:
-    assert alarms.state_of(alarm) == "unacknowledged, active"
+    assert alarms.get_alarm_state(alarm) == "unacknowledged, active"
     before = session.scalar(sa.select(sa.func.count()).select_from(AuditRecord))
-    assert not watch.chain_changed(session, BROKEN)
-    assert watch.watch_chain(session, BROKEN) + watch.watch(session) == 0
+    assert not rules.has_chain_changed(session, BROKEN)
+    assert rules.update_chain_alarm(session, BROKEN) + rules.update_alarms(session) == 0
     assert session.scalar(sa.select(sa.func.count()).select_from(AuditRecord)) == before
     assert alarms.unacknowledged(session) == 1
 
@@ -54,14 +54,14 @@ def test_a_condition_raises_one_alarm_and_looking_again_writes_nothing(session: 
 def test_it_returns_by_itself_and_stays_until_a_person_has_seen_it(
     session: Session, alarm: Alarm, people: Mapping[str, Actor]
 ) -> None:
-    assert watch.chain_changed(session, None)
-    watch.watch_chain(session, None)
-    assert alarms.state_of(alarm) == "unacknowledged, returned to normal"
+    assert rules.has_chain_changed(session, None)
+    rules.update_chain_alarm(session, None)
+    assert alarms.get_alarm_state(alarm) == "unacknowledged, returned to normal"
     assert alarms.unacknowledged(session) == 1
     alarms.acknowledge(session, people["dee"], alarm.id, "Seen.", alarm.version)
-    assert alarms.state_of(alarm) == "closed"
+    assert alarms.get_alarm_state(alarm) == "closed"
     assert _events(session, alarm) == ["RAISED", "RETURNED", "ACKNOWLEDGED", "CLOSED"]
-    watch.watch_chain(session, BROKEN)
+    rules.update_chain_alarm(session, BROKEN)
     assert [row.id for row in alarms.list_alarms(session)] == [alarm.id + 1]
 
 
@@ -69,18 +69,18 @@ def test_acknowledged_first_it_closes_when_it_is_over_and_its_return_wants_to_be
     session: Session, alarm: Alarm, people: Mapping[str, Actor]
 ) -> None:
     alarms.acknowledge(session, people["ana"], alarm.id, "", alarm.version)
-    assert (alarms.state_of(alarm), alarms.unacknowledged(session)) == ("acknowledged, active", 0)
-    worse = chain_condition("broken", "Record 5 is not as it was written.")
-    watch.watch_chain(session, worse)
+    assert (alarms.get_alarm_state(alarm), alarms.unacknowledged(session)) == ("acknowledged, active", 0)
+    worse = check_chain("broken", "Record 5 is not as it was written.")
+    rules.update_chain_alarm(session, worse)
     assert (alarm.sentence, alarm.acknowledged) == ("Record 5 is not as it was written.", 1)
-    watch.watch_chain(session, None)
-    assert alarms.state_of(alarm) == "closed"
+    rules.update_chain_alarm(session, None)
+    assert alarms.get_alarm_state(alarm) == "closed"
 
 
 def test_one_that_comes_back_before_it_was_seen_is_the_same_alarm_again(session: Session, alarm: Alarm) -> None:
-    watch.watch_chain(session, None)
-    watch.watch_chain(session, BROKEN)
-    assert alarms.state_of(alarm) == "unacknowledged, active"
+    rules.update_chain_alarm(session, None)
+    rules.update_chain_alarm(session, BROKEN)
+    assert alarms.get_alarm_state(alarm) == "unacknowledged, active"
     assert _events(session, alarm) == ["RAISED", "RETURNED", "RAISED AGAIN"]
 
 
@@ -88,12 +88,12 @@ def test_a_shelved_alarm_counts_for_nobody_until_its_time(
     session: Session, alarm: Alarm, people: Mapping[str, Actor]
 ) -> None:
     alarms.shelve(session, people["ana"], alarm.id, utc_after(3600), "The pass is in an hour.", alarm.version)
-    assert alarms.state_of(alarm).startswith("unacknowledged, active, shelved until")
+    assert alarms.get_alarm_state(alarm).startswith("unacknowledged, active, shelved until")
     assert alarms.unacknowledged(session) == 0
-    assert [row.id for row in alarms.list_alarms(session, alarms.Sought(state="shelved"))] == [alarm.id]
+    assert [row.id for row in alarms.list_alarms(session, alarms.AlarmFilter(state="shelved"))] == [alarm.id]
     alarm.shelved_until_utc = utc_after(-1)
     assert alarms.unacknowledged(session) == 1
-    assert watch.watch(session) == 1
+    assert rules.update_alarms(session) == 1
     assert (_events(session, alarm)[-1], alarm.shelved_until_utc) == ("UNSHELVED", None)
 
 
@@ -117,7 +117,7 @@ def test_a_person_is_asked_and_asked_no_more(session: Session, alarm: Alarm, peo
     alarms.assign(session, people["ana"], alarm.id, people["dee"].user_id, alarm.version)
     assert alarm.assigned_to == people["dee"].user_id
     alarms.assign(session, people["ana"], alarm.id, None, alarm.version)
-    assert [event.text for event in alarms.events_of(session, alarm.id)][1:] == ["to Dee", "to nobody"]
+    assert [event.text for event in alarms.list_alarm_events(session, alarm.id)][1:] == ["to Dee", "to nobody"]
     with pytest.raises(NotFoundError, match="no user 99"):
         alarms.assign(session, people["ana"], alarm.id, 99, alarm.version)
 
@@ -146,7 +146,7 @@ def test_every_step_asks_who_acts_what_was_seen_and_whether_it_is_open(
         act(session, people["ana"], alarm.id, seen - 1)
     with pytest.raises(NotFoundError):
         act(session, people["ana"], 99, seen)
-    watch.watch_chain(session, None)
+    rules.update_chain_alarm(session, None)
     alarms.acknowledge(session, people["dee"], alarm.id, "", alarm.version)
     with pytest.raises(ConflictError, match="closed"):
         act(session, people["ana"], alarm.id, alarm.version)
@@ -165,24 +165,24 @@ def test_an_old_baseline_and_a_failed_read_back_raise_alarms(session: Session) -
     row = session.get_one(ParameterSet, 1)
     row.baseline_from_utc, row.onboard_state = utc_after(-200 * 86400), "MISMATCH"
     audit.append(session, Actor(None, "x", "X", frozenset(), "system"), "aged", "parameter-sets/1")
-    assert watch.watch(session, [2]) == 0
-    assert watch.changed_sensors(session) == [1]
-    assert watch.watch(session, [1]) == 2
+    assert rules.update_alarms(session, [2]) == 0
+    assert rules.find_changed_sensors(session) == [1]
+    assert rules.update_alarms(session, [1]) == 2
     found = {alarm.kind: alarm.level for alarm in alarms.list_alarms(session)}
     assert found == {"MISMATCH": "critical", "AGE": "caution"}
-    assert watch.changed_sensors(session) == []
+    assert rules.find_changed_sensors(session) == []
 
 
 def test_a_drift_raises_an_alarm_and_a_promotion_lets_it_return(session: Session) -> None:
     rng = np.random.default_rng(1)
     make_baseline(session, add_run(session, add_set(session, 1, 0), rng))
     moved = add_run(session, add_set(session, 1, 90), rng, np.eye(8)[0])
-    watch.watch(session, [1])
-    (row,) = alarms.list_alarms(session, alarms.Sought(kind="DRIFT", sensor_id=1))
+    rules.update_alarms(session, [1])
+    (row,) = alarms.list_alarms(session, alarms.AlarmFilter(kind="DRIFT", sensor_id=1))
     assert (row.level, row.evidence["run_id"]) == ("serious", moved.id)
     make_baseline(session, moved)
-    watch.watch(session, [1])
-    assert alarms.state_of(row) == "unacknowledged, returned to normal"
+    rules.update_alarms(session, [1])
+    assert alarms.get_alarm_state(row) == "unacknowledged, returned to normal"
 
 
 def test_a_ground_calibration_that_does_not_hold_raises_no_alarm_and_is_a_caution_of_the_fleet(
@@ -190,15 +190,15 @@ def test_a_ground_calibration_that_does_not_hold_raises_no_alarm_and_is_a_cautio
 ) -> None:
     rng = np.random.default_rng(1)
     moved = add_run(session, add_set(session, 1, 90), rng, 20 * np.eye(8)[0])
-    watch.watch(session, [1])
-    assert alarms.list_alarms(session, alarms.Sought(sensor_id=1)) == []
-    (tile,) = [tile for tile in fleet_overview(session) if tile.sensor.id == 1]
+    rules.update_alarms(session, [1])
+    assert alarms.list_alarms(session, alarms.AlarmFilter(sensor_id=1)) == []
+    (tile,) = [tile for tile in list_fleet_tiles(session) if tile.sensor.id == 1]
     assert (tile.status, tile.sentence) == ("caution", GROUND_SHIFTED)
     make_baseline(session, moved)
-    (tile,) = [tile for tile in fleet_overview(session) if tile.sensor.id == 1]
+    (tile,) = [tile for tile in list_fleet_tiles(session) if tile.sensor.id == 1]
     assert tile.status == "normal"
 
 
 def test_a_state_that_does_not_exist_is_refused(session: Session) -> None:
     with pytest.raises(RefusedInputError, match="choose from unacknowledged"):
-        alarms.list_alarms(session, alarms.Sought(state="loud"))
+        alarms.list_alarms(session, alarms.AlarmFilter(state="loud"))

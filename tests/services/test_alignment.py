@@ -3,8 +3,8 @@
 import pytest
 
 from boresight.console.parameter_sets import service as parameter_sets
-from boresight.platform.db.documents import sha256_of
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.documents import compute_sha256
+from boresight.platform.db.sessions import open_writing
 
 ALIGNMENT = {
     "quaternion": [0.0, 1e-5, 0.0, 1.0],
@@ -23,7 +23,7 @@ ALIGNMENT = {
 @pytest.fixture
 def set_with(engine, blobs, people, finished_run):
     def make(**result):
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             run = finished_run(session, people["ana"].user_id, **result)
             return parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
 
@@ -33,12 +33,12 @@ def set_with(engine, blobs, people, finished_run):
 def test_a_set_carries_the_alignment_of_its_run(set_with):
     row = set_with(alignment=ALIGNMENT)
     assert row.document["alignment"] == ALIGNMENT
-    assert row.sha256 == sha256_of(row.document)
+    assert row.sha256 == compute_sha256(row.document)
 
 
 def test_another_alignment_is_another_set(set_with):
     document = set_with(alignment=ALIGNMENT).document
-    assert sha256_of(document) != sha256_of(document | {"alignment": ALIGNMENT | {"frames": 11}})
+    assert compute_sha256(document) != compute_sha256(document | {"alignment": ALIGNMENT | {"frames": 11}})
 
 
 def test_a_result_from_before_alignments_were_found_makes_a_set_without_one(set_with):

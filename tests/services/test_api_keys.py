@@ -12,7 +12,7 @@ from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError, U
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, Session, reading, utc_after, writing
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_after
 
 
 @pytest.fixture
@@ -106,12 +106,12 @@ def test_what_a_key_changed_is_on_record_as_the_key(
     engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet], blobs: BlobStore
 ) -> None:
     row = candidate()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         key, secret = api_keys.create_key(session, people["ana"], label="robot", scopes=["parameter-sets"])
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         robot = api_keys.actor_of_key(session, secret)
         submissions.submit(session, robot, blobs, row.id, "better", row.version)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         record = audit.last_change(session, f"parameter-sets/{row.id}")
         assert record is not None
         assert record.credential == f"key:{key.prefix}"
@@ -120,11 +120,11 @@ def test_what_a_key_changed_is_on_record_as_the_key(
 
 
 def test_the_last_use_of_a_key_is_kept_and_only_ever_moves_on(engine: Engine, people: Mapping[str, Actor]) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         key, _ = api_keys.create_key(session, people["ana"], label="robot")
     for at_utc in ("2026-11-21T10:00:00.000000Z", "2026-11-21T09:00:00.000000Z"):
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             api_keys.record_uses(session, {key.prefix: at_utc, "unknown": at_utc})
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert api_keys.get_key(session, key.id).last_used_utc == "2026-11-21T10:00:00.000000Z"
         assert audit.verify(session).ok

@@ -23,7 +23,7 @@ from boresight.errors import (
 from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, reading, utc_now, writing
+from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_now
 from tests.passwords import proved
 
 PASSWORD = "correct horse battery"
@@ -36,7 +36,7 @@ def request_of(
 ) -> Callable[..., Approval]:
     def make(submitted_by: str = "ana", launched_by: str = "ana") -> Approval:
         row = candidate(launched_by)
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             return submissions.submit(session, people[submitted_by], blobs, row.id, "better", row.version)
 
     return make
@@ -49,13 +49,13 @@ def _sign(engine: Engine, actor: Actor, approval: Approval, decision: str = "APP
         "password": PASSWORD,
         "seen_version": approval.version,
     } | changes
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         values["proof"] = proved(session, actor, str(values.pop("password")))
         return approvals.sign(session, actor, approval.id, decision, **values)  # type: ignore[arg-type]
 
 
 def _states(engine: Engine, approval: Approval) -> tuple[str, str]:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         row = session.get_one(Approval, approval.id)
         return row.state, session.get_one(ParameterSet, row.parameter_set_id).ground_state
 
@@ -67,9 +67,9 @@ def test_one_approval_by_a_second_person_approves(
     signature = _sign(engine, people["cy"], approval)
     assert _states(engine, approval) == ("APPROVED", "APPROVED")
     assert (signature.printed_name, signature.decision, signature.meaning) == ("Cy", "APPROVE", "I decide")
-    assert signature.shown_sha256 == approvals.shown_sha256(approval)
-    with reading(engine) as session:
-        assert [row.id for row in approvals.signatures_of(session, approval.id)] == [signature.id]
+    assert signature.shown_sha256 == approvals.compute_binding_sha256(approval)
+    with open_reading(engine) as session:
+        assert [row.id for row in approvals.list_signatures(session, approval.id)] == [signature.id]
         assert audit.verify(session).ok
 
 
@@ -79,12 +79,12 @@ def test_one_refusal_blocks(
     approval = request_of()
     _sign(engine, people["cy"], approval, "REFUSE", comment="too few stars at the rim")
     assert _states(engine, approval) == ("REJECTED", "REJECTED")
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         row = session.get_one(ParameterSet, approval.parameter_set_id)
         record = audit.last_change(session, f"parameter-sets/{row.id}")
     assert record is not None
     assert "too few stars at the rim" in str(record.reason)
-    with writing(engine) as session, pytest.raises(ConflictError, match="is REJECTED: Cy refused it"):
+    with open_writing(engine) as session, pytest.raises(ConflictError, match="is REJECTED: Cy refused it"):
         submissions.submit(session, people["ana"], blobs, row.id, "once more", row.version)
 
 
@@ -97,7 +97,7 @@ def test_a_refusal_stops_even_what_another_approved(
         _sign(engine, people["bo"], approval, seen_version=2)
     _sign(engine, people["bo"], approval, "REFUSE", seen_version=2)
     assert _states(engine, approval) == ("REJECTED", "REJECTED")
-    with writing(engine) as session, pytest.raises(ConflictError, match="not APPROVED"):
+    with open_writing(engine) as session, pytest.raises(ConflictError, match="not APPROVED"):
         promotions.promote(session, people["dee"], approval.parameter_set_id, 4)
 
 
@@ -106,7 +106,7 @@ def test_a_refusal_comes_too_late_after_the_promotion(
 ) -> None:
     approval = request_of()
     _sign(engine, people["cy"], approval)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         promotions.promote(session, people["dee"], approval.parameter_set_id, 3)
     with pytest.raises(ConflictError, match="is APPROVED: Cy approved it"):
         _sign(engine, people["bo"], approval, "REFUSE", seen_version=2)
@@ -153,9 +153,9 @@ def test_a_set_submitted_by_a_key_is_submitted_by_its_owner(
     engine: Engine, people: People, candidate: Callable[..., ParameterSet], blobs: BlobStore
 ) -> None:
     row = candidate()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         secret = api_keys.create_key(session, people["bo"], label="robot", scopes=["parameter-sets"])[1]
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         robot = api_keys.actor_of_key(session, secret)
         approval = submissions.submit(session, robot, blobs, row.id, "better", row.version)
     with pytest.raises(ForbiddenError, match="You submitted this set"):
@@ -166,7 +166,7 @@ def test_no_key_signs_whatever_its_owner_may(
     engine: Engine, people: People, request_of: Callable[..., Approval]
 ) -> None:
     approval = request_of()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         secret = api_keys.create_key(session, people["cy"], label="robot", scopes=["parameter-sets"])[1]
         robot = api_keys.actor_of_key(session, secret)
     for actor in (robot, SYSTEM, COMMAND_LINE):
@@ -180,8 +180,8 @@ def test_a_wrong_password_signs_nothing(engine: Engine, people: People, request_
     with pytest.raises(UnauthenticatedError, match="do not fit"):
         _sign(engine, people["cy"], approval, password="wrong horse battery")
     assert _states(engine, approval) == ("OPEN", "SUBMITTED")
-    with reading(engine) as session:
-        assert not approvals.signatures_of(session, approval.id)
+    with open_reading(engine) as session:
+        assert not approvals.list_signatures(session, approval.id)
 
 
 @pytest.mark.parametrize(
@@ -220,7 +220,7 @@ def test_hashes_that_moved_make_the_request_stale_and_its_set_free(
     engine: Engine, people: People, request_of: Callable[..., Approval]
 ) -> None:
     approval = request_of()
-    with writing(engine) as session:  # as if a table definition had been brought in past the services
+    with open_writing(engine) as session:  # as if a table definition had been brought in past the services
         definition = TableDefinition(
             sensor_id=1, number=1, document={}, sha256="0" * 64, reason="", created_utc=utc_now()
         )
@@ -237,11 +237,11 @@ def test_the_reason_why_somebody_may_not_sign_is_known_beforehand(
     engine: Engine, people: People, request_of: Callable[..., Approval]
 ) -> None:
     approval = request_of()
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         reasons = {name: approvals.why_not_sign(session, actor, approval.id) for name, actor in people.items()}
     assert {name for name, reason in reasons.items() if reason is None} == {"bo", "cy"}
     _sign(engine, people["cy"], approval)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert "already" in str(approvals.why_not_sign(session, people["cy"], approval.id))
 
 
@@ -250,9 +250,9 @@ def test_a_person_who_lost_the_role_meanwhile_does_not_sign(
 ) -> None:
     approval, cy = request_of(), people["cy"]
     assert cy.user_id is not None
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         users.change_roles(session, people["root"], cy.user_id, ["viewer"])
-        now = users.actor_of(session, cy.user_id)
+        now = users.get_actor(session, cy.user_id)
     with pytest.raises(ForbiddenError, match="role approver"):
         _sign(engine, now, approval)
 
@@ -262,7 +262,7 @@ def test_requests_are_listed_by_state_newest_first(
 ) -> None:
     first, second = request_of(), request_of()
     _sign(engine, people["cy"], first)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert [row.id for row in approvals.list_approvals(session)] == [second.id, first.id]
         assert [row.id for row in approvals.list_approvals(session, state="OPEN")] == [second.id]
         assert [row.id for row in approvals.list_approvals(session, before_id=second.id)] == [first.id]

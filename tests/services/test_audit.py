@@ -8,27 +8,27 @@ import sqlalchemy as sa
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
-from boresight.platform.db.sessions import Engine, Session, reading, writing
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from tests.stores import triggers_aside
 
 
 @pytest.fixture
 def log(engine: Engine) -> Engine:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         for number in range(10):
             audit.append(session, SYSTEM, "counted", f"numbers/{number}", None, {"ψ": number / 7}, "because")
     return engine
 
 
 def _by_hand(engine: Engine, statement: str) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         connection = session.connection()
         with triggers_aside(connection):
             connection.exec_driver_sql(statement)
 
 
 def _verify(engine: Engine, head: str | None = None) -> audit.ChainReport:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return audit.verify(session, head)
 
 
@@ -37,7 +37,7 @@ def _count(session: Session) -> int:
 
 
 def test_an_untouched_chain_verifies_and_counts(log: Engine) -> None:
-    with reading(log) as session:
+    with open_reading(log) as session:
         count, head = _count(session), audit.head(session)
     report = _verify(log)
     assert (report.ok, report.records, report.head, report.first_broken_id) == (True, count, head, None)
@@ -68,7 +68,7 @@ def test_a_record_removed_by_hand_is_missed_at_the_next(log: Engine) -> None:
 
 @pytest.mark.parametrize(("which", "broken_id"), [("id > 5", 1006), ("id = 18", 1018), ("id > 0", 1001)])
 def test_records_renumbered_by_hand_are_found_with_and_without_a_head(log: Engine, which: str, broken_id: int) -> None:
-    with reading(log) as session:
+    with open_reading(log) as session:
         head = audit.head(session)
         assert _count(session) == 18
     _by_hand(log, f"UPDATE audit SET id = id + 1000 WHERE {which}")  # noqa: S608 - words of our own
@@ -85,7 +85,7 @@ def test_two_records_exchanged_are_found(log: Engine) -> None:
 
 
 def test_a_tail_cut_off_is_found_only_with_a_head_from_outside(log: Engine) -> None:
-    with reading(log) as session:
+    with open_reading(log) as session:
         head = audit.head(session)
     _by_hand(log, "DELETE FROM audit WHERE id > 8")
     assert _verify(log).ok
@@ -95,7 +95,7 @@ def test_a_tail_cut_off_is_found_only_with_a_head_from_outside(log: Engine) -> N
 
 
 def test_a_head_of_before_is_still_in_the_chain(log: Engine) -> None:
-    with writing(log) as session:
+    with open_writing(log) as session:
         head = audit.head(session)
         audit.append(session, SYSTEM, "counted", "numbers/10")
     assert _verify(log, head).ok
@@ -103,27 +103,27 @@ def test_a_head_of_before_is_still_in_the_chain(log: Engine) -> None:
 
 def test_many_writers_at_once_keep_one_chain(log: Engine) -> None:
     def write(number: int) -> None:
-        with writing(log) as session:
+        with open_writing(log) as session:
             audit.append(session, SYSTEM, "raced", f"numbers/{number}")
 
     with ThreadPoolExecutor(6) as pool:
         list(pool.map(write, range(60)))
     report = _verify(log)
     assert report.ok
-    with reading(log) as session:
+    with open_reading(log) as session:
         assert _count(session) == report.records
         assert len(audit.list_records(session, limit=1000)) == report.records
 
 
 def test_the_database_itself_refuses_to_change_a_record(log: Engine) -> None:
     for statement in ("UPDATE audit SET reason = 'x'", "DELETE FROM audit"):
-        with pytest.raises(sa.exc.DBAPIError, match="a record of audit"), writing(log) as session:
+        with pytest.raises(sa.exc.DBAPIError, match="a record of audit"), open_writing(log) as session:
             session.connection().exec_driver_sql(statement)
     assert _verify(log).ok
 
 
 def test_pages_are_newest_first_and_do_not_overlap(log: Engine) -> None:
-    with reading(log) as session:
+    with open_reading(log) as session:
         first = audit.list_records(session, limit=4)
         second = audit.list_records(session, limit=4, before_id=first[-1].id)
     ids = [record.id for record in (*first, *second)]
@@ -132,6 +132,6 @@ def test_pages_are_newest_first_and_do_not_overlap(log: Engine) -> None:
 
 
 def test_the_log_of_one_object_is_its_own(log: Engine) -> None:
-    with reading(log) as session:
+    with open_reading(log) as session:
         records = audit.list_records(session, subject="numbers/3")
     assert [record.object for record in records] == ["numbers/3"]

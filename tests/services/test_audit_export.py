@@ -18,9 +18,9 @@ from boresight.errors import RefusedInputError
 from boresight.platform.actors import SYSTEM, Policy
 from boresight.platform.audit import chain
 from boresight.platform.audit import log as audit
-from boresight.platform.audit.audit_verifier import canonical, hash_of, verify
+from boresight.platform.audit.audit_verifier import canonical, compute_hash, verify
 from boresight.platform.audit.export import verifier, write_export
-from boresight.platform.db.sessions import Engine, reading, writing
+from boresight.platform.db.sessions import Engine, open_reading, open_writing
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=20),
@@ -31,21 +31,21 @@ JSON = st.recursive(
 
 def _export(engine: Engine, form: str = "jsonl", policy: Policy | None = None) -> bytes:
     stream = io.BytesIO()
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         write_export(session, stream, form, policy or Policy())
     return stream.getvalue()
 
 
 @pytest.fixture
 def log(engine: Engine) -> Engine:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         audit.append(session, SYSTEM, "counted", "numbers/1", None, {"ψ": 1e22, "σ": [0.1, -0.0, None]}, 'a "reason"\n')
         audit.append(session, SYSTEM, "counted", "numbers/2", {"n": 1}, {"n": 2})
     return engine
 
 
 def _head(engine: Engine) -> str:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return audit.head(session)
 
 
@@ -80,7 +80,7 @@ def test_a_chain_rebuilt_from_an_edit_on_is_found_only_with_a_head_from_before(l
     records[0]["actor"] = "Mallory"
     previous = chain.FIRST_HASH
     for record in records:
-        record["previous_hash"], record["hash"] = previous, hash_of(previous, record)
+        record["previous_hash"], record["hash"] = previous, compute_hash(previous, record)
         previous = record["hash"]
     body = b"".join(f"{canonical(record)}\n".encode() for record in records)
     last = json.loads(lines[-1]) | {"head": previous}
@@ -111,7 +111,7 @@ def test_a_gap_is_let_pass_before_a_record_of_an_older_version_only(log: Engine)
         record.update(id=record["id"] + skipped, previous_hash=previous)
         if record["id"] < 7:
             record["roles"] = None
-        record["hash"] = previous = hash_of(previous, record)
+        record["hash"] = previous = compute_hash(previous, record)
     old, new = records[1], records[-1]
     assert (old["roles"], new["roles"] is None) == (None, False)
     last = json.dumps(json.loads(lines[-1]) | {"head": previous}).encode()
@@ -161,7 +161,7 @@ def test_the_store_and_the_verifier_hash_every_record_alike(after: Any, text: st
     record = dict.fromkeys(chain.COLUMNS) | {"after": after, "actor_id": number, "id": 1}
     record |= {name: text for name in chain.TEXTS if name not in ("reason", "request_id")}
     raw = record | {"after": None if after is None else canonical(after)}
-    assert chain.hash_of(chain.FIRST_HASH, raw) == hash_of(chain.FIRST_HASH, record)
+    assert chain.compute_hash(chain.FIRST_HASH, raw) == compute_hash(chain.FIRST_HASH, record)
     assert chain.spelled(raw | {"hash": "h", "previous_hash": "p"}) == canonical(
         record | {"hash": "h", "previous_hash": "p"}
     )

@@ -12,7 +12,7 @@ from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.runs.tables import Run
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, writing
+from boresight.platform.db.sessions import Engine, open_writing
 from tests.passwords import approve
 from tests.services.conftest import SENSOR
 
@@ -33,7 +33,7 @@ def test_a_set_of_every_model_is_approved_and_becomes_baseline(
     typical = dict(zip(names, camera.default_typical_sigma, strict=True))
     estimate = initial | {"f_m": 0.0161}
     matrix = [[1e-12 if row == column else 0.0 for column in range(len(names))] for row in range(len(names))]
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         document = SENSOR | {"name": "T-2", "camera_model": model, "initial": initial, "typical_sigma": typical}
         sensor = sensors.register_sensor(session, COMMAND_LINE, document)
         run = finished_run(

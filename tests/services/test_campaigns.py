@@ -6,7 +6,7 @@ import pytest
 import sqlalchemy as sa
 
 from boresight.console.campaigns import service as campaigns
-from boresight.console.campaigns.service import Member, result_of
+from boresight.console.campaigns.service import MemberRequest, make_result_line
 from boresight.console.campaigns.tables import CampaignRun
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import Run, RunEvent
@@ -14,7 +14,7 @@ from boresight.console.telemetry import service as telemetry_sets
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
-from boresight.platform.db.sessions import reading, writing
+from boresight.platform.db.sessions import open_reading, open_writing
 
 from .conftest import SENSOR
 from .fleets import add_fleet, add_sets
@@ -24,13 +24,13 @@ BATCH = {"method": "batch"}
 
 @pytest.fixture
 def fleet(engine, people, blobs):  # noqa: ARG001 - people are made in a transaction of their own, before this one begins
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         return add_fleet(session, blobs, SENSOR, 3)
 
 
 @pytest.fixture
 def session(engine, fleet):  # noqa: ARG001 - the fleet is made in a transaction of its own
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         yield session
 
 
@@ -71,7 +71,7 @@ def test_every_sensor_gets_a_run_on_its_newest_sets_and_one_without_telemetry_th
 
 def test_sets_can_be_named_and_validation_left_out(session, fleet, launch):
     calibration = telemetry_sets.list_telemetry_sets(session, sensor_id=fleet[1], purpose="validation")[0]
-    row = launch([Member(fleet[0], validation_set_id=None), Member(fleet[1], calibration.id, None)])
+    row = launch([MemberRequest(fleet[0], validation_set_id=None), MemberRequest(fleet[1], calibration.id, None)])
     first, second = campaigns.results(session, row.id)
     assert first.validation_set_id is None
     assert second.telemetry_set_id == calibration.id
@@ -79,7 +79,7 @@ def test_sets_can_be_named_and_validation_left_out(session, fleet, launch):
 
 def test_a_set_of_another_sensor_is_that_sensors_cause_and_not_the_campaigns(session, fleet, launch):
     other = telemetry_sets.list_telemetry_sets(session, sensor_id=fleet[1], purpose="calibration")[0]
-    row = launch([Member(fleet[0], other.id), Member(fleet[1])])
+    row = launch([MemberRequest(fleet[0], other.id), MemberRequest(fleet[1])])
     first, second = campaigns.results(session, row.id)
     assert "telemetry of another sensor" in first.refusal
     assert second.state == "QUEUED"
@@ -100,11 +100,11 @@ def test_a_dry_run_says_what_it_would_be_and_queues_nothing(session, launch):
         ({"label": " "}, RefusedInputError, "Give the campaign a label"),
         ({"label": "l" * 201}, RefusedInputError, "shorten it to 200"),
         ({"members": []}, RefusedInputError, "at least one sensor"),
-        ({"members": [Member(1), Member(1)]}, RefusedInputError, "in the campaign twice"),
-        ({"members": [Member(99)]}, NotFoundError, "There is no sensor 99"),
-        ({"members": [Member(n) for n in range(1001)]}, RefusedInputError, "at most 1000 sensors"),
+        ({"members": [MemberRequest(1), MemberRequest(1)]}, RefusedInputError, "in the campaign twice"),
+        ({"members": [MemberRequest(99)]}, NotFoundError, "There is no sensor 99"),
+        ({"members": [MemberRequest(n) for n in range(1001)]}, RefusedInputError, "at most 1000 sensors"),
         (
-            {"members": [Member(1)]},
+            {"members": [MemberRequest(1)]},
             RefusedInputError,
             "No sensor of the campaign can have a run. ST16-1 has no calibration",
         ),
@@ -133,7 +133,7 @@ def test_states_are_counted_and_the_campaign_has_one_word_and_one_fraction(sessi
 
 
 def test_a_campaign_whose_every_run_succeeded_says_so(session, people, fleet, launch):
-    row = launch([Member(number) for number in fleet])
+    row = launch([MemberRequest(number) for number in fleet])
     for one in campaigns.results(session, row.id):
         _end(
             session,
@@ -143,7 +143,7 @@ def test_a_campaign_whose_every_run_succeeded_says_so(session, people, fleet, la
             summary={"level": "normal", "rms_final_arc_rad": 1e-5, "weak_directions": 1},
         )
     assert campaigns.read_campaign(session, row.id).state == "SUCCEEDED"
-    line = result_of(campaigns.results(session, row.id)[0])
+    line = make_result_line(campaigns.results(session, row.id)[0])
     assert (line["level"], line["rms_final_arc_rad"], line["weak_directions"], line["state"]) == (
         "normal",
         1e-5,
@@ -205,15 +205,15 @@ def test_only_an_analyst_stops_and_launches_again(session, people, launch, move)
 
 
 def test_a_thousand_sensors_are_one_transaction_of_few_statements_with_every_run_on_record(engine, people, blobs):
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         add_fleet(session, blobs, SENSOR, 1000 - 1)
     counted = []
     sa.event.listen(engine, "before_cursor_execute", lambda *args: counted.append(args[2]))
     began = time.perf_counter()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         row = campaigns.launch_campaign(session, people["ana"], "the whole fleet", BATCH)
     launched_s, launching = time.perf_counter() - began, len(counted)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         counted.clear()
         view = campaigns.list_campaigns(session)[0]
         standings = campaigns.results(session, row.id)
@@ -228,10 +228,10 @@ def test_a_thousand_sensors_are_one_transaction_of_few_statements_with_every_run
     assert (
         max(map(len, rows_of[-5:])) <= 402
     )  # two hundred runs, their places, the campaign, and the newest line of the log
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         counted.clear()
         campaigns.cancel_campaign(session, people["ana"], row.id)
     assert len(counted) < 40
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert campaigns.read_campaign(session, row.id).counts["CANCELLED"] == 999
         assert audit.verify(session).ok

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from boresight.console import lists
+from boresight.console.alarms import rules as clock
 from boresight.console.alarms import service as alarms
-from boresight.console.alarms import watch as clock
 from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals import submissions
@@ -16,7 +16,7 @@ from boresight.console.jobs.heartbeat import Heartbeat
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.platform.actors import Actor, Policy
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, reading, writing
+from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from tests.passwords import approve
 
 AT_ONCE = Policy(approval_days=0.0, rollback_days=0.0)
@@ -45,17 +45,17 @@ def due(
     engine: Engine, people: Mapping[str, Actor], blobs: BlobStore, candidate: Callable[..., ParameterSet]
 ) -> Approval:
     row = candidate()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         return submissions.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=AT_ONCE)
 
 
 def _state(engine: Engine, approval: Approval) -> str:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return approvals.get_approval(session, approval.id).state
 
 
 def _alarm(engine: Engine) -> Alarm | None:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return next((row for row in alarms.list_alarms(session) if row.kind == "CLOCK"), None)
 
 
@@ -71,7 +71,7 @@ def test_a_jump_expires_no_request_before_somebody_has_acknowledged_it(
     row = _alarm(engine)
     assert row is not None
     assert (_state(engine, due), row.level, row.version) == ("OPEN", "serious", 1)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         alarms.acknowledge(session, people["ana"], row.id, "GPS was lost; the clock is right.", row.version)
     heart.beat()
     heart.beat()
@@ -82,7 +82,7 @@ def test_whoever_signs_between_the_jump_and_the_next_beat_finds_the_request_open
     engine: Engine, people: Mapping[str, Actor], due: Approval, hands: Hands
 ) -> None:
     hands.wall_s += 40 * DAY_S
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         approve(session, people["cy"], due)
     assert _state(engine, due) == "APPROVED"
 
@@ -92,7 +92,7 @@ def test_a_request_that_a_jump_would_let_expire_still_waits_for_who_may_sign_it(
     engine: Engine, people: Mapping[str, Actor], hands: Hands
 ) -> None:
     def waiting() -> int:
-        with reading(engine) as session:
+        with open_reading(engine) as session:
             return lists.count(session, "approvals", {"open_to": approvals.signatory(session, people["cy"])})
 
     assert waiting() == 0

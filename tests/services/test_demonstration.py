@@ -14,7 +14,7 @@ from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.uplinks import table_definitions
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import migrate, open_engine, reading, writing
+from boresight.platform.db.sessions import migrate, open_engine, open_reading, open_writing
 from boresight.simulation.sensors import st16_truth
 from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.working_table import WorkingTable
@@ -38,7 +38,7 @@ class Demonstration:
 
     def content(self):
         """Return everything the demonstration makes, as the services list it."""
-        with reading(self.engine) as session:
+        with open_reading(self.engine) as session:
             return {
                 "people": [(user.name, user.password_hash, user.roles) for user in users.list_users(session)],
                 "sensors": [(row.id, row.name, row.version) for row in sensors.list_sensors(session)],
@@ -67,13 +67,13 @@ def test_the_demonstration_is_made_in_under_ten_seconds(filled):
 def test_every_role_has_a_person_who_can_log_in_with_the_printed_password(filled):
     assert {role for person in filled.log_ins for role in person.roles} == set(ROLES)
     for person in filled.log_ins:
-        with writing(filled.engine) as session:
+        with open_writing(filled.engine) as session:
             actor = users.authenticate(session, proved(session, person.name, person.password))
         assert actor.roles == set(person.roles)
 
 
 def test_six_simulated_sensors_carry_their_truth(filled):
-    with reading(filled.engine) as session:
+    with open_reading(filled.engine) as session:
         fleet = sensors.list_sensors(session)
     assert [row.name for row in fleet] == [f"ST16-{number}" for number in range(1, 7)]
     for number, row in enumerate(fleet, start=1):
@@ -83,7 +83,7 @@ def test_six_simulated_sensors_carry_their_truth(filled):
 
 
 def test_every_sensor_has_a_calibration_and_a_shorter_validation_set_that_read_back(filled):
-    with reading(filled.engine) as session:
+    with open_reading(filled.engine) as session:
         for sensor in sensors.list_sensors(session):
             found = telemetry_sets.list_telemetry_sets(session, sensor_id=sensor.id)
             assert {row.purpose: row.frames for row in found} == {"calibration": 200, "validation": 80}
@@ -91,7 +91,7 @@ def test_every_sensor_has_a_calibration_and_a_shorter_validation_set_that_read_b
 
 
 def test_every_sensor_has_a_batch_and_a_filter_run_queued_with_validation_and_a_label(filled):
-    with reading(filled.engine) as session:
+    with open_reading(filled.engine) as session:
         for sensor in sensors.list_sensors(session):
             queued = runs.list_runs(session, sensor_id=sensor.id)
             assert sorted(run.method for run in queued) == ["batch", "sqrf"]
@@ -99,13 +99,13 @@ def test_every_sensor_has_a_batch_and_a_filter_run_queued_with_validation_and_a_
 
 
 def test_batch_runs_are_queued_before_the_filters_that_take_longer(filled):
-    with reading(filled.engine) as session:
+    with open_reading(filled.engine) as session:
         methods = [run.method for run in reversed(runs.list_runs(session))]
     assert methods == ["batch"] * 6 + ["sqrf"] * 6
 
 
 def test_one_filter_runs_for_a_minute_and_the_others_together_no_longer(filled):
-    with reading(filled.engine) as session:
+    with open_reading(filled.engine) as session:
         filters = runs.list_runs(session, method="sqrf")
     lasts_s = sorted(200 / run.settings["replay_frames_per_s"] for run in filters)
     assert 40 <= lasts_s[-1] <= 60
@@ -113,7 +113,7 @@ def test_one_filter_runs_for_a_minute_and_the_others_together_no_longer(filled):
 
 
 def test_the_audit_log_tells_who_made_what_and_holds_together(filled):
-    with reading(filled.engine) as session:
+    with open_reading(filled.engine) as session:
         records = audit.list_records(session, limit=500)
         assert audit.verify(session).ok
     made = {(record.actor, record.action) for record in records}
@@ -133,7 +133,7 @@ def test_making_it_again_changes_nothing_and_gives_the_same_log_ins(filled):
 def test_archived_sets_and_edited_people_are_left_as_they_are(tmp_path):
     demonstration = Demonstration(tmp_path)
     demonstration.create()
-    with writing(demonstration.engine) as session:
+    with open_writing(demonstration.engine) as session:
         analyst = users.authenticate(session, proved(session, "analyst", LOG_INS[0].password))
         administrator = users.authenticate(session, proved(session, "administrator", LOG_INS[3].password))
         for row in telemetry_sets.list_telemetry_sets(session, purpose="calibration"):
@@ -169,7 +169,7 @@ def test_each_step_is_reported(filled):
 
 
 def test_every_tracker_has_a_table_so_that_its_package_can_be_read_back(filled):
-    with reading(filled.engine) as session:
+    with open_reading(filled.engine) as session:
         tables = [table_definitions.definition_in_force(session, row.id) for row in sensors.list_sensors(session)]
     assert len(tables) == 6
     assert all(table is not None and table.number == 1 for table in tables)

@@ -19,7 +19,7 @@ from boresight.errors import (
 )
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import Engine, reading, writing
+from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from tests.passwords import new_password, proved
 
 PASSWORD = "correct horse battery"
@@ -29,12 +29,12 @@ People = Mapping[str, Actor]
 @pytest.fixture
 def request_id(engine: Engine, submitted: Callable[[], ParameterSet]) -> int:
     row = submitted()
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return approvals.list_approvals(session, parameter_set_id=row.id)[0].id
 
 
 def _beside(engine: Engine, console: Actor, request_id: int, name: str, password: str = PASSWORD) -> Signature:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         words = ("APPROVE", "I approve", "", proved(session, name, password), 1)
         return approvals.sign_over_the_shoulder(session, console, request_id, *words)
 
@@ -42,7 +42,7 @@ def _beside(engine: Engine, console: Actor, request_id: int, name: str, password
 def test_a_second_person_signs_at_the_console_of_another(engine: Engine, people: People, request_id: int) -> None:
     signature = _beside(engine, people["ana"], request_id, "cy")
     assert (signature.user_id, signature.printed_name, signature.console) == (people["cy"].user_id, "Cy", "Ana")
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert approvals.get_approval(session, request_id).state == "APPROVED"
         record = audit.last_change(session, f"approvals/{request_id}")
         assert record is not None
@@ -74,9 +74,9 @@ def test_over_the_shoulder_signs_nobody_who_may_not(
 ) -> None:
     with pytest.raises(error, match=says):
         _beside(engine, people[console], request_id, name, password)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert approvals.get_approval(session, request_id).state == "OPEN"
-        assert not approvals.signatures_of(session, request_id)
+        assert not approvals.list_signatures(session, request_id)
 
 
 def test_no_key_and_no_command_line_lends_a_console(engine: Engine, request_id: int) -> None:
@@ -85,14 +85,14 @@ def test_no_key_and_no_command_line_lends_a_console(engine: Engine, request_id: 
 
 
 def test_whose_password_another_set_does_not_sign(engine: Engine, people: People, request_id: int) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         users.change_password(session, people["root"], people["cy"].user_id or 0, new_password("another good one"))
     with pytest.raises(ForbiddenError, match="set your own first"):
         _beside(engine, people["ana"], request_id, "cy", "another good one")
 
 
 def _assign(engine: Engine, actor: Actor, request_id: int, user_id: int | None, version: int) -> Approval:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         return approvals.assign(session, actor, request_id, user_id, version)
 
 
@@ -127,7 +127,7 @@ def test_an_assignment_that_makes_no_sense_is_refused(
 
 
 def test_a_disabled_person_is_asked_nothing(engine: Engine, people: People, request_id: int) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         users.disable_user(session, people["root"], people["cy"].user_id or 0)
     with pytest.raises(ConflictError, match="Cy is disabled"):
         _assign(engine, people["ana"], request_id, people["cy"].user_id, 1)
@@ -142,11 +142,11 @@ def test_a_decided_request_is_assigned_to_nobody(engine: Engine, people: People,
 def test_remarks_are_kept_in_order_and_on_record_and_hide_no_change(
     engine: Engine, people: People, request_id: int
 ) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         approvals.remark(session, people["cy"], request_id, " Was the heater on? ")
         approvals.remark(session, people["ana"], request_id, "No.")
-    with reading(engine) as session:
-        said = [(row.printed_name, row.text) for row in approvals.remarks_of(session, request_id)]
+    with open_reading(engine) as session:
+        said = [(row.printed_name, row.text) for row in approvals.list_remarks(session, request_id)]
         last = audit.last_change(session, f"approvals/{request_id}")
         assert last is not None
         assert last.action == "opened"  # who changed the request is still who submitted it
@@ -166,17 +166,17 @@ def test_remarks_are_kept_in_order_and_on_record_and_hide_no_change(
 def test_a_remark_that_says_nothing_or_too_much_is_refused(
     engine: Engine, people: People, request_id: int, actor: str, text: str, error: type[BoresightError], says: str
 ) -> None:
-    with writing(engine) as session, pytest.raises(error, match=says):
+    with open_writing(engine) as session, pytest.raises(error, match=says):
         approvals.remark(session, people[actor], request_id, text)
 
 
 def test_what_a_person_opened_is_kept_once(engine: Engine, people: People, request_id: int) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         first = approvals.record_opening(session, people["cy"], request_id, "gate-report")
         again = approvals.record_opening(session, people["cy"], request_id, "gate-report")
         approvals.record_opening(session, people["bo"], request_id, "gate-report")
-    with reading(engine) as session:
-        opened = [row.user_id for row in approvals.openings_of(session, request_id)]
+    with open_reading(engine) as session:
+        opened = [row.user_id for row in approvals.list_openings(session, request_id)]
     assert (first.id, opened) == (again.id, [people["cy"].user_id, people["bo"].user_id])
-    with writing(engine) as session, pytest.raises(RefusedInputError, match="Name the evidence"):
+    with open_writing(engine) as session, pytest.raises(RefusedInputError, match="Name the evidence"):
         approvals.record_opening(session, people["cy"], request_id, "<script>")

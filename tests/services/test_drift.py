@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from boresight.console.fleet import drift
-from boresight.console.fleet.trend import Trend, _periods, trend_of
+from boresight.console.fleet.trend import Trend, _periods, read_trend
 from boresight.console.fleet.trend_document import advise, trend_document
 from boresight.platform.db.sessions import Session
 from tests.missions import add_run, add_set, make_baseline
@@ -33,7 +33,7 @@ def _left_out(trend: Trend) -> dict[int, str]:
 
 def test_a_calibration_stands_at_the_middle_of_its_data(session: Session) -> None:
     _mission(session, np.random.default_rng(1), [10.0])
-    (point,) = trend_of(session, 1).points
+    (point,) = read_trend(session, 1).points
     assert point.at_utc.startswith("2026-01-11T01:00:00")
     assert point.timed
 
@@ -47,7 +47,7 @@ def test_of_calibrations_of_the_same_stars_one_counts_and_of_unequal_methods_the
     batch = add_run(session, data, rng)
     sqrf = add_run(session, data, rng, method="sqrf")
     half_over = add_run(session, add_set(session, 1, 5 + 1 / 24), rng)  # an hour later, two hours long
-    trend = trend_of(session, 1)
+    trend = read_trend(session, 1)
     assert [point.run_id for point in trend.independent] == [half_over.id]
     assert all(str(half_over.id) in why for why in _left_out(trend).values())
     assert set(_left_out(trend)) == {batch.id, sqrf.id}
@@ -64,21 +64,21 @@ def test_what_cannot_be_compared_is_left_out_with_its_reason(session: Session) -
     other = add_run(session, add_set(session, 1, 9), rng, camera_model="pinhole_radial")
     older = add_run(session, add_set(session, 1, 12), rng)
     older.summary = {"status": "converged"}
-    trend = trend_of(session, 1)
+    trend = read_trend(session, 1)
     assert set(_left_out(trend)) == {over.id, fewer.id} | set()
     assert "held otherwise" in _left_out(trend)[fewer.id]
     assert [point.run_id for point in trend.others] == [other.id]
-    assert drift.judge(trend).verdict == "NOT TESTED"
+    assert drift.judge_drift(trend).verdict == "NOT TESTED"
 
 
 def test_a_sensor_that_holds_raises_no_alarm_and_one_that_moves_does(session: Session) -> None:
     rng = np.random.default_rng(1)
     _baselined(session, rng)
     _mission(session, rng, [30, 60, 90])
-    holds = drift.judge(trend_of(session, 1))
+    holds = drift.judge_drift(read_trend(session, 1))
     assert (holds.verdict, holds.counted) == ("HOLDS", 4)
     _mission(session, rng, [120], slope=0.01)
-    moved = drift.judge(trend_of(session, 1))
+    moved = drift.judge_drift(read_trend(session, 1))
     assert moved.verdict == "DRIFT"
     assert moved.largest is not None
     assert "a1 moved most" in moved.sentence
@@ -88,7 +88,7 @@ def test_a_slow_drift_is_seen_by_the_line_before_any_single_calibration_shows_it
     rng = np.random.default_rng(3)
     _baselined(session, rng)
     _mission(session, rng, list(range(10, 130, 6)), slope=0.0025)
-    found = drift.judge(trend_of(session, 1))
+    found = drift.judge_drift(read_trend(session, 1))
     assert found.slope is not None
     assert found.slope.rejects
     assert found.line is not None
@@ -100,18 +100,18 @@ def test_after_a_promotion_the_drift_that_led_to_it_is_history(session: Session)
     _baselined(session, rng)
     _mission(session, rng, [30, 60, 90], slope=0.01)
     run = add_run(session, add_set(session, 1, 120), rng, 1.2 * FIRST)
-    assert drift.judge(trend_of(session, 1)).verdict == "DRIFT"
+    assert drift.judge_drift(read_trend(session, 1)).verdict == "DRIFT"
     make_baseline(session, run)
-    assert drift.judge(trend_of(session, 1)).verdict == "NOT TESTED"
+    assert drift.judge_drift(read_trend(session, 1)).verdict == "NOT TESTED"
     add_run(session, add_set(session, 1, 150), rng, 1.2 * FIRST)
-    assert drift.judge(trend_of(session, 1)).verdict == "HOLDS"
+    assert drift.judge_drift(read_trend(session, 1)).verdict == "HOLDS"
 
 
 def test_looks_at_a_sensor_that_holds_alarm_as_seldom_as_is_said(session: Session) -> None:
     rng = np.random.default_rng(12)
     _baselined(session, rng)
     _mission(session, rng, [30, 60, 90, 120, 150])
-    trend, alpha, trials = trend_of(session, 1), 0.05, 400
+    trend, alpha, trials = read_trend(session, 1), 0.05, 400
     truth = np.array(list(trend.sensor.document["initial"].values()))
     alarms = 0
     for _ in range(trials):
@@ -123,7 +123,7 @@ def test_looks_at_a_sensor_that_holds_alarm_as_seldom_as_is_said(session: Sessio
             points.append(replace(point, parameters=drawn))
         assert trend.baseline is not None
         trend.baseline.document = {**trend.baseline.document, "parameters": dict(points[0].parameters)}
-        alarms += drift.judge(replace(trend, points=points), alpha).verdict == "DRIFT"
+        alarms += drift.judge_drift(replace(trend, points=points), alpha).verdict == "DRIFT"
     session.rollback()
     assert alarms / trials < alpha + 3 * (alpha * (1 - alpha) / trials) ** 0.5
     assert alarms > 0  # and it is not asleep
@@ -134,7 +134,7 @@ def test_telemetry_without_times_is_on_no_line(session: Session) -> None:
     _baselined(session, rng)
     for _ in range(4):
         add_run(session, add_set(session, 1, 0, timed=False), rng)
-    found = drift.judge(trend_of(session, 1))
+    found = drift.judge_drift(read_trend(session, 1))
     assert found.line is None
     assert found.verdict == "HOLDS"
 
@@ -149,7 +149,7 @@ def test_the_advice_follows_drift_and_data(
     rng = np.random.default_rng(1)
     _baselined(session, rng)
     _mission(session, rng, list(days), slope)
-    advice = advise(trend_of(session, 1))
+    advice = advise(read_trend(session, 1))
     assert advice.answer == answer
     assert advice.sentence.endswith(".")
     assert advice.reasons
@@ -159,16 +159,16 @@ def test_data_that_nobody_looked_at_yet_or_that_would_halve_the_sigmas_ask_for_a
     rng = np.random.default_rng(1)
     _baselined(session, rng)
     add_set(session, 1, 40)
-    assert "nothing newer" in advise(trend_of(session, 1)).sentence
+    assert "nothing newer" in advise(read_trend(session, 1)).sentence
     add_set(session, 1, 50, stars=40_000)
-    sharper = advise(trend_of(session, 1))
+    sharper = advise(read_trend(session, 1))
     assert (sharper.answer, "every sigma would be" in sharper.sentence) == ("YES", True)
 
 
 def test_a_handful_of_stars_is_too_coarse(session: Session) -> None:
     _baselined(session, np.random.default_rng(1))
     add_set(session, 1, 40, stars=100)
-    assert advise(trend_of(session, 1)).answer == "MORE DATA NEEDED"
+    assert advise(read_trend(session, 1)).answer == "MORE DATA NEEDED"
 
 
 def test_the_document_is_json_with_a_sigma_beside_every_number(session: Session) -> None:
@@ -184,8 +184,8 @@ def test_the_document_is_json_with_a_sigma_beside_every_number(session: Session)
 
 def test_a_shift_against_a_ground_calibration_is_no_drift_and_asks_for_a_promotion(session: Session) -> None:
     add_run(session, add_set(session, 1, 30), np.random.default_rng(1), 20 * FIRST)
-    trend = trend_of(session, 1)
-    found = drift.judge(trend)
+    trend = read_trend(session, 1)
+    found = drift.judge_drift(trend)
     assert found.verdict == "GROUND SHIFT"
     assert found.sentence.startswith(drift.GROUND_SHIFTED)
     advice = advise(trend, found)
@@ -194,4 +194,4 @@ def test_a_shift_against_a_ground_calibration_is_no_drift_and_asks_for_a_promoti
 
 def test_calibrations_that_move_with_time_drift_whatever_the_baseline_is(session: Session) -> None:
     _mission(session, np.random.default_rng(1), [30, 60, 90, 120], slope=0.1)
-    assert drift.judge(trend_of(session, 1)).verdict == "DRIFT"
+    assert drift.judge_drift(read_trend(session, 1)).verdict == "DRIFT"

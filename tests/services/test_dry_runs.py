@@ -7,12 +7,12 @@ import pytest
 from boresight.calibration.options import CalibrationSettings
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import service as runs
-from boresight.console.runs.dry_runs import Sight, pace_of
+from boresight.console.runs.dry_runs import ForecastSources, estimate_run_speed
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import register_blob
-from boresight.platform.db.sessions import utc_now, writing
+from boresight.platform.db.sessions import open_writing, utc_now
 from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
 from tests.calibration.conftest import telemetry
@@ -24,13 +24,13 @@ SETTINGS = {"method": "batch", "match": "given"}
 
 @pytest.fixture
 def sight(blobs, catalogue):
-    return Sight(blobs, lambda: catalogue, Path("nowhere"))
+    return ForecastSources(blobs, lambda: catalogue, Path("nowhere"))
 
 
 @pytest.fixture
 def session(engine, people, blobs, tmp_path):
     write_parquet(telemetry(1, frames=30), tmp_path / "table.parquet")
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         sha256 = register_blob(session, blobs, blobs.put(tmp_path / "table.parquet"), "text/csv").sha256
         columns = {"original_sha256": sha256, "table_sha256": sha256, "uploaded_utc": utc_now()}
         session.add(
@@ -70,7 +70,7 @@ def test_a_forecast_is_kept_until_a_setting_or_the_sensor_changes(session, peopl
 
 def test_only_the_latest_forecasts_are_kept(blobs, catalogue, monkeypatch):
     monkeypatch.setattr("boresight.console.runs.dry_runs.KEPT", 3)
-    sight = Sight(blobs, lambda: catalogue, Path("nowhere"))
+    sight = ForecastSources(blobs, lambda: catalogue, Path("nowhere"))
     for number in range(5):
         sight.forecast(f"{number:064}", {}, CalibrationSettings())
     assert len(sight._made) == 3
@@ -85,7 +85,7 @@ def test_a_table_that_is_gone_is_a_sentence_of_the_forecast_and_no_refusal(sessi
 
 
 def test_without_stars_to_look_at_the_dry_run_still_tells_its_size(session, people, blobs):
-    blind = Sight(blobs, lambda: None, Path("nowhere"))
+    blind = ForecastSources(blobs, lambda: None, Path("nowhere"))
     assert _asked(session, people, None)["forecast"] is None
     assert "no star catalogue" in _asked(session, people, blind)["forecast"]["sentence"]
     assert _asked(session, people, blind)["frames"] == 30
@@ -100,10 +100,10 @@ def _run_of(session, people, seconds, **settings):
 
 
 def test_the_time_is_told_with_the_spread_of_past_runs_and_how_many_they_were(session, people):
-    guess = pace_of(session, "batch")
+    guess = estimate_run_speed(session, "batch")
     for seconds in range(1, 12):
         _run_of(session, people, seconds)
-    pace = pace_of(session, "batch")
+    pace = estimate_run_speed(session, "batch")
     summary = _asked(session, people, None)
     assert guess.runs == 0
     assert guess.low < guess.s_per_star < guess.high
@@ -116,22 +116,22 @@ def test_the_time_is_told_with_the_spread_of_past_runs_and_how_many_they_were(se
 
 def test_one_past_run_alone_is_taken_to_be_within_a_factor_of_two(session, people):
     _run_of(session, people, 4.0)
-    pace = pace_of(session, "batch")
+    pace = estimate_run_speed(session, "batch")
     assert (pace.runs, pace.low, pace.high) == (1, 2e-3, 8e-3)
 
 
 def test_the_wait_of_a_replay_is_not_taken_for_computing(session, people):
     replay = {"method": "sqrf", "replay_frames_per_s": 10.0}
     _run_of(session, people, 10.5, **replay)
-    assert pace_of(session, "sqrf").s_per_star == pytest.approx(0.5e-3)
+    assert estimate_run_speed(session, "sqrf").s_per_star == pytest.approx(0.5e-3)
     assert _asked(session, people, None, **replay)["predicted_s"] == pytest.approx(3.0 + 0.72 * 0.5 + 0.02, abs=0.01)
     _run_of(session, people, 9.0, **replay)
-    assert pace_of(session, "sqrf").low > 0
+    assert estimate_run_speed(session, "sqrf").low > 0
 
 
 def test_replays_are_left_out_where_a_run_computed_as_fast_as_it_could(session, people):
     _run_of(session, people, 2.0, method="sqrf")
     for _ in range(3):
         _run_of(session, people, 10.5, method="sqrf", replay_frames_per_s=10.0)
-    pace = pace_of(session, "sqrf")
+    pace = estimate_run_speed(session, "sqrf")
     assert (pace.runs, pace.s_per_star) == (1, 2e-3)

@@ -16,7 +16,7 @@ from boresight.errors import ConflictError, ForbiddenError
 from boresight.platform.actors import POLICY, Actor, Policy
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, reading, writing
+from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from tests.passwords import approve
 
 PASSWORD = "correct horse battery"
@@ -29,19 +29,19 @@ Ask = Callable[..., Approval]
 def ask(engine: Engine, people: People, blobs: BlobStore, candidate: Callable[..., ParameterSet]) -> Ask:
     def make(policy: Policy = POLICY) -> Approval:
         row = candidate()
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             return submissions.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=policy)
 
     return make
 
 
 def _sign(engine: Engine, actor: Actor, approval: Approval) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         approve(session, actor, approval)
 
 
 def _states(engine: Engine, approval: Approval) -> tuple[str, str]:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         row = approvals.get_approval(session, approval.id)
         return row.state, transitions.get_parameter_set(session, row.parameter_set_id).ground_state
 
@@ -53,7 +53,7 @@ def _days(approval: Approval) -> float:
 
 def test_whoever_signs_too_late_finds_the_request_expired(engine: Engine, people: People, ask: Ask) -> None:
     approval = ask(AT_ONCE)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert "expired at" in str(approvals.why_not_sign(session, people["cy"], approval.id))
     with pytest.raises(ConflictError, match=r"Request 1 expired at 20.* Submit PS-ST16-1-1 again"):
         _sign(engine, people["cy"], approval)
@@ -67,7 +67,7 @@ def test_the_heartbeat_lets_expire_what_nobody_decided_and_tells_of_it_once(engi
     heart.beat()
     assert (_states(engine, waiting), _states(engine, late)) == (("OPEN", "SUBMITTED"), ("EXPIRED", "EXPIRED"))
     assert told == ["told"]
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         record = audit.last_change(session, f"approvals/{late.id}")
         assert record is not None
         assert (record.actor, record.action) == ("Boresight", "let expire")
@@ -89,7 +89,7 @@ def test_an_approval_that_nobody_used_in_time_promotes_nothing(
     approval = ask()
     _sign(engine, people["cy"], approval)
     monkeypatch.setattr("boresight.console.approvals.staleness.utc_now", lambda: "2999-01-01T00:00:00.000000Z")
-    with writing(engine) as session, pytest.raises(ConflictError, match="expired at"):
+    with open_writing(engine) as session, pytest.raises(ConflictError, match="expired at"):
         promotions.promote(session, people["dee"], approval.parameter_set_id, 3)
     assert _states(engine, approval) == ("EXPIRED", "EXPIRED")
 
@@ -99,14 +99,14 @@ def test_what_expired_may_be_submitted_again_and_what_was_promoted_never_expires
 ) -> None:
     late, used = ask(AT_ONCE), ask()
     _sign(engine, people["cy"], used)
-    with writing(engine) as session:
-        approvals.expire_due(session)
+    with open_writing(engine) as session:
+        approvals.expire_due_requests(session)
         row = transitions.get_parameter_set(session, late.parameter_set_id)
         submissions.submit(session, people["ana"], blobs, row.id, "once more", row.version)
         promotions.promote(session, people["dee"], used.parameter_set_id, 3)
     monkeypatch.setattr("boresight.console.approvals.staleness.utc_now", lambda: "2999-01-01T00:00:00.000000Z")
-    with writing(engine) as session:
-        assert approvals.expire_due(session) == []
+    with open_writing(engine) as session:
+        assert approvals.expire_due_requests(session) == []
     assert _states(engine, used) == ("APPROVED", "BASELINE")
 
 
@@ -115,14 +115,14 @@ def test_an_operator_asks_to_roll_back_to_a_former_baseline_in_less_time(
 ) -> None:
     approval = ask()
     _sign(engine, people["cy"], approval)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         promotions.promote(session, people["dee"], approval.parameter_set_id, 3)
         ground = parameter_sets.list_parameter_sets(session, ground_state="SUPERSEDED")[0]
         back = submissions.roll_back(session, people["dee"], blobs, ground.id, "it drifts", ground.version)
     assert (approval.kind, _days(approval)) == ("PROMOTION", 30.0)
     assert (back.kind, _days(back), back.submitted_by) == ("ROLLBACK", 3.0, people["dee"].user_id)
     _sign(engine, people["cy"], back)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         row = transitions.get_parameter_set(session, ground.id)
         assert promotions.promote(session, people["dee"], row.id, row.version).ground_state == "BASELINE"
         record = audit.last_change(session, f"parameter-sets/{ground.id}")
@@ -133,12 +133,12 @@ def test_an_operator_asks_to_roll_back_to_a_former_baseline_in_less_time(
 def test_a_roll_back_that_expired_stays_superseded(engine: Engine, people: People, blobs: BlobStore, ask: Ask) -> None:
     approval = ask()
     _sign(engine, people["cy"], approval)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         promotions.promote(session, people["dee"], approval.parameter_set_id, 3)
         ground = parameter_sets.list_parameter_sets(session, ground_state="SUPERSEDED")[0]
         asked = (blobs, ground.id, "it drifts", ground.version)
         back = submissions.roll_back(session, people["dee"], *asked, policy=AT_ONCE)
-        approvals.expire_due(session)
+        approvals.expire_due_requests(session)
     assert _states(engine, back) == ("EXPIRED", "SUPERSEDED")
 
 
@@ -146,7 +146,7 @@ def test_there_is_no_way_back_to_what_never_was_baseline(
     engine: Engine, people: People, blobs: BlobStore, candidate: Callable[..., ParameterSet]
 ) -> None:
     row = candidate()
-    with writing(engine) as session, pytest.raises(ConflictError, match="was never baseline"):
+    with open_writing(engine) as session, pytest.raises(ConflictError, match="was never baseline"):
         submissions.roll_back(session, people["dee"], blobs, row.id, "it drifts", row.version)
-    with writing(engine) as session, pytest.raises(ForbiddenError, match="analyst or operator"):
+    with open_writing(engine) as session, pytest.raises(ForbiddenError, match="analyst or operator"):
         submissions.roll_back(session, people["cy"], blobs, row.id, "it drifts", row.version)

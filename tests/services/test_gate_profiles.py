@@ -10,7 +10,7 @@ from boresight.console.approvals import service as approvals
 from boresight.errors import ForbiddenError, NotFoundError, PreconditionRequiredError, RefusedInputError, StaleError
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import reading, writing
+from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.verdicts.gates import DEFAULT_PROFILE
 
 SHIFT = {"gates": [{"name": "parameter-shift", "limit": 1e-6, "marginal": 1e-6}]}
@@ -20,7 +20,7 @@ SHIFT = {"gates": [{"name": "parameter-shift", "limit": 1e-6, "marginal": 1e-6}]
 def set_profile(engine, people):
     def act(who: str | Actor = "root", seen: int | None = 0, **given: Any):
         values = {"sensor_id": 1, "document": SHIFT, "reason": "To be tried.", **given}
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             return gate_profiles.set_profile(
                 session, people[who] if isinstance(who, str) else who, seen_number=seen, **values
             )
@@ -29,12 +29,12 @@ def set_profile(engine, people):
 
 
 def test_the_default_is_in_force_until_another_is_set(engine, set_profile):
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         row = gate_profiles.profile_in_force(session, 1)
         assert (row.number, row.document, row.id) == (0, DEFAULT_PROFILE, None)
         assert [one.number for one in gate_profiles.list_profiles(session, 1)] == [0]
     set_profile()
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert [one.number for one in gate_profiles.list_profiles(session, 1)] == [1, 0]
         assert [one.number for one in gate_profiles.list_profiles(session, 1, before_number=1)] == [0]
         first = gate_profiles.list_profiles(session, 1)[1]
@@ -42,7 +42,7 @@ def test_the_default_is_in_force_until_another_is_set(engine, set_profile):
 
 
 def test_the_default_is_written_once_however_often_it_is_needed(engine, people):
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         numbers = {gate_profiles.ensure_profile(session, people["ana"], 1).id for _ in range(3)}
         assert len(numbers) == 1
 
@@ -79,7 +79,7 @@ def test_what_is_no_profile_is_refused(set_profile, given, error, words):
 
 def test_the_audit_tells_the_thresholds_that_changed_before_and_after(set_profile, engine):
     set_profile()
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         record = audit.last_change(session, "sensors/1/gate-profiles")
     assert record.before["parameter-shift limit"] is None
     assert record.after["parameter-shift limit"] == 1e-6
@@ -90,7 +90,7 @@ def test_the_audit_tells_the_thresholds_that_changed_before_and_after(set_profil
 def test_other_limits_make_undecided_requests_stale(set_profile, submitted, engine):
     row = submitted()
     set_profile()
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         request = approvals.list_approvals(session, parameter_set_id=row.id)[0]
         assert request.state == "STALE"
         assert transitions.get_parameter_set(session, row.id).ground_state == "CANDIDATE"
@@ -100,20 +100,20 @@ def test_a_dry_run_says_of_every_past_run_what_would_have_been_blocked_and_store
     engine, blobs, people, candidate, finished_run
 ):
     assessed = candidate()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         gates.report_for_submission(session, people["ana"], blobs, assessed.id)
         never_made = finished_run(session).id
         finished_run(session, state="FAILED")
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         tried = gate_profiles.dry_run(session, blobs, 1, SHIFT)
     assert [(one.run.id, one.set_name) for one in tried] == [(never_made, None), (assessed.run_id, assessed.name)]
     assert [one.blocking for one in tried] == [[], ["parameter-shift"]]  # the first is where the sensor started
     assert [one.blocking_now for one in tried] == [[], []]
     assert [one.basis for one in tried] == ["the run's own result", "the set's gate report"]
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert gate_profiles.profile_in_force(session, 1).number == 0
 
 
 def test_a_dry_run_of_what_is_no_profile_is_refused(engine, blobs):
-    with reading(engine) as session, pytest.raises(RefusedInputError, match="no gate 'beauty'"):
+    with open_reading(engine) as session, pytest.raises(RefusedInputError, match="no gate 'beauty'"):
         gate_profiles.dry_run(session, blobs, 1, {"gates": [{"name": "beauty"}]})

@@ -10,7 +10,7 @@ from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import ForbiddenError, NotFoundError, StaleError
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import reading, writing
+from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.verdicts.gates import DEFAULT_PROFILE
 
 
@@ -21,9 +21,9 @@ def limits(**gates: Any) -> dict[str, Any]:
 @pytest.fixture
 def assess(engine, blobs, people):
     def run(parameter_set_id: int, who: str = "ana"):
-        with reading(engine) as session:
+        with open_reading(engine) as session:
             assessment = gates.measure(session, blobs, None, parameter_set_id)
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             return gates.record_report(session, people[who], assessment)
 
     return run
@@ -46,8 +46,8 @@ def test_a_report_binds_what_it_rests_on_and_is_recorded_in_the_audit(candidate,
     row = candidate()
     report = assess(row.id)
     bound = report.document["bound"]
-    with reading(engine) as session:
-        assert bound["incumbent_sha256"] == parameter_sets.baseline_of(session, 1).sha256
+    with open_reading(engine) as session:
+        assert bound["incumbent_sha256"] == parameter_sets.get_baseline(session, 1).sha256
         assert bound["profile_sha256"] == gate_profiles.profile_in_force(session, 1).sha256
         record = audit.last_change(session, f"parameter-sets/{row.id}/gate-report")
     assert bound["set_sha256"] == row.sha256
@@ -62,22 +62,22 @@ def test_assessing_twice_gives_one_report(candidate, assess):
 
 def test_a_report_of_what_moved_meanwhile_is_refused(candidate, engine, blobs, people):
     row = candidate()
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assessment = gates.measure(session, blobs, None, row.id)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         gate_profiles.set_profile(session, people["root"], 1, limits(coverage={"limit": 0.2}), "More stars.", 0)
-    with writing(engine) as session, pytest.raises(StaleError, match="The profile moved while PS-ST16-1-1"):
+    with open_writing(engine) as session, pytest.raises(StaleError, match="The profile moved while PS-ST16-1-1"):
         gates.record_report(session, people["ana"], assessment)
 
 
 def test_a_report_holds_until_the_profile_moves(candidate, assess, engine, people):
     row = candidate()
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert gates.latest_report(session, row.id) is None
     report = assess(row.id)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert gates.latest_report(session, row.id).id == report.id
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         gate_profiles.set_profile(session, people["root"], 1, limits(coverage={"limit": 0.2}), "More stars.", 0)
         assert gates.latest_report(session, row.id) is None
 
@@ -104,9 +104,9 @@ def test_there_is_nothing_to_say_of_no_set(session, blobs):
 def test_a_submission_takes_the_report_that_holds_or_a_light_one(candidate, assess, engine, blobs, people):
     known, new = candidate(), candidate()
     report = assess(known.id)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         assert gates.report_for_submission(session, people["ana"], blobs, known.id).id == report.id
         light = gates.report_for_submission(session, people["ana"], blobs, new.id)
     assert light.parameter_set_id == new.id
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert gates.verdicts(session, [1, known.id, new.id]) == {known.id: "NO-DATA", new.id: "NO-DATA"}

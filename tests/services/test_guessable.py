@@ -6,7 +6,7 @@ import pytest
 from zxcvbn.matching import RANKED_DICTIONARIES
 
 from boresight.console.access import passwords
-from boresight.console.access.passwords import guessable
+from boresight.console.access.passwords import describe_weakness
 from boresight.errors import RefusedInputError
 
 NAMES = ("j.doe", "Jane Q. Doesmith")
@@ -17,13 +17,13 @@ def test_the_commonest_passwords_that_satisfy_the_length_rule_are_refused() -> N
     long_enough = [one for one in COMMONEST if len(one) >= passwords.MINIMUM_PASSWORD_LENGTH]
     assert len(COMMONEST) >= 10_000
     assert len(long_enough) > 200
-    assert [one for one in long_enough if guessable(one) is None] == []
+    assert [one for one in long_enough if describe_weakness(one) is None] == []
 
 
 def test_the_10000_commonest_are_refused_padded_to_the_length_rule() -> None:
     sample = COMMONEST[:10_000:97]  # all of them take minutes
     for padded in (lambda one: one * -(-12 // len(one)), lambda one: one.ljust(12, "1")):
-        accepted = [padded(one) for one in sample if guessable(padded(one)) is None]
+        accepted = [padded(one) for one in sample if describe_weakness(padded(one)) is None]
         assert len(accepted) <= 0.02 * len(sample), accepted
 
 
@@ -45,13 +45,13 @@ def test_the_10000_commonest_are_refused_padded_to_the_length_rule() -> None:
     ],
 )
 def test_what_is_guessed_early_is_refused(password: str) -> None:
-    assert "guessed early" in str(guessable(password, NAMES))
+    assert "guessed early" in str(describe_weakness(password, NAMES))
 
 
 @pytest.mark.parametrize("password", ["xq ruhige wolken blech", "ruhige-XQ-wolken blech", "ruhige wolken blech.xq"])
 def test_a_name_of_two_letters_counts_where_it_stands_as_a_word(password: str) -> None:
-    assert guessable(password, ("xq",)) is not None
-    assert guessable(password.lower().replace("xq", "xqu"), ("xq",)) is None
+    assert describe_weakness(password, ("xq",)) is not None
+    assert describe_weakness(password.lower().replace("xq", "xqu"), ("xq",)) is None
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_a_name_of_two_letters_counts_where_it_stands_as_a_word(password: str) -
     ],
 )
 def test_what_contains_a_name_of_the_person_is_refused(password: str) -> None:
-    assert "contains" in str(guessable(password, NAMES))
+    assert "contains" in str(describe_weakness(password, NAMES))
 
 
 @pytest.mark.parametrize(
@@ -76,13 +76,13 @@ def test_what_contains_a_name_of_the_person_is_refused(password: str) -> None:
     ["correct horse battery", "another good one", "kühl-Mast-7-Kompott", "x" * 20 + "correct horse battery staple"],
 )
 def test_what_is_hard_to_guess_is_allowed(password: str) -> None:
-    assert guessable(password, NAMES) is None
+    assert describe_weakness(password, NAMES) is None
 
 
 @pytest.mark.parametrize("unit", ["a4@0o1l!|$5s+7tx%2z", "4@31!05$7", "1234567890", "a", "password", "abc123@$!4"])
 def test_the_longest_password_is_judged_in_bounded_time(unit: str) -> None:
     began_s = time.process_time()
-    guessable((unit * 256)[: passwords.MAXIMUM_PASSWORD_LENGTH], NAMES)
+    describe_weakness((unit * 256)[: passwords.MAXIMUM_PASSWORD_LENGTH], NAMES)
     assert time.process_time() - began_s < 2.0
 
 

@@ -14,7 +14,7 @@ from boresight.errors import BoresightError, ConflictError, ForbiddenError
 from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, Session, only_try, reading, utc_now, writing
+from boresight.platform.db.sessions import Engine, Session, mark_dry_run, open_reading, open_writing, utc_now
 from tests.passwords import proved
 
 from .conftest import PASSWORD
@@ -75,7 +75,7 @@ def _make(session: Session, actor: Actor, blobs: BlobStore, move: str, table: by
 
 
 def _put(session: Session, state: str) -> None:
-    only_try(session)
+    mark_dry_run(session)
     session.get_one(ParameterSet, 1).onboard_state = state
     if state != "NOT SENT":
         columns = {"source": "pass 1", "recorded_utc": utc_now(), "recorded_by": 1, "method": "crc"}
@@ -98,7 +98,7 @@ def test_a_move_succeeds_where_person_and_state_allow_it_and_nowhere_else(
     for state, move in _table():
         end = _leads_to(move, state) if move in person.moves else None
         if end is not None:
-            with writing(engine) as session:
+            with open_writing(engine) as session:
                 _put(session, state)
                 assert _make(session, actor, blobs, move, table).onboard_state == end, (state, move)
             continue
@@ -107,12 +107,12 @@ def test_a_move_succeeds_where_person_and_state_allow_it_and_nowhere_else(
             refusals = (ConflictError,)
         elif move in {"record ACTIVE", "sign active"} and person.moves:
             refusals = (ForbiddenError, ConflictError)
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             _put(session, state)
             with pytest.raises(refusals):
                 _make(session, actor, blobs, move, table)
             assert session.get_one(ParameterSet, 1).onboard_state == state, (state, move)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert not uplinks.list_uplinks(session)
 
 

@@ -15,7 +15,7 @@ from boresight.console.uplinks import packages, table_definitions
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError, StaleError
 from boresight.platform.actors import Policy
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.sessions import open_writing
 from tests.passwords import approve, proved
 
 from .conftest import PASSWORD, SENSOR
@@ -40,7 +40,7 @@ def _unpacked(content):
 @pytest.fixture
 def build(engine, people, blobs):
     def act(row, who="dee", **said):
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             package = packages.build(session, people[who], blobs, row.id, **said)
             return package, _unpacked(packages.read(session, blobs, package.id))
 
@@ -50,7 +50,7 @@ def build(engine, people, blobs):
 @pytest.fixture
 def define(engine, people):
     def act(document=DEFINITION, seen=0, who="ana", reason="first table"):
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             return table_definitions.set_definition(session, people[who], 1, document, reason, seen)
 
     return act
@@ -60,7 +60,7 @@ def define(engine, people):
 def promoted(engine, people, approved):
     def make():
         row = approved()
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             return promotions.promote(session, people["dee"], row.id, row.version)
 
     return make
@@ -76,7 +76,7 @@ def test_built_again_it_is_the_package_that_exists(build, approved, define):
 def test_its_inputs_alone_make_its_bytes(engine, blobs, build, approved, define):
     define()
     package, _ = build(approved())
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         content = packages.read(session, blobs, package.id)
     assert packages.rebuild(json.loads(json.dumps(package.inputs))) == content
 
@@ -90,7 +90,7 @@ def test_bytes_that_the_folder_lost_are_laid_down_again(blobs, build, approved):
 
 def test_it_names_the_audit_head_of_its_first_building(engine, build, approved):
     row = approved()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         head = audit.head(session)
     build(row)
     _, files = build(row)
@@ -111,7 +111,7 @@ def test_the_way_back_of_the_baseline_is_the_baseline_before(build, promoted):
 
 
 def test_the_first_baseline_is_its_own_way_back(engine, build):
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         row = transitions.get_parameter_set(session, 1)
     files = build(row)[1]
     assert files["backout/parameters.json"] == files["parameters.json"]
@@ -169,7 +169,7 @@ def test_without_a_definition_there_is_no_table_and_no_version(build, approved):
 def test_another_definition_makes_the_request_stale(engine, define, approved):
     row = approved()
     define()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         assert transitions.get_parameter_set(session, row.id).ground_state == "CANDIDATE"
 
 
@@ -184,13 +184,13 @@ def test_a_definition_needs_what_was_seen_a_reason_and_a_change(define):
 
 def test_an_exported_package_is_on_record(engine, build, approved):
     package, _ = build(approved())
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         record = audit.last_change(session, f"packages/{package.id}")
     assert (record.action, record.after["sha256"]) == ("exported", package.sha256)
 
 
 def test_there_is_no_package_of_an_unknown_number(engine, blobs):
-    with writing(engine) as session, pytest.raises(NotFoundError):
+    with open_writing(engine) as session, pytest.raises(NotFoundError):
         packages.read(session, blobs, 99)
 
 
@@ -198,7 +198,7 @@ def test_the_turn_of_the_attitude_travels_where_the_run_began_at_the_set_replace
     engine, people, blobs, build, finished_run
 ):
     found = {"sentence": "Loading these parameters turns the attitude.", "c_sd_update": [[1.0]]}
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         run = finished_run(session, people["ana"].user_id, alignment=found)
         row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
         request = submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
@@ -211,7 +211,7 @@ def test_the_turn_of_the_attitude_travels_where_the_run_began_at_the_set_replace
 def test_what_was_signed_with_fewer_eyes_is_said_for_ever(engine, people, build, candidate, blobs):
     alone = Policy(four_eyes=False)
     row = candidate("bo")
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         request = submissions.submit(session, people["bo"], blobs, row.id, "better", row.version, policy=alone)
         words = (request.id, "APPROVE", "I approve", "", proved(session, people["bo"], PASSWORD), request.version)
         approvals.sign(session, people["bo"], *words, policy=alone)
@@ -222,7 +222,7 @@ def test_what_was_signed_with_fewer_eyes_is_said_for_ever(engine, people, build,
 
 def test_an_approved_set_whose_evidence_moved_is_not_exported(engine, people, build, approved, candidate):
     row, other = approved(), candidate()
-    with writing(engine) as session:  # as if the incumbent had been exchanged past the services
+    with open_writing(engine) as session:  # as if the incumbent had been exchanged past the services
         for number, state in ((1, "SUPERSEDED"), (other.id, "BASELINE")):
             session.get_one(ParameterSet, number).ground_state = state
             audit.append(session, people["root"], "exchanged", f"parameter-sets/{number}")

@@ -22,8 +22,8 @@ from boresight.errors import (
 )
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.documents import sha256_of
-from boresight.platform.db.sessions import Engine, Session, reading, writing
+from boresight.platform.db.documents import compute_sha256
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 
 People = Mapping[str, Actor]
 Candidate = Callable[..., ParameterSet]
@@ -32,11 +32,11 @@ FinishedRun = Callable[..., Run]
 
 def test_a_candidate_says_all_that_it_is_and_is_named_by_its_hash(engine: Engine, candidate: Candidate) -> None:
     row = candidate()
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         run = session.get_one(Run, row.run_id)
         document = transitions.get_parameter_set(session, row.id).document
     assert (row.name, row.ground_state, row.onboard_state) == ("PS-ST16-1-1", "CANDIDATE", "NOT SENT")
-    assert sha256_of(document) == row.sha256
+    assert compute_sha256(document) == row.sha256
     assert document["parameters"]["f_m"] == 0.016001
     assert (document["run_id"], document["result_sha256"]) == (run.id, run.result_sha256)
     assert document["units"]["f_m"] == "m"
@@ -45,7 +45,7 @@ def test_a_candidate_says_all_that_it_is_and_is_named_by_its_hash(engine: Engine
 
 def test_the_same_run_makes_one_set(engine: Engine, people: People, blobs: BlobStore, candidate: Candidate) -> None:
     row = candidate()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         assert row.run_id is not None
         assert parameter_sets.create_from_run(session, people["bo"], blobs, row.run_id).id == row.id
 
@@ -123,15 +123,15 @@ def test_only_an_analyst_makes_and_submits(
 
 def test_nobody_in_particular_cannot_submit(engine: Engine, candidate: Candidate, blobs: BlobStore) -> None:
     row = candidate()
-    with writing(engine) as session, pytest.raises(ForbiddenError, match="answer for this"):
+    with open_writing(engine) as session, pytest.raises(ForbiddenError, match="answer for this"):
         submissions.submit(session, COMMAND_LINE, blobs, row.id, "better", row.version)
 
 
 def test_a_request_binds_set_run_and_incumbent(engine: Engine, submitted: Callable[[], ParameterSet]) -> None:
     row = submitted()
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         approval = approvals.list_approvals(session)[0]
-        incumbent = parameter_sets.baseline_of(session, row.sensor_id)
+        incumbent = parameter_sets.get_baseline(session, row.sensor_id)
         run = session.get_one(Run, row.run_id)
         assert incumbent is not None
     hashes = {"set_sha256": row.sha256, "run_result_sha256": run.result_sha256, "incumbent_sha256": incumbent.sha256}
@@ -148,7 +148,7 @@ def test_a_transition_needs_the_version_that_was_seen(
     engine: Engine, people: People, candidate: Candidate, blobs: BlobStore
 ) -> None:
     row = candidate()
-    with writing(engine) as session, pytest.raises(PreconditionRequiredError, match="If-Match"):
+    with open_writing(engine) as session, pytest.raises(PreconditionRequiredError, match="If-Match"):
         submissions.submit(session, people["ana"], blobs, row.id, "better", None)
 
 
@@ -156,7 +156,7 @@ def test_an_old_version_is_told_who_changed_what_and_when(
     engine: Engine, people: People, submitted: Callable[[], ParameterSet]
 ) -> None:
     row = submitted()
-    with writing(engine) as session, pytest.raises(StaleError) as refusal:
+    with open_writing(engine) as session, pytest.raises(StaleError) as refusal:
         submissions.withdraw(session, people["ana"], row.id, 1)
     assert "you saw v1, it is v2" in str(refusal.value)
     assert "Ana submitted it at 20" in str(refusal.value)
@@ -164,7 +164,7 @@ def test_an_old_version_is_told_who_changed_what_and_when(
 
 def test_a_submission_needs_its_reason(engine: Engine, people: People, candidate: Candidate, blobs: BlobStore) -> None:
     row = candidate()
-    with writing(engine) as session, pytest.raises(RefusedInputError, match="Give the reason"):
+    with open_writing(engine) as session, pytest.raises(RefusedInputError, match="Give the reason"):
         submissions.submit(session, people["ana"], blobs, row.id, "  ", row.version)
 
 
@@ -172,7 +172,7 @@ def test_what_is_submitted_is_not_submitted_again(
     engine: Engine, people: People, submitted: Callable[[], ParameterSet], blobs: BlobStore
 ) -> None:
     row = submitted()
-    with writing(engine) as session, pytest.raises(ConflictError, match="is SUBMITTED: Ana submitted it"):
+    with open_writing(engine) as session, pytest.raises(ConflictError, match="is SUBMITTED: Ana submitted it"):
         submissions.submit(session, people["bo"], blobs, row.id, "better", row.version)
 
 
@@ -180,7 +180,7 @@ def test_the_submitter_withdraws_and_may_submit_again(
     engine: Engine, people: People, approved: Callable[[], ParameterSet], blobs: BlobStore
 ) -> None:
     row = approved()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         withdrawn = submissions.withdraw(session, people["ana"], row.id, row.version, "found a mistake")
         assert withdrawn.ground_state == "WITHDRAWN"
         assert approvals.list_approvals(session)[0].state == "WITHDRAWN"
@@ -193,13 +193,13 @@ def test_another_analyst_does_not_withdraw(
     engine: Engine, people: People, submitted: Callable[[], ParameterSet]
 ) -> None:
     row = submitted()
-    with writing(engine) as session, pytest.raises(ForbiddenError, match="administrator"):
+    with open_writing(engine) as session, pytest.raises(ForbiddenError, match="administrator"):
         submissions.withdraw(session, people["bo"], row.id, row.version)
 
 
 def test_a_candidate_has_nothing_to_withdraw_or_promote(engine: Engine, people: People, candidate: Candidate) -> None:
     row = candidate()
-    with writing(engine) as session, pytest.raises(ConflictError, match="not submitted"):
+    with open_writing(engine) as session, pytest.raises(ConflictError, match="not submitted"):
         submissions.withdraw(session, people["ana"], row.id, row.version)
-    with writing(engine) as session, pytest.raises(ConflictError, match="is CANDIDATE, not APPROVED"):
+    with open_writing(engine) as session, pytest.raises(ConflictError, match="is CANDIDATE, not APPROVED"):
         promotions.promote(session, people["dee"], row.id, row.version)

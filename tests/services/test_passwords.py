@@ -12,7 +12,7 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import ForbiddenError, PasswordDueError
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import Engine, Session, reading, writing
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from tests.passwords import add_person, approve, new_password, proved
 
 from .conftest import PASSWORD
@@ -22,7 +22,7 @@ GIVEN, OWN = "given by the administrator", "known to nobody else"
 
 @pytest.fixture
 def cy(engine: Engine, people: Mapping[str, Actor]) -> Actor:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         users.change_password(session, people["root"], people["cy"].user_id or 0, new_password(GIVEN))
     return people["cy"]
 
@@ -32,7 +32,7 @@ def _epoch(session: Session, cy: Actor) -> int:
 
 
 def test_a_reset_is_on_record_as_a_reset(engine: Engine, cy: Actor) -> None:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         record = audit.last_change(session, f"users/{cy.user_id}")
     assert record is not None
     assert (record.action, record.actor) == ("reset the password of", "Root")
@@ -41,42 +41,42 @@ def test_a_reset_is_on_record_as_a_reset(engine: Engine, cy: Actor) -> None:
 
 
 def test_whoever_comes_with_a_given_password_may_only_set_their_own(engine: Engine, cy: Actor) -> None:
-    with reading(engine) as session, pytest.raises(PasswordDueError, match="set your own first"):
-        users.actor_of(session, cy.user_id or 0)
-    with writing(engine) as session:
-        actor = users.actor_of(session, cy.user_id or 0, sets_password=True)
+    with open_reading(engine) as session, pytest.raises(PasswordDueError, match="set your own first"):
+        users.get_actor(session, cy.user_id or 0)
+    with open_writing(engine) as session:
+        actor = users.get_actor(session, cy.user_id or 0, sets_password=True)
         users.change_password(session, actor, cy.user_id or 0, new_password(OWN), proved(session, cy, GIVEN))
-    with reading(engine) as session:
-        assert users.actor_of(session, cy.user_id or 0).name == "cy"
+    with open_reading(engine) as session:
+        assert users.get_actor(session, cy.user_id or 0).name == "cy"
 
 
 def test_a_given_password_signs_nothing_and_ones_own_does(
     engine: Engine, cy: Actor, submitted: Callable[[], ParameterSet]
 ) -> None:
     row = submitted()
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
 
     def sign(password: str) -> None:
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             approve(session, cy, approval, password=password)
 
     with pytest.raises(ForbiddenError, match="set your own first"):
         sign(GIVEN)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         users.change_password(session, cy, cy.user_id or 0, new_password(OWN), proved(session, cy, GIVEN))
     sign(OWN)
 
 
 def test_a_given_password_confirms_nothing_else_either(engine: Engine, cy: Actor) -> None:
-    with reading(engine) as session, pytest.raises(PasswordDueError):
+    with open_reading(engine) as session, pytest.raises(PasswordDueError):
         users.require_password(session, cy, proved(session, cy, GIVEN))
 
 
 def test_a_person_may_be_added_with_a_password_for_the_first_log_in_only(
     engine: Engine, people: Mapping[str, Actor]
 ) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         row = users.create_user(
             session,
             people["root"],
@@ -89,7 +89,7 @@ def test_a_person_may_be_added_with_a_password_for_the_first_log_in_only(
         actor = users.authenticate(session, proved(session, "fay", GIVEN))
         assert users.must_change_password(session, actor)
         with pytest.raises(PasswordDueError):
-            users.actor_of(session, row.id)
+            users.get_actor(session, row.id)
 
 
 AT = "given by Command line at 2026-11-20 12:00:00 UTC"
@@ -101,7 +101,7 @@ def _told(engine: Engine, root: Actor, monkeypatch: pytest.MonkeyPatch, *events:
         monkeypatch.setattr("boresight.platform.audit.chain.utc_now", lambda: f"{time}.000000Z")
 
     at("2026-11-20T12:00:00")
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         row = add_person(session, "new", "approver")
         new_id, current = row.id, PASSWORD
         for number, (who, time) in enumerate(events):
@@ -148,16 +148,16 @@ def test_a_signature_through_a_puppet_says_so_in_its_row_and_on_record(
     engine: Engine, submitted: Callable[[], ParameterSet], cy: Actor
 ) -> None:
     row = submitted()
-    with writing(engine) as session:  # by who reset it, logged in as Cy
-        puppet = users.actor_of(session, cy.user_id or 0, sets_password=True)
+    with open_writing(engine) as session:  # by who reset it, logged in as Cy
+        puppet = users.get_actor(session, cy.user_id or 0, sets_password=True)
         users.change_password(session, puppet, cy.user_id or 0, new_password(OWN), proved(session, puppet, GIVEN))
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
         signature = approve(session, puppet, approval, password=OWN)
         record = audit.last_change(session, f"approvals/{approval.id}")
     assert re.fullmatch(r"reset by Root at \S+ \S+ UTC, set anew \d+ s later", str(signature.password_by))
     assert record is not None
     assert (record.after or {})["password_by"] == signature.password_by
-    with reading(engine) as session:
-        assert approvals.signatures_of(session, approval.id)[0].password_by == signature.password_by
+    with open_reading(engine) as session:
+        assert approvals.list_signatures(session, approval.id)[0].password_by == signature.password_by
         assert audit.verify(session).ok

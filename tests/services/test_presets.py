@@ -7,14 +7,14 @@ from boresight.console.runs import presets
 from boresight.console.runs.presets import BUILT_IN
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.sessions import open_writing
 
 WHEN = "On Mondays."
 
 
 @pytest.fixture
 def session(engine, people):  # noqa: ARG001 - people are made in a transaction of their own, before this one begins
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         yield session
 
 
@@ -42,7 +42,7 @@ def test_boresights_presets_differ_in_key_name_and_settings():
 
 def test_a_saved_preset_is_offered_with_every_setting_written_out(session, save):
     row = save(method="sqrf", variant="q")
-    offer = presets.offers(session)[-1]
+    offer = presets.list_offers(session)[-1]
     assert (offer.key, offer.name, offer.sentence) == (str(row.id), "Ours, version 1", WHEN)
     assert (offer.settings["method"], offer.settings["linearisations"]) == ("sqrf", 6)
     assert presets.get_offer(session, offer.key) == offer
@@ -53,7 +53,7 @@ def test_a_saved_preset_is_offered_with_every_setting_written_out(session, save)
 def test_saving_under_the_same_name_makes_the_next_version_and_leaves_the_first_as_it_was(session, save):
     first, second = save(), save(robust="huber")
     assert (first.number, second.number) == (1, 2)
-    assert [offer.key for offer in presets.offers(session) if offer not in BUILT_IN] == [str(second.id)]
+    assert [offer.key for offer in presets.list_offers(session) if offer not in BUILT_IN] == [str(second.id)]
     assert presets.get_offer(session, str(first.id)).settings["robust"] == "none"
 
 
@@ -61,7 +61,7 @@ def test_what_an_archived_version_said_can_still_be_read_and_an_older_one_comes_
     first, second = save(), save(robust="huber")
     presets.archive_preset(session, people["ana"], second.id)
     presets.archive_preset(session, people["ana"], second.id)
-    assert presets.offers(session)[-1].key == str(first.id)
+    assert presets.list_offers(session)[-1].key == str(first.id)
     assert presets.get_offer(session, str(second.id)).settings["robust"] == "huber"
     assert [row.id for row in presets.list_presets(session)] == [first.id]
     assert [row.id for row in presets.list_presets(session, archived=True)] == [second.id, first.id]

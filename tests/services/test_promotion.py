@@ -15,7 +15,7 @@ from boresight.errors import ForbiddenError, StaleError
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, Session, reading, writing
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from tests.passwords import approve
 
 PASSWORD = "correct horse battery"
@@ -28,12 +28,12 @@ def _approve(session: Session, approver: Actor, set_id: int) -> None:
 
 
 def _promote(engine: Engine, actor: Actor, row: ParameterSet) -> ParameterSet:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         return promotions_module.promote(session, actor, row.id, row.version)
 
 
 def _states(engine: Engine) -> dict[str, str]:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return {row.name: row.ground_state for row in parameter_sets.list_parameter_sets(session)}
 
 
@@ -53,7 +53,7 @@ def test_promotion_supersedes_points_and_records_in_one(
     row = approved()
     promoted = _promote(engine, people["dee"], row)
     assert _states(engine) == {"PS-ST16-1-0": "SUPERSEDED", row.name: "BASELINE"}
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
         assert ground.baseline_to_utc == promoted.baseline_from_utc
         promotions = session.scalars(sa.select(Promotion).order_by(Promotion.id)).all()
@@ -96,7 +96,7 @@ def test_of_two_promotions_at_once_one_wins_and_one_baseline_is_left(
     assert sorted(outcomes)[1:] == ["stale"] * 3
     assert [name for name, state in states.items() if state == "BASELINE"] == [min(outcomes)]
     assert sorted(states.values()) == ["BASELINE", "CANDIDATE", "CANDIDATE", "CANDIDATE", "SUPERSEDED"]
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert audit.verify(session).ok
 
 
@@ -105,7 +105,7 @@ def test_another_promotion_makes_every_request_of_the_sensor_stale(
 ) -> None:
     waiting, signed, winner = submitted(), approved(), approved()
     _promote(engine, people["dee"], winner)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         states = {row.parameter_set_id: row.state for row in approvals.list_approvals(session)}
     assert states == {waiting.id: "STALE", signed.id: "STALE", winner.id: "APPROVED"}
     assert _states(engine)[signed.name] == "CANDIDATE"
@@ -115,13 +115,13 @@ def test_an_incumbent_that_moved_unseen_makes_the_approval_stale_for_good(
     engine: Engine, people: People, approved: Callable[[], ParameterSet], candidate: Callable[..., ParameterSet]
 ) -> None:
     row, other = approved(), candidate()
-    with writing(engine) as session:  # as if the incumbent had been exchanged past the services
+    with open_writing(engine) as session:  # as if the incumbent had been exchanged past the services
         for number, state in ((1, "SUPERSEDED"), (other.id, "BASELINE")):
             session.get_one(ParameterSet, number).ground_state = state
             audit.append(session, people["root"], "exchanged", f"parameter-sets/{number}")
     with pytest.raises(StaleError, match=r"incumbent moved .* The baseline is PS-ST16-1-2: Root exchanged it .* again"):
         _promote(engine, people["dee"], row)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert approvals.list_approvals(session)[0].state == "STALE"
     assert _states(engine) == {"PS-ST16-1-0": "SUPERSEDED", row.name: "CANDIDATE", other.name: "BASELINE"}
 
@@ -131,7 +131,7 @@ def test_rollback_is_a_new_request_for_an_older_set(
 ) -> None:
     row = approved()
     _promote(engine, people["dee"], row)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
         submissions.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
         _approve(session, people["cy"], ground.id)
@@ -143,7 +143,7 @@ def test_a_rollback_withdrawn_stays_superseded(
     engine: Engine, people: People, approved: Callable[[], ParameterSet], blobs: BlobStore
 ) -> None:
     _promote(engine, people["dee"], approved())
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
         submissions.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
         submissions.withdraw(session, people["ana"], ground.id, ground.version)

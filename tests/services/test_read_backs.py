@@ -9,7 +9,7 @@ import pytest
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.uplinks import packages
 from boresight.console.uplinks import service as uplinks
-from boresight.console.uplinks.read_backs import MOST_DUMP_BYTES, dump_or_crc, read_back, reference_of
+from boresight.console.uplinks.read_backs import MOST_DUMP_BYTES, dump_or_crc, get_sent_table, read_back
 from boresight.console.uplinks.tables import Uplink
 from boresight.errors import (
     BoresightError,
@@ -22,7 +22,7 @@ from boresight.errors import (
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, reading, utc_after, writing
+from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_after
 
 from .onboard import DOCUMENT, climb, define, newest, onboard, promote_by_hand, sent_table
 
@@ -33,7 +33,7 @@ Read = Callable[..., Uplink]
 @pytest.fixture
 def read(engine: Engine, people: People, blobs: BlobStore) -> Read:
     def make(what: bytes | str, set_id: int = 1, name: str = "dee", source: str = "TM 4711", **given: Any) -> Uplink:
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             seen = given.pop("seen", session.get_one(ParameterSet, set_id).version)
             return read_back(session, people[name], blobs, set_id, what, source, seen, **given)
 
@@ -79,7 +79,7 @@ def test_a_flipped_bit_is_a_mismatch_that_names_it_in_record_and_audit(
     evidence = row.evidence or {}
     assert "bit 3 of byte 17 (mask 0x10), in N0_PX" in evidence["sentence"]
     assert [field["parameter"] for field in evidence["fields"]] == ["n0_px"]
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         change = audit.last_change(session, "parameter-sets/1")
     assert change is not None
     assert (change.after or {})["found"] == evidence["sentence"]
@@ -97,7 +97,7 @@ def test_a_dump_that_is_another_sets_table_is_told_by_name(
 ) -> None:
     define(engine, people["ana"])
     row = candidate()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         promote_by_hand(session, session.get_one(ParameterSet, row.id), utc_after(0.0))
     climb(engine, people["dee"], "SENT", "LOADED", set_id=row.id)
     found = read(sent_table(engine, 1).content, set_id=row.id)
@@ -139,12 +139,12 @@ def test_what_a_package_carried_is_what_a_dump_is_held_against(
     engine: Engine, people: People, read: Read, blobs: BlobStore
 ) -> None:
     define(engine, people["ana"])
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         package = packages.build(session, people["dee"], blobs, 1)
         uplinks.record(session, people["dee"], 1, "SENT", "pass 1", package_id=package.id)
     climb(engine, people["dee"], "LOADED")
-    with reading(engine) as session:
-        reference = reference_of(session, blobs, session.get_one(ParameterSet, 1))
+    with open_reading(engine) as session:
+        reference = get_sent_table(session, blobs, session.get_one(ParameterSet, 1))
     with zipfile.ZipFile(blobs.path(package.sha256)) as packed:
         assert packed.read("table.bin") == reference.content
     row = read(reference.content)

@@ -9,21 +9,21 @@ from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries as rows
 from boresight.console.runs import service as runs
-from boresight.console.runs.dry_runs import predicted_s, seconds_per_star
+from boresight.console.runs.dry_runs import estimate_seconds_per_star, predict_duration_s
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import register_blob
-from boresight.platform.db.sessions import utc_now, writing
+from boresight.platform.db.sessions import open_writing, utc_now
 
 from .conftest import _result
 
 
 @pytest.fixture
 def session(engine, people):  # noqa: ARG001 - people are made in a transaction of their own, before this one begins
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         yield session
 
 
@@ -91,13 +91,13 @@ def test_the_predicted_time_follows_the_newest_runs_of_the_method(session, launc
     run = launch()
     rows.claim(session, "owner", 30.0, 1)
     rows.finish(session, run.id, 1, "SUCCEEDED", summary={"seconds": 3.0, "stars": 1000})
-    assert seconds_per_star(session, "sqrf") == pytest.approx(3e-3)
+    assert estimate_seconds_per_star(session, "sqrf") == pytest.approx(3e-3)
     assert launch(validate_only=True)["predicted_s"] == pytest.approx(3.6, rel=0.02)
-    assert seconds_per_star(session, "batch") < 1e-3
+    assert estimate_seconds_per_star(session, "batch") < 1e-3
 
 
 def test_a_replayed_run_lasts_as_long_as_its_downlink():
-    assert predicted_s({"replay_frames_per_s": 10.0}, 200, 0, 1e-5) == pytest.approx(20.0, rel=0.01)
+    assert predict_duration_s({"replay_frames_per_s": 10.0}, 200, 0, 1e-5) == pytest.approx(20.0, rel=0.01)
 
 
 @pytest.mark.parametrize("name", ["eve", "cy", "root"])

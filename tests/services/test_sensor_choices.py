@@ -12,7 +12,7 @@ from boresight.console.fleet.tables import Sensor
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import Engine, Session, reading, utc_now, writing
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_now
 from tests.stores import open_migrated, url_in
 
 FLEET = [f"{orbit}_{plane}.{number:03d}" for orbit in ("GEO", "leo") for plane in "ab" for number in range(130)]
@@ -29,7 +29,7 @@ def _add(session: Session, names: list[str]) -> None:
 @pytest.fixture(scope="module")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Engine]:
     engine = open_migrated(url_in(tmp_path_factory.mktemp("large")))
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         _add(session, FLEET)
     yield engine
     engine.dispose()
@@ -58,9 +58,9 @@ def test_one_sensor_more_makes_a_fleet_large(session: Session) -> None:
 def test_of_a_large_fleet_the_first_that_hold_the_text_are_offered_and_what_is_kept(
     large: Engine, find: str, keep: set[int]
 ) -> None:
-    with reading(large) as session:
+    with open_reading(large) as session:
         found = sensors.choices(session, find=find, keep=keep)
-        every = sensors.names_of(session)
+        every = sensors.get_sensor_names(session)
     fitting = _fitting(find)
     kept = sorted({every[number] for number in keep if number in every} - set(fitting[:MOST_CHOICES]))
     assert not found.is_all
@@ -72,12 +72,15 @@ def test_of_a_large_fleet_the_first_that_hold_the_text_are_offered_and_what_is_k
 
 @given(ids=st.sets(st.one_of(st.integers(1, 3 * len(FLEET)), st.integers()), max_size=12))
 def test_names_are_those_of_the_numbers_that_there_are(large: Engine, ids: set[int]) -> None:
-    with reading(large) as session:
-        every = sensors.names_of(session)
-        assert sensors.names_of(session, ids) == {number: every[number] for number in ids if number in every}
+    with open_reading(large) as session:
+        every = sensors.get_sensor_names(session)
+        assert sensors.get_sensor_names(session, ids) == {number: every[number] for number in ids if number in every}
     assert sorted(every.values()) == sorted(FLEET)
 
 
 def test_a_control_character_in_what_is_sought_is_refused_with_its_place(large: Engine) -> None:
-    with reading(large) as session, pytest.raises(RefusedInputError, match=r"find has the control character U\+0000"):
+    with (
+        open_reading(large) as session,
+        pytest.raises(RefusedInputError, match=r"find has the control character U\+0000"),
+    ):
         sensors.choices(session, find="GE\x00O")

@@ -18,8 +18,8 @@ from boresight.errors import (
 )
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.db.documents import sha256_of
-from boresight.platform.db.sessions import Engine, Session, writing
+from boresight.platform.db.documents import compute_sha256
+from boresight.platform.db.sessions import Engine, Session, open_writing
 
 People = Mapping[str, Actor]
 
@@ -30,18 +30,18 @@ def document(session: Session) -> dict[str, Any]:
 
 
 def test_a_new_sensor_has_its_ground_calibration_as_baseline(session: Session, document: dict[str, Any]) -> None:
-    ground = parameter_sets.baseline_of(session, 1)
+    ground = parameter_sets.get_baseline(session, 1)
     assert ground is not None
     assert (ground.name, ground.number, ground.run_id) == ("PS-ST16-1-0", 0, None)
     assert ground.document["parameters"] == document["initial"]
     assert ground.document["sigma"] == document["typical_sigma"]
     assert ground.document["status"] == "ground calibration"
     assert "Declared, not measured" in ground.document["advice"][0]
-    assert sha256_of(ground.document) == ground.sha256
+    assert compute_sha256(ground.document) == ground.sha256
 
 
 def test_its_declared_covariance_is_the_typical_spread_squared(session: Session, document: dict[str, Any]) -> None:
-    ground = parameter_sets.baseline_of(session, 1)
+    ground = parameter_sets.get_baseline(session, 1)
     assert ground is not None
     names, matrix = ground.document["covariance"]["names"], ground.document["covariance"]["matrix"]
     for row, name in enumerate(names):
@@ -68,11 +68,11 @@ def test_analysts_and_administrators_register(
 
 
 def test_a_bad_document_leaves_no_sensor_and_no_set(engine: Engine, people: People) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         bad = deepcopy(sensors.get_sensor(session, 1).document) | {"name": "ST16-2", "parity": 0}
-    with pytest.raises(RefusedInputError), writing(engine) as session:
+    with pytest.raises(RefusedInputError), open_writing(engine) as session:
         sensors.register_sensor(session, people["ana"], bad)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         assert [row.name for row in sensors.list_sensors(session)] == ["ST16-1"]
         assert len(parameter_sets.list_parameter_sets(session)) == 1
 
@@ -88,13 +88,13 @@ def test_a_name_that_makes_no_file_name_is_refused(
 def test_an_edit_changes_what_runs_start_from_and_leaves_the_sets(
     session: Session, people: People, document: dict[str, Any]
 ) -> None:
-    before = parameter_sets.baseline_of(session, 1)
+    before = parameter_sets.get_baseline(session, 1)
     assert before is not None
     sha256 = before.sha256
     document["initial"]["f_m"] = 0.0161
     row = sensors.edit_sensor(session, people["ana"], 1, document, 1)
     assert (row.version, row.document["initial"]["f_m"]) == (2, 0.0161)
-    assert parameter_sets.baseline_of(session, 1).sha256 == sha256  # type: ignore[union-attr]
+    assert parameter_sets.get_baseline(session, 1).sha256 == sha256  # type: ignore[union-attr]
     record = audit.last_change(session, "sensors/1")
     assert record is not None
     assert (record.before["initial"]["f_m"], record.after["initial"]["f_m"]) == (0.016, 0.0161)  # type: ignore[index]

@@ -16,7 +16,7 @@ from boresight.errors import ConflictError, ForbiddenError
 from boresight.platform.actors import POLICY, Actor, Policy
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, reading, utc_after, writing
+from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_after
 from tests.passwords import proved
 
 from .conftest import SENSOR
@@ -32,7 +32,7 @@ Ask = Callable[..., Approval]
 @pytest.fixture
 def ask(engine: Engine, people: People, blobs: BlobStore, finished_run: Callable[..., Run]) -> Ask:
     def make(by: str = "ana", policy: Policy = POLICY, row: ParameterSet | None = None, **result: Any) -> Approval:
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             if row is None:
                 run = finished_run(session, people[by].user_id, **result)
                 row = parameter_sets.create_from_run(session, people[by], blobs, run.id)
@@ -45,16 +45,16 @@ def ask(engine: Engine, people: People, blobs: BlobStore, finished_run: Callable
 def _sign(
     engine: Engine, actor: Actor, approval: Approval, decision: str = "APPROVE", policy: Policy = POLICY
 ) -> Approval:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         seen = approvals.get_approval(session, approval.id).version
         words = (decision, "I decide", "seen", proved(session, actor, PASSWORD), seen)
         approvals.sign(session, actor, approval.id, *words, policy=policy)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return approvals.get_approval(session, approval.id)
 
 
 def _promote(engine: Engine, actor: Actor, approval: Approval, policy: Policy = POLICY) -> str:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         row = transitions.get_parameter_set(session, approval.parameter_set_id)
         return promotions.promote(session, actor, row.id, row.version, policy=policy).ground_state
 
@@ -65,7 +65,7 @@ def test_a_request_that_needs_two_stays_open_after_one_and_is_approved_after_two
     approval = ask(policy=TWO)
     first = _sign(engine, people["cy"], approval)
     assert (first.needed, first.state, first.version, first.closed_utc) == (2, "OPEN", 2, None)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         record = audit.last_change(session, f"approvals/{approval.id}")
         assert record is not None
         assert (record.after or {})["approvals"] == "1 of 2"
@@ -84,7 +84,7 @@ def test_one_refusal_blocks_whatever_was_approved(engine: Engine, people: People
 
 @pytest.fixture
 def tight(engine: Engine, people: People) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         gate_profiles.set_profile(session, people["root"], 1, TIGHT, "To be tried.", 0)
 
 
@@ -107,7 +107,7 @@ def test_a_critical_gate_is_never_passed(engine: Engine, people: People, ask: As
 @pytest.mark.usefixtures("tight")
 def test_a_waiver_asks_for_a_new_request_with_a_second_approval(engine: Engine, people: People, ask: Ask) -> None:
     approval = ask(parameters=MOVED)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         row = transitions.get_parameter_set(session, approval.parameter_set_id)
         proof = proved(session, people["ana"], PASSWORD)
         words = ("known-cause", "The wheels were spun up during this pass.", utc_after(86400.0), proof, row.version)
@@ -117,24 +117,24 @@ def test_a_waiver_asks_for_a_new_request_with_a_second_approval(engine: Engine, 
     _sign(engine, people["cy"], again)
     assert _sign(engine, people["bo"], again).state == "APPROVED"
     assert _promote(engine, people["dee"], again) == "BASELINE"
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         report = gates.with_waivers(session, gates.newest_report(session, row.id))
     assert "waived" in report["words"]
 
 
 def _state(engine: Engine, approval: Approval) -> str:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return approvals.get_approval(session, approval.id).state
 
 
 def test_a_signature_stands_for_gate_report_waivers_and_time(ask: Ask) -> None:
     approval = ask()
-    shown = approvals.shown_sha256(approval)
+    shown = approvals.compute_binding_sha256(approval)
     for name in ("gate_report_sha256", "profile_sha256", "incumbent_sha256", "table_definition_sha256", "waivers"):
         other = Approval(**{**_columns(approval), "bound": approval.bound | {name: "another"}})
-        assert approvals.shown_sha256(other) != shown
+        assert approvals.compute_binding_sha256(other) != shown
     for name, value in (("needed", 2), ("kind", "ROLLBACK"), ("expires_utc", "2099-01-01T00:00:00.000000Z")):
-        assert approvals.shown_sha256(Approval(**{**_columns(approval), name: value})) != shown
+        assert approvals.compute_binding_sha256(Approval(**{**_columns(approval), name: value})) != shown
 
 
 def _columns(approval: Approval) -> dict[str, Any]:
@@ -148,7 +148,7 @@ def test_with_four_eyes_off_the_submitter_signs_and_the_record_says_so(
     with pytest.raises(ForbiddenError, match="You submitted this set"):
         _sign(engine, people["bo"], approval)
     assert _sign(engine, people["bo"], approval, policy=ALONE).state == "APPROVED"
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         record = audit.last_change(session, f"approvals/{approval.id}")
         assert record is not None
         assert (record.after or {})["four_eyes"] is False

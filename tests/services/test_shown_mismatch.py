@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.read_backs import read_back
-from boresight.console.uplinks.service import shown_mismatch
+from boresight.console.uplinks.service import has_shown_mismatch
 from boresight.errors import ConflictError
 from boresight.platform.actors import Actor
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, Session, only_try, writing
+from boresight.platform.db.sessions import Engine, Session, mark_dry_run, open_writing
 from tests.effort import effort
 from tests.passwords import proved
 
@@ -53,7 +53,7 @@ class Board:
         for move in moves:
             with suppress(ConflictError):
                 self.make(move)
-            assert shown_mismatch(self.session, self.row) == self.stands
+            assert has_shown_mismatch(self.session, self.row) == self.stands
             assert not (self.stands and self.row.onboard_state in CLAIMS), moves
         self.hold_each_claim_to_its_basis()
 
@@ -65,7 +65,7 @@ class Board:
 
 def _board(session: Session, engine: Engine, people: People, blobs: BlobStore) -> Board:
     sent = sent_table(engine)
-    only_try(session)
+    mark_dry_run(session)
     return Board(session, people["dee"], blobs, sent.content, sent.crc or "")
 
 
@@ -74,7 +74,7 @@ def _board(session: Session, engine: Engine, people: People, blobs: BlobStore) -
 def test_no_sequence_of_records_takes_back_what_a_dump_showed(
     engine: Engine, people: People, blobs: BlobStore, moves: list[str], shown: bool
 ) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         board = _board(session, engine, people, blobs)
         board.try_all(["SENT", "LOADED", *(["bad dump"] if shown else []), *moves])
 
@@ -89,7 +89,7 @@ def defined(engine: Engine, people: People) -> None:
 def test_what_is_said_in_between_does_not_open_the_way_round_the_bytes(
     engine: Engine, people: People, blobs: BlobStore, between: Sequence[str], attempt: str
 ) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         board = _board(session, engine, people, blobs)
         for move in ("SENT", "LOADED", "bad dump", *between):
             board.make(move)
@@ -100,7 +100,7 @@ def test_what_is_said_in_between_does_not_open_the_way_round_the_bytes(
 
 
 def test_sent_again_a_table_is_verified_by_its_crc(engine: Engine, people: People, blobs: BlobStore) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         board = _board(session, engine, people, blobs)
         for move in ("SENT", "LOADED", "bad dump", "UNKNOWN", "SENT", "LOADED", "good crc", "sign"):
             board.make(move)

@@ -15,8 +15,8 @@ import pytest
 import sqlalchemy as sa
 
 from boresight.console.access import api_keys, users
-from boresight.console.alarms import watch
-from boresight.console.alarms.watch import chain_condition
+from boresight.console.alarms import rules
+from boresight.console.alarms.rules import check_chain
 from boresight.console.approvals import discussions, promotions
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import ChangeProposal, GateProfile, GateReport, Waiver
@@ -32,7 +32,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.audit import seals
 from boresight.platform.db.declared import Base
 from boresight.platform.db.secret_box import SecretBox
-from boresight.platform.db.sessions import Engine, Session, open_engine, reading, utc_now, writing
+from boresight.platform.db.sessions import Engine, Session, open_engine, open_reading, open_writing, utc_now
 
 pytestmark = pytest.mark.sqlite("its owner edits the file; tests/store/test_verification.py has both engines edited")
 NOW = "2026-11-21T00:00:00.000000Z"
@@ -50,7 +50,7 @@ def store(kept: Path, request: pytest.FixtureRequest) -> Iterator[Engine]:
     if not kept.exists():
         engine: Engine = request.getfixturevalue("engine")
         _go_the_whole_way(engine, request.getfixturevalue("people"), request.getfixturevalue("approved")())
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             _fill_the_rest(session)
         engine.dispose()
         with closing(sqlite3.connect(str(engine.url.database))) as source, closing(sqlite3.connect(kept)) as target:
@@ -61,7 +61,7 @@ def store(kept: Path, request: pytest.FixtureRequest) -> Iterator[Engine]:
 
 
 def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: ParameterSet) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         promotions.promote(session, people["dee"], row.id, row.version)
         for state in ("SENT", "LOADED"):
             uplinks.record(session, people["dee"], row.id, state, "pass 4711")
@@ -73,7 +73,7 @@ def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: Paramete
             box = SecretBox(Path(folder) / "webhooks.key")
             webhooks.create_webhook(session, people["root"], box, label="desk", url="https://example.org/hook")
         notes.add_note(session, people["ana"], "sensors", row.sensor_id, "The focus moved.")
-        watch.watch_chain(session, chain_condition("broken", "For the sake of an alarm."))
+        rules.update_chain_alarm(session, check_chain("broken", "For the sake of an alarm."))
 
 
 def _fill_the_rest(session: Session) -> None:
@@ -112,7 +112,7 @@ def _any_blob() -> sa.ScalarSelect[Any]:
 
 
 def _verify(engine: Engine, head: str | None = None) -> audit.ChainReport:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return audit.verify(session, head)
 
 
@@ -155,7 +155,7 @@ def _sealing_record(connection: sqlite3.Connection, row: str) -> int:
 def test_every_sealed_table_has_a_row_and_all_is_as_it_was_written(store: Engine) -> None:
     report = _verify(store)
     assert (report.ok, report.first_broken_id, report.first_broken_row) == (True, None, None), report.sentence
-    with reading(store) as session:
+    with open_reading(store) as session:
         counts = {
             name: session.scalar(sa.select(sa.func.count()).select_from(model)) for name, model in seals.SEALED.items()
         }

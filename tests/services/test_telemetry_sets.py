@@ -17,7 +17,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.blobs.tables import Blob
-from boresight.platform.db.sessions import Engine, reading, writing
+from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from boresight.telemetry.working_table import WorkingTable, is_working_table
 
 People = Mapping[str, Actor]
@@ -51,14 +51,14 @@ def _add(
     purpose: str = "calibration",
     sensor_id: int = 1,
 ) -> TelemetrySet:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         return telemetry_sets.add_telemetry_set(session, actor, blobs, None, sensor_id, path, file_name, purpose)
 
 
 def _stored(engine: Engine, blobs: BlobStore) -> tuple[int, int, int, int]:
     """Count files, their rows, sets and audit records."""
     files = sum(path.is_file() for path in blobs.folder.rglob("*")) if blobs.folder.exists() else 0
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         rows = [
             session.scalar(sa.select(sa.func.count()).select_from(table)) or 0
             for table in (Blob, TelemetrySet, AuditRecord)
@@ -75,7 +75,7 @@ def test_an_upload_is_kept_as_it_came_and_as_a_table(
     assert is_working_table(blobs.path(row.table_sha256))
     assert row.uploaded_by == people["ana"].user_id
     assert row.quality["frames"] == 3
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         record = audit.last_change(session, f"telemetry-sets/{row.id}")
         assert record is not None
         assert record.action == "uploaded"
@@ -104,7 +104,7 @@ def test_the_same_bytes_again_are_the_set_that_is_there(
 def test_the_same_bytes_prepared_twice_at_once_are_stored_once(
     engine: Engine, people: People, blobs: BlobStore, file: Path
 ) -> None:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         document = telemetry_sets.get_sensor(session, 1).document
     ids = set()
     with (
@@ -112,7 +112,7 @@ def test_the_same_bytes_prepared_twice_at_once_are_stored_once(
         telemetry_sets.prepared(document, None, file, "b.csv") as other,
     ):
         for upload in (one, other):
-            with writing(engine) as session:
+            with open_writing(engine) as session:
                 ids.add(telemetry_sets.store_prepared(session, people["ana"], blobs, 1, upload).id)
     assert len(ids) == 1
 
@@ -121,7 +121,7 @@ def test_an_archived_set_comes_back_with_its_bytes(
     engine: Engine, people: People, blobs: BlobStore, file: Path
 ) -> None:
     row = _add(engine, people["ana"], blobs, file)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         telemetry_sets.archive_telemetry_set(session, people["ana"], row.id)
         assert telemetry_sets.list_telemetry_sets(session) == []
         assert len(telemetry_sets.list_telemetry_sets(session, archived=True)) == 1
@@ -205,7 +205,7 @@ def test_a_file_name_that_is_long_or_hides_something_stores_nothing(
 ) -> None:
     with pytest.raises(RefusedInputError, match="file name"):
         _add(engine, people["ana"], blobs, file, sent)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert telemetry_sets.list_telemetry_sets(session) == []
 
 
@@ -213,7 +213,7 @@ def test_sets_are_listed_by_purpose(engine: Engine, people: People, blobs: BlobS
     first = _add(engine, people["ana"], blobs, file)
     file.write_text(_csv(frames=4), encoding="utf-8")
     second = _add(engine, people["ana"], blobs, file, purpose="validation")
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert [row.id for row in telemetry_sets.list_telemetry_sets(session, sensor_id=1)] == [second.id, first.id]
         assert [row.id for row in telemetry_sets.list_telemetry_sets(session, purpose="validation")] == [second.id]
         with pytest.raises(NotFoundError, match="no telemetry set 99"):

@@ -18,7 +18,15 @@ from boresight.errors import NotFoundError, RefusedInputError
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, Session, only_try, reading, utc_after, utc_text, writing
+from boresight.platform.db.sessions import (
+    Engine,
+    Session,
+    mark_dry_run,
+    open_reading,
+    open_writing,
+    utc_after,
+    utc_text,
+)
 from tests.effort import effort
 from tests.passwords import approve
 
@@ -118,11 +126,11 @@ def _folded(events: Sequence[Any]) -> tuple[int | None, dict[int, str]]:
 def test_what_held_at_a_time_is_the_fold_of_what_happened_until_then(
     engine: Engine, steps: list[Step], until: int, length: int
 ) -> None:
-    with writing(engine) as session:
-        only_try(session)
+    with open_writing(engine) as session:
+        mark_dry_run(session)
         _add_sets(session)
         _write(session, steps)
-        known = timeline.as_of(session, 1, _at(until))
+        known = timeline.get_state_at(session, 1, _at(until))
         assert _answered(known) == _replayed(steps, until)
         listed = timeline.events(session, 1, until=_at(until))
         assert _folded(listed[::-1]) == _answered(known)[:2]
@@ -140,15 +148,15 @@ def _paged(session: Session, length: int, until: str) -> list[Any]:
 @pytest.fixture
 def promoted(engine: Engine, people: People, approved: Callable[[], ParameterSet]) -> ParameterSet:
     row = approved()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         return promotions.promote(session, people["dee"], row.id, row.version)
 
 
 def test_an_answer_names_who_asked_who_signed_and_who_promoted(
     engine: Engine, people: People, promoted: ParameterSet
 ) -> None:
-    with reading(engine) as session:
-        known = timeline.as_of(session, 1, utc_after(0.0))
+    with open_reading(engine) as session:
+        known = timeline.get_state_at(session, 1, utc_after(0.0))
     assert (known.baseline is not None and known.baseline.id, known.differs) == (promoted.id, False)
     assert known.promotion is not None
     assert known.promotion.promoted_by == people["dee"].user_id
@@ -165,7 +173,7 @@ def test_the_timeline_tells_every_step_with_who_and_their_words(
 ) -> None:
     define(engine, people["ana"])
     climb(engine, people["dee"], "SENT", set_id=promoted.id)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         told = [(event.kind, event.who, event.said) for event in timeline.events(session, 1)]
     assert told[:5] == [
         ("uplink", "Dee", "pass 4711"),
@@ -181,18 +189,18 @@ def test_a_roll_back_on_the_ground_leaves_the_board_as_it_was_and_says_so(
     engine: Engine, people: People, blobs: BlobStore, promoted: ParameterSet
 ) -> None:
     climb(engine, people["dee"], "SENT", "LOADED", "VERIFIED", "ACTIVE", set_id=promoted.id)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert (
-            timeline.as_of(session, 1).sentence
+            timeline.get_state_at(session, 1).sentence
             == f"baseline {promoted.name}, on board {promoted.name} ACTIVE: the same"
         )
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         ground = session.get_one(ParameterSet, 1)
         approval = submissions.roll_back(session, people["ana"], blobs, 1, "worse than thought", ground.version)
         approve(session, people["cy"], approval)
         promotions.promote(session, people["dee"], 1, ground.version)
-    with reading(engine) as session:
-        known, newest = timeline.as_of(session, 1), timeline.events(session, 1, limit=1)[0]
+    with open_reading(engine) as session:
+        known, newest = timeline.get_state_at(session, 1), timeline.events(session, 1, limit=1)[0]
     assert known.differs
     assert known.sentence == f"baseline PS-ST16-1-0, on board {promoted.name} ACTIVE: differs"
     assert (newest.kind, newest.sentence) == ("roll-back", "PS-ST16-1-0 became the baseline again.")
@@ -200,17 +208,17 @@ def test_a_roll_back_on_the_ground_leaves_the_board_as_it_was_and_says_so(
 
 def test_a_mismatch_is_part_of_the_sentence(engine: Engine, people: People) -> None:
     climb(engine, people["dee"], "SENT", "MISMATCH")
-    with reading(engine) as session:
-        sentence = timeline.as_of(session, 1).sentence
+    with open_reading(engine) as session:
+        sentence = timeline.get_state_at(session, 1).sentence
     assert sentence == "baseline PS-ST16-1-0, on board no set known to be active; PS-ST16-1-0 MISMATCH"
 
 
 def test_what_was_learned_later_is_told_apart_from_what_was_known(engine: Engine, people: People) -> None:
     before, between = utc_after(-7200.0), utc_after(-3600.0)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         uplinks.record(session, people["dee"], 1, "SENT", "pass 4711", happened=utc_after(-5400.0))
-    with reading(engine) as session:
-        then, earlier, now = (timeline.as_of(session, 1, time) for time in (between, before, utc_after(0.0)))
+    with open_reading(engine) as session:
+        then, earlier, now = (timeline.get_state_at(session, 1, time) for time in (between, before, utc_after(0.0)))
     assert [record.onboard_state for _, record in then.learned_later] == ["SENT"]
     assert (list(then.on_board), list(earlier.learned_later), list(now.learned_later)) == ([], [], [])
     assert [record.onboard_state for _, record in now.on_board] == ["SENT"]
@@ -220,22 +228,22 @@ def test_a_baseline_that_was_promoted_by_hand_at_a_later_time_is_not_answered_be
     engine: Engine, candidate: Callable[..., ParameterSet]
 ) -> None:
     row = candidate()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         promote_by_hand(session, session.get_one(ParameterSet, row.id), utc_after(3600.0))
-    with reading(engine) as session:
-        assert timeline.as_of(session, 1, "2000-01-01").baseline is None
-        names = [timeline.as_of(session, 1, utc_after(later)).sentence.split(",")[0] for later in (0.0, 7200.0)]
+    with open_reading(engine) as session:
+        assert timeline.get_state_at(session, 1, "2000-01-01").baseline is None
+        names = [timeline.get_state_at(session, 1, utc_after(later)).sentence.split(",")[0] for later in (0.0, 7200.0)]
     assert names == ["baseline PS-ST16-1-0", f"baseline {row.name}"]
 
 
 def test_what_cannot_be_asked_is_refused(engine: Engine) -> None:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         with pytest.raises(RefusedInputError, match="2026-11-21T03:04:05Z"):
-            timeline.as_of(session, 1, "yesterday")
+            timeline.get_state_at(session, 1, "yesterday")
         with pytest.raises(RefusedInputError, match="is no time"):
-            timeline.as_of(session, 1, "0001-01-01T00:00:00+14:00")
+            timeline.get_state_at(session, 1, "0001-01-01T00:00:00+14:00")
         with pytest.raises(NotFoundError, match="77"):
-            timeline.as_of(session, 77)
+            timeline.get_state_at(session, 77)
         with pytest.raises(NotFoundError, match="77"):
             timeline.events(session, 77)
         with pytest.raises(RefusedInputError, match="begin again without a cursor"):

@@ -14,7 +14,7 @@ from boresight.console.uplinks import service as uplinks
 from boresight.errors import BoresightError, ConflictError, ForbiddenError, RefusedInputError
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import Engine, Session, reading, utc_after, writing
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_after
 
 from .onboard import climb
 
@@ -23,19 +23,19 @@ LADDER = ("SENT", "LOADED", "VERIFIED", "ACTIVE")
 
 
 def _record(engine: Engine, actor: Actor, state: str, source: str = "pass 4711", set_id: int = 1) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         uplinks.record(session, actor, set_id, state, source)
 
 
 def _onboard(engine: Engine, set_id: int = 1) -> str:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return transitions.get_parameter_set(session, set_id).onboard_state
 
 
 def test_the_ladder_is_climbed_step_by_step_with_a_record_each(engine: Engine, people: People) -> None:
     climb(engine, people["dee"], *LADDER)
     assert _onboard(engine) == "ACTIVE"
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         records = uplinks.list_uplinks(session, parameter_set_id=1)
         assert [row.onboard_state for row in reversed(records)] == list(LADDER)
         assert {row.recorded_by for row in records} == {people["dee"].user_id}
@@ -74,7 +74,7 @@ def test_a_step_off_the_ladder_leaves_no_record(
     with pytest.raises(error, match=says):
         _record(engine, people["dee"], state, source)
     assert _onboard(engine) == "NOT SENT"
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert not uplinks.list_uplinks(session)
 
 
@@ -100,7 +100,7 @@ def test_nobodys_word_makes_a_set_verified_or_active_and_the_door_is_named(
 
 @pytest.mark.parametrize("state", uplinks.NEXT)
 def test_what_is_offered_to_be_stated_can_be_and_is_never_verified_or_active(state: str, engine: Engine) -> None:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         offered = uplinks.next_statements(session, ParameterSet(id=1, onboard_state=state))
     assert set(offered) == set(uplinks.NEXT[state]) - {"VERIFIED", "ACTIVE"}
 
@@ -117,7 +117,7 @@ def test_nobody_in_particular_records_nothing(engine: Engine) -> None:
 
 
 def _promote_by_hand(session: Session, row: ParameterSet, at_utc: str) -> None:
-    incumbent = parameter_sets.baseline_of(session, row.sensor_id)
+    incumbent = parameter_sets.get_baseline(session, row.sensor_id)
     assert incumbent is not None
     incumbent.ground_state = "SUPERSEDED"
     session.flush()
@@ -130,7 +130,7 @@ def _promote_by_hand(session: Session, row: ParameterSet, at_utc: str) -> None:
 @pytest.fixture
 def second(engine: Engine, candidate: object) -> ParameterSet:
     row: ParameterSet = candidate()  # type: ignore[operator]
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         row = session.get_one(ParameterSet, row.id)
         _promote_by_hand(session, row, utc_after(3600.0))
     return row
@@ -147,32 +147,32 @@ def test_one_set_is_active_and_the_one_before_becomes_unknown(
 ) -> None:
     row: ParameterSet = candidate()  # type: ignore[operator]
     climb(engine, people["dee"], *LADDER)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         _promote_by_hand(session, session.get_one(ParameterSet, row.id), utc_after(0.0))
     climb(engine, people["dee"], *LADDER, set_id=row.id)
     assert (_onboard(engine, 1), _onboard(engine, row.id)) == ("UNKNOWN", "ACTIVE")
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         newest = uplinks.list_uplinks(session, parameter_set_id=1)[0]
         assert newest.source == f"{row.name} was read back as active: pass 4711"
         assert len(uplinks.list_uplinks(session, sensor_id=row.sensor_id)) == 9
 
 
 def test_what_was_baseline_is_answered_for_any_time(engine: Engine, second: ParameterSet) -> None:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         asked = {
             time: getattr(uplinks.baseline_at(session, 1, time), "name", None)
             for time in ("2000-01-01", utc_after(60.0), utc_after(7200.0), "2100-01-01T00:00:00+02:00")
         }
-        promotions = [row.parameter_set_id for row in uplinks.promotions_of(session, 1)]
+        promotions = [row.parameter_set_id for row in uplinks.list_promotions(session, 1)]
     assert list(asked.values()) == [None, "PS-ST16-1-0", second.name, second.name]
     assert promotions == [second.id, 1]
 
 
 def test_a_time_on_the_second_counts_what_happened_within_it_as_later(engine: Engine) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         session.add(Promotion(sensor_id=1, parameter_set_id=1, at_utc="2020-01-01T00:00:00.500000Z"))
         audit.append(session, COMMAND_LINE, "promoted", "parameter-sets/1")
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert uplinks.baseline_at(session, 1, "2020-01-01T00:00:00Z") is None
         assert uplinks.baseline_at(session, 1, "2020-01-01T00:00:01Z") is not None
 
@@ -181,7 +181,7 @@ def test_what_was_on_board_is_answered_for_any_time(engine: Engine, people: Peop
     _record(engine, people["dee"], "SENT")
     between = utc_after(0.0)
     climb(engine, people["dee"], "LOADED", "VERIFIED")
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert list(uplinks.onboard_at(session, 1, "2000-01-01")) == []
         then = [(row.name, record.onboard_state) for row, record in uplinks.onboard_at(session, 1, between)]
         now = [(row.name, record.onboard_state) for row, record in uplinks.onboard_at(session, 1, utc_after(0.0))]
@@ -189,5 +189,5 @@ def test_what_was_on_board_is_answered_for_any_time(engine: Engine, people: Peop
 
 
 def test_what_is_no_time_is_refused_with_an_example(engine: Engine) -> None:
-    with reading(engine) as session, pytest.raises(RefusedInputError, match="2026-11-21T03:04:05Z"):
+    with open_reading(engine) as session, pytest.raises(RefusedInputError, match="2026-11-21T03:04:05Z"):
         uplinks.baseline_at(session, 1, "yesterday")

@@ -18,14 +18,14 @@ from boresight.errors import (
 )
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import Engine, Session, reading, writing
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from tests.passwords import new_password, proved
 
 PASSWORD = "correct horse battery"
 
 
 def _log_in(engine: Engine, name: str, password: str) -> Actor:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         return users.authenticate(session, proved(session, name, password))
 
 
@@ -143,7 +143,7 @@ def test_roles_take_effect_at_once_and_are_recorded(session: Session, people: Ma
     ana = people["ana"]
     assert ana.user_id is not None
     users.change_roles(session, people["root"], ana.user_id, ["viewer", "viewer"])
-    assert users.actor_of(session, ana.user_id).roles == {"viewer"}
+    assert users.get_actor(session, ana.user_id).roles == {"viewer"}
     record = audit.last_change(session, f"users/{ana.user_id}")
     assert record is not None
     assert (record.before, record.after) == ({"roles": ["analyst"]}, {"roles": ["viewer"]})
@@ -152,13 +152,13 @@ def test_roles_take_effect_at_once_and_are_recorded(session: Session, people: Ma
 def test_a_disabled_person_is_out_at_once_and_stays_out(engine: Engine, people: Mapping[str, Actor]) -> None:
     ana = people["ana"]
     assert ana.user_id is not None
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         users.disable_user(session, people["root"], ana.user_id)
-    with reading(engine) as session, pytest.raises(SessionEndedError, match="disabled"):
-        users.actor_of(session, ana.user_id)
+    with open_reading(engine) as session, pytest.raises(SessionEndedError, match="disabled"):
+        users.get_actor(session, ana.user_id)
     with pytest.raises(UnauthenticatedError, match="do not fit"):
         _log_in(engine, "ana", PASSWORD)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         users.enable_user(session, people["root"], ana.user_id)
     assert _log_in(engine, "ana", PASSWORD).name == "ana"
 
@@ -166,7 +166,7 @@ def test_a_disabled_person_is_out_at_once_and_stays_out(engine: Engine, people: 
 def test_names_are_stored_in_one_form_and_found_however_they_are_typed(
     engine: Engine, people: Mapping[str, Actor]
 ) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         row = _create(session, people["root"], name="\uff26ay", printed_name="Fay   Ne\u0301e")
         assert (row.name, row.printed_name) == ("Fay", "Fay N\u00e9e")
     for typed in ("Fay", "fay", " FAY ", "\uff26\uff21\uff39"):
@@ -181,13 +181,13 @@ def test_what_was_proven_of_a_password_that_was_changed_meanwhile_proves_nothing
 ) -> None:
     ana = people["ana"]
     assert ana.user_id is not None
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         proof = proved(session, "ana", PASSWORD)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         users.change_password(session, people["root"], ana.user_id, new_password("another horse battery"))
-    with reading(engine) as session, pytest.raises(UnauthenticatedError, match="do not fit"):
+    with open_reading(engine) as session, pytest.raises(UnauthenticatedError, match="do not fit"):
         users.authenticate(session, proof)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         another = proved(session, "cy", PASSWORD)
         with pytest.raises(UnauthenticatedError, match="do not fit"):
             users.require_password(session, people["bo"], another)
@@ -207,12 +207,12 @@ def test_the_last_administrator_stays(session: Session, people: Mapping[str, Act
 def test_a_new_password_needs_the_old_one_and_ends_every_log_in(engine: Engine, people: Mapping[str, Actor]) -> None:
     ana, new = people["ana"], "another horse battery"
     assert ana.user_id is not None
-    with pytest.raises(UnauthenticatedError), writing(engine) as session:
+    with pytest.raises(UnauthenticatedError), open_writing(engine) as session:
         users.change_password(session, ana, ana.user_id, new_password(new), proved(session, ana, "wrong"))
-    with writing(engine) as session:
-        token = sessions.begin(session, ana.user_id, sessions.Client())[1]
+    with open_writing(engine) as session:
+        token = sessions.begin(session, ana.user_id, sessions.ClientAddress())[1]
         users.change_password(session, ana, ana.user_id, new_password(new), proved(session, ana, PASSWORD))
-    with reading(engine) as session, pytest.raises(SessionEndedError, match="password was changed"):
+    with open_reading(engine) as session, pytest.raises(SessionEndedError, match="password was changed"):
         sessions.find(session, token)
     assert _log_in(engine, "ana", new).name == "ana"
 

@@ -24,7 +24,7 @@ from boresight.errors import (
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.db import sessions
-from boresight.platform.db.sessions import reading, utc_after, writing
+from boresight.platform.db.sessions import open_reading, open_writing, utc_after
 from tests.passwords import approve, proved
 
 from .conftest import PASSWORD
@@ -37,7 +37,7 @@ TIGHT = {"gates": [{"name": "parameter-shift", "limit": 1e-6, "marginal": 1e-6}]
 @pytest.fixture
 def blocked(engine, blobs, people, candidate) -> ParameterSet:
     row = candidate()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         gate_profiles.set_profile(session, people["root"], 1, TIGHT, "To be tried.", 0)
         report = gates.report_for_submission(session, people["ana"], blobs, row.id)
     assert report.document["blocking"] == ["parameter-shift"]
@@ -50,7 +50,7 @@ def waive(engine, people, blocked):
         values = {"gate": "parameter-shift", "code": "known-cause", "reason": REASON, "password": PASSWORD}
         values |= {"expires_utc": utc_after(DAY_S), "parameter_set_id": blocked.id, **given}
         actor = people[who] if isinstance(who, str) else who
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             values["proof"] = proved(session, actor, values.pop("password"))
             return gates.waive(session, actor, seen_version=seen, **values)
 
@@ -58,7 +58,7 @@ def waive(engine, people, blocked):
 
 
 def document(engine, parameter_set_id: int) -> dict[str, Any]:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return gates.with_waivers(session, gates.newest_report(session, parameter_set_id))
 
 
@@ -69,7 +69,7 @@ def test_an_analyst_or_an_approver_waives_in_person(waive, engine, blocked, who)
     assert (found["blocking"], found["waived"]) == ([], ["parameter-shift"])
     assert found["words"] == "NO-DATA (1 gate waived)"
     assert (waiver.reason, waiver.printed_name) == (REASON, who.title())
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         record = audit.last_change(session, f"parameter-sets/{blocked.id}/waivers")
         assert (record.actor, record.reason, record.after["gate"]) == (who.title(), REASON, "parameter-shift")
         assert [one.id for one in gates.active_waivers(session, blocked.id)] == [waiver.id]
@@ -127,7 +127,7 @@ def test_a_gate_that_is_waived_is_not_waived_again(waive):
 
 def test_a_gate_that_the_profile_does_not_let_be_waived_stays(waive, engine, blobs, people, blocked):
     entry = {**TIGHT["gates"][0], "waivable": False}
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         gate_profiles.set_profile(session, people["root"], 1, {"gates": [entry]}, "Not this one.", 1)
         gates.report_for_submission(session, people["ana"], blobs, blocked.id)
     with pytest.raises(ForbiddenError, match="the gate profile does not let it be waived"):
@@ -135,7 +135,7 @@ def test_a_gate_that_the_profile_does_not_let_be_waived_stays(waive, engine, blo
 
 
 def test_what_was_assessed_under_other_limits_is_assessed_again_before_it_is_waived(waive, engine, people):
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         gate_profiles.set_profile(session, people["root"], 1, {"gates": []}, "As before.", 1)
     with pytest.raises(ConflictError, match="no gate report that holds now: assess it"):
         waive()
@@ -148,7 +148,7 @@ def test_a_waiver_that_expires_blocks_again_and_stays_in_the_words(waive, engine
     monkeypatch.setattr(gates, "utc_now", lambda: later)
     found = document(engine, blocked.id)
     assert (found["words"], found["blocking"]) == ("FAIL (1 gate waived)", ["parameter-shift"])
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert gates.active_waivers(session, blocked.id) == []
         assert len(gates.all_waivers(session, blocked.id)) == 1
 
@@ -156,12 +156,12 @@ def test_a_waiver_that_expires_blocks_again_and_stays_in_the_words(waive, engine
 def test_waiving_makes_an_open_request_stale_and_the_next_one_needs_two_approvals(
     waive, engine, blobs, people, blocked
 ):
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         first = submissions.submit(session, people["ana"], blobs, blocked.id, "It moved.", blocked.version)
         seen = transitions.get_parameter_set(session, blocked.id).version
     assert first.needed == 1
     waive(seen=seen)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         assert approvals.get_approval(session, first.id).state == "STALE"
         row = transitions.get_parameter_set(session, blocked.id)
         again = submissions.submit(session, people["ana"], blobs, row.id, "With the waiver.", row.version)
@@ -170,14 +170,14 @@ def test_waiving_makes_an_open_request_stale_and_the_next_one_needs_two_approval
 
 def test_a_set_that_is_promoted_with_a_waiver_tells_of_it_as_baseline(waive, engine, blobs, people, blocked):
     waive()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         request = submissions.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
         for name in ("cy", "bo"):
             approve(session, people[name], request)
         row = transitions.get_parameter_set(session, blocked.id)
         promotions.promote(session, people["dee"], row.id, row.version)
-    with reading(engine) as session:
-        assert parameter_sets.baseline_of(session, 1).id == blocked.id
+    with open_reading(engine) as session:
+        assert parameter_sets.get_baseline(session, 1).id == blocked.id
         assert gates.verdicts(session, [blocked.id]) == {blocked.id: "NO-DATA (1 gate waived)"}
 
 
@@ -185,7 +185,7 @@ def test_a_package_tells_the_verdict_that_was_signed_also_when_its_waiver_is_ove
     waive, engine, blobs, people, blocked, monkeypatch
 ):
     waive()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         request = submissions.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
         for name in ("cy", "bo"):
             approve(session, people[name], request)
@@ -200,5 +200,5 @@ def test_a_package_tells_the_verdict_that_was_signed_also_when_its_waiver_is_ove
     assert said["document"]["verdict"] == "FAIL", "the report itself stays as its hash has it"
     later = sessions.utc_after(2 * DAY_S)
     monkeypatch.setattr(gates, "utc_now", lambda: later)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         assert packages.build(session, people["dee"], blobs, blocked.id).id == package.id

@@ -9,13 +9,13 @@ import pytest
 import sqlalchemy as sa
 
 from boresight.console.webhooks import service as webhooks
-from boresight.console.webhooks.secrets import encrypt_all, encrypt_anew, key_of, state_of
+from boresight.console.webhooks.secrets import decode_key, encrypt_all, encrypt_anew, get_state
 from boresight.console.webhooks.tables import Webhook
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.db.secret_box import SecretBox
-from boresight.platform.db.sessions import Engine, reading, utc_now, writing
+from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_now
 
 URL = "https://mission.example/hooks"
 OLD = "whsec_-_" + "A" * 41  # 32 bytes as older versions wrote them: in the alphabet for addresses, unpadded
@@ -27,7 +27,7 @@ def box(tmp_path: Path) -> SecretBox:
 
 
 def _plain(engine: Engine, actor: Actor) -> int:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         row = Webhook(label="Chat", url=URL, actions=[], secret=OLD, created_utc=utc_now())
         session.add(row)
         session.flush()
@@ -36,21 +36,21 @@ def _plain(engine: Engine, actor: Actor) -> int:
 
 
 def _secret(engine: Engine, number: int) -> str:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return session.get_one(Webhook, number).secret
 
 
 def test_a_new_webhooks_secret_is_stored_encrypted_and_its_key_is_its_owners_alone(
     engine: Engine, people: Mapping[str, Actor], box: SecretBox
 ) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         row, secret = webhooks.create_webhook(session, people["root"], box, label="Chat", url=URL)
-    assert len(key_of(secret)) == 32
+    assert len(decode_key(secret)) == 32
     assert row.secret.startswith("fernet:")
     assert secret not in row.secret
     assert box.open(row.secret) == secret
     assert stat.S_IMODE(box.file.stat().st_mode) == 0o600
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert audit.verify(session).ok
 
 
@@ -61,12 +61,12 @@ def test_plain_secrets_of_before_are_encrypted_once_keep_their_key_and_leave_no_
     kept = encrypt_all(engine, box)
     assert (kept.encrypted, kept.unreadable, kept.sentence) == (1, [], None)
     now = str(box.open(_secret(engine, number)))
-    assert key_of(now) == base64.urlsafe_b64decode(OLD.removeprefix("whsec_") + "=")
+    assert decode_key(now) == base64.urlsafe_b64decode(OLD.removeprefix("whsec_") + "=")
     assert encrypt_all(engine, box).encrypted == 0
     if engine.dialect.name == "sqlite":
         place = Path(str(engine.url.database))
         assert not any(OLD.encode() in path.read_bytes() for path in place.parent.glob(f"{place.name}*"))
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert audit.verify(session).ok
         record = audit.last_change(session, f"webhooks/{number}")
     assert record is not None
@@ -82,9 +82,9 @@ def test_without_the_key_nothing_is_lost_and_it_is_said_what_to_do(
     kept = encrypt_all(engine, elsewhere)
     assert kept.unreadable == ["Chat"]
     assert "Copy the key file" in str(kept.sentence)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         row = session.get_one(Webhook, number)
-        assert [state_of(row, one) for one in (elsewhere, box)] == ["PAUSED", "ENABLED"]
+        assert [get_state(row, one) for one in (elsewhere, box)] == ["PAUSED", "ENABLED"]
     assert _secret(engine, number) == before
 
 
@@ -95,7 +95,7 @@ def test_a_rotated_key_reads_what_the_former_encrypted_and_the_former_can_then_g
     encrypt_all(engine, box)
     first, secret = _secret(engine, number), box.open(_secret(engine, number))
     box.add_key()
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         assert encrypt_anew(session, box) == 1
     assert box.open(first) == box.open(_secret(engine, number)) == secret
     assert box.forget_old_keys() == 1
@@ -114,7 +114,7 @@ def test_a_damaged_key_file_is_one_sentence(box: SecretBox) -> None:
 def test_neither_a_message_nor_an_error_of_the_database_shows_a_secret(
     engine: Engine, people: Mapping[str, Actor], box: SecretBox
 ) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         row, secret = webhooks.create_webhook(session, people["root"], box, label="Chat", url=URL)
         webhooks.try_webhook(session, people["root"], row.id)
         assert secret not in repr(webhooks.take_due(session, 1, box))

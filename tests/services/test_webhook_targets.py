@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from boresight.errors import RefusedInputError
-from boresight.platform.web.targets import Targets, addresses_of_this_machine, read_hosts, refuse_address
+from boresight.platform.web.targets import WebhookTargets, addresses_of_this_machine, read_hosts, refuse_address
 
 PUBLIC = ("93.184.215.14", "2606:2800:21f:cb07:6820:80da:af6b:8b2c", "::ffff:93.184.215.14", "172.15.0.1", "172.32.0.1")
 LOCAL = ("127.0.0.1", "127.255.255.254", "::1", "169.254.1.1", "fe80::1", "::ffff:127.0.0.1", "::ffff:7f00:1")
@@ -29,34 +29,34 @@ def _none() -> frozenset[Any]:
     return frozenset()
 
 
-def _refused(addresses: tuple[str, ...], targets: Targets) -> list[str]:
+def _refused(addresses: tuple[str, ...], targets: WebhookTargets) -> list[str]:
     return [address for address in addresses if targets.why_not(address) is not None]
 
 
 def test_by_default_only_addresses_of_the_internet_are_reached() -> None:
     refused = (*LOCAL, *PRIVATE, *NEVER)
-    assert _refused(PUBLIC, Targets(own=_none)) == []
-    assert _refused(refused, Targets(own=_none)) == list(refused)
+    assert _refused(PUBLIC, WebhookTargets(own=_none)) == []
+    assert _refused(refused, WebhookTargets(own=_none)) == list(refused)
 
 
 def test_each_setting_allows_its_own_networks_and_nothing_else() -> None:
-    assert _refused((*LOCAL, *PRIVATE, *NEVER), Targets(local=True, own=_none)) == [*PRIVATE, *NEVER]
-    assert _refused((*LOCAL, *PRIVATE, *NEVER), Targets(private=True, own=_none)) == [*LOCAL, *NEVER]
-    assert _refused(NEVER, Targets(local=True, private=True, own=_none)) == list(NEVER)
+    assert _refused((*LOCAL, *PRIVATE, *NEVER), WebhookTargets(local=True, own=_none)) == [*PRIVATE, *NEVER]
+    assert _refused((*LOCAL, *PRIVATE, *NEVER), WebhookTargets(private=True, own=_none)) == [*LOCAL, *NEVER]
+    assert _refused(NEVER, WebhookTargets(local=True, private=True, own=_none)) == list(NEVER)
 
 
 def test_every_address_of_this_machine_is_refused_and_the_one_it_listens_on() -> None:
     own = frozenset({ipaddress.ip_address("93.184.215.14")})
-    targets = Targets(private=True, listening="2606:2800::5", own=lambda: own)
+    targets = WebhookTargets(private=True, listening="2606:2800::5", own=lambda: own)
     asked = ("93.184.215.14", "::ffff:93.184.215.14", "2606:2800::5", "93.184.215.15")
     assert _refused(asked, targets) == list(asked[:3])
-    assert Targets(local=True, own=lambda: own).why_not("93.184.215.14") is None
+    assert WebhookTargets(local=True, own=lambda: own).why_not("93.184.215.14") is None
 
 
 def test_the_addresses_of_the_interfaces_are_known() -> None:
     found = {str(address) for address in addresses_of_this_machine()}
     assert "127.0.0.1" in found
-    assert all(Targets(private=True).why_not(text) for text in found)
+    assert all(WebhookTargets(private=True).why_not(text) for text in found)
 
 
 def test_one_bad_address_of_a_name_refuses_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,8 +65,8 @@ def test_one_bad_address_of_a_name_refuses_it(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(socket, "getaddrinfo", look_up)
     with pytest.raises(RefusedInputError, match=r"10\.9\.8\.7, an address of a private network"):
-        Targets(own=_none).addresses("mixed.example", 443)
-    assert Targets(private=True, own=_none).addresses("mixed.example", 443) == ["93.184.215.14", "10.9.8.7"]
+        WebhookTargets(own=_none).addresses("mixed.example", 443)
+    assert WebhookTargets(private=True, own=_none).addresses("mixed.example", 443) == ["93.184.215.14", "10.9.8.7"]
 
 
 @pytest.mark.parametrize(
@@ -74,11 +74,11 @@ def test_one_bad_address_of_a_name_refuses_it(monkeypatch: pytest.MonkeyPatch) -
 )
 def test_other_spellings_of_this_machine_are_refused_too(host: str) -> None:
     with pytest.raises(RefusedInputError, match="not allowed"):
-        refuse_address(f"http://{host}/hook", Targets())
+        refuse_address(f"http://{host}/hook", WebhookTargets())
 
 
 def test_a_name_that_leads_nowhere_yet_may_be_given() -> None:
-    refuse_address("https://mission.invalid/hook", Targets())
+    refuse_address("https://mission.invalid/hook", WebhookTargets())
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_a_name_that_leads_nowhere_yet_may_be_given() -> None:
     ],
 )
 def test_with_a_list_only_its_hosts_are_allowed(host: str, allowed: bool) -> None:
-    targets = Targets(hosts=read_hosts("hooks.mission.example, *.chat.example 93.184.215.14 bücher.example"))
+    targets = WebhookTargets(hosts=read_hosts("hooks.mission.example, *.chat.example 93.184.215.14 bücher.example"))
     if allowed:
         targets.refuse_host(host)
     else:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.platform.web.words import LONGEST_NAME, is_hidden, normal_name
+from boresight.platform.web.text_validation import LONGEST_NAME, is_hidden, normal_name
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def with_parity(scenario, parity):
 
 def expected_directions(telemetry, scenario, catalogue, rows):
     s_i = apparent_directions(
-        catalogue, catalogue.index_of(telemetry.star_id[rows]), telemetry.time_utc[rows], telemetry.velocity_m_s[rows]
+        catalogue, catalogue.find_index(telemetry.star_id[rows]), telemetry.time_utc[rows], telemetry.velocity_m_s[rows]
     )
     s_d = Rotation.from_quat(telemetry.quaternion[rows]).apply(s_i) * [1.0, scenario.sensor.parity, 1.0]
     return s_i, s_d
@@ -111,7 +111,7 @@ def test_noise_grows_with_magnitude_by_the_asked_decades(catalogue):
     scenario = replace(calibration_scenario(1), sigma_dex_per_mag=0.2, false_stars=0.0)
     telemetry = simulated(scenario, catalogue)
     rows = np.flatnonzero(telemetry.star_id > 0)
-    magnitude = catalogue.magnitude[catalogue.index_of(telemetry.star_id[rows])]
+    magnitude = catalogue.magnitude[catalogue.find_index(telemetry.star_id[rows])]
     expected = scenario.centroid_sigma_px * 10 ** (0.2 * (magnitude - scenario.magnitude_limit))
     np.testing.assert_allclose(telemetry.sigma_px[rows], expected)
 
@@ -250,7 +250,7 @@ def test_two_thousand_frames_take_less_than_three_seconds(catalogue):
 def test_arcs_at_the_truth_have_the_noise_asked_for_and_at_the_ground_calibration_far_more(catalogue, number):
     scenario = calibration_scenario(number)
     problem = build_problem(simulated(scenario, catalogue), scenario.sensor, catalogue)
-    at_truth = rms(problem.weighed(scenario.truth), scenario.truth)
-    at_ground = rms(problem.weighed(scenario.sensor.initial), scenario.sensor.initial)
+    at_truth = rms(problem.whitened(scenario.truth), scenario.truth)
+    at_ground = rms(problem.whitened(scenario.sensor.initial), scenario.sensor.initial)
     assert at_truth == pytest.approx(83e-6, abs=3e-6)
     assert at_ground > 1.5 * at_truth

@@ -106,7 +106,7 @@ def test_a_low_orbit_adds_5_arcsec():
 
 def test_parallax_swings_alpha_centauri_by_twice_its_0_75_arcsec(deep_catalogue):
     hip = np.array([71683])
-    k = int(deep_catalogue.index_of(hip)[0])
+    k = int(deep_catalogue.find_index(hip)[0])
     time_utc = moment("2020-01-01") + np.arange(366) * np.timedelta64(86400_000000, "us")
     ra, dec = deep_catalogue.ra_rad[k], deep_catalogue.dec_rad[k]
     near = star_at(ra, dec, parallax_arcsec=deep_catalogue.parallax_rad[k] / ARCSEC)
@@ -124,14 +124,14 @@ def test_parallax_swings_alpha_centauri_by_twice_its_0_75_arcsec(deep_catalogue)
     ids=["Barnard's star", "alpha Centauri", "Sirius"],
 )
 def test_proper_motion_is_that_of_the_textbook(deep_catalogue, hip, arcsec_a_year):
-    index = np.repeat(deep_catalogue.index_of(np.array([hip])), 2)
+    index = np.repeat(deep_catalogue.find_index(np.array([hip])), 2)
     time_utc = np.array([moment("2000-03-01T00:00:00"), moment("2020-03-01T00:00:00")])  # the Earth in the same place
     then, now = apparent_directions(deep_catalogue, index, time_utc, None)
     assert angle(then, now) / ARCSEC / 20.0 == pytest.approx(arcsec_a_year, abs=0.015)
 
 
 def test_the_motion_of_barnards_star_is_north(deep_catalogue):
-    index = np.repeat(deep_catalogue.index_of(np.array([87937])), 2)
+    index = np.repeat(deep_catalogue.find_index(np.array([87937])), 2)
     then, now = apparent_directions(deep_catalogue, index, np.array([moment("2000-03-01"), moment("2020-03-01")]), None)
     assert (now - then)[2] / ARCSEC / 20 == pytest.approx(10.33, abs=0.05)
 

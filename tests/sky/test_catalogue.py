@@ -15,7 +15,7 @@ XI_URSAE_MAJORIS = 55203
 
 
 def star(catalogue, hip):
-    return int(catalogue.index_of(np.array([hip]))[0])
+    return int(catalogue.find_index(np.array([hip]))[0])
 
 
 def same(one, other):
@@ -51,7 +51,7 @@ def test_numbers_that_are_not_there_answer_minus_one(deep_catalogue, hip):
 @given(hip=st.lists(st.integers(-5, 130_000), max_size=50))
 def test_index_of_finds_each_star_under_its_own_number(catalogue, hip):
     hip = np.array(hip, dtype=np.int64)
-    index = catalogue.index_of(hip)
+    index = catalogue.find_index(hip)
     assert (catalogue.hip[index[index >= 0]] == hip[index >= 0]).all()
     assert not np.isin(hip[index < 0], catalogue.hip).any()
 
@@ -59,7 +59,7 @@ def test_index_of_finds_each_star_under_its_own_number(catalogue, hip):
 def test_an_empty_catalogue_knows_no_star():
     none = load_catalogue(None, magnitude_limit=-5.0)
     assert len(none) == 0
-    assert none.index_of(np.array([1, 2])).tolist() == [-1, -1]
+    assert none.find_index(np.array([1, 2])).tolist() == [-1, -1]
 
 
 def test_the_cache_holds_what_the_package_holds_and_nothing_half_written(tmp_path):

@@ -19,7 +19,7 @@ def test_the_files_direction_replaces_the_catalogues_and_unmatched_rows_have_non
     np.testing.assert_array_equal(directions[[0, 2]], GIVEN[[0, 2]])
     assert np.isnan(directions[1]).all()
     np.testing.assert_array_equal(
-        directions[3:], apparent_directions(catalogue, catalogue.index_of(IDS[3:]), TIME[3:], None)
+        directions[3:], apparent_directions(catalogue, catalogue.find_index(IDS[3:]), TIME[3:], None)
     )
 
 

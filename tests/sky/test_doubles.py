@@ -44,7 +44,7 @@ def test_a_much_brighter_star_is_not_a_double_but_its_companion_is():
 @pytest.mark.parametrize("hip", [71683, 71681, 78820, 78821])  # alpha Centauri A and B, beta Scorpii
 def test_famous_doubles_are_known(hip, catalogue):
     flags = star_flags(catalogue, 60 * ARCSEC)
-    assert flags[catalogue.index_of(np.array([hip]))[0]] & DOUBLE
+    assert flags[catalogue.find_index(np.array([hip]))[0]] & DOUBLE
 
 
 def test_few_bright_stars_are_flagged_within_a_few_pixels(catalogue):

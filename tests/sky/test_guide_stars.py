@@ -36,7 +36,7 @@ def test_guide_stars_ascend_in_declination_and_know_their_density(catalogue):
     assert (np.diff(stars.place[:, 2]) >= 0).all()
     np.testing.assert_allclose(np.linalg.norm(stars.place, axis=1), 1)
     assert stars.density == pytest.approx(len(stars.hip) / (4 * np.pi))
-    assert (catalogue.magnitude[catalogue.index_of(stars.hip)] <= 5.5).all()
+    assert (catalogue.magnitude[catalogue.find_index(stars.hip)] <= 5.5).all()
 
 
 def test_proper_motion_is_a_vector_across_the_line_of_sight():

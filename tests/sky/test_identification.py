@@ -10,13 +10,13 @@ import pytest
 
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.attitude import conjugate, matrix_of, product, rotation_vector, wahba
+from boresight.estimation.attitude import conjugate, product, rotation_vector, to_matrix, wahba
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky import identification
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.identification import field_of_view_deg, identify
 from boresight.telemetry.read.readers import read_telemetry
-from boresight.telemetry.schema import exposures_of
+from boresight.telemetry.schema import find_exposures
 from boresight.telemetry.sensors import read_sensor
 
 pytest.importorskip("tetra3rs", reason="the lost-in-space extra is not installed")
@@ -38,9 +38,9 @@ def answers(number, parity, frames, catalogue, folder, x=None):
     x = sensor.initial if x is None else x
     field = field_of_view_deg(camera, x, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
     s_d = camera.directions(x, telemetry.row_px, telemetry.col_px, sensor.pixel_pitch_m)
-    star = catalogue.index_of(telemetry.star_id)
+    star = catalogue.find_index(telemetry.star_id)
     s_i = apparent_directions(catalogue, star, telemetry.time_utc, telemetry.velocity_m_s)
-    starts = np.append(exposures_of(telemetry).start, len(telemetry))
+    starts = np.append(find_exposures(telemetry).start, len(telemetry))
     told = []
     for rows in map(slice, starts[:-1], starts[1:]):
         true = star[rows] >= 0
@@ -82,7 +82,7 @@ def test_five_frames_of_the_real_sky_are_recognised_with_a_nominal_lens(folder):
     s_d = camera.directions(x, telemetry.row_px, telemetry.col_px, pitch)
     ra, dec = telemetry.ra_rad, telemetry.dec_rad
     s_i = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
-    starts = np.append(exposures_of(telemetry).start, len(telemetry))
+    starts = np.append(find_exposures(telemetry).start, len(telemetry))
     for rows in map(slice, starts[:-1], starts[1:]):
         named = np.isfinite(ra[rows])
         known = wahba(s_d[rows][named], s_i[rows][named], np.full(named.sum(), 1e-4), sensor.parity)
@@ -113,7 +113,7 @@ def test_the_mirror_image_of_the_sky_is_not_taken_for_it(catalogue, folder):
     mirrored = orion * [1, -1, 1]
     for parity, right, wrong in ((1, orion, mirrored), (-1, mirrored, orion)):
         np.testing.assert_allclose(
-            matrix_of(identify(right, None, parity, 20.0, folder)), TOWARDS_ORION, atol=MOST_OFF_RAD
+            to_matrix(identify(right, None, parity, 20.0, folder)), TOWARDS_ORION, atol=MOST_OFF_RAD
         )
         assert identify(wrong, None, parity, 20.0, folder) is None
 

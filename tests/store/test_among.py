@@ -4,7 +4,7 @@ import pytest
 import sqlalchemy as sa
 
 from boresight.platform.db.documents import MOST_NUMBER, among
-from boresight.platform.db.sessions import Engine, reading
+from boresight.platform.db.sessions import Engine, open_reading
 
 KEYS = (1, 2, 3, 70_000, MOST_NUMBER - 1)
 MANY = """
@@ -28,7 +28,7 @@ def store(request: pytest.FixtureRequest) -> Engine:
 def test_the_rows_are_those_that_python_would_keep(store: Engine, wanted: object) -> None:
     keys = sa.union_all(*(sa.select(sa.literal(key, sa.Integer).label("key")) for key in KEYS)).subquery()
     kept = [key for key in KEYS if key in wanted]  # type: ignore[operator]
-    with reading(store) as session:
+    with open_reading(store) as session:
         found = session.scalars(sa.select(keys.c.key).where(among(keys.c.key, wanted)).order_by(keys.c.key))  # type: ignore[arg-type]
         assert list(found) == kept
         left = sa.select(keys.c.key).where(sa.not_(among(keys.c.key, wanted))).order_by(keys.c.key)  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from boresight.errors import ConflictError, NotFoundError, UnavailableError
 from boresight.platform.blobs.folder import BlobStore, register_blob
-from boresight.platform.db.sessions import Engine, writing
+from boresight.platform.db.sessions import Engine, open_writing
 
 
 @pytest.fixture
@@ -80,7 +80,7 @@ def test_missing_bytes_are_told_with_what_to_do(blobs: BlobStore) -> None:
 
 def test_a_row_is_made_once_for_the_same_bytes(blobs: BlobStore, engine: Engine) -> None:
     sha256 = blobs.put(b"stars")
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         first = register_blob(session, blobs, sha256, "text/csv")
         assert register_blob(session, blobs, sha256, "text/csv") is first
     assert (first.size_bytes, first.media_type) == (5, "text/csv")

@@ -59,7 +59,7 @@ def test_a_file_is_hashed_once_a_process(blobs: BlobStore, monkeypatch: pytest.M
     sha256 = blobs.put(b"stars")
     _rest(blobs.path(sha256))
     blobs.path(sha256)
-    monkeypatch.setattr(integrity, "digest_of", lambda _: pytest.fail("it was hashed again"))
+    monkeypatch.setattr(integrity, "compute_digest", lambda _: pytest.fail("it was hashed again"))
     for _ in range(3):
         assert blobs.read(sha256) == b"stars"
     again = BlobStore(blobs.folder)
@@ -72,7 +72,7 @@ def test_verifying_reads_a_file_again_whatever_is_known_of_it(
     sha256 = blobs.put(b"stars")
     _rest(blobs.path(sha256))
     blobs.path(sha256)
-    monkeypatch.setattr(integrity, "digest_of", lambda _: "0" * 64)  # as a disk that fails below the file system
+    monkeypatch.setattr(integrity, "compute_digest", lambda _: "0" * 64)  # as a disk that fails below the file system
     assert blobs.path(sha256)
     with pytest.raises(CorruptFileError):
         blobs.check(sha256, again=True)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.platform.db.documents import canonical, read, sha256_of
+from boresight.platform.db.documents import canonical, compute_sha256, read
 
 NUMBERS = (
     st.integers(-(2**63), 2**63)
@@ -35,7 +35,7 @@ def test_the_fast_reader_reads_what_the_plain_one_does(document: object) -> None
 @given(document=st.dictionaries(st.text(max_size=8), JSON, min_size=2))
 def test_the_order_of_keys_does_not_matter(document: dict[str, object]) -> None:
     backwards = dict(reversed(document.items()))
-    assert sha256_of(backwards) == sha256_of(document)
+    assert compute_sha256(backwards) == compute_sha256(document)
 
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), float("-inf")])

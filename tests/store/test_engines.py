@@ -21,8 +21,8 @@ from boresight.platform.db.sessions import (
     current_revision,
     head_revision,
     open_engine,
-    reading,
-    writing,
+    open_reading,
+    open_writing,
 )
 from tests.postgresql import TEMPLATE, Server, server
 
@@ -74,38 +74,38 @@ def test_servers_that_start_at_once_on_an_empty_database_make_one_schema(
 
 
 def test_writers_of_two_databases_on_one_server_do_not_wait_for_each_other(two: list[Engine]) -> None:
-    with writing(two[0]) as first, writing(two[1]) as second:
+    with open_writing(two[0]) as first, open_writing(two[1]) as second:
         for session in (first, second):
             chain.append_own(session, "wrote", "here/1")
 
 
 def test_a_writer_that_waits_too_long_is_told_so(two: list[Engine], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engines.be_the_only_writer, "__kwdefaults__", {"wait_s": 1})
-    with writing(two[0]), pytest.raises(UnavailableError, match="held by another writer"), writing(two[0]):
+    with open_writing(two[0]), pytest.raises(UnavailableError, match="held by another writer"), open_writing(two[0]):
         pytest.fail("there are two writers")
 
 
 def test_a_sqlite_writer_that_waits_too_long_is_told_the_same(sqlite: Engine) -> None:
     with sqlite.connect() as impatient:
         impatient.connection.driver_connection.execute("PRAGMA busy_timeout=10")
-    with writing(sqlite), pytest.raises(UnavailableError, match="held by another writer"), writing(sqlite):
+    with open_writing(sqlite), pytest.raises(UnavailableError, match="held by another writer"), open_writing(sqlite):
         pytest.fail("there are two writers")
 
 
 def test_a_writer_whose_server_died_gives_the_lock_back(two: list[Engine], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engines, "IDLE_S", 1)
-    with pytest.raises(UnavailableError, match="does not answer"), writing(two[0]) as dead:
+    with pytest.raises(UnavailableError, match="does not answer"), open_writing(two[0]) as dead:
         _outlast(two[0], dead)
 
 
 def _outlast(engine: Engine, dead: Session) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         chain.append_own(session, "wrote", "here/1")
     dead.execute(sa.text("SELECT 1"))
 
 
 def test_runs_are_claimed_once_by_several_servers(two: list[Engine]) -> None:
-    with writing(two[0]) as session:
+    with open_writing(two[0]) as session:
         for row in rows_of_tables():
             session.add(row)
             session.flush()
@@ -116,7 +116,7 @@ def test_runs_are_claimed_once_by_several_servers(two: list[Engine]) -> None:
 
     def serve(owner: str) -> None:
         while True:
-            with writing(two[0]) as session:
+            with open_writing(two[0]) as session:
                 taken = runs.claim(session, owner, 60, 3)
             if not taken:
                 return
@@ -134,16 +134,16 @@ def test_after_a_restart_of_postgresql_the_next_request_is_answered(
     two: list[Engine], postgresql_server: Server
 ) -> None:
     lost = "The database does not answer: check that PostgreSQL runs"
-    with pytest.raises(UnavailableError, match=lost), writing(two[0]) as session:
+    with pytest.raises(UnavailableError, match=lost), open_writing(two[0]) as session:
         _cut_off(session, postgresql_server)
     try:
-        with pytest.raises(UnavailableError, match=lost), reading(two[0]) as session:
+        with pytest.raises(UnavailableError, match=lost), open_reading(two[0]) as session:
             session.scalar(sa.select(AuditRecord.id))
     finally:
         postgresql_server.start()
-    with writing(two[0]) as session:
+    with open_writing(two[0]) as session:
         chain.append_own(session, "wrote", "here/2")
-    with reading(two[0]) as session:
+    with open_reading(two[0]) as session:
         assert session.scalars(sa.select(AuditRecord.object)).all() == ["here/2"]
 
 

@@ -3,8 +3,8 @@
 import pytest
 
 from boresight.console import list_queries as lists
-from boresight.console.list_queries import LISTS, Asked
-from boresight.platform.db.sessions import reading
+from boresight.console.list_queries import LISTS, ListQuery
+from boresight.platform.db.sessions import open_reading
 from tests.stores import open_migrated
 
 FIRST = {
@@ -20,7 +20,7 @@ FIRST = {
 @pytest.fixture
 def session(tmp_path):
     engine = open_migrated(f"sqlite:///{tmp_path}/store.sqlite3")
-    with reading(engine) as opened:
+    with open_reading(engine) as opened:
         yield opened
     engine.dispose()
 
@@ -34,7 +34,7 @@ def plan(session, name, asked):
 @pytest.mark.parametrize("before_id", [None, 30])
 @pytest.mark.parametrize("name", LISTS)
 def test_the_first_view_of_a_list_reads_its_page_and_sorts_nothing(session, name, before_id):
-    steps = plan(session, name, Asked({}, FIRST[name], before_id))
+    steps = plan(session, name, ListQuery({}, FIRST[name], before_id))
     assert not any("TEMP B-TREE" in step for step in steps), steps
 
 
@@ -43,6 +43,6 @@ def test_the_first_view_of_a_list_reads_its_page_and_sorts_nothing(session, name
     [("runs", "sensor"), ("runs", "state"), ("telemetry", "sensor"), ("parameter-sets", "sensor"), ("audit", "object")],
 )
 def test_a_filter_of_every_day_has_its_index(session, name, where):
-    steps = plan(session, name, Asked({where: "1"}, FIRST[name]))
+    steps = plan(session, name, ListQuery({where: "1"}, FIRST[name]))
     assert steps
     assert all("USING COVERING INDEX" in step for step in steps), steps

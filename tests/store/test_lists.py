@@ -14,13 +14,13 @@ from boresight.console import list_queries as lists
 from boresight.console.access.tables import User
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.tables import Sensor
-from boresight.console.list_queries import LISTS, Asked, Signatory
+from boresight.console.list_queries import LISTS, ListQuery, Signatory
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit.chain import append_own
 from boresight.platform.blobs.tables import Blob
-from boresight.platform.db.sessions import reading, writing
+from boresight.platform.db.sessions import open_reading, open_writing
 
 NOW = "2026-11-21T00:00:00.000000Z"
 MANY = 50_000
@@ -79,7 +79,7 @@ def run(number):
 def store(request):
     """Each engine in turn, with 23 rows of each kind that repeats."""
     engine = request.getfixturevalue(request.param)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         furnish(session)
         for number in range(23):
             session.add(run(number))
@@ -119,14 +119,14 @@ def values(session, name, key):
 def in_pages(session, name, sort, limit):
     """Every id of a list, page after page."""
     found, before = [], None
-    while rows := lists.page(session, name, Asked({}, sort, before), limit):
+    while rows := lists.page(session, name, ListQuery({}, sort, before), limit):
         found += [row.id for row in rows]
         before = found[-1]
     return found
 
 
 def test_pages_joined_are_the_whole_list_in_its_order(store):
-    with reading(store) as session:
+    with open_reading(store) as session:
         for name, known in LISTS.items():
             for key in known.keys:
                 value = values(session, name, key)
@@ -143,37 +143,37 @@ def test_pages_joined_are_the_whole_list_in_its_order(store):
 
 
 def test_a_document_is_read_to_its_depth_and_where_nothing_is_there_nothing(store):
-    with reading(store) as session:
+    with open_reading(store) as session:
         assert values(session, "sensors", "detector") == {1: None, 2: 10_000.0}
         assert values(session, "sensors", "model") == {1: None, 2: "brown"}
 
 
 @pytest.mark.parametrize("ids", [[], [2], [2, 1, 99], list(range(2, 100_000))])
 def test_a_list_is_narrowed_to_any_number_of_rows(store, ids):
-    with reading(store) as session:
-        found = lists.page(session, "sensors", Asked({"among": ids}, "sensor"), 50)
+    with open_reading(store) as session:
+        found = lists.page(session, "sensors", ListQuery({"among": ids}, "sensor"), 50)
     assert {row.id for row in found} == {1, 2} & set(ids)
 
 
 def test_among_equals_the_newest_is_first(store):
-    with reading(store) as session:
-        found = lists.page(session, "runs", Asked({}, "state"), 50)
+    with open_reading(store) as session:
+        found = lists.page(session, "runs", ListQuery({}, "state"), 50)
     failed = [row.id for row in found if row.state == "FAILED"]
     assert failed == sorted(failed, reverse=True)
 
 
 @pytest.mark.parametrize("text", ["_%", "a", "%"])
 def test_a_text_is_sought_as_it_stands_in_any_case(store, text):
-    with reading(store) as session:
-        found = lists.page(session, "runs", Asked({"q": text}, "-run"), 50)
+    with open_reading(store) as session:
+        found = lists.page(session, "runs", ListQuery({"q": text}, "-run"), 50)
     assert {row.label for row in found} == {label for label in ("b", "A", "_%c") if text in label.lower()}
 
 
 def test_a_walk_gives_every_row_once_and_reads_what_no_list_shows_only_when_asked(store):
-    with reading(store) as session:
-        walked = [row.id for row in lists.walk(session, "runs", Asked({}, "rms"))]
+    with open_reading(store) as session:
+        walked = [row.id for row in lists.walk(session, "runs", ListQuery({}, "rms"))]
         assert walked == in_pages(session, "runs", "rms", 7)
-        row = lists.page(session, "runs", Asked({}, "run"), 1)[0]
+        row = lists.page(session, "runs", ListQuery({}, "run"), 1)[0]
         assert "settings" in sa.inspect(row).unloaded
         assert row.settings == {}
 
@@ -185,7 +185,7 @@ def many(engine):
     drawn = np.random.default_rng(5)
     columns = "sensor_id, telemetry_set_id, method, settings, sensor_document, label, state, attempt, cancel_requested"
     insert = f"INSERT INTO runs ({columns}, launched_utc, launched_by, summary) VALUES ({', '.join('?' * 12)})"  # noqa: S608 - no word of it is given from outside
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         furnish(session)
     with engine.begin() as connection:
         rows = [
@@ -203,12 +203,12 @@ def many(engine):
 @pytest.mark.sqlite("timed is this thread, and PostgreSQL computes in a process of its own")
 def test_a_page_of_fifty_thousand_runs_is_there_within_a_tenth_of_a_second(many):
     took = {}
-    with reading(many) as session:
+    with open_reading(many) as session:
         for sort in ("-run", "label", "sensor", "rms", "-started"):
             for where in ({}, {"state": "SUCCEEDED"}, {"q": "0.5"}):
                 for before in (None, MANY // 2):
                     began_s = time.thread_time()  # a busy machine is not the list's fault
-                    rows = lists.page(session, "runs", Asked(where, sort, before), 51)
+                    rows = lists.page(session, "runs", ListQuery(where, sort, before), 51)
                     took[sort, str(where), before] = time.thread_time() - began_s
                     assert len(rows) == 51
                     session.expunge_all()
@@ -217,7 +217,7 @@ def test_a_page_of_fifty_thousand_runs_is_there_within_a_tenth_of_a_second(many)
 
 @pytest.mark.parametrize("table", lists.NAMES, ids=lambda table: table.__name__)
 def test_every_listed_table_has_its_newest_rows_narrowed_by_each_filter(store, table):
-    with reading(store) as session:
+    with open_reading(store) as session:
         whole = [row.id for row in lists.newest(session, table)]
         assert whole == sorted(session.scalars(sa.select(table.id)), reverse=True)
         for number in range(len(whole)):

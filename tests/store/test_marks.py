@@ -5,8 +5,8 @@ import time
 import pytest
 
 from boresight.platform.audit.chain import append_own
-from boresight.platform.db.marks import Kept, Marks
-from boresight.platform.db.sessions import open_engine, reading, writing
+from boresight.platform.db.data_version import DataVersionReader, VersionedCache
+from boresight.platform.db.sessions import open_engine, open_reading, open_writing
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -16,13 +16,13 @@ def store(request):
 
 def test_a_mark_moves_with_every_commit_and_with_nothing_else(store):
     another = open_engine(store.url.render_as_string(hide_password=False))
-    marks = Marks(store)
+    marks = DataVersionReader(store)
     seen = [marks.look()]
     for database in (store, another, store):
-        with reading(database) as session:
+        with open_reading(database) as session:
             session.connection()
         assert marks.look() == seen[-1]
-        with writing(database) as session:
+        with open_writing(database) as session:
             append_own(session, "did", "thing/1")
             session.flush()
             assert marks.look() == seen[-1], "what is not committed is not to be seen"
@@ -34,7 +34,7 @@ def test_a_mark_moves_with_every_commit_and_with_nothing_else(store):
 
 
 def test_marks_of_another_connection_are_others(store):
-    marks = Marks(store)
+    marks = DataVersionReader(store)
     first = marks.look()
     marks.close()
     assert marks.look() != first
@@ -42,44 +42,44 @@ def test_marks_of_another_connection_are_others(store):
 
 
 def test_a_look_holds_no_connection_of_the_pool(store):
-    marks = Marks(store)
+    marks = DataVersionReader(store)
     marks.look()
     assert store.pool.checkedout() == 0
     marks.close()
 
 
 def test_only_sqlite_is_asked_at_once(sqlite, postgresql):
-    assert Marks(sqlite).at_once
-    assert not Marks(postgresql).at_once
+    assert DataVersionReader(sqlite).at_once
+    assert not DataVersionReader(postgresql).at_once
 
 
 def test_a_store_that_cannot_say_gives_no_mark(tmp_path):
     engine = open_engine(f"sqlite:///{tmp_path}/no-store.sqlite3")
     (tmp_path / "no-store.sqlite3").write_bytes(b"this is no database, however long it may be " * 50)
-    assert Marks(engine).look() is None
+    assert DataVersionReader(engine).look() is None
     engine.dispose()
 
 
 def test_what_was_read_is_read_again_only_after_a_commit_or_for_another_question(store):
-    marks = Marks(store)
-    kept, asked = Kept(marks), []
+    marks = DataVersionReader(store)
+    kept, asked = VersionedCache(marks), []
 
     def answer(question):
         return kept.answer(question, lambda: asked.append(question) or len(asked))
 
     assert [answer("a"), answer("a"), answer("b"), answer("b"), answer("a")] == [1, 1, 2, 2, 3]
-    with writing(store) as session:
+    with open_writing(store) as session:
         append_own(session, "did", "thing/1")
     assert [answer("a"), answer("a")] == [4, 4]
     marks.close()
 
 
 def test_what_is_committed_while_it_is_read_is_read_again(store):
-    marks = Marks(store)
-    kept = Kept(marks)
+    marks = DataVersionReader(store)
+    kept = VersionedCache(marks)
 
     def read():
-        with writing(store) as session:
+        with open_writing(store) as session:
             append_own(session, "did", "thing/1")
 
     kept.answer("a", read)
@@ -88,22 +88,22 @@ def test_what_is_committed_while_it_is_read_is_read_again(store):
 
 
 def test_who_asked_before_it_was_read_is_given_it_whatever_is_committed_after_and_told_so(store):
-    marks = Marks(store)
-    kept, asked_s = Kept(marks), time.monotonic()
+    marks = DataVersionReader(store)
+    kept, asked_s = VersionedCache(marks), time.monotonic()
     assert kept.answer_to("a", lambda: "once", time.monotonic()) == ("once", False)
-    with writing(store) as session:
+    with open_writing(store) as session:
         append_own(session, "did", "thing/1")
     assert kept.answer_to("a", lambda: "anew", asked_s) == ("once", True)
     assert kept.answer_to("b", lambda: "of another question", asked_s) == ("of another question", False)
     assert kept.answer("b", lambda: "anew") == "of another question"
-    with writing(store) as session:
+    with open_writing(store) as session:
         append_own(session, "did", "thing/1")
     assert kept.answer_to("b", lambda: "anew", time.monotonic()) == ("anew", False)
     marks.close()
 
 
 def test_nothing_is_kept_of_a_store_that_cannot_say(store, monkeypatch):
-    marks = Marks(store)
+    marks = DataVersionReader(store)
     monkeypatch.setattr(marks, "look", lambda: None)
-    kept = Kept(marks)
+    kept = VersionedCache(marks)
     assert [kept.answer("a", lambda number=number: number) for number in (1, 2)] == [1, 2]

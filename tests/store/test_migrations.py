@@ -12,11 +12,19 @@ from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.runs.tables import Run, RunEvent
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.audit.chain import append_own
-from boresight.platform.audit.seals import FIRST_HASH, JOURNALS, rows_of
+from boresight.platform.audit.seals import FIRST_HASH, JOURNALS, iterate_rows
 from boresight.platform.audit.tables import IdempotentResponse
 from boresight.platform.blobs.tables import Blob as BlobRow
 from boresight.platform.db.declared import Base
-from boresight.platform.db.sessions import Engine, current_revision, downgrade, head_revision, migrate, reading, writing
+from boresight.platform.db.sessions import (
+    Engine,
+    current_revision,
+    downgrade,
+    head_revision,
+    migrate,
+    open_reading,
+    open_writing,
+)
 
 from .furniture import NOW, alarm, parameter_set, rows_of_tables
 
@@ -42,7 +50,7 @@ def test_the_migrated_schema_is_the_one_of_the_models(store: Engine) -> None:
 def test_data_survive_a_migration_that_has_nothing_to_do(store: Engine) -> None:
     _fill(store)
     migrate(store)
-    with reading(store) as session:
+    with open_reading(store) as session:
         sensor = session.get_one(Sensor, 1)
         assert sensor.document == {"name": "ST1", "f_m": 1e22}
         assert isinstance(sensor.document["f_m"], float)
@@ -66,7 +74,7 @@ def test_a_full_store_goes_down_and_up_again(store: Engine) -> None:
 )
 def test_the_data_survive_the_way_down_to_every_revision_and_up_again(store: Engine, revision: str) -> None:
     _fill(store)
-    with writing(store) as session:
+    with open_writing(store) as session:
         kept = {"request_sha256": "s", "status": 201, "headers": {}, "body": {"id": 1}, "created_utc": NOW}
         session.add(IdempotentResponse(key="k", actor="ana session", **kept))
     downgrade(store, revision)
@@ -75,7 +83,7 @@ def test_the_data_survive_the_way_down_to_every_revision_and_up_again(store: Eng
     migrate(store)
     assert current_revision(store) == head_revision()
     assert _has_age_index(store)
-    with reading(store) as session:
+    with open_reading(store) as session:
         assert session.get_one(IdempotentResponse, ("k", "ana session")).body == {"id": 1}
         assert session.get_one(Sensor, 1).name == "ST1"
 
@@ -100,26 +108,26 @@ def test_what_the_log_of_runs_said_is_in_its_columns_after_the_way_up_and_the_jo
     store: Engine,
 ) -> None:
     _fill(store)
-    with writing(store) as session:
+    with open_writing(store) as session:
         for kind, message, _ in SAID:
             session.add(RunEvent(run_id=1, attempt=1, at_utc=NOW, kind=kind, message=message))
     downgrade(store, "0011")
     with store.connect() as connection:
         assert "state" not in {column["name"] for column in sa.inspect(connection).get_columns("run_events")}
     migrate(store)
-    with reading(store) as session:
+    with open_reading(store) as session:
         rows = session.scalars(sa.select(RunEvent).order_by(RunEvent.id)).all()
         assert [(row.state, row.cause, row.level, row.numbers) for row in rows] == [columns for *_, columns in SAID]
         assert [row.message for row in rows] == [message for _, message, _ in SAID]
         journal, previous = JOURNALS["run_events"], FIRST_HASH
-        for line in rows_of(session, journal):
-            assert line["hash"] == journal.hash_of(previous, line)
-            assert line["outcome_hash"] == journal.outcome_hash_of(line)
+        for line in iterate_rows(session, journal):
+            assert line["hash"] == journal.compute_hash(previous, line)
+            assert line["outcome_hash"] == journal.compute_outcome_hash(line)
             previous = line["hash"]
 
 
 def test_an_older_version_can_number_records_itself_again(store: Engine) -> None:
-    with writing(store) as session:
+    with open_writing(store) as session:
         for number in range(3):
             append_own(session, "counted", f"numbers/{number}")
     downgrade(store, "0002")
@@ -137,7 +145,7 @@ def _has_age_index(store: Engine) -> bool:
 
 def test_a_migration_leaves_foreign_keys_on(sqlite: Engine) -> None:
     migrate(sqlite)
-    with pytest.raises(sa.exc.IntegrityError, match="FOREIGN KEY"), writing(sqlite) as session:
+    with pytest.raises(sa.exc.IntegrityError, match="FOREIGN KEY"), open_writing(sqlite) as session:
         session.add(Promotion(sensor_id=9, parameter_set_id=9, at_utc=NOW))
 
 
@@ -225,7 +233,7 @@ def test_what_may_change_does(store: Engine) -> None:
     _execute(store, "UPDATE runs SET label = 'best'")
     _execute(store, "UPDATE presets SET archived_utc = '2026'")
     _execute(store, "UPDATE campaigns SET cancelled_utc = '2026'")
-    with reading(store) as session:
+    with open_reading(store) as session:
         assert session.get_one(ParameterSet, 1).ground_state == "SUPERSEDED"
         assert session.get_one(Run, 1).label == "best"
 
@@ -253,14 +261,14 @@ def test_postgresql_does_not_truncate_the_record_either(postgresql: Engine) -> N
 def test_a_second_baseline_or_number_or_an_unknown_state_is_refused(store: Engine, row: ParameterSet) -> None:
     _fill(store)
     copy = parameter_set(row.number, row.ground_state)
-    with pytest.raises(sa.exc.IntegrityError), writing(store) as session:
+    with pytest.raises(sa.exc.IntegrityError), open_writing(store) as session:
         session.add(copy)
 
 
 def test_a_second_open_request_for_a_set_is_refused(store: Engine) -> None:
     _fill(store)
     row = Approval(parameter_set_id=1, state="OPEN", reason="r", submitted_utc=NOW, submitted_by=1, bound={})
-    with pytest.raises(sa.exc.IntegrityError), writing(store) as session:
+    with pytest.raises(sa.exc.IntegrityError), open_writing(store) as session:
         session.add(row)
 
 
@@ -271,5 +279,5 @@ def test_text_in_a_number_is_refused(sqlite: Engine) -> None:
 
 
 def _execute(store: Engine, statement: str) -> None:
-    with writing(store) as session:
+    with open_writing(store) as session:
         session.connection().exec_driver_sql(statement)

@@ -14,8 +14,8 @@ from obstore.store import MemoryStore, from_url
 
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError, UnavailableError
 from boresight.platform.blobs.bucket import KEPT_S, ObjectBlobStore
+from boresight.platform.blobs.locations import BlobLocation
 from boresight.platform.blobs.opening import open_blobs
-from boresight.platform.blobs.places import BlobPlace
 from boresight.settings import read_settings
 from tests.object_store import SECRET, serving_s3
 
@@ -34,7 +34,7 @@ def blobs(s3: str, tmp_path: Path) -> Open:
     assert s3
 
     def machine(name: str = "here", bucket: str = "flight", limit_bytes: int = PLENTY) -> ObjectBlobStore:
-        opened = open_blobs(BlobPlace(f"s3://{bucket}/blobs", tmp_path / name, limit_bytes))
+        opened = open_blobs(BlobLocation(f"s3://{bucket}/blobs", tmp_path / name, limit_bytes))
         assert isinstance(opened, ObjectBlobStore)
         return opened
 
@@ -128,7 +128,7 @@ def _raising(error: Exception) -> Callable[..., None]:
 def test_nobody_listening_is_told_within_seconds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("ENDPOINT_URL", "http://127.0.0.1:9"), ("ACCESS_KEY_ID", "k"), ("SECRET_ACCESS_KEY", "s")):
         monkeypatch.setenv(f"AWS_{name}", value)
-    blobs, begun_s = open_blobs(BlobPlace("s3://closed/blobs", tmp_path, PLENTY)), time.monotonic()
+    blobs, begun_s = open_blobs(BlobLocation("s3://closed/blobs", tmp_path, PLENTY)), time.monotonic()
     with pytest.raises(UnavailableError, match="s3://closed/blobs does not answer"):
         blobs.put(b"x")
     assert time.monotonic() - begun_s < 30
@@ -139,7 +139,7 @@ def test_a_store_is_looked_at_quickly_whoever_is_there(
 ) -> None:
     blobs().refuse_unusable()
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
-    gone, begun_s = open_blobs(BlobPlace("s3://gone/blobs", tmp_path, PLENTY)), time.monotonic()
+    gone, begun_s = open_blobs(BlobLocation("s3://gone/blobs", tmp_path, PLENTY)), time.monotonic()
     with pytest.raises(UnavailableError, match="s3://gone/blobs does not answer"):
         gone.refuse_unusable()
     assert time.monotonic() - begun_s < 4
@@ -166,7 +166,7 @@ def test_any_bytes_come_back_and_a_lost_cache_costs_nothing_but_time(
     tmp_path_factory: pytest.TempPathFactory, content: bytes
 ) -> None:
     folder, store = tmp_path_factory.mktemp("any"), MemoryStore()
-    first, second = (ObjectBlobStore(BlobPlace("memory:///", folder / name, PLENTY), store) for name in "ab")
+    first, second = (ObjectBlobStore(BlobLocation("memory:///", folder / name, PLENTY), store) for name in "ab")
     sha256 = first.put(content)
     assert second.read(sha256) == content
     second.path(sha256).unlink()

@@ -19,13 +19,13 @@ from boresight.console.runs.tables import Run
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks import table_definitions
-from boresight.console.uplinks.read_backs import read_back, reference_of
+from boresight.console.uplinks.read_backs import get_sent_table, read_back
 from boresight.errors import StaleError
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.documents import canonical
-from boresight.platform.db.sessions import Engine, reading, writing
+from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from boresight.uplink.table_definition import plain_definition
 from tests.passwords import add_person, approve, proved
 
@@ -48,10 +48,10 @@ CSV = "frame,exposure,row_px,col_px,ra_deg,dec_deg\n" + "".join(f"1,0,{n}.5,{n *
 
 @pytest.fixture
 def people(postgresql: Engine) -> Mapping[str, Actor]:
-    with writing(postgresql) as session:
+    with open_writing(postgresql) as session:
         rows = {name: add_person(session, name, *roles) for name, roles in PEOPLE.items()}
         sensors.register_sensor(session, COMMAND_LINE, SENSOR)
-        return {name: users.actor_of(session, row.id) for name, row in rows.items()}
+        return {name: users.get_actor(session, row.id) for name, row in rows.items()}
 
 
 def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: float) -> ParameterSet:
@@ -68,7 +68,7 @@ def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: 
         "covariance": {"names": names, "matrix": np.diag([SPREAD[name] ** 2 for name in names]).tolist()},
         "status": "converged",
     }
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         telemetry = telemetry_sets.add_telemetry_set(session, ana, blobs, None, 1, folder / "a.csv", "a.csv")
         sha256 = blobs.put(canonical(result).encode())
         telemetry_sets.register_blob(session, blobs, sha256, "application/json")
@@ -89,7 +89,7 @@ def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: 
 
 
 def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet, blobs: BlobStore) -> int:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         approval = submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
         approve(session, people["cy"], approval)
         return transitions.get_parameter_set(session, row.id).version
@@ -104,7 +104,7 @@ def test_promotions_at_once_leave_one_baseline_and_one_chain(
 
     def promote(number: int) -> str:
         try:
-            with writing(postgresql) as session:
+            with open_writing(postgresql) as session:
                 return promotions.promote(session, people["dee"], rows[number].id, versions[number]).name
         except StaleError:
             return "stale"
@@ -112,7 +112,7 @@ def test_promotions_at_once_leave_one_baseline_and_one_chain(
     with ThreadPoolExecutor(3) as pool:
         outcomes = sorted(pool.map(promote, range(3)))
     assert outcomes[1:] == ["stale", "stale"]
-    with reading(postgresql) as session:
+    with open_reading(postgresql) as session:
         listed = parameter_sets.list_parameter_sets(session)
         assert [row.name for row in listed if row.ground_state == "BASELINE"] == outcomes[:1]
         assert audit.verify(session).ok
@@ -122,20 +122,22 @@ def test_the_ladder_and_the_question_of_when_work(
     postgresql: Engine, people: Mapping[str, Actor], tmp_path: Path
 ) -> None:
     dee, blobs, plain = people["dee"], BlobStore(tmp_path / "blobs"), plain_definition("inverted_wang")
-    with writing(postgresql) as session:
+    with open_writing(postgresql) as session:
         table_definitions.set_definition(session, people["ana"], 1, plain, "As flown.", 0)
         for state in ("SENT", "LOADED"):
             uplinks.record(session, dee, 1, state, "pass 4711")
         seen = session.get_one(ParameterSet, 1)
-        sent = reference_of(session, blobs, seen).content
+        sent = get_sent_table(session, blobs, seen).content
         read_back(session, dee, blobs, 1, sent, "pass 4711", seen.version)
         uplinks.activate(session, dee, 1, "pass 4711", "I saw it.", proved(session, dee, PASSWORD), seen.version)
-    with reading(postgresql) as session:
+    with open_reading(postgresql) as session:
         assert uplinks.baseline_at(session, 1, "2000-01-01") is None
         assert [row.name for row, _ in uplinks.onboard_at(session, 1, "2100-01-01")] == ["PS-ST16-1-0"]
-        assert timeline.as_of(session, 1).sentence == "baseline PS-ST16-1-0, on board PS-ST16-1-0 ACTIVE: the same"
+        assert (
+            timeline.get_state_at(session, 1).sentence == "baseline PS-ST16-1-0, on board PS-ST16-1-0 ACTIVE: the same"
+        )
         listed = timeline.events(session, 1)
         assert [event.state for event in listed] == ["ACTIVE", "VERIFIED", "LOADED", "SENT", None, "BASELINE"]
         assert timeline.events(session, 1, before_id=listed[1].id, limit=2) == listed[2:4]
-        tile = sensors.fleet_overview(session)[0]
+        tile = sensors.list_fleet_tiles(session)[0]
     assert (tile.status, tile.active is not None) == ("off", True)

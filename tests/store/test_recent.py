@@ -6,19 +6,19 @@ from hypothesis import strategies as st
 
 from boresight.errors import CorruptFileError, NotFoundError
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.marks import LARGEST_SHARE, Recent
+from boresight.platform.db.data_version import LARGEST_SHARE, SizeLimitedCache
 
 
 @given(st.lists(st.tuples(st.integers(0, 8), st.integers(1, 60)), max_size=60))
 def test_no_more_is_held_than_the_limit_and_every_answer_is_right(asked):
-    recent, sizes = Recent(100), dict(reversed(asked))
+    recent, sizes = SizeLimitedCache(100), dict(reversed(asked))
     for key, _ in asked:
         assert recent.get(key, lambda key=key: (f"value {key}", sizes[key])) == f"value {key}"
         assert 0 <= recent.held_bytes <= 100
 
 
 def test_what_was_used_last_stays_and_the_oldest_goes():
-    recent, made = Recent(100), []
+    recent, made = SizeLimitedCache(100), []
 
     def make(key):
         made.append(key)
@@ -30,7 +30,7 @@ def test_what_was_used_last_stays_and_the_oldest_goes():
 
 
 def test_what_is_too_large_is_made_each_time_and_pushes_nothing_out():
-    recent, made = Recent(100), []
+    recent, made = SizeLimitedCache(100), []
     recent.get("small", lambda: ("small", 10))
     for _ in range(2):
         recent.get("large", lambda: (made.append(1), 99))

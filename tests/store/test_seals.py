@@ -10,7 +10,7 @@ from boresight.console.runs.tables import Run
 from boresight.platform.audit import chain, seals, verification
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.declared import Base
-from boresight.platform.db.sessions import Engine, downgrade, migrate, only_try, reading, utc_now, writing
+from boresight.platform.db.sessions import Engine, downgrade, mark_dry_run, migrate, open_reading, open_writing, utc_now
 
 NOW = "2026-11-21T00:00:00.000000Z"
 
@@ -21,7 +21,7 @@ def _user(name: str = "ana") -> User:
 
 @pytest.fixture
 def inhabited(engine: Engine) -> Engine:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         session.add(_user())
         session.flush()
         session.add(ApiKey(user_id=1, label="k", prefix="p", key_hash="h", scopes=[], created_utc=NOW))
@@ -29,13 +29,13 @@ def inhabited(engine: Engine) -> Engine:
     return engine
 
 
-def _found(engine: Engine) -> verification.Findings:
-    with reading(engine) as session:
+def _found(engine: Engine) -> verification.VerificationFindings:
+    with open_reading(engine) as session:
         return verification.verify(session, None)
 
 
 def _records(engine: Engine) -> list[AuditRecord]:
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return list(session.scalars(sa.select(AuditRecord).order_by(AuditRecord.id)))
 
 
@@ -56,7 +56,7 @@ def test_every_column_of_a_sealed_table_is_lasting_or_says_why_not() -> None:
 
 
 def test_the_last_record_of_a_transaction_carries_the_digests_of_all_that_it_changed(inhabited: Engine) -> None:
-    with writing(inhabited) as session:
+    with open_writing(inhabited) as session:
         chain.append_own(session, "first", "users/1")
         session.get_one(User, 1).roles = ["viewer"]
         session.add(_user("bo"))
@@ -71,16 +71,16 @@ def test_the_last_record_of_a_transaction_carries_the_digests_of_all_that_it_cha
 
 
 def test_a_change_without_a_record_is_refused_and_undone(inhabited: Engine) -> None:
-    with pytest.raises(ValueError, match=r"Received none for users/1"), writing(inhabited) as session:
+    with pytest.raises(ValueError, match=r"Received none for users/1"), open_writing(inhabited) as session:
         session.get_one(User, 1).roles = ["administrator"]
-    with reading(inhabited) as session:
+    with open_reading(inhabited) as session:
         assert session.get_one(User, 1).roles == ["analyst"]
 
 
 def test_a_trial_is_refused_for_a_missing_record_too(inhabited: Engine) -> None:
     def attempt() -> None:
-        with writing(inhabited) as session:
-            only_try(session)
+        with open_writing(inhabited) as session:
+            mark_dry_run(session)
             session.get_one(User, 1).roles = ["viewer"]
 
     with pytest.raises(ValueError, match="Expected an audit record"):
@@ -88,19 +88,19 @@ def test_a_trial_is_refused_for_a_missing_record_too(inhabited: Engine) -> None:
 
 
 def test_a_column_that_is_not_lasting_needs_no_record(inhabited: Engine) -> None:
-    with writing(inhabited) as session:
+    with open_writing(inhabited) as session:
         session.get_one(ApiKey, 1).last_used_utc = utc_now()
     assert len(_records(inhabited)) == 1
     assert _found(inhabited).misfit is None
 
 
 def test_a_bulk_change_of_a_sealed_table_is_refused(inhabited: Engine) -> None:
-    with pytest.raises(ValueError, match="Received a bulk statement"), writing(inhabited) as session:
+    with pytest.raises(ValueError, match="Received a bulk statement"), open_writing(inhabited) as session:
         session.execute(sa.update(User).values(roles=["administrator"]))
 
 
 def test_a_change_after_the_log_was_read_is_sealed_by_a_closing_record(inhabited: Engine) -> None:
-    with writing(inhabited) as session:
+    with open_writing(inhabited) as session:
         chain.append_own(session, "looked", "users/1")
         assert session.scalar(sa.select(AuditRecord.action).order_by(AuditRecord.id.desc()).limit(1)) == "looked"
         session.get_one(User, 1).roles = ["viewer"]
@@ -110,7 +110,7 @@ def test_a_change_after_the_log_was_read_is_sealed_by_a_closing_record(inhabited
 
 
 def test_what_was_rolled_back_leaves_neither_records_nor_seals(inhabited: Engine) -> None:
-    with writing(inhabited) as session:
+    with open_writing(inhabited) as session:
         session.get_one(User, 1).printed_name = "Tried"
         chain.append_own(session, "tried", "users/1")
         session.rollback()
@@ -121,7 +121,7 @@ def test_what_was_rolled_back_leaves_neither_records_nor_seals(inhabited: Engine
 
 
 def _run(engine: Engine) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         session.add(Sensor(name="ST1", document={}, created_utc=NOW))
         session.flush()
         session.connection().exec_driver_sql(
@@ -140,10 +140,10 @@ def _run(engine: Engine) -> None:
 
 def test_a_run_under_way_moves_without_a_record_and_its_end_is_one(inhabited: Engine) -> None:
     _run(inhabited)
-    with writing(inhabited) as session:
+    with open_writing(inhabited) as session:
         session.get_one(Run, 1).progress = {"fraction": 0.5}
     assert _found(inhabited).misfit is None
-    with writing(inhabited) as session:
+    with open_writing(inhabited) as session:
         assert finish(session, 1, 1, "FAILED", "it diverged") == "FAILED"
     last = _records(inhabited)[-1]
     assert (last.actor, last.action, last.object, last.reason) == ("Boresight", "ended", "runs/1", "it diverged")
@@ -153,13 +153,13 @@ def test_a_run_under_way_moves_without_a_record_and_its_end_is_one(inhabited: En
 
 def test_an_end_that_came_too_late_is_not_on_record(inhabited: Engine) -> None:
     _run(inhabited)
-    with writing(inhabited) as session:
+    with open_writing(inhabited) as session:
         assert finish(session, 1, 0, "FAILED") is None
     assert [record.action for record in _records(inhabited)] == ["furnished", "launched"]
 
 
 def test_a_database_from_before_the_seals_is_sealed_once(inhabited: Engine) -> None:
-    with writing(inhabited) as session:  # as an old version left it: records without seals
+    with open_writing(inhabited) as session:  # as an old version left it: records without seals
         drop = f"DROP TRIGGER audit_no_removal{' ON audit' * (inhabited.dialect.name == 'postgresql')}"
         for statement in (drop, "DELETE FROM audit"):
             session.connection().exec_driver_sql(statement)

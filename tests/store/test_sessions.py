@@ -14,11 +14,11 @@ from boresight.platform.db.sessions import (
     Session,
     keep_despite_refusal,
     open_engine,
-    reading,
+    open_reading,
+    open_writing,
     utc_after,
     utc_now,
     utc_text,
-    writing,
 )
 
 
@@ -31,7 +31,7 @@ def _blob(name: str = "0") -> Blob:
 
 
 def _write_and_raise(engine: Engine, error: Exception, *, keep: bool) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         session.add(_blob())
         session.flush()
         if keep:
@@ -55,9 +55,9 @@ def test_every_sqlite_connection_has_the_pragmas(sqlite: Engine) -> None:
 
 
 def test_a_writer_commits_at_its_end(engine: Engine) -> None:
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         session.add(_blob())
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert _count(session) == 1
 
 
@@ -65,43 +65,43 @@ def test_a_writer_commits_at_its_end(engine: Engine) -> None:
 def test_an_error_leaves_nothing(engine: Engine, error: type[Exception]) -> None:
     with pytest.raises(error):
         _write_and_raise(engine, error(), keep=False)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert _count(session) == 0
 
 
 def test_a_refusal_that_must_be_remembered_is_kept(engine: Engine) -> None:
     with pytest.raises(UnauthenticatedError):
         _write_and_raise(engine, UnauthenticatedError(), keep=True)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert _count(session) == 1
 
 
 def test_a_fault_of_the_program_is_never_kept(engine: Engine) -> None:
     with pytest.raises(ZeroDivisionError):
         _write_and_raise(engine, ZeroDivisionError(), keep=True)
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert _count(session) == 0
 
 
 def test_a_reader_changes_nothing(engine: Engine) -> None:
-    with suppress(sa.exc.InternalError), reading(engine) as session:  # PostgreSQL refuses it, SQLite forgets it
+    with suppress(sa.exc.InternalError), open_reading(engine) as session:  # PostgreSQL refuses it, SQLite forgets it
         session.add(_blob())
         session.flush()
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         assert _count(session) == 0
 
 
 def test_a_reader_sees_one_state_while_others_write(engine: Engine) -> None:
-    with reading(engine) as reader:
+    with open_reading(engine) as reader:
         assert _count(reader) == 0
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             session.add(_blob())
         assert _count(reader) == 0
 
 
 def _count_up(engine: Engine, times: int) -> None:
     for _ in range(times):
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             number = _count(session)
             session.add(_blob(str(number)))
 
@@ -112,7 +112,7 @@ def _race(engine: Engine, threads: int, times: int) -> list[str]:
         worker.start()
     for worker in workers:
         worker.join()
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         return sorted(session.scalars(sa.select(Blob.sha256)), key=int)
 
 
@@ -125,12 +125,12 @@ def test_reading_then_writing_is_safe_on_postgresql_too(postgresql: Engine) -> N
 
 
 def test_a_postgresql_reader_sees_one_state_and_may_not_write(postgresql: Engine) -> None:
-    with reading(postgresql) as reader:
+    with open_reading(postgresql) as reader:
         assert _count(reader) == 0
-        with writing(postgresql) as session:
+        with open_writing(postgresql) as session:
             session.add(_blob())
         assert _count(reader) == 0
-    with reading(postgresql) as session:
+    with open_reading(postgresql) as session:
         session.add(_blob())
         with pytest.raises(sa.exc.InternalError, match="read-only"):
             session.flush()

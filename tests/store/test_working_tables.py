@@ -4,7 +4,7 @@ from unittest import mock
 
 import pytest
 
-from boresight.disks import digest_of
+from boresight.disks import compute_digest
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.blobs.working_tables import table_path, working_table
 from boresight.telemetry.read.limits import STORED
@@ -28,7 +28,7 @@ def before(blobs, tmp_path):
 def test_a_set_stored_before_has_the_arrays_that_runs_made_of_it(blobs, before):
     path, sha256 = working_table(blobs, before)
 
-    assert digest_of(path) == sha256 != before
+    assert compute_digest(path) == sha256 != before
     assert_same_bits(WorkingTable(path, sha256).read(), read_telemetry(blobs.path(before), "t.parquet", STORED))
 
 

@@ -20,8 +20,8 @@ from boresight.papers.wu.estimators import (
     START_SIGMA,
     Estimator,
     Trial,
+    draw_fields,
     estimators,
-    fields_of,
     gain_filter,
     noisy,
     run_trial,
@@ -54,7 +54,7 @@ def test_the_printed_width_of_the_field_is_a_misprint_and_its_height_is_not():
 
 @pytest.fixture(scope="module")
 def star_fields():
-    return fields_of(5.5, 150, np.random.default_rng(3), None)
+    return draw_fields(5.5, 150, np.random.default_rng(3), None)
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +118,7 @@ def test_criterion_a_is_the_mean_over_images_of_the_rms_over_all_pairs(star_fiel
 
 def test_images_near_the_milky_way_hold_about_as_many_stars_as_the_papers():
     for limit, stars in printed.GROUPS.items():
-        assert fields_of(limit, 600, np.random.default_rng(1), None).stars_per_field == pytest.approx(stars, rel=0.1)
+        assert draw_fields(limit, 600, np.random.default_rng(1), None).stars_per_field == pytest.approx(stars, rel=0.1)
 
 
 # A small study.

@@ -7,7 +7,7 @@ import pytest
 
 from boresight.errors import RefusedInputError
 from boresight.telemetry.quality.detector import OffDetector, check_against_sensor
-from boresight.telemetry.schema import rows_of
+from boresight.telemetry.schema import select_rows
 from tests.telemetry.troubles import calm_telemetry
 
 HEADER = "frame,exposure,row_px,col_px,star_id\n"
@@ -82,7 +82,7 @@ def test_what_is_left_out_or_refused_does_not_depend_on_the_parts_a_set_comes_in
     whole.look_at(moved, sensor)
     for first in range(0, len(moved), 36):
         part = OffDetector()
-        part.look_at(rows_of(moved, slice(first, first + 36)), sensor)
+        part.look_at(select_rows(moved, slice(first, first + 36)), sensor)
         parts.absorb(part)
     assert parts.document() == whole.document()
     assert parts.too_many == whole.too_many == (count == 60)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.telemetry.read.frames import frame_index
-from boresight.telemetry.schema import Telemetry, rows_of
+from boresight.telemetry.schema import Telemetry, select_rows
 from boresight.telemetry.working_table import WorkingTableParts, write_working_table
 
 FRAMES, ROWS = 60, 7
@@ -38,7 +38,7 @@ def stored(request, tmp_path_factory):
     path, whole, rows = tmp_path_factory.mktemp("table") / "table", telemetry(), request.param * ROWS
     with WorkingTableParts(path) as parts:
         for begin in range(0, len(whole), rows):
-            parts.write(rows_of(whole, slice(begin, min(begin + rows, len(whole)))))
+            parts.write(select_rows(whole, slice(begin, min(begin + rows, len(whole)))))
     return path
 
 
@@ -47,7 +47,7 @@ def stored(request, tmp_path_factory):
 def test_a_frame_with_its_neighbours_is_those_rows_of_the_whole_set(stored, place, neighbours):
     whole, index = telemetry(), frame_index(stored)
     first, last = max(place - neighbours, 0) * ROWS, min(place + neighbours + 1, FRAMES) * ROWS
-    expected, read = rows_of(whole, slice(first, last)), index.read(place, neighbours)
+    expected, read = select_rows(whole, slice(first, last)), index.read(place, neighbours)
 
     for item in fields(Telemetry):
         value = getattr(expected, item.name)
@@ -61,7 +61,7 @@ def test_the_index_knows_frames_stars_and_how_many_an_exposure_has(stored):
     index = frame_index(stored)
 
     assert index.frame.tolist() == list(range(10, 10 + 3 * FRAMES, 3))
-    assert index.place_of(16) == 2
+    assert index.find_place(16) == 2
     assert index.named_stars.tolist() == [11, 22, 33, 44]
     assert index.typical_stars == 3.5  # exposures of four and of three
     assert frame_index(stored) is index
@@ -70,7 +70,7 @@ def test_the_index_knows_frames_stars_and_how_many_an_exposure_has(stored):
 @pytest.mark.parametrize("frame", [9, 11, 10_000])
 def test_a_frame_that_is_not_there_is_refused_with_those_that_are(stored, frame):
     with pytest.raises(NotFoundError, match="its 60 frames are numbered from 10 to 187"):
-        frame_index(stored).place_of(frame)
+        frame_index(stored).find_place(frame)
 
 
 def test_a_damaged_table_is_refused(tmp_path):

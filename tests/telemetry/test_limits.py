@@ -12,7 +12,7 @@ from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
 from boresight.telemetry.read.chunks import read_chunks
 from boresight.telemetry.read.limits import LIMITS, STORED, Limits
-from boresight.telemetry.read.parquet import DamagedPageError, layout_of, pages_of
+from boresight.telemetry.read.parquet import DamagedPageError, iterate_pages, read_layout
 from boresight.telemetry.read.readers import read_table, read_telemetry, stretches
 
 FORMS = ["csv", "jsonl", "parquet"]
@@ -106,9 +106,9 @@ def test_what_a_file_says_in_its_page_headers_is_held_to_the_limits(tmp_path):
     zeros = {"frame": pa.array(np.zeros(40_000_000, np.int8))}
     arrow_parquet.write_table(pa.table(zeros), path, compression="zstd", use_dictionary=False)
     with pytest.raises(RefusedInputError, match="more than 64 times its size"):
-        layout_of(path, path.name)
+        read_layout(path, path.name)
     assert path.stat().st_size < 1e6
-    assert layout_of(path, path.name, STORED).rows == 40_000_000
+    assert read_layout(path, path.name, STORED).rows == 40_000_000
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_what_a_file_says_in_its_page_headers_is_held_to_the_limits(tmp_path):
 )
 def test_a_damaged_page_header_is_told(damage):
     with pytest.raises(DamagedPageError):
-        list(pages_of(damage, 0, len(damage)))
+        list(iterate_pages(damage, 0, len(damage)))
 
 
 @pytest.mark.parametrize(
@@ -168,7 +168,7 @@ def test_an_ordinary_large_file_is_far_from_every_limit(tmp_path):
     times = {"time_utc": ["2026-01-01T00:00:00Z"] * rows, "star_id": k % 20}
     arrow_parquet.write_table(pa.table(columns_of(rows) | noise | constant | times), path, compression="zstd")
     read_telemetry(path)
-    layout = layout_of(path, path.name)
+    layout = read_layout(path, path.name)
     assert layout.batch_rows == 131_072
     assert rows * len(layout.columns) * 8 < LIMITS.expanded(path.stat().st_size) / 5
     assert stretches(path, path.name, 100) == []

@@ -7,7 +7,7 @@ import pytest
 
 from boresight.telemetry.quality import report as quality_parts
 from boresight.telemetry.quality.report import QualityParts, quality_report
-from boresight.telemetry.schema import rows_of
+from boresight.telemetry.schema import select_rows
 from tests.telemetry.troubles import STARS, Stars, calm_telemetry, codes, finding, with_rows
 
 TOTALS = (
@@ -25,7 +25,7 @@ def in_parts(telemetry, sensor, frames, catalogue=None):
     report = QualityParts(sensor, catalogue or Stars())
     rows = frames * STARS
     for first in range(0, len(telemetry), rows):
-        report.add(rows_of(telemetry, slice(first, min(first + rows, len(telemetry)))))
+        report.add(select_rows(telemetry, slice(first, min(first + rows, len(telemetry)))))
     return report.report()
 
 

@@ -14,7 +14,7 @@ import pytest
 from pyarrow import feather
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.read.formats import text_of
+from boresight.telemetry.read.formats import read_text
 from boresight.telemetry.sensors import read_sensor
 from tests.telemetry.files import GOOD, refused
 
@@ -105,7 +105,7 @@ def test_a_sensor_file_that_is_another_file_is_called_what_it_is(kind, tmp_path)
 
 def test_parquet_is_no_json():
     with pytest.raises(RefusedInputError, match="Parquet"):
-        text_of("sensor.json", b"PAR1\x15\x04")
+        read_text("sensor.json", b"PAR1\x15\x04")
 
 
 @pytest.mark.parametrize("first", ["ORCa", "BZh", "FEA1", "Obj"])

@@ -5,9 +5,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from boresight.disks import digest_of
+from boresight.disks import compute_digest
 from boresight.errors import CorruptFileError, RefusedInputError
-from boresight.telemetry.schema import Telemetry, rows_of
+from boresight.telemetry.schema import Telemetry, select_rows
 from boresight.telemetry.working_table import WorkingTable, WorkingTableParts, is_working_table, write_working_table
 from tests.telemetry.test_frames import ROWS, telemetry
 
@@ -26,7 +26,7 @@ def full():
 def in_parts(whole, path, frames):
     with WorkingTableParts(path) as parts:
         for begin in range(0, len(whole), frames * ROWS):
-            parts.write(rows_of(whole, slice(begin, min(begin + frames * ROWS, len(whole)))))
+            parts.write(select_rows(whole, slice(begin, min(begin + frames * ROWS, len(whole)))))
     return path
 
 
@@ -46,18 +46,18 @@ def test_every_array_comes_back_bit_for_bit_whatever_the_parts(tmp_path, frames)
     assert is_working_table(table.path)
     assert len(table) == len(full())
     assert_same_bits(table.read(), full())
-    assert_same_bits(table.rows(20, 90), rows_of(full(), slice(20, 90)))
+    assert_same_bits(table.rows(20, 90), select_rows(full(), slice(20, 90)))
 
 
 def test_arrays_lie_on_the_mapping_and_writing_into_them_leaves_the_file_alone(tmp_path):
     write_working_table(full(), tmp_path / "table")
-    before = digest_of(tmp_path / "table")
+    before = compute_digest(tmp_path / "table")
     telemetry = WorkingTable(tmp_path / "table").read()
 
     assert not telemetry.row_px.flags.owndata
     telemetry.row_px[:] = 0
     telemetry.quaternion[:] = 0
-    assert digest_of(tmp_path / "table") == before
+    assert compute_digest(tmp_path / "table") == before
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1 and then nothing", b"ARROW1 and then nothing"])

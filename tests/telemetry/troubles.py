@@ -12,7 +12,7 @@ MAGNITUDES = 3.0 + (np.arange(1, 500) % 30) / 10.0
 class Stars:
     magnitude = MAGNITUDES
 
-    def index_of(self, hip):
+    def find_index(self, hip):
         return np.where((hip >= 1) & (hip < 500), hip - 1, -1)
 
 

@@ -29,7 +29,7 @@ from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore, register_blob
 from boresight.platform.blobs.opening import open_blobs
-from boresight.platform.db.sessions import Engine, Session, migrate, open_engine, reading, utc_now, writing
+from boresight.platform.db.sessions import Engine, Session, migrate, open_engine, open_reading, open_writing, utc_now
 from boresight.settings import Settings
 from tests.passwords import add_person
 
@@ -61,26 +61,26 @@ class Installation:
         self.engine = open_engine(self.settings.database_url)
         self.blobs = open_blobs(self.settings.blob_place)
         migrate(self.engine)
-        with writing(self.engine) as session:
+        with open_writing(self.engine) as session:
             for name, roles in self.people.items():
                 row = add_person(session, name, *roles)
                 row.password_hash = CHEAP_HASH
 
     def actor(self, name: str) -> Actor:
-        with reading(self.engine) as session:
+        with open_reading(self.engine) as session:
             row = next(row for row in users.list_users(session) if row.name == name)
-            return users.actor_of(session, row.id)
+            return users.get_actor(session, row.id)
 
     def sensor(self) -> int:
         document = {**self.evidence.sensor, "name": f"ST-{next(self._numbers)}"}
-        with writing(self.engine) as session:
+        with open_writing(self.engine) as session:
             row = sensors.register_sensor(session, COMMAND_LINE, document)
             path, name = self.evidence.telemetry, self.evidence.telemetry.name
             telemetry_sets.add_telemetry_set(session, COMMAND_LINE, self.blobs, None, row.id, path, name)
             return row.id
 
     def candidate(self, sensor_id: int, launcher: Actor, creator: Actor | None = None) -> ParameterSet:
-        with writing(self.engine) as session:
+        with open_writing(self.engine) as session:
             run = self._run(session, sensor_id, launcher)
             return parameter_sets.create_from_run(session, creator or launcher, self.blobs, run.id)
 
@@ -107,7 +107,7 @@ class Installation:
         return run
 
     def set_of(self, set_id: int) -> ParameterSet:
-        with reading(self.engine) as session:
+        with open_reading(self.engine) as session:
             return transitions.get_parameter_set(session, set_id)
 
     def client(self, name: str) -> httpx.Client:
@@ -122,7 +122,7 @@ class Installation:
 
     def key(self, name: str) -> httpx.Client:
         scopes = ("sensors", "telemetry-sets", "runs", "parameter-sets", "uplinks")
-        with writing(self.engine) as session:
+        with open_writing(self.engine) as session:
             secret = api_keys.create_key(session, self.actor(name), label="test", scopes=scopes)[1]
         return httpx.Client(
             base_url=self.address, headers={"Authorization": f"Bearer {secret}"}, timeout=60, verify=TRUST

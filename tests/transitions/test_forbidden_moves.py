@@ -23,7 +23,7 @@ from boresight.console.uplinks.tables import TableDefinition
 from boresight.platform.actors import COMMAND_LINE, POLICY, Actor, Policy
 from boresight.platform.audit import log as audit
 from boresight.platform.db.declared import Base
-from boresight.platform.db.sessions import reading, utc_now, writing
+from boresight.platform.db.sessions import open_reading, open_writing, utc_now
 from boresight.sky.catalogue import Catalogue
 from tests.api.conftest import serving, settings_in
 from tests.api.operations import OPENAPI
@@ -68,7 +68,7 @@ class Board:
         return self.clients[name]
 
     def request_of(self, place: str) -> Approval | None:
-        with reading(self.installation.engine) as session:
+        with open_reading(self.installation.engine) as session:
             return next(iter(approvals.list_approvals(session, parameter_set_id=self.sets[place])), None)
 
     @cache  # noqa: B019 - no move of this file is made, and one board is made
@@ -120,7 +120,7 @@ def _open(board: Board, place: str, policy: Policy = POLICY, sensor_id: int | No
     house = board.installation
     row = house.candidate(sensor_id or house.sensor(), board.actor("launcher"), board.actor("creator"))
     board.sets[place] = row.id
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         asked = (house.blobs, row.id, "It moved.", row.version)
         submissions.submit(session, board.actor("submitter"), *asked, policy=policy)
     return house.set_of(row.id)
@@ -129,7 +129,7 @@ def _open(board: Board, place: str, policy: Policy = POLICY, sensor_id: int | No
 def _sign(board: Board, place: str, decision: str = "APPROVE") -> None:
     request = board.request_of(place)
     assert request is not None
-    with writing(board.installation.engine) as session:
+    with open_writing(board.installation.engine) as session:
         proof = proved(session, board.actor("signer"), PASSWORD)
         words = (decision, WORDS["meaning"], WORDS["comment"], proof, request.version)
         approvals.sign(session, board.actor("signer"), request.id, *words)
@@ -138,7 +138,7 @@ def _sign(board: Board, place: str, decision: str = "APPROVE") -> None:
 def _promote(board: Board, place: str) -> None:
     _sign(board, place)
     row = board.installation.set_of(board.sets[place])
-    with writing(board.installation.engine) as session:
+    with open_writing(board.installation.engine) as session:
         promotions.promote(session, board.actor("promoter"), row.id, row.version)
 
 
@@ -158,11 +158,11 @@ def _place(board: Board, place: str) -> None:
     if place == "SUPERSEDED":
         _open(board, "successor", sensor_id=row.sensor_id)
         _promote(board, "successor")
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         if place == "WITHDRAWN":
             submissions.withdraw(session, board.actor("submitter"), row.id, row.version)
         if place == "EXPIRED":
-            approvals.expire_due(session)
+            approvals.expire_due_requests(session)
         if place == "STALE":
             make_stale_of_set(session, COMMAND_LINE, row.id, "the gate profile became version 1")
 
@@ -174,7 +174,7 @@ def board(tmp_path_factory: pytest.TempPathFactory, evidence: Evidence, catalogu
     for place in PLACES:
         _place(made, place)
     root, newcomer = made.actor("administrator"), made.actor("newcomer")
-    with writing(made.installation.engine) as session:
+    with open_writing(made.installation.engine) as session:
         users.change_password(session, root, newcomer.user_id or 0, new_password(PASSWORD))
         given = session.get_one(User, newcomer.user_id)
         given.must_change_password, given.password_hash = 1, CHEAP_HASH
@@ -255,7 +255,7 @@ def test_what_was_bound_and_moved_is_refused_and_only_its_request_becomes_stale(
     row = _open(board, "MOVED")
     if move.transition == "promote":
         _sign(board, "MOVED")
-    with writing(board.installation.engine) as session:  # past the services, which would make it stale at once
+    with open_writing(board.installation.engine) as session:  # past the services, which would make it stale at once
         session.add(
             TableDefinition(
                 sensor_id=row.sensor_id, number=1, document={}, sha256="0" * 64, reason="x", created_utc=utc_now()

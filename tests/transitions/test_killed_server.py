@@ -24,7 +24,7 @@ from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
-from boresight.platform.db.sessions import Session, reading
+from boresight.platform.db.sessions import Session, open_reading
 from tests.api.conftest import settings_in
 from tests.effort import effort
 from tests.stores import environment_in
@@ -123,7 +123,7 @@ class Traffic:
 
     def _aim(self, rng: np.random.Generator) -> tuple[str, str, int, dict[str, str] | None]:
         """Choose a set, and a transition that its state has."""
-        with reading(self.house.engine) as session:
+        with open_reading(self.house.engine) as session:
             rows = [row for row in parameter_sets.list_parameter_sets(session) if row.ground_state in CHOICES]
             row = rows[int(rng.integers(len(rows)))]
             choices = CHOICES[row.ground_state]
@@ -185,7 +185,7 @@ def _wait_until(traffic: Traffic, number: int) -> None:
 
 def _is_whole(house: Installation, traffic: Traffic) -> None:
     """Hold every row against the audit log: one baseline a sensor, no effect without its record, none that is lost."""
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert audit.verify(session).ok
         for row in session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)):
             sets = parameter_sets.list_parameter_sets(session, sensor_id=row.sensor_id)

@@ -23,7 +23,7 @@ from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
-from boresight.platform.db.sessions import reading, writing
+from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.sky.catalogue import Catalogue
 from tests.api.conftest import serving, settings_in
 from tests.passwords import proved
@@ -60,19 +60,19 @@ def _filled(house: Installation) -> int:
     for row in rows[: FORMER + 1]:
         _submit(house, row)
         _sign(house, row)
-        with writing(house.engine) as session:
+        with open_writing(house.engine) as session:
             version = transitions.get_parameter_set(session, row.id).version
             promotions_module.promote(session, house.actor("olga"), row.id, version)
     return sensor_id
 
 
 def _submit(house: Installation, row: ParameterSet) -> None:
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         submissions.submit(session, house.actor("ana"), house.blobs, row.id, "It moved.", row.version)
 
 
 def _sign(house: Installation, row: ParameterSet) -> None:
-    with writing(house.engine) as session:
+    with open_writing(house.engine) as session:
         request = approvals.list_approvals(session, parameter_set_id=row.id)[0]
         words = ("APPROVE", "I approve.", "", proved(session, house.actor("cy"), PASSWORD), request.version)
         approvals.sign(session, house.actor("cy"), request.id, *words)
@@ -87,12 +87,12 @@ def _readied(house: Installation, sensor_id: int, signed: int) -> None:
 
 
 def _sets(house: Installation, sensor_id: int, state: str) -> Sequence[ParameterSet]:
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         return parameter_sets.list_parameter_sets(session, sensor_id=sensor_id, ground_state=state)
 
 
 def _shots(house: Installation, sensor_id: int, rng: np.random.Generator) -> list[Shot]:
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         waiting = approvals.list_approvals(session, state="OPEN")
     signed = [
         Shot(person, f"/api/v1/approvals/{request.id}:approve", request.version, WORDS)
@@ -140,7 +140,7 @@ def _watched(house: Installation, sensor_id: int) -> Iterator[list[int]]:
 
     def look() -> None:
         while not over.wait(0.005):
-            with reading(house.engine) as session:
+            with open_reading(house.engine) as session:
                 counts.append(session.scalar(query) or 0)
 
     thread = threading.Thread(target=look)
@@ -186,7 +186,7 @@ def test_fifty_at_once_leave_one_baseline_and_one_chain(
 
 
 def _is_on_record(house: Installation, sensor_id: int, accepted: list[tuple[Shot, httpx.Response]]) -> None:
-    with reading(house.engine) as session:
+    with open_reading(house.engine) as session:
         assert audit.verify(session).ok
         sets = parameter_sets.list_parameter_sets(session, sensor_id=sensor_id)
         assert [row.ground_state for row in sets].count("BASELINE") == 1

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from boresight.simulation.sensors import st16_sensor
-from boresight.verdicts.gates import Evidence
+from boresight.verdicts.gates import GateInputs
 from boresight.verdicts.gates.assessment import ground_set
 
 SENSOR = st16_sensor(1)
@@ -44,7 +44,7 @@ def a_result(**changed: Any) -> dict[str, Any]:
     } | changed
 
 
-def evidence(**changed: Any) -> Evidence:
+def evidence(**changed: Any) -> GateInputs:
     values: dict[str, Any] = {
         "sensor": SENSOR,
         "candidate": a_set(),
@@ -52,4 +52,4 @@ def evidence(**changed: Any) -> Evidence:
         "result": a_result(),
         "no_held_out": "There are none.",
     }
-    return Evidence(**(values | changed))
+    return GateInputs(**(values | changed))

@@ -11,7 +11,7 @@ from boresight.simulation.scenes import calibration_scenario, simulate, validati
 from boresight.simulation.sensors import st16_truth
 from boresight.verdicts.gates import judge, parse_profile
 from boresight.verdicts.gates.assessment import assess, ground_set
-from boresight.verdicts.gates.held_out import change_of_share, held_out_scores, of_result
+from boresight.verdicts.gates.held_out import change_of_share, compute_validation_scores, of_result
 from boresight.verdicts.gates.measurements import Measurement, ends
 
 from .evidence_cases import NAMES, SENSOR
@@ -31,7 +31,9 @@ def frames_of(number, frames, catalogue):
 
 
 def scores(incumbent, candidate, number, catalogue, frames=30):
-    return held_out_scores(frames_of(number, frames, catalogue), SENSOR, catalogue, incumbent, candidate, GIVEN)
+    return compute_validation_scores(
+        frames_of(number, frames, catalogue), SENSOR, catalogue, incumbent, candidate, GIVEN
+    )
 
 
 def status(name, score, **entry):
@@ -109,7 +111,7 @@ def test_a_runs_own_validation_gives_the_scores_that_seeing_the_frames_again_giv
     held_out = frames_of(12, 20, catalogue)
     result = calibrate(telemetry, SENSOR, catalogue, GIVEN, validation=held_out)
     own = of_result(result)
-    assert own == held_out_scores(held_out, SENSOR, catalogue, ground_set(SENSOR), result, GIVEN)
+    assert own == compute_validation_scores(held_out, SENSOR, catalogue, ground_set(SENSOR), result, GIVEN)
     incumbent = ground_set(SENSOR)
     by_result, by_frames = (
         assess(result, SENSOR, incumbent, parse_profile({}), frames) for frames in (None, (held_out, catalogue))

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.estimation.statistics.consistency import chi_square
-from boresight.verdicts.gates import GATES, Measurement, judge, measurements_of, parse_profile, summarised, words
-from boresight.verdicts.gates.judgement import STATUSES, worst
+from boresight.verdicts.gates import GATES, Measurement, judge, parse_profile, read_measurements, summarise, words
+from boresight.verdicts.gates.judgement import STATUSES, find_worst
 
 NUMBERS = st.floats(0.0, 1.0)
 
@@ -97,7 +97,7 @@ def test_the_margin_is_negative_where_and_only_where_the_limit_is_crossed(value)
 def test_the_worst_answer_is_the_verdict_in_this_order():
     assert STATUSES == ("PASS", "MARGINAL", "NO-DATA", "FAIL")
     for pair in itertools.product(STATUSES, repeat=2):
-        assert worst(pair) == STATUSES[max(map(STATUSES.index, pair))]
+        assert find_worst(pair) == STATUSES[max(map(STATUSES.index, pair))]
     assert judge(parse_profile({}), sound())["verdict"] == "PASS"
     assert judge(parse_profile({}), sound(coverage=Measurement(0.5, "")))["verdict"] == "MARGINAL"
     assert judge(parse_profile({}), sound(coverage=Measurement(None, "")))["verdict"] == "NO-DATA"
@@ -106,7 +106,7 @@ def test_the_worst_answer_is_the_verdict_in_this_order():
 
 @given(st.lists(st.sampled_from(STATUSES), min_size=1))
 def test_no_number_of_good_answers_makes_up_for_a_bad_one(statuses):
-    assert worst([*statuses, "FAIL"]) == "FAIL"
+    assert find_worst([*statuses, "FAIL"]) == "FAIL"
 
 
 def test_only_failing_blocks_and_having_no_data_where_there_must_be_some():
@@ -127,22 +127,22 @@ def test_what_is_only_observed_is_shown_and_counts_for_nothing():
 
 def test_a_waiver_lets_pass_and_stays_in_the_words_when_it_has_expired():
     report = judge(parse_profile({}), sound(nis=Measurement(50.0, ""), validation_rms=Measurement(9.0, "")))
-    assert summarised(report, {"nis"}, {"nis"})["blocking"] == ["validation-rms"]
-    both = summarised(report, {"nis", "validation-rms"}, {"nis", "validation-rms"})
+    assert summarise(report, {"nis"}, {"nis"})["blocking"] == ["validation-rms"]
+    both = summarise(report, {"nis", "validation-rms"}, {"nis", "validation-rms"})
     assert (both["words"], both["blocking"]) == ("PASS (2 gates waived)", [])
-    expired = summarised(report, set(), {"nis"})
+    expired = summarise(report, set(), {"nis"})
     assert (expired["words"], expired["blocking"]) == ("FAIL (1 gate waived)", ["validation-rms", "nis"])
     assert words("PASS", 0) == "PASS"
 
 
 def test_a_gate_that_was_waived_and_passes_by_now_still_taints_the_verdict():
-    assert summarised(judge(parse_profile({}), sound()), {"nis"}, {"nis"})["words"] == "PASS (1 gate waived)"
+    assert summarise(judge(parse_profile({}), sound()), {"nis"}, {"nis"})["words"] == "PASS (1 gate waived)"
 
 
 @pytest.mark.parametrize("name", [name for name, gate in GATES.items() if gate.critical])
 def test_no_waiver_lifts_a_critical_gate(name):
     report = judge(parse_profile({}), sound(**{name: Measurement(None, "No.", met="FAIL")}))
-    waived = summarised(report, {name}, {name})
+    waived = summarise(report, {name}, {name})
     assert (waived["verdict"], waived["blocking"]) == ("FAIL", [name])
 
 
@@ -150,8 +150,8 @@ def test_a_report_judged_again_by_its_own_profile_is_the_same():
     measured = sound(nis=Measurement(50.0, "Much.", bounds=(0.9, 1.1)), coverage=Measurement(None, "None."))
     measured["availability"] = Measurement(0.9, "Fair.", interval=(None, 0.95), incumbent=0.8)
     report = judge(parse_profile({}), measured)
-    assert measurements_of(report) == measured
-    assert judge(parse_profile({}), measurements_of(report)) == report
+    assert read_measurements(report) == measured
+    assert judge(parse_profile({}), read_measurements(report)) == report
     assert all(math.isfinite(one["margin"]) for one in report["gates"] if one["margin"] is not None)
 
 

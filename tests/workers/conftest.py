@@ -17,14 +17,14 @@ from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import chain
 from boresight.platform.blobs.folder import register_blob
 from boresight.platform.blobs.opening import open_blobs
-from boresight.platform.db.sessions import migrate, open_engine, reading, utc_now, writing
+from boresight.platform.db.sessions import migrate, open_engine, open_reading, open_writing, utc_now
 from boresight.settings import Settings, read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import sensor_document
 from boresight.workers import cluster
-from boresight.workers.engine import Engine
+from boresight.workers.dispatcher import RunDispatcher
 from tests.stores import environment_in
 
 sys.path.insert(0, str(Path(__file__).parent))  # where worker processes, which inherit the path, find the stand-in
@@ -52,7 +52,7 @@ class Store:
         table = folder / "table.parquet"
         write_parquet(four_stars(), table)
         sha256 = self.blobs.put(table)
-        with writing(self.database) as session:
+        with open_writing(self.database) as session:
             register_blob(session, self.blobs, sha256, "application/vnd.apache.parquet")
             document = sensor_document(st16_sensor(1))
             sensor = Sensor(name="ST-1", document=document, created_utc=utc_now(), version=1, simulated=1)
@@ -75,7 +75,7 @@ class Store:
             return sensor.id, telemetry.id
 
     def launch(self, behaviour: str, count: int = 1) -> list[int]:
-        with writing(self.database) as session:
+        with open_writing(self.database) as session:
             return [self._add(session, behaviour) for _ in range(count)]
 
     def _add(self, session, behaviour: str) -> int:
@@ -95,26 +95,26 @@ class Store:
         return run.id
 
     def cancel(self, run_id: int) -> str:
-        with writing(self.database) as session:
+        with open_writing(self.database) as session:
             chain.append_own(session, "cancelled", f"runs/{run_id}")
             return runs.request_cancel(session, run_id, "Cancelled in a test.").state
 
     def run(self, run_id: int) -> Run:
-        with reading(self.database) as session:
+        with open_reading(self.database) as session:
             return runs.find_run(session, run_id)
 
     def states(self, run_ids) -> list[str]:
-        with reading(self.database) as session:
-            found = runs.states_of(session, run_ids)
+        with open_reading(self.database) as session:
+            found = runs.read_states(session, run_ids)
         by_id = {run_id: state for (run_id, _), state in found.items()}
         return [by_id[run_id] for run_id in run_ids]
 
     def log(self, run_id: int, kind: str) -> list[str]:
-        with reading(self.database) as session:
+        with open_reading(self.database) as session:
             return [event.message for event in events_of_run(session, run_id, 0, None) if event.kind == kind]
 
     def ends(self, run_id: int) -> list[str]:
-        with reading(self.database) as session:
+        with open_reading(self.database) as session:
             words = [event.state for event in events_of_run(session, run_id, 0, None) if event.state]
         return [word for word in words if word in TERMINAL_RUN_STATES]
 
@@ -177,7 +177,7 @@ def start_engine():
     started = []
 
     def start(store, broadcast=None, **options):
-        engine = Engine(store.database, store.settings, broadcast, calculation=CALCULATION, **options)
+        engine = RunDispatcher(store.database, store.settings, broadcast, calculation=CALCULATION, **options)
         engine.start()
         started.append(engine)
         return engine

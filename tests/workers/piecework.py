@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from boresight.errors import RefusedInputError
-from boresight.workers.spread import ClusterSpread
+from boresight.workers.cluster_executor import ClusterExecutor
 
 COUNT = 24
 
@@ -35,7 +35,7 @@ def spread(folder, function=square, count=COUNT, stop_after_s=None, seconds=None
     asked = lambda: stop_after_s is not None and time.monotonic() - begun_s > stop_after_s  # noqa: E731 - a question
     told = []
     more = () if seconds is None else (seconds,)
-    results = ClusterSpread("1-1", Path(folder), asked).map(
+    results = ClusterExecutor("1-1", Path(folder), asked).map(
         function,
         [(number, str(folder), *more) for number in range(count)],
         done=lambda done, of: told.append((done, of)),
@@ -44,7 +44,7 @@ def spread(folder, function=square, count=COUNT, stop_after_s=None, seconds=None
 
 
 def spread_unseen(folder):
-    seen = ClusterSpread("1-1", Path(folder), lambda: False)
+    seen = ClusterExecutor("1-1", Path(folder), lambda: False)
     seen._sign.unlink()
     results = seen.map(square, [(number, str(folder), 0.05) for number in range(COUNT)])
     return {"results": results, "process": os.getpid()}

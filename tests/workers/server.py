@@ -13,12 +13,12 @@ def main() -> None:
     from standin import Unwarmed  # noqa: PLC0415 - after the kernel folder is set
 
     from boresight.workers import cluster  # noqa: PLC0415 - likewise
-    from boresight.workers.engine import Engine  # noqa: PLC0415 - likewise
+    from boresight.workers.dispatcher import RunDispatcher  # noqa: PLC0415 - likewise
 
     cluster.WarmUp = Unwarmed
     asked = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: asked.set())
-    engine = Engine(open_engine(settings.database_url), settings, calculation="standin:calculate")
+    engine = RunDispatcher(open_engine(settings.database_url), settings, calculation="standin:calculate")
     engine.start()
     asked.wait()
     engine.stop()

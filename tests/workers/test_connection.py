@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.servers import free_port
-from boresight.workers.cluster import Connection
+from boresight.workers.cluster import SchedulerClient
 from services import Services, listens, loops, wait_for
 
 
@@ -13,7 +13,7 @@ def test_a_scheduler_that_does_not_answer_costs_no_thread_however_often_it_is_as
     before = loops()
     for _ in range(2):
         with pytest.raises(OSError, match=r"[Tt]imed out|refused"):
-            Connection(f"tcp://127.0.0.1:{free_port()}", timeout=0.2, set_as_default=False)
+            SchedulerClient(f"tcp://127.0.0.1:{free_port()}", timeout=0.2, set_as_default=False)
     assert loops() <= before
 
 
@@ -23,7 +23,7 @@ def test_a_scheduler_that_goes_away_takes_the_thread_of_its_client_along(tmp_pat
     try:
         services.start("scheduler", "--port", str(port))
         wait_for(lambda: listens(port))
-        client = Connection(f"tcp://127.0.0.1:{port}", timeout=5, set_as_default=False)
+        client = SchedulerClient(f"tcp://127.0.0.1:{port}", timeout=5, set_as_default=False)
         assert len(loops() - before) == 1
     finally:
         services.stop()

@@ -8,24 +8,24 @@ import pytest
 
 import boresight
 from benchmarks.servers import free_port
-from boresight.workers.cluster import Connection
-from boresight.workers.flight import UNFIT_TOPIC, Fitness, fault_of
+from boresight.workers.cluster import SchedulerClient
+from boresight.workers.dispatched_tasks import UNFIT_TOPIC, WorkerCheck, find_worker_fault
 from services import Services, wait_for
 
 
 def test_a_worker_of_the_same_version_that_sees_the_folder_is_fit(tmp_path):
-    assert fault_of("1.0", str(tmp_path), "1.0") is None
-    assert fault_of("1.0", "", "1.0") is None
+    assert find_worker_fault("1.0", str(tmp_path), "1.0") is None
+    assert find_worker_fault("1.0", "", "1.0") is None
 
 
 def test_another_version_and_a_folder_out_of_sight_are_said_in_one_sentence_each(tmp_path):
     here = socket.gethostname()
 
-    assert fault_of("2.0", str(tmp_path), "1.0") == (
+    assert find_worker_fault("2.0", str(tmp_path), "1.0") == (
         f"The worker on {here} is Boresight 1.0 and the server is 2.0: "
         "install the same version on both; until then this worker gets no runs."
     )
-    assert fault_of("1.0", "/nowhere/blobs", "1.0") == (
+    assert find_worker_fault("1.0", "/nowhere/blobs", "1.0") == (
         f"The worker on {here} does not see the server's folder /nowhere/blobs: mount it there under the same path; "
         "until then this worker gets no runs."
     )
@@ -43,14 +43,14 @@ def test_a_worker_of_another_version_tells_both_sides_and_leaves_and_joins_when_
     services.start("scheduler", "--port", address.rpartition(":")[2])
     worker = services.start("worker", "--scheduler", address)
     heard = []
-    with Connection(address, timeout=120, set_as_default=False) as client:
+    with SchedulerClient(address, timeout=120, set_as_default=False) as client:
         client.subscribe_topic(UNFIT_TOPIC, lambda event: heard.append(event[1]["fault"]))
         client.wait_for_workers(1, timeout=120)
-        client.register_plugin(Fitness("99.0", ""))
+        client.register_plugin(WorkerCheck("99.0", ""))
         wait_for(lambda: not client.nthreads())
         wait_for(lambda: heard)
         assert f"is Boresight {boresight.__version__} and the server is 99.0" in heard[0]
         assert heard[0] in worker.log.read_text()
-        client.register_plugin(Fitness(boresight.__version__, ""))
+        client.register_plugin(WorkerCheck(boresight.__version__, ""))
         client.wait_for_workers(1, timeout=120)
     assert worker.process.poll() is None

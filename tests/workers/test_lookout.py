@@ -2,9 +2,9 @@
 
 import pytest
 
-from boresight.console.runs.queries import End
+from boresight.console.runs.queries import RunEnd
 from boresight.workers import reconcile as lookout
-from boresight.workers.reconcile import RUNS, Lookout
+from boresight.workers.reconcile import RUNS, AlarmCheck
 
 
 @pytest.fixture
@@ -12,8 +12,8 @@ def look(make_store):
     store = make_store()
 
     def make(count, state="SUCCEEDED"):
-        made = Lookout(store.database)
-        made.note([End(run_id, 1, state) for run_id in store.launch("quick", count)])
+        made = AlarmCheck(store.database)
+        made.note([RunEnd(run_id, 1, state) for run_id in store.launch("quick", count)])
         return made
 
     return make
@@ -21,10 +21,10 @@ def look(make_store):
 
 def test_the_sensors_of_runs_that_succeeded_are_watched_and_written_only_where_something_changed(look, monkeypatch):
     written = []
-    monkeypatch.setattr(lookout, "watch", lambda _session, sensor_ids: written.append(sensor_ids))
+    monkeypatch.setattr(lookout, "update_alarms", lambda _session, sensor_ids: written.append(sensor_ids))
     for changed in ([], [1]):
         monkeypatch.setattr(
-            lookout, "changed_sensors", lambda _session, sensor_ids, changed=changed: changed and sensor_ids
+            lookout, "find_changed_sensors", lambda _session, sensor_ids, changed=changed: changed and sensor_ids
         )
         looking = look(1)
         looking.look()
@@ -34,7 +34,7 @@ def test_the_sensors_of_runs_that_succeeded_are_watched_and_written_only_where_s
 
 def test_a_long_list_is_looked_at_in_parts_so_that_no_turn_is_long(look, monkeypatch):
     asked = []
-    monkeypatch.setattr(lookout, "sensors_of", lambda _session, run_ids: asked.append(len(run_ids)) or [])
+    monkeypatch.setattr(lookout, "list_sensors", lambda _session, run_ids: asked.append(len(run_ids)) or [])
     looking = look(RUNS + 1)
     looking.look()
     assert looking
@@ -53,7 +53,7 @@ def test_a_watch_that_fails_is_logged_and_left_to_the_upkeep(look, monkeypatch):
 
     said = []
     monkeypatch.setattr(lookout.log, "exception", said.append)
-    monkeypatch.setattr(lookout, "changed_sensors", broken)
+    monkeypatch.setattr(lookout, "find_changed_sensors", broken)
     looking = look(1)
     looking.look()
     assert not looking

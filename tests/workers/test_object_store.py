@@ -8,8 +8,8 @@ import obstore
 import pytest
 from obstore.store import from_url
 
+from boresight.platform.blobs.locations import BlobLocation
 from boresight.platform.blobs.opening import open_blobs
-from boresight.platform.blobs.places import BlobPlace
 from tests.object_store import SECRET, serving_s3
 
 BUCKET = "s3://flight/blobs"
@@ -29,7 +29,7 @@ def test_a_run_is_computed_from_the_bucket_and_its_result_is_there(flying, tmp_p
     store, own = flying
     (run_id,) = store.launch("quick")
     assert store.wait_until_ended([run_id]) == ["SUCCEEDED"], store.run(run_id).reason
-    elsewhere = open_blobs(BlobPlace(BUCKET, tmp_path, 10**9))
+    elsewhere = open_blobs(BlobLocation(BUCKET, tmp_path, 10**9))
     result = json.loads(elsewhere.read(store.run(run_id).result_sha256))
     assert result["sensor"] == f"quick-{run_id}"
     assert any((own / "blob-cache").rglob("*")), "the worker kept nothing of its own"

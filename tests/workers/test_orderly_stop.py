@@ -2,7 +2,7 @@
 
 from distributed.comm import CommClosedError
 
-from boresight.workers.engine import Engine
+from boresight.workers.dispatcher import RunDispatcher
 
 
 def test_what_was_running_is_queued_again_and_not_charged(make_store, start_engine):
@@ -18,7 +18,7 @@ def test_what_was_running_is_queued_again_and_not_charged(make_store, start_engi
 
 def test_a_scheduler_that_is_lost_in_the_middle_of_a_turn_is_told_in_a_line_without_a_traceback(make_store, caplog):
     store = make_store(workers="0")
-    engine = Engine(store.database, store.settings)
+    engine = RunDispatcher(store.database, store.settings)
     turns = []
 
     def turn():

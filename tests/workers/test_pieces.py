@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.workers.spread import GROUP_S, Broken, Pieces
+from boresight.workers.cluster_executor import GROUP_S, FailedPiece, Pieces
 
 
 @given(
@@ -62,9 +62,9 @@ def test_a_piece_that_was_lost_goes_only_to_who_asks_for_such():
 def test_what_the_first_broken_piece_raised_is_raised_though_a_later_one_broke_before():
     pieces = Pieces(4)
     groups = [pieces.take(1) for _ in range(4)]
-    pieces.settle(groups[2], [Broken(KeyError("later"))], 0.1)
+    pieces.settle(groups[2], [FailedPiece(KeyError("later"))], 0.1)
     assert not pieces.complete
-    pieces.settle(groups[1], [Broken(ValueError("first"))], 0.1)
+    pieces.settle(groups[1], [FailedPiece(ValueError("first"))], 0.1)
     pieces.settle(groups[0], [1], 0.1)
     assert pieces.complete
     with pytest.raises(ValueError, match="first"):
@@ -74,7 +74,7 @@ def test_what_the_first_broken_piece_raised_is_raised_though_a_later_one_broke_b
 def test_nothing_behind_a_broken_piece_is_given_out():
     pieces = Pieces(50)
     first, second = pieces.take(1), pieces.take(1)
-    pieces.settle(second, [Broken(ValueError())], 0.1)
+    pieces.settle(second, [FailedPiece(ValueError())], 0.1)
     assert pieces.take(1) == ()
     pieces.give_back(first)
     assert pieces.take(1, returned=True) == first

@@ -3,13 +3,13 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.console.runs.queries import Waiting
+from boresight.console.runs.queries import WaitingRun
 from boresight.workers.reconcile import GROUP_RUNS, GROUP_S, LONG_GROUP_S, planned
 
 
 def waiting(stars, attempts=None):
     attempts = attempts or [0] * len(stars)
-    return [Waiting(i, attempts[i], "batch", {}, 1, stars[i]) for i in range(len(stars))]
+    return [WaitingRun(i, attempts[i], "batch", {}, 1, stars[i]) for i in range(len(stars))]
 
 
 def seconds(run):

@@ -6,9 +6,9 @@ from itertools import count
 import pytest
 
 from boresight.console.runs import queries as runs
-from boresight.console.runs.queries import End
+from boresight.console.runs.queries import RunEnd
 from boresight.console.runs.run_events import Line
-from boresight.platform.db.sessions import writing
+from boresight.platform.db.sessions import open_writing
 from boresight.workers.link import Report
 from boresight.workers.reconcile import Reconciler
 
@@ -29,14 +29,14 @@ def make_rows(store):
 
 
 def take_one(rows, run_id):
-    with writing(rows.database) as session:
+    with open_writing(rows.database) as session:
         claimed = runs.claim(session, rows.owner, rows.lease_s, 1, [run_id])
     return [(run.run_id, run.attempt) for run in claimed]
 
 
 def success(held):
     address = f"{held[0]:032x}{held[1]:032x}"
-    return End(*held, "SUCCEEDED", None, address, {"status": "converged"}, 2, [Line.log("done")])
+    return RunEnd(*held, "SUCCEEDED", None, address, {"status": "converged"}, 2, [Line.log("done")])
 
 
 def test_a_run_is_claimed_by_one_owner_only(store, make_rows):

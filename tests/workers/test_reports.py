@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.workers.link import LINE_EVERY_S, POINTS_AN_EVENT, Report, Reports, points_after, thinned
+from boresight.workers.link import LINE_EVERY_S, POINTS_AN_EVENT, ProgressInbox, Report, points_after, thinned
 
 HELD = (7, 1)
 
@@ -34,7 +34,7 @@ def report(frames: list[int], fraction: float = 0.5, held: tuple[int, int] = HEL
 
 @given(st.lists(st.integers(1, 400), min_size=1, max_size=12), st.data())
 def test_points_follow_one_another_whichever_reports_were_replaced(steps: list[int], data: st.DataObject) -> None:
-    reports, told, last = Reports(), [], None
+    reports, told, last = ProgressInbox(), [], None
     for end in itertools.accumulate(steps):
         reports.hear(report(thinned(course(list(range(1, end + 1))))["frame"]))
         if end == sum(steps) or data.draw(st.booleans()):
@@ -66,7 +66,7 @@ def test_the_innovations_so_far_are_the_mean_over_all_points_before() -> None:
 
 
 def test_nothing_new_and_no_course_are_told_as_nothing() -> None:
-    reports = Reports()
+    reports = ProgressInbox()
     assert reports.news(HELD, report([]))["history"] is None
     assert reports.news(HELD, report([1, 2]))["history"]["frame"] == [1, 2]
     assert reports.news(HELD, report([1, 2]))["history"] is None
@@ -77,13 +77,13 @@ def test_a_report_is_read_from_its_bytes_once(monkeypatch: pytest.MonkeyPatch) -
     read, loads = [], orjson.loads
     monkeypatch.setattr("boresight.workers.link.orjson.loads", lambda text: read.append(text) or loads(text))
     heard = report([1, 2])
-    assert Reports().news(HELD, heard)["history"]["frame"] == [1, 2]
+    assert ProgressInbox().news(HELD, heard)["history"]["frame"] == [1, 2]
     assert heard.progress("2026")["partial"]["status"] == "running"
     assert len(read) == 1
 
 
 def test_another_attempt_is_told_from_its_start() -> None:
-    reports = Reports()
+    reports = ProgressInbox()
     reports.hear(report([1, 2]))
     for held, newest in reports.take({HELD}).items():
         reports.news(held, newest)
@@ -94,7 +94,7 @@ def test_another_attempt_is_told_from_its_start() -> None:
 
 
 def test_the_log_gets_a_line_a_twentieth_and_never_two_within_two_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
-    reports, now_s, lines = Reports(), 100.0, []
+    reports, now_s, lines = ProgressInbox(), 100.0, []
     monkeypatch.setattr(time, "monotonic", lambda: now_s)
     for step in range(1, 101):
         now_s += LINE_EVERY_S / 4

@@ -16,8 +16,8 @@ from distributed import Security
 from benchmarks.servers import free_port
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
-from boresight.workers.cluster import Connection
-from boresight.workers.security import issue, security_of
+from boresight.workers.cluster import SchedulerClient
+from boresight.workers.security import issue, make_security
 from services import Services, loops
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "deployment.md").read_text()
@@ -48,20 +48,20 @@ def test_a_worker_and_a_client_join_a_scheduler_that_all_have_certificates_and_a
     try:
         services.start("scheduler", "--port", address.rpartition(":")[2])
         services.start("worker", scheduler=address)
-        security = security_of(settings(scheduler=address, **certificates))
-        with Connection(address, security=security, timeout=120, set_as_default=False) as client:
+        security = make_security(settings(scheduler=address, **certificates))
+        with SchedulerClient(address, security=security, timeout=120, set_as_default=False) as client:
             client.wait_for_workers(1, timeout=120)
             assert client.submit(sum, [1, 2], pure=False).result(60) == 3
         stranger = Security(tls_ca_file=certificates["tls_authority"], require_encryption=True)
         with pytest.raises((OSError, TypeError)):
-            Connection(address, security=stranger, timeout=5, set_as_default=False)
+            SchedulerClient(address, security=stranger, timeout=5, set_as_default=False)
         assert loops() <= before
     finally:
         services.stop()
 
 
 def test_links_without_certificates_are_plain():
-    assert security_of(settings(scheduler="tcp://127.0.0.1:1")) is None
+    assert make_security(settings(scheduler="tcp://127.0.0.1:1")) is None
 
 
 @pytest.mark.parametrize(
@@ -78,19 +78,19 @@ def test_links_without_certificates_are_plain():
 )
 def test_half_of_what_it_takes_is_refused_in_a_sentence(given, sentence):
     with pytest.raises(RefusedInputError, match=sentence):
-        security_of(settings(**given))
+        make_security(settings(**given))
 
 
 @pytest.mark.parametrize("address", ["tcp://10.1.2.3:8786", "tcp://scheduler:8786", "tcp://[fd00::1]:8786"])
 def test_a_plain_link_off_this_machine_is_refused_unless_its_network_is_closed(address):
     with pytest.raises(RefusedInputError, match=r"BORESIGHT_TLS_AUTHORITY.*BORESIGHT_CLUSTER_NETWORK_CLOSED=1"):
-        security_of(settings(scheduler=address))
-    assert security_of(settings(scheduler=address, cluster_network_closed="1")) is None
+        make_security(settings(scheduler=address))
+    assert make_security(settings(scheduler=address, cluster_network_closed="1")) is None
 
 
 @pytest.mark.parametrize("address", ["tcp://127.9.8.7:8786", "tcp://localhost:8786", "tcp://[::1]:8786"])
 def test_a_plain_link_within_this_machine_is_not_refused(address):
-    assert security_of(settings(scheduler=address)) is None
+    assert make_security(settings(scheduler=address)) is None
 
 
 def changed(certificates, folder, *, ends=None, mode=0o600, drop=""):
@@ -112,19 +112,19 @@ def changed(certificates, folder, *, ends=None, mode=0o600, drop=""):
 )
 def test_a_certificate_that_cannot_serve_is_refused_at_the_start(certificates, tmp_path, wrong, sentence):
     with pytest.raises(RefusedInputError, match=sentence):
-        security_of(changed(certificates, tmp_path, **wrong))
+        make_security(changed(certificates, tmp_path, **wrong))
 
 
 def test_a_certificate_that_will_soon_expire_is_told(certificates, tmp_path, caplog):
     caplog.set_level(logging.WARNING)
-    assert security_of(changed(certificates, tmp_path, ends=datetime.now(UTC) + timedelta(days=20))) is not None
+    assert make_security(changed(certificates, tmp_path, ends=datetime.now(UTC) + timedelta(days=20))) is not None
     assert "expires on" in caplog.text
     caplog.clear()
-    assert security_of(settings(scheduler="tls://127.0.0.1:1", **certificates)) is not None
+    assert make_security(settings(scheduler="tls://127.0.0.1:1", **certificates)) is not None
     assert not caplog.text  # those of the command
 
 
 def test_an_authority_that_is_none_is_refused(certificates):
     given = certificates | {"tls_authority": __file__}
     with pytest.raises(RefusedInputError, match=r"BORESIGHT_TLS_AUTHORITY=.* holds no certificate"):
-        security_of(settings(scheduler="tls://127.0.0.1:1", **given))
+        make_security(settings(scheduler="tls://127.0.0.1:1", **given))

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from boresight.workers.engine import Engine
+from boresight.workers.dispatcher import RunDispatcher
 
 
 @pytest.fixture(scope="module")
 def store(make_store):
     made = make_store()
-    engine = Engine(made.database, made.settings, calculation="piecework:calculate")
+    engine = RunDispatcher(made.database, made.settings, calculation="piecework:calculate")
     engine.start()
     yield made
     engine.stop()

@@ -1,7 +1,7 @@
 """The one function that calibrates: problem and method in, the contract's JSON out.
 
-The steps, and what is timed: `arcs` (directions, ordering), `fit` (estimator with its weights), `judge` (statistics, views),
-`validate`.
+The steps, and what is timed: `arcs` (directions, ordering), `fit` (estimator with its weights), `evaluate_result` (statistics,
+views), `validate`.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from typing import Any
 import numpy as np
 
 from boresight.calibration import result
+from boresight.calibration.dataset import CalibrationContext, choose_match_mode, open_dataset, open_validation_set
 from boresight.calibration.estimate import Estimate, Parameters
-from boresight.calibration.evaluation.judgement import judge, validate
-from boresight.calibration.listening import Listener, Progress
-from boresight.calibration.matching.cycles import Ended, filter_set, fit_in_cycles
+from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate
+from boresight.calibration.matching.cycles import CyclesEnd, filter_set, fit_in_cycles
 from boresight.calibration.matching.match_report import identification_advice
 from boresight.calibration.matching.matched import Dataset
-from boresight.calibration.opening import Workplace, held_out, matchable, opened
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
+from boresight.calibration.progress_reports import Progress, ProgressReporter
 from boresight.calibration.source import StoredTable, TelemetryFile, is_large
 from boresight.calibration.streaming.sample import JUDGED_STARS
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.spread import Spread
+from boresight.estimation.executor import Executor
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
-__all__ = ["Progress", "calibrate", "matchable", "parameters_of"]
+__all__ = ["Progress", "calibrate", "choose_match_mode", "select_free_parameters"]
 
 
 def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the caller by name
@@ -48,7 +48,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     cancelled: Callable[[], bool] | None = None,
     cache_folder: Path | None = None,
     scratch_folder: Path | None = None,
-    spread: Spread | None = None,
+    spread: Executor | None = None,
 ) -> dict[str, Any]:
     """Estimate a sensor's parameters from a telemetry set.
 
@@ -84,16 +84,16 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     CancelledError
         When `cancelled` said so.
     """
-    clock = _Stopwatch()
-    parameters = parameters_of(sensor, settings)
-    place = Workplace(cancelled or _never, report, cache_folder, scratch_folder, spread)
-    with opened(telemetry, sensor, catalogue, parameters, settings, place) as (sets, off):
+    clock = _Timer()
+    parameters = select_free_parameters(sensor, settings)
+    place = CalibrationContext(cancelled or _never, report, cache_folder, scratch_folder, spread)
+    with open_dataset(telemetry, sensor, catalogue, parameters, settings, place) as (sets, off):
         document, ended = _calibrated(sets, parameters, sets.settings, sha256s or {}, place, clock)
     document["stars_off_detector"] = off.document()
     document["advice"] += off.sentences()
     if validation is not None and ended is not None and ended.estimate.status != "diverged":
-        judged, off = held_out(validation, sensor, JUDGED_STARS)
-        chosen = matchable(judged, settings)
+        judged, off = open_validation_set(validation, sensor, JUDGED_STARS)
+        chosen = choose_match_mode(judged, settings)
         validate(document, judged, sensor, catalogue, ended.estimate, parameters, chosen, cache_folder)
         document["advice"] += off.sentences(" in the validation set")
         if is_large(validation):
@@ -112,9 +112,9 @@ def _calibrated(
     parameters: Parameters,
     settings: CalibrationSettings,
     sha256s: Mapping[str, str],
-    place: Workplace,
-    clock: _Stopwatch,
-) -> tuple[dict[str, Any], Ended | None]:
+    place: CalibrationContext,
+    clock: _Timer,
+) -> tuple[dict[str, Any], CyclesEnd | None]:
     """Estimate and judge; returns the document, and where it ended, None where there was nothing to estimate from."""
     first = sets.at_start()
     clock.lap("arcs")
@@ -122,7 +122,7 @@ def _calibrated(
         document = result.nothing_estimated(first.problem, parameters, settings, sha256s)
         document["advice"] = [*identification_advice(first.unidentified), *document["advice"]]
         return document, None
-    listener = Listener(first.problem, parameters, settings, sha256s, place.report, sets.prepared)
+    listener = ProgressReporter(first.problem, parameters, settings, sha256s, place.report, sets.prepared)
     run = filter_set if settings.sequential else fit_in_cycles
     ended = run(sets, first, parameters, settings, listener, place.cancelled)
     ended = replace(ended, estimate=_checked(ended.matched.problem, ended.estimate))
@@ -130,7 +130,7 @@ def _calibrated(
     document = result.document(ended.matched.problem, parameters, settings, ended.estimate, sha256s)
     if ended.estimate.status != "diverged":
         judged = sets.judged(first, ended.matched)
-        judge(document, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
+        evaluate_result(document, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
         _say_what_was_judged(document, judged.last.problem)
         document["advice"] += identification_advice(ended.matched.unidentified)
     clock.lap("judge")
@@ -157,7 +157,7 @@ def _never() -> bool:
     return False
 
 
-def parameters_of(sensor: Sensor, settings: CalibrationSettings) -> Parameters:
+def select_free_parameters(sensor: Sensor, settings: CalibrationSettings) -> Parameters:
     """Places and scales of the free parameters, in parameter order."""
     names = CAMERA_MODELS[sensor.camera_model].parameter_names
     wanted = sensor.free if settings.free is None else settings.free
@@ -180,7 +180,7 @@ def _checked(problem: Problem, estimate: Estimate) -> Estimate:
     return replace(estimate, status="diverged")
 
 
-class _Stopwatch:
+class _Timer:
     """Seconds spent, lap by lap."""
 
     def __init__(self) -> None:

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from boresight.arrays import FloatArray, IntArray
-from boresight.calibration.course import Course
 from boresight.calibration.evaluation.comparison import compared
+from boresight.calibration.history_recorder import FilterCourse
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.estimation import batch, cosine
@@ -85,7 +85,7 @@ def _sentence(count: int, share: float, expected: float, shift: dict[str, float]
 
 
 #: Weights are taken anew at the solution so often; the second time changes sigmas by the square of the first change.
-WEIGHINGS = 2
+WHITENING_ROUNDS = 2
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class Estimate:
     status: str
     iterations: int
     steps: tuple[batch.Step, ...] = ()
-    history: Course | None = None
+    history: FilterCourse | None = None
     robust: Robustness | None = None
     remarks: tuple[str, ...] = ()
 
@@ -151,22 +151,22 @@ class Estimate:
         return None if self.history is None else self.history.frame
 
 
-Listener = Callable[[Estimate, float, str], None]
+ReportEstimate = Callable[[Estimate, float, str], None]
 Asked = Callable[[], bool]
 
 
 def run_batch(
-    problem: Problem, parameters: Parameters, settings: CalibrationSettings, listen: Listener, cancelled: Asked
+    problem: Problem, parameters: Parameters, settings: CalibrationSettings, listen: ReportEstimate, cancelled: Asked
 ) -> Estimate:
     """Fit, take the weights at the solution, and fit again."""
     steps: list[batch.Step] = []
 
     def report(step: batch.Step) -> None:
         steps.append(step)
-        _listen_batch(tuple(steps), listen)
+        _report_batch(tuple(steps), listen)
 
     fitted = _fit(problem, problem.sensor.initial, parameters, settings, report, cancelled)
-    for _ in range(WEIGHINGS - 1):
+    for _ in range(WHITENING_ROUNDS - 1):
         if fitted.status != "diverged":
             fitted = _fit(problem, fitted.x, parameters, settings, report, cancelled)
     estimate = Estimate(
@@ -186,7 +186,7 @@ def _fit(
     cancelled: Asked,
 ) -> batch.BatchFit:
     """Fit once from x, with weights taken there."""
-    arcs = problem.weighed(x)
+    arcs = problem.whitened(x)
     return batch.fit(
         cosine.unweighted(arcs) if settings.error == "cosine" else arcs, x, parameters.free, parameters.scale,
         max_iterations=settings.max_iterations, report=report, cancelled=cancelled,
@@ -210,13 +210,13 @@ def _never() -> bool:
 
 def _of_cosine(problem: Problem, parameters: Parameters, estimate: Estimate) -> Estimate:
     """Give a cosine fit the information that the arcs' true covariance leaves it."""
-    judged = compared(problem.weighed(estimate.x), estimate.x, parameters.free, parameters.scale)
+    judged = compared(problem.whitened(estimate.x), estimate.x, parameters.free, parameters.scale)
     if judged is None:
         return estimate
     return replace(estimate, A=judged.A, P=covariance(judged.A), chi2=judged.chi2, remarks=(judged.remark,))
 
 
-def _listen_batch(steps: tuple[batch.Step, ...], listen: Listener) -> None:
+def _report_batch(steps: tuple[batch.Step, ...], listen: ReportEstimate) -> None:
     """Tell the listener of the iterates so far; the fraction is a guess, for a fit does not know its length."""
     step, iteration = steps[-1], len(steps) - 1
     unknown = np.full((len(step.sigma), len(step.sigma)), np.nan)

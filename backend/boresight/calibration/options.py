@@ -17,7 +17,7 @@ Kind = Literal["word", "whole", "number", "yes or no", "names", "wholes"]
 
 
 @dataclass(frozen=True)
-class Method:
+class MethodChoice:
     """One method: its name, title, when to use it, and whether it takes the frames one after the other."""
 
     name: str
@@ -29,36 +29,36 @@ class Method:
 METHODS = {
     method.name: method
     for method in (
-        Method(
+        MethodChoice(
             "batch",
             "Batch",
             "All frames at once by least squares: the reference answer, and the first run to make on a new set.",
             sequential=False,
         ),
-        Method(
+        MethodChoice(
             "sqrf",
             "Square-root filter",
             "Frame by frame with a square-root covariance, as it would run on board: use it to see how fast the parameters"
             " settle and whether they drift.",
         ),
-        Method(
+        MethodChoice(
             "ekf",
             "Extended Kalman filter",
             "The same filter with a full covariance: use it to check the square-root filter, not instead of it.",
         ),
-        Method(
+        MethodChoice(
             "ukf",
             "Unscented filter",
             "Slopes from points spread as wide as the parameters are uncertain, not from derivatives: use it as an independent"
             " check of the square-root filter; it takes longer and is not more accurate.",
         ),
-        Method(
+        MethodChoice(
             "svd",
             "Singular values",
             "Singular values of star combinations in place of arcs: use it to reproduce or compare with the method of Wu et al.;"
             " with honest weights it holds a little less than the arcs do, and costs more.",
         ),
-        Method(
+        MethodChoice(
             "angular",
             "All angular distances",
             "Every pair of stars, the baseline that singular values are usually measured against: use it beside them; it says"
@@ -438,7 +438,7 @@ def said(name: str, value: Any) -> str:
     return declared.words.get(text, text.replace(",", ", ") if isinstance(value, list | tuple) else text)
 
 
-def title_of(method: str) -> str:
+def get_method_title(method: str) -> str:
     """Return a method's title; a name without one stands for itself."""
     return METHODS[method].title if method in METHODS else method
 

@@ -26,7 +26,7 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.telemetry.read.checks import Faults
-from boresight.telemetry.read.formats import json_of
+from boresight.telemetry.read.formats import read_json
 from boresight.telemetry.sensors import Sensor, check_geometry
 
 #: Statuses under which a calibration's numbers are no calibration.
@@ -60,7 +60,7 @@ def read_document(path: Path) -> dict[str, Any]:
         When it cannot be read, or is no JSON object.
     """
     try:
-        document = json_of(path, path.name)
+        document = read_json(path, path.name)
     except json.JSONDecodeError as error:
         raise RefusedInputError(
             f"{path.name} is not JSON: give a calibration JSON or an object of parameters."

@@ -50,7 +50,7 @@ class Problem:
     sensor
         Whose telemetry it is.
     arcs
-        Stars in order, in memory or in files; `phi` and `band` are filled by `weighed`.
+        Stars in order, in memory or in files; `phi` and `band` are filled by `whiten_at`.
     time_utc
         (n_frames,) time of each frame that takes part, or None.
     frames_in_set
@@ -71,21 +71,21 @@ class Problem:
         """Its camera model."""
         return CAMERA_MODELS[self.sensor.camera_model]
 
-    def weighed(self, x: FloatArray) -> Arcs:
+    def whitened(self, x: FloatArray) -> Arcs:
         """Return the arcs with R taken at state x (n_parameters,); those of the last state asked for are kept."""
         key = np.asarray(x, np.float64).tobytes()
         arcs = self._weighed.get(key)
         if arcs is None:
-            arcs = self.arcs.each(weigh_part, self.camera.name, x)
+            arcs = self.arcs.each(whiten_part, self.camera.name, x)
             self._weighed.clear()
             self._weighed[key] = arcs
         return arcs
 
-    def place_of(self, frame: IntArray) -> IntArray:
+    def find_place(self, frame: IntArray) -> IntArray:
         """Places (n,) of frame numbers (n,) among those that take part."""
         return np.asarray(np.searchsorted(self.arcs.frame, frame))
 
-    def times_of(self, frame: IntArray) -> TimeArray | None:
+    def get_times(self, frame: IntArray) -> TimeArray | None:
         """Times (n,) of frames (n,), NaT of those that take no part; None where the set has none."""
         return None if self.time_utc is None else times_at(frame, self.arcs.frame, self.time_utc)
 
@@ -97,14 +97,14 @@ def times_at(frame: IntArray, known: IntArray, times: TimeArray) -> TimeArray:
     return np.where(known[place] == frame, times[place], unknown) if len(known) else np.full(len(frame), unknown)
 
 
-def weighed(arcs: ArcSet, camera: CameraModel, x: FloatArray) -> ArcSet:
+def whiten_at(arcs: ArcSet, camera: CameraModel, x: FloatArray) -> ArcSet:
     """Fill a set's catalogue arcs and R at state x."""
-    return weigh_part(arcs, camera.name, x)
+    return whiten_part(arcs, camera.name, x)
 
 
-def weigh_part(arcs: ArcSet, camera_model: str, x: FloatArray) -> ArcSet:
+def whiten_part(arcs: ArcSet, camera_model: str, x: FloatArray) -> ArcSet:
     """The same of any part of a set, the camera by its name: for `Arcs.each`."""
-    return arcsets.weigh(arcs, arcsets.angular_sigma(CAMERA_MODELS[camera_model], x, arcs))[0]
+    return arcsets.whiten(arcs, arcsets.angular_sigma(CAMERA_MODELS[camera_model], x, arcs))[0]
 
 
 def build_problem(
@@ -120,12 +120,12 @@ def build_problem(
     s_i = star_directions(
         telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
     )
-    return problem_from(telemetry, sensor, s_i, minimum_stars)
+    return make_problem_of_directions(telemetry, sensor, s_i, minimum_stars)
 
 
-def problem_from(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, minimum_stars: int) -> Problem:
+def make_problem_of_directions(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, minimum_stars: int) -> Problem:
     """The same of a whole set whose directions (n_rows, 3) are there already."""
-    problem = problem_of(telemetry, sensor, s_i, minimum_stars)
+    problem = make_problem(telemetry, sensor, s_i, minimum_stars)
     return replace(problem, left_out=added(problem.left_out))
 
 
@@ -143,7 +143,7 @@ def _in_order(item: LeftOut) -> tuple[bool, bool, int]:
     return item.what == "exposures", item.reason == COLLINEAR_REASON, (*STAR_REASONS, item.reason).index(item.reason)
 
 
-def problem_of(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, minimum_stars: int) -> Problem:
+def make_problem(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, minimum_stars: int) -> Problem:
     """Choose and order the stars of a set with these directions (n_rows, 3); every reason is counted, also where it is 0."""
     rows, left_out = _usable_rows(telemetry, sensor, s_i)
     rows, few = _full_exposures(telemetry, rows, minimum_stars)

@@ -99,7 +99,7 @@ def document(
     sha256s: Mapping[str, str],
 ) -> dict[str, Any]:
     """Write an estimate, finished or on its way, as the contract's JSON; `validation` and `timing_s` come from the caller."""
-    arcs = problem.weighed(estimate.x)
+    arcs = problem.whitened(estimate.x)
     initial, final = tail_rms(arcs, np.stack([problem.sensor.initial, estimate.x]))
     sigma = _sigma(problem, parameters, estimate)
     return {

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from boresight.arrays import IntArray
-from boresight.calibration.course import Course
-from boresight.calibration.estimate import Asked, Estimate, Listener, Parameters, claim
+from boresight.calibration.estimate import Asked, Estimate, Parameters, ReportEstimate, claim
+from boresight.calibration.history_recorder import FilterCourse
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.problem import Problem, weighed
+from boresight.calibration.problem import Problem, whiten_at
 from boresight.errors import CancelledError
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
@@ -64,7 +64,7 @@ class Frames:
         """How many there are."""
         return len(self.number)
 
-    def place_of(self, frame: int) -> int:
+    def find_place(self, frame: int) -> int:
         """Place of a frame number among them."""
         return int(np.searchsorted(self.number, frame))
 
@@ -79,14 +79,14 @@ def run_sequential(
     problem: Problem,
     parameters: Parameters,
     settings: CalibrationSettings,
-    listen: Listener,
+    listen: ReportEstimate,
     cancelled: Asked,
-) -> Course:
+) -> FilterCourse:
     """Run a filter over frames; returns its history, empty where no frame has stars."""
     n_frames = frames.n_frames
     first_tuning, tuning = _tunings(settings)
     state = start(problem.sensor.initial, len(parameters.free), settings.initial_sigma_scale)
-    course = Course(state)
+    course = FilterCourse(state)
     began = time.perf_counter()
     pooled, done = _first_frames(frames, problem, parameters, settings, state)
     for first, last in ((0, done), *_chunks(done, n_frames, settings.replay_frames_per_s > 0)):
@@ -94,7 +94,7 @@ def run_sequential(
             raise CancelledError(f"Stopped as asked after {first} of {n_frames} frames")
         arcs = pooled if first == 0 else frames.arcs(first, last, course.last)
         if arcs.n_exposures:
-            chunk = weighed(arcs, problem.camera, course.last.x)
+            chunk = whiten_at(arcs, problem.camera, course.last.x)
             tuned = tuning if course else first_tuning
             part = _filtered(chunk, course.last, parameters, settings, tuned)
             course.append(part, arcs.frame)
@@ -123,12 +123,12 @@ def _tunings(settings: CalibrationSettings) -> tuple[Tuning, Tuning]:
     return replace(tuning, linearisations=most), tuning
 
 
-def finished(problem: Problem, parameters: Parameters, history: Course) -> Estimate:
+def finished(problem: Problem, parameters: Parameters, history: FilterCourse) -> Estimate:
     """Judge a filter's end by a whole set: its information, its chi-square and whether it improved on the start."""
     x = history.last.x
-    ended = batch.normal_equations(problem.weighed(x), x, parameters.free, parameters.scale)
+    ended = batch.normal_equations(problem.whitened(x), x, parameters.free, parameters.scale)
     x_0 = problem.sensor.initial
-    began = batch.normal_equations(problem.weighed(x_0), x_0, parameters.free, parameters.scale)
+    began = batch.normal_equations(problem.whitened(x_0), x_0, parameters.free, parameters.scale)
     if not (history.finite and ended.finite()) or ended.chi2 > 2 * began.chi2:
         status = "diverged"
     elif not batch.determined(ended.A)[2].all():
@@ -141,7 +141,7 @@ def finished(problem: Problem, parameters: Parameters, history: Course) -> Estim
     )  # fmt: skip
 
 
-def _of_one_update(problem: Problem, history: Course) -> Iterator[str]:
+def _of_one_update(problem: Problem, history: FilterCourse) -> Iterator[str]:
     """Say that a set was too small to be taken in frame by frame."""
     n_frames = problem.arcs.n_frames
     if history.finite and len(history) == 1 and n_frames > 1:
@@ -151,7 +151,7 @@ def _of_one_update(problem: Problem, history: Course) -> Iterator[str]:
         )
 
 
-def _of_blindness(problem: Problem, parameters: Parameters, history: Course) -> Iterator[str]:
+def _of_blindness(problem: Problem, parameters: Parameters, history: FilterCourse) -> Iterator[str]:
     """Say whose spread took a filter beyond the range of the lens, and what can be done."""
     names = [problem.camera.parameter_names[parameters.free[place]] for place in history.blind]
     if names:
@@ -162,7 +162,7 @@ def _of_blindness(problem: Problem, parameters: Parameters, history: Course) -> 
         )
 
 
-def _on_its_way(history: Course) -> Estimate:
+def _on_its_way(history: FilterCourse) -> Estimate:
     """Make an estimate of a filter on its way; the set's information and chi-square are not known yet."""
     unknown = np.full_like(history.last.P, np.nan)
     return Estimate(
@@ -182,7 +182,7 @@ def _first_frames(
         pooled, done = _pooled(frames, state, wanted)
         if done == frames.n_frames or wanted >= MOST_START_ARCS_PER_PARAMETER * n_free:
             return pooled, done
-        chunk = weighed(pooled, problem.camera, state.x)
+        chunk = whiten_at(pooled, problem.camera, state.x)
         ended = _filtered(chunk, state, parameters, settings, tuning)
         if not ended.finite or _bend(pooled, problem, parameters, settings, ended.last) < BENT:
             return pooled, done
@@ -198,7 +198,7 @@ def _bend(
     for step in (widest, -widest):
         x = state.x.copy()
         x[parameters.free] += parameters.scale * step
-        there = batch.normal_equations(weighed(arcs, problem.camera, x), x, parameters.free, parameters.scale)
+        there = batch.normal_equations(whiten_at(arcs, problem.camera, x), x, parameters.free, parameters.scale)
         if not there.finite():
             return np.inf
         ratios.append(claim(there.A, state.P, settings.initial_sigma_scale))
@@ -217,7 +217,7 @@ def _pooled(frames: Frames, state: FilterState, n_arcs: int) -> tuple[ArcSet, in
     if not arcs.n_exposures:
         return arcs, n_frames
     pooled = pool_start(arcs, n_arcs).frames(0, 1)
-    return pooled, frames.place_of(int(pooled.frame[0])) + 1 if enough else n_frames
+    return pooled, frames.find_place(int(pooled.frame[0])) + 1 if enough else n_frames
 
 
 def pool_start(arcs: ArcSet, n_arcs: int) -> ArcSet:

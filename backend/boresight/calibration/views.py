@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
-from boresight.calibration.course import Course
 from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.history_recorder import FilterCourse
 from boresight.calibration.problem import Problem
 from boresight.calibration.streaming.sample import spread_blocks
 from boresight.estimation.arcs import ArcSet
@@ -52,7 +52,7 @@ def history_view(problem: Problem, parameters: Parameters, estimate: Estimate, a
     kept = history.taken(places)
     sigma = np.full(kept["states"].shape, np.nan)
     sigma[:, parameters.free] = kept["sigmas"] * parameters.scale
-    times = problem.times_of(kept["frame"])
+    times = problem.get_times(kept["frame"])
     return {
         "frame": _list(kept["frame"]),
         "time_utc": None if times is None else [None if np.isnat(value) else f"{value}Z" for value in times],
@@ -67,7 +67,7 @@ def history_view(problem: Problem, parameters: Parameters, estimate: Estimate, a
     }
 
 
-def _between(history: Course, places: IntArray) -> dict[str, Any]:
+def _between(history: FilterCourse, places: IntArray) -> dict[str, Any]:
     """What the updates that are not kept would have shown, for the interval that each kept one ends."""
     peaks = history.peaks(places)
     return {

@@ -41,10 +41,10 @@ def add(name: str, roles: tuple[str, ...], printed_name: str, *, password_stdin:
     from boresight.console.access import users
     from boresight.console.access.passwords import prepare
     from boresight.platform.actors import COMMAND_LINE
-    from boresight.platform.db.sessions import opened, writing
+    from boresight.platform.db.sessions import open_store, open_writing
 
     prepared = prepare(password, name, printed_name)
-    with opened(read_settings().database_url) as engine, writing(engine) as session:
+    with open_store(read_settings().database_url) as engine, open_writing(engine) as session:
         made = users.create_user(
             session, COMMAND_LINE, name=name, printed_name=printed_name, password=prepared, roles=roles
         )
@@ -73,14 +73,14 @@ def rotate_key(*, forget_old: bool) -> None:
     Secrets that no key here decrypts stay as they are.
     """
     from boresight.console.webhooks.secrets import encrypt_all, encrypt_anew
-    from boresight.platform.db.sessions import opened, writing
+    from boresight.platform.db.sessions import open_store, open_writing
 
     settings = read_settings()
     box = settings.secret_box
-    with opened(settings.database_url) as engine:
+    with open_store(settings.database_url) as engine:
         kept = encrypt_all(engine, box)
         box.add_key()
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             count = encrypt_anew(session, box)
     forgotten = box.forget_old_keys() if forget_old else 0
     click.echo(f"{box.file}: a new key encrypts the secrets of {count} webhooks; {forgotten} older keys were removed.")
@@ -171,7 +171,7 @@ def _refuse_loss(engine: Engine, revision: str, backup: str | None, *, yes: bool
     from boresight.platform.db import backup as backups
     from boresight.platform.db import sessions
 
-    lost = sessions.losses(engine, revision)
+    lost = sessions.list_downgrade_losses(engine, revision)
     for loss in lost:
         click.echo(f"removes {loss}")
     if not lost:

@@ -77,10 +77,10 @@ def _frames(telemetry: Path, sensor: Any, report: Any) -> tuple[Any, Any]:
 
 def _read_object(path: Path, what: str) -> dict[str, Any]:
     """Read a JSON object from a file."""
-    from boresight.telemetry.read.formats import json_of
+    from boresight.telemetry.read.formats import read_json
 
     try:
-        document = json_of(path, path.name)
+        document = read_json(path, path.name)
     except json.JSONDecodeError as error:
         raise RefusedInputError(f"{path.name} is not JSON: give {what}, one JSON object.") from error
     if not isinstance(document, dict):

@@ -33,15 +33,15 @@ def verify(context: click.Context, head: str | None, *, no_blobs: bool) -> None:
     The head that the server keeps in BORESIGHT_AUDIT_HEAD_FILE must be there, and in the chain.
     """
     from boresight.platform.audit import log as chain
-    from boresight.platform.audit.kept_heads import read_head
+    from boresight.platform.audit.external_head import read_head
     from boresight.platform.blobs.opening import open_blobs
-    from boresight.platform.db.sessions import open_engine, reading
+    from boresight.platform.db.sessions import open_engine, open_reading
 
     settings = read_settings()
     engine = open_engine(settings.database_url)
     try:
         _require_schema(engine)  # and change nothing: a migration may stumble over what is to be named here
-        with reading(engine) as session:
+        with open_reading(engine) as session:
             file = settings.kept_head_file
             kept = None if file is None else read_head(file)
             blobs = None if no_blobs else open_blobs(settings.blob_place)
@@ -91,17 +91,21 @@ def export(file: str) -> None:
     form = "jsonl" if file == STANDARD_OUTPUT or Path(file).suffix.lower() == ".jsonl" else "zip"
     check_writable(file, "JSON Lines" if form == "jsonl" else "ZIP")
     from boresight.platform.audit.export import write_export
-    from boresight.platform.db.sessions import opened, reading
+    from boresight.platform.db.sessions import open_reading, open_store
 
     settings = read_settings()
-    with opened(settings.database_url) as engine, reading(engine) as session, opened_for_writing(file) as stream:
+    with (
+        open_store(settings.database_url) as engine,
+        open_reading(engine) as session,
+        opened_for_writing(file) as stream,
+    ):
         write_export(session, stream, form, settings.policy)
     if file != STANDARD_OUTPUT:
         click.echo(file)
 
 
 if TYPE_CHECKING:
-    from boresight.platform.db.backup import Taken
+    from boresight.platform.db.backup import BackupSummary
 
 MB = 1e6
 
@@ -127,12 +131,12 @@ def backup(file: str, *, keep_going: bool) -> None:
     from boresight.platform.audit import log as audit
     from boresight.platform.blobs.opening import open_blobs
     from boresight.platform.db import backup as backups
-    from boresight.platform.db.sessions import opened, reading
+    from boresight.platform.db.sessions import open_reading, open_store
 
     settings = read_settings()
-    with opened(settings.database_url) as engine:
+    with open_store(settings.database_url) as engine:
         encrypt_all(engine, settings.secret_box)  # the archive holds no secret that can be read
-        with reading(engine) as session:
+        with open_reading(engine) as session:
             head = audit.head(session)
     blobs = open_blobs(settings.blob_place)
     taken = backups.write_backup(settings.database_url, blobs, head, Path(file), keep_going=keep_going)
@@ -145,7 +149,7 @@ def backup(file: str, *, keep_going: bool) -> None:
     _refuse_absent(taken, "were left out of the backup", "were not there to be backed up")
 
 
-def _refuse_absent(taken: Taken, left_out: str, missing: str) -> None:
+def _refuse_absent(taken: BackupSummary, left_out: str, missing: str) -> None:
     """Name every file that is not in the archive, and end with exit code 1."""
     for sha256 in (*taken.left_out, *taken.missing):
         click.echo(f"  {sha256}", err=True)
@@ -169,13 +173,13 @@ def restore(file: Path) -> None:
     from boresight.platform.audit import log as audit
     from boresight.platform.blobs.opening import open_blobs
     from boresight.platform.db import backup as backups
-    from boresight.platform.db.sessions import opened, reading
+    from boresight.platform.db.sessions import open_reading, open_store
 
     settings = read_settings()
     blobs = open_blobs(settings.blob_place)
     taken = backups.read_backup(file, settings.database_url, blobs)
-    with opened(settings.database_url) as engine:
-        with reading(engine) as session:
+    with open_store(settings.database_url) as engine:
+        with open_reading(engine) as session:
             known = taken.blobs_at in {None, blobs.kept_at}  # else they are where this installation does not look yet
             found = audit.verify(session, taken.head, blobs if known else None, again=False)
         kept = encrypt_all(engine, settings.secret_box)  # a backup of an older version holds them plain

@@ -29,7 +29,7 @@ from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.uplinks import table_definitions
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, Session, reading, writing
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from boresight.simulation.scenes import Scenario, calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
 from boresight.sky.catalogue import Catalogue
@@ -111,13 +111,13 @@ def _of_runs(what: str, verb: str, is_new: bool) -> str:
 
 def _make_people(engine: Engine) -> Actor:
     """Make who is missing of the demonstration's people, and return the analyst, who does the rest."""
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         missing = [person for person in LOG_INS if _user_id(session, person.name) is None]
     for person in missing:
         password = prepare_unjudged(
             person.password
         )  # they are printed on the screen, so nothing is lost by their being guessed
-        with writing(engine) as session:
+        with open_writing(engine) as session:
             if _user_id(session, person.name) is None:  # another server may have been faster
                 users.create_user(
                     session,
@@ -128,7 +128,7 @@ def _make_people(engine: Engine) -> Actor:
                     roles=person.roles,
                 )
     analyst = LOG_INS[0]
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         user_id = _user_id(session, analyst.name)
     return Actor(user_id, analyst.name, analyst.printed_name, frozenset(analyst.roles), COMMAND_LINE.credential)
 
@@ -152,7 +152,7 @@ class _Fleet:
         sensor = st16_sensor(number)
         names = CAMERA_MODELS[sensor.camera_model].parameter_names
         truth = dict(zip(names, st16_truth(number).tolist(), strict=True))
-        with writing(self.engine) as session:
+        with open_writing(self.engine) as session:
             for row in sensors.list_sensors(session):
                 if row.name == sensor.name:
                     return row.id
@@ -170,7 +170,7 @@ class _Fleet:
             ("calibration", calibration_scenario(number)),
             ("validation", validation_scenario(number)),
         ):
-            with writing(self.engine) as session:
+            with open_writing(self.engine) as session:
                 if _oldest_set(session, sensor_id, purpose, archived=True) is None:
                     self._simulate_set(session, sensor_id, purpose, scenario)
 
@@ -186,7 +186,7 @@ class _Fleet:
 
     def launch(self, sensor_id: int, label: str, settings: Mapping[str, Any]) -> bool:
         """Queue a run with validation, unless the sensor has had one of the same method; tell whether it was queued."""
-        with writing(self.engine) as session:
+        with open_writing(self.engine) as session:
             calibration = _oldest_set(session, sensor_id, "calibration", archived=False)
             validation = _oldest_set(session, sensor_id, "validation", archived=False)
             had_one = runs.list_runs(session, sensor_id=sensor_id, method=settings["method"], limit=1)

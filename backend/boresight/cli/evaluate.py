@@ -63,9 +63,9 @@ def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shado
     import numpy as np
 
     from boresight.calibration.evaluation import bootstrap
-    from boresight.calibration.evaluation.evaluate import evaluate_sightings
+    from boresight.calibration.evaluation.evaluate import evaluate_matched_frames
     from boresight.calibration.evaluation.shadow import shadow_view
-    from boresight.calibration.matching.sighting import sightings
+    from boresight.calibration.matching.matched_frames import match_under_states
     from boresight.calibration.parameter_file import read_parameters
     from boresight.sky.catalogue import load_catalogue
     from boresight.telemetry.quality.detector import check_against_sensor
@@ -83,9 +83,9 @@ def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shado
     report("loading the star catalogue")
     catalogue = load_catalogue(folder)
     report("matching the stars under both parameter sets")
-    initial, final = sightings(stars, sensor, catalogue, states, settings, folder)
+    initial, final = match_under_states(stars, sensor, catalogue, states, settings, folder)
     rng = np.random.default_rng(bootstrap.SEED)
-    document = evaluate_sightings(stars, sensor, initial, final, settings, rng)
+    document = evaluate_matched_frames(stars, sensor, initial, final, settings, rng)
     document |= {"sensor": sensor.name, "stars_off_detector": off.document(), "advice": off.sentences()}
     return document | ({"shadow": shadow_view(stars, initial, final)} if shadow else {})
 

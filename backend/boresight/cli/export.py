@@ -23,11 +23,11 @@ def export(parameter_set: str, file: str, flight_software: str | None, table_id:
     from boresight.console.uplinks import packages
     from boresight.platform.actors import COMMAND_LINE
     from boresight.platform.blobs.opening import open_blobs
-    from boresight.platform.db.sessions import opened, writing
+    from boresight.platform.db.sessions import open_store, open_writing
 
     settings = read_settings()
     blobs = open_blobs(settings.blob_place)
-    with opened(settings.database_url) as engine, writing(engine) as session:
+    with open_store(settings.database_url) as engine, open_writing(engine) as session:
         row = packages.set_named(session, parameter_set)
         package = packages.build(
             session,

@@ -73,8 +73,8 @@ def _match(
 ) -> dict[str, Any]:
     """Read the files, match, and write the rows again."""
     from boresight.calibration.matching.match_report import match_report, matched_stars
+    from boresight.calibration.matching.matched_frames import apply_flight_check
     from boresight.calibration.matching.rematch import ground_covariance, rematch
-    from boresight.calibration.matching.sighting import sighting_of
     from boresight.calibration.options import CalibrationSettings
     from boresight.calibration.parameter_file import read_parameters
     from boresight.sky.catalogue import load_catalogue
@@ -93,7 +93,7 @@ def _match(
     report("matching the stars")
     P = ground_covariance(sensor, settings.initial_sigma_scale) if P is None else P
     matches = rematch(stars, sensor, catalogue, x, P, settings, folder)
-    seen = sighting_of(stars, sensor, matches, x, settings) if choices["flight"] else None
+    seen = apply_flight_check(stars, sensor, matches, x, settings) if choices["flight"] else None
     table, found = (
         read_table(telemetry, telemetry.name, read_settings().telemetry_limits),
         matched_stars(matches, seen)[0],

@@ -69,8 +69,8 @@ def _stored(run_id: int) -> dict[str, Any]:
     """Read a run's calibration from the store."""
     from boresight.console.runs import service as runs
     from boresight.platform.blobs.opening import open_blobs
-    from boresight.platform.db.sessions import opened, reading
+    from boresight.platform.db.sessions import open_reading, open_store
 
     settings = read_settings()
-    with opened(settings.database_url) as engine, reading(engine) as session:
+    with open_store(settings.database_url) as engine, open_reading(engine) as session:
         return runs.final_result(session, open_blobs(settings.blob_place), run_id)

@@ -30,7 +30,7 @@ data_option = click.option("--data", type=click.Path(path_type=Path), help="Data
 @data_option
 def serve(host: str | None, port: int | None, data: Path | None) -> None:
     """Serve the console until Ctrl-C."""
-    settings = settings_of(data, host, port)
+    settings = read_serve_settings(data, host, port)
     _claim_port(settings)
     line = f"Boresight on {_address(settings)}, data in {settings.data_folder}. Stop it with Ctrl-C."
     _serve(settings, lambda: click.echo(line))
@@ -47,13 +47,13 @@ def demo(host: str | None, port: int | None, data: Path | None) -> None:
     """
     if data is None and not os.environ.get("BORESIGHT_DATA_FOLDER"):
         data = Path(DEMO_FOLDER)
-    settings = replace(settings_of(data, host, port), mode="SIM")
+    settings = replace(read_serve_settings(data, host, port), mode="SIM")
     _claim_port(settings)
     threading.Thread(target=_populate, args=(settings,), name="boresight-demonstration", daemon=True).start()
     _serve(settings)
 
 
-def settings_of(data: Path | None, host: str | None = None, port: int | None = None) -> Settings:
+def read_serve_settings(data: Path | None, host: str | None = None, port: int | None = None) -> Settings:
     """Read the settings with what the command line says instead."""
     given = {"HOST": host, "PORT": port, "DATA_FOLDER": data}
     named = {f"BORESIGHT_{name}": str(value) for name, value in given.items() if value is not None}
@@ -84,13 +84,13 @@ def _serve(settings: Settings, on_open: Callable[[], None] | None = None) -> Non
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # uvicorn raises it once more when all is closed
     use_kernel_folder(settings)
     from boresight.platform.blobs.opening import open_blobs
-    from boresight.platform.db.sessions import opened
+    from boresight.platform.db.sessions import open_store
     from boresight.server import serve as run
-    from boresight.workers.security import security_of
+    from boresight.workers.security import make_security
 
     with private_files(settings):
-        security_of(settings)  # refuse now what the engine would only log
-        with opened(settings.database_url):
+        make_security(settings)  # refuse now what the engine would only log
+        with open_store(settings.database_url):
             pass  # likewise what the server's start would only log
         if settings.blob_place.is_folder:  # an object store may come back while the server waits
             open_blobs(settings.blob_place).refuse_unusable()

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from boresight.cli.output import progress
-from boresight.cli.serve import data_option, settings_of
+from boresight.cli.serve import data_option, read_serve_settings
 from boresight.settings import use_kernel_folder
 
 
@@ -21,10 +21,10 @@ def warm(data: Path | None) -> None:
     where `make` compiles them in its virtual environment, else into the data folder; they hold for this version of
     Boresight on this kind of processor.
     """
-    settings = settings_of(data)
+    settings = read_serve_settings(data)
     use_kernel_folder(settings)
     with progress("compiling the kernels"):
-        from boresight.workers.warm import warm as compile_kernels
+        from boresight.workers.warm_up import warm as compile_kernels
 
         compile_kernels(settings.catalogue_folder)
     click.echo(f"Kernels are compiled, in {os.environ.get('NUMBA_CACHE_DIR') or 'the cache folder of Numba'}.")

@@ -49,7 +49,7 @@ class Signatory:
 
 
 @dataclass(frozen=True)
-class Asked:
+class ListQuery:
     """What of a list is wanted: filters by name, and the name of a key, `-` before it for the greatest first."""
 
     where: Mapping[str, Any]
@@ -57,7 +57,7 @@ class Asked:
     before_id: int | None = None
 
 
-def _name_of(table: Any, number: Any) -> Any:
+def _name_expression(table: Any, number: Any) -> Any:
     """Return the expression of the name that a number of another table stands for."""
     name = table.printed_name if table is User else table.name
     return sa.func.lower(sa.select(name).where(table.id == number).correlate_except(table).scalar_subquery())
@@ -133,14 +133,14 @@ LISTS = {
             "run": Run.id,
             "state": Run.state,
             "label": sa.func.lower(Run.label),
-            "sensor": _name_of(Sensor, Run.sensor_id),
+            "sensor": _name_expression(Sensor, Run.sensor_id),
             "method": Run.method,
-            "data": _name_of(TelemetrySet, Run.telemetry_set_id),
+            "data": _name_expression(TelemetrySet, Run.telemetry_set_id),
             "rms": _final,
             "validation": number_in(Run.summary, "validation_rms_final_arc_rad"),
             "chi2": number_in(Run.summary, "chi2_per_dof"),
             "change": _final / sa.func.nullif(_initial, 0),
-            "by": _name_of(User, Run.launched_by),
+            "by": _name_expression(User, Run.launched_by),
             "started": sa.func.coalesce(Run.started_utc, Run.launched_utc),
             "ended": Run.ended_utc,
         },
@@ -160,7 +160,7 @@ LISTS = {
         TelemetrySet,
         {
             "set": sa.func.lower(TelemetrySet.name),
-            "sensor": _name_of(Sensor, TelemetrySet.sensor_id),
+            "sensor": _name_expression(Sensor, TelemetrySet.sensor_id),
             "frames": TelemetrySet.frames,
             "stars": TelemetrySet.stars,
             "unmatched": number_in(TelemetrySet.quality, "unmatched_share"),
@@ -178,11 +178,11 @@ LISTS = {
         ParameterSet,
         {
             "set": ParameterSet.id,
-            "sensor": _name_of(Sensor, ParameterSet.sensor_id),
+            "sensor": _name_expression(Sensor, ParameterSet.sensor_id),
             "ground": ParameterSet.ground_state,
             "board": ParameterSet.onboard_state,
             "run": ParameterSet.run_id,
-            "by": _name_of(User, ParameterSet.created_by),
+            "by": _name_expression(User, ParameterSet.created_by),
             "baseline": ParameterSet.baseline_from_utc,
         },
         {
@@ -198,9 +198,9 @@ LISTS = {
         Approval,
         {
             "request": Approval.id,
-            "set": _name_of(ParameterSet, Approval.parameter_set_id),
+            "set": _name_expression(ParameterSet, Approval.parameter_set_id),
             "state": Approval.state,
-            "by": _name_of(User, Approval.submitted_by),
+            "by": _name_expression(User, Approval.submitted_by),
             "expires": Approval.expires_utc,
         },
         {
@@ -265,7 +265,7 @@ def newest(
     return newest_rows(session, LISTS[NAMES[table]], before_id=before_id, limit=limit, **where)
 
 
-def page(session: Session, name: str, asked: Asked, limit: int) -> list[Any]:
+def page(session: Session, name: str, asked: ListQuery, limit: int) -> list[Any]:
     """Return the rows of a page, at most `limit`."""
     known = LISTS[name]
     return _rows(session, known, session.scalars(_ids(session, known, asked).limit(limit)).all())
@@ -278,7 +278,7 @@ def count(session: Session, name: str, where: Mapping[str, Any]) -> int:
     return session.scalar(narrowed.where(*(known.filters[key](value) for key, value in where.items()))) or 0
 
 
-def walk(session: Session, name: str, asked: Asked) -> Iterator[Any]:
+def walk(session: Session, name: str, asked: ListQuery) -> Iterator[Any]:
     """Yield every row of a list in its order, from the first page on, without holding them all."""
     known = LISTS[name]
     ids = session.scalars(_ids(session, known, asked)).all()
@@ -287,7 +287,7 @@ def walk(session: Session, name: str, asked: Asked) -> Iterator[Any]:
         session.expunge_all()
 
 
-def _ids(session: Session, known: List, asked: Asked) -> Any:
+def _ids(session: Session, known: List, asked: ListQuery) -> Any:
     """Select the ids of a list in its order, those of the rows before the page left out."""
     identity, key = known.table.id, known.keys[asked.sort.removeprefix("-")]
     query = sa.select(identity).where(*(known.filters[name](value) for name, value in asked.where.items()))

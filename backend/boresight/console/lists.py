@@ -6,12 +6,12 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from boresight.console import list_queries as lists
-from boresight.console.list_queries import LISTS, Asked
+from boresight.console.list_queries import LISTS, ListQuery
 from boresight.errors import RefusedInputError
 from boresight.platform.db.sessions import Session
 
 
-def page_of(
+def read_page(
     session: Session, name: str, where: Mapping[str, Any], sort: str, *, before_id: int | None = None, limit: int
 ) -> list[Any]:
     """Return a page of a list; the next page is that before the last row's id.
@@ -44,7 +44,7 @@ def count(session: Session, name: str, where: Mapping[str, Any]) -> int:
     return lists.count(session, name, _checked(name, where))
 
 
-def all_of(session: Session, name: str, where: Mapping[str, Any], sort: str) -> Iterator[Any]:
+def read_all(session: Session, name: str, where: Mapping[str, Any], sort: str) -> Iterator[Any]:
     """Yield every row of a list in its order.
 
     Raises
@@ -55,12 +55,12 @@ def all_of(session: Session, name: str, where: Mapping[str, Any], sort: str) -> 
     return lists.walk(session, name, _asked(name, where, sort, None))
 
 
-def _asked(name: str, where: Mapping[str, Any], sort: str, before_id: int | None) -> Asked:
+def _asked(name: str, where: Mapping[str, Any], sort: str, before_id: int | None) -> ListQuery:
     """Check the names."""
     known = LISTS[name]
     if sort.removeprefix("-") not in known.keys:
         raise RefusedInputError(f"The list is not sorted by {sort!r}; choose from {', '.join(known.keys)}.")
-    return Asked(_checked(name, where), sort, before_id)
+    return ListQuery(_checked(name, where), sort, before_id)
 
 
 def _checked(name: str, where: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -34,8 +34,8 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 
-from boresight.console.access.credentials import SESSION_COOKIE, who_acts
-from boresight.console.access.dependencies import OnlyAsked, Who, Writing, csrf
+from boresight.console.access.credentials import SESSION_COOKIE, get_actor
+from boresight.console.access.dependencies import IsDryRun, Who, Writing, csrf
 from boresight.console.idempotent_responses import forget_responses, response_under
 from boresight.console.schemas import Row
 from boresight.errors import RefusedInputError
@@ -102,7 +102,7 @@ class Written:
 
 
 @dataclass(frozen=True)
-class Once:
+class Idempotency:
     """Who asks, under which key if there is one, the digest of the request, and whether it only asks."""
 
     actor: Actor
@@ -155,16 +155,18 @@ IdempotencyKey = Annotated[
 ]
 
 
-async def once(request: Request, actor: Who, asked: OnlyAsked, idempotency_key: IdempotencyKey = None) -> Once:
+async def get_idempotency(
+    request: Request, actor: Who, asked: IsDryRun, idempotency_key: IdempotencyKey = None
+) -> Idempotency:
     """Read the key, and digest the request if there is one."""
     if idempotency_key is None or asked:
-        return Once(actor, None, "", asked)
+        return Idempotency(actor, None, "", asked)
     form = getattr(request.state, FORM_CONTENT, None)
     content, only_asks = (await run_in_threadpool(form), False) if form is not None else _read(await request.body())
     if only_asks:
-        return Once(actor, None, "", tried=True)
+        return Idempotency(actor, None, "", tried=True)
     address = f"{request.method} {request.url.path}?{request.url.query}\n"
-    return Once(actor, idempotency_key, hashlib.sha256(address.encode() + content).hexdigest(), asked)
+    return Idempotency(actor, idempotency_key, hashlib.sha256(address.encode() + content).hexdigest(), asked)
 
 
 def _read(content: bytes) -> tuple[bytes, bool]:
@@ -246,7 +248,7 @@ def _answered(
 
     @functools.wraps(endpoint)
     def answered(**given: Any) -> Response:
-        asked: Once | None = given.pop("once", None)
+        asked: Idempotency | None = given.pop("once", None)
 
         def act() -> Written | Response:
             made = endpoint(**given)
@@ -259,7 +261,9 @@ def _answered(
 
     parameters = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in signature.parameters.values()]
     if transaction is not None:  # solved last: whatever is checked before a transaction is checked before this too
-        key = inspect.Parameter("once", inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[Once, Depends(once)])
+        key = inspect.Parameter(
+            "once", inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[Idempotency, Depends(get_idempotency)]
+        )
         parameters.append(key)
     answered.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]  # what the framework reads
     return answered
@@ -267,7 +271,7 @@ def _answered(
 
 def operations(prefix: str = "", *, tags: Sequence[str], open_to_all: bool = False) -> APIRouter:
     """Return a router for the operations of a noun, under the version and guarded; `open_to_all`: also to who is not known."""
-    guards = [*CREDENTIALS, Depends(csrf), *(() if open_to_all else (Depends(who_acts),))]
+    guards = [*CREDENTIALS, Depends(csrf), *(() if open_to_all else (Depends(get_actor),))]
     return APIRouter(
         prefix=PREFIX + prefix,
         tags=list(tags),

@@ -55,7 +55,7 @@ def routers(module: ModuleType) -> Iterator[APIRouter]:
             yield value
 
 
-def join(routes: APIRouter) -> None:
+def include_routes(routes: APIRouter) -> None:
     """Join the nouns to the routes of a server, and the servers' own beside them.
 
     Their routes as they are: a router that includes another has the framework seek, and work out, every route twice.

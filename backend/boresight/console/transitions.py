@@ -59,7 +59,7 @@ def get_sensor(session: Session, sensor_id: int) -> Sensor:
     return row
 
 
-def subject_of(row: Versioned) -> str:
+def name_subject(row: Versioned) -> str:
     """Name a row as the audit log does, by its REST address."""
     nouns: dict[type, str] = {
         Alarm: "alarms",
@@ -72,7 +72,7 @@ def subject_of(row: Versioned) -> str:
     return f"{noun}/{row.id}"
 
 
-def label_of(row: Versioned) -> str:
+def make_label(row: Versioned) -> str:
     """Name a row as people do."""
     if isinstance(row, Alarm):
         return f"Alarm {row.id}"
@@ -92,17 +92,17 @@ def require_seen(session: Session, row: Versioned, seen_version: int | None) -> 
         When the row changed since; says who changed what and when.
     """
     if seen_version is None:
-        raise PreconditionRequiredError(f'Say which version of {label_of(row)} you saw: If-Match: "v<number>".')
+        raise PreconditionRequiredError(f'Say which version of {make_label(row)} you saw: If-Match: "v<number>".')
     if seen_version != row.version:
         raise StaleError(
-            f"{label_of(row)} has changed since you looked (you saw v{seen_version}, it is v{row.version}): "
+            f"{make_label(row)} has changed since you looked (you saw v{seen_version}, it is v{row.version}): "
             f"{who_changed(session, row)}. Reload, look again and decide."
         )
 
 
 def who_changed(session: Session, row: Versioned) -> str:
     """Say who changed a row last, what and when."""
-    record = audit.last_change(session, subject_of(row))
+    record = audit.last_change(session, name_subject(row))
     return f"{record.actor} {record.action} it at {record.at_utc}" if record else "nobody is on record for it"
 
 
@@ -136,7 +136,7 @@ def move(
     after: dict[str, Any] = {column: state, "version": row.version, **told}
     if isinstance(row, ParameterSet):
         after["sha256"] = row.sha256
-    audit.append(session, actor, action, subject_of(row), before, after, reason)
+    audit.append(session, actor, action, name_subject(row), before, after, reason)
 
 
 def resting_state(parameter_set: ParameterSet, otherwise: str) -> str:

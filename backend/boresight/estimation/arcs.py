@@ -207,7 +207,7 @@ def angular_sigma(camera: CameraModel, x: FloatArray, arcs: ArcSet) -> FloatArra
     return np.asarray(arcs.sigma_px * np.sqrt(camera.solid_angle(x, arcs.row_px, arcs.col_px, arcs.pitch)))
 
 
-def weigh(arcs: ArcSet, sigma_rad: FloatArray) -> tuple[ArcSet, NDArray[np.bool_]]:
+def whiten(arcs: ArcSet, sigma_rad: FloatArray) -> tuple[ArcSet, NDArray[np.bool_]]:
     """Fill catalogue arcs and the factors of R for given direction errors.
 
     Returns

@@ -62,7 +62,7 @@ from boresight.estimation.blocks import in_blocks
 from boresight.kernels import attitude as loops
 
 
-def matrix_of(q: FloatArray) -> FloatArray:
+def to_matrix(q: FloatArray) -> FloatArray:
     """Matrices C(q), (..., 3, 3), of quaternions (..., 4) of any length but zero; NaN stays NaN."""
     q = np.asarray(q, dtype=np.float64)
     x, y, z, w = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
@@ -74,7 +74,7 @@ def matrix_of(q: FloatArray) -> FloatArray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def quaternion_of(C: FloatArray) -> FloatArray:
+def to_quaternion(C: FloatArray) -> FloatArray:
     """Unit quaternions (..., 4), w >= 0, of proper rotation matrices (..., 3, 3); NaN stays NaN.
 
     4 q q^T is linear in C. Its longest column is 4 q times the largest component of q, which is never small (Shepperd).
@@ -115,7 +115,7 @@ def rotation_vector(q: FloatArray) -> FloatArray:
     return np.asarray(q[..., :3] * np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine != 0))
 
 
-def quaternion_of_vector(theta: FloatArray) -> FloatArray:
+def vector_to_quaternion(theta: FloatArray) -> FloatArray:
     """Unit quaternions (..., 4) of rotation vectors (..., 3), rad."""
     half = 0.5 * np.linalg.norm(theta, axis=-1, keepdims=True)
     return np.concatenate([0.5 * np.sinc(half / np.pi) * theta, np.cos(half)], axis=-1)
@@ -173,7 +173,7 @@ class Attitudes:
     @property
     def quaternion(self) -> FloatArray:
         """(n_exposures, 4) x y z w."""
-        return quaternion_of(self.C)
+        return to_quaternion(self.C)
 
 
 def triad(s_d: FloatArray, parity: int) -> FloatArray:

@@ -31,7 +31,7 @@ from boresight import kernels
 from boresight.arrays import FloatArray
 from boresight.errors import CancelledError
 from boresight.estimation.arcs import ArcSet
-from boresight.estimation.robust import insurance
+from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.stored_arcs import Arcs
 
 #: Distance from the optimum, in standard deviations, at which the fit rests.
@@ -255,5 +255,5 @@ def fit(
 def _insured(fitted: BatchFit, arcs: Arcs, free: NDArray[np.int64], scale: FloatArray, threshold: float) -> BatchFit:
     """Give a robust fit its own information, and the chi-square that shows what it did not follow."""
     plain = normal_equations(arcs, fitted.x, free, scale)
-    paid = insurance(arcs, fitted.x, len(free), threshold)
+    paid = measure_huber_effect(arcs, fitted.x, len(free), threshold)
     return replace(fitted, A=paid.information_share * plain.A, chi2=plain.chi2, beyond=paid.beyond)

@@ -29,7 +29,7 @@ from boresight.estimation.stored_arcs import Arcs
 
 
 @dataclass(frozen=True)
-class Worth:
+class CosineInformation:
     """Information (n_free, n_free) of a cosine estimate in typical sigmas: `held`, P^-1, and `claimed`, the naive A."""
 
     held: FloatArray
@@ -61,7 +61,7 @@ def _flat(arcs: ArcSet, sigma_0: float) -> ArcSet:
     return replace(arcs, band=band)
 
 
-def worth(arcs: Arcs, x: FloatArray, free: NDArray[np.int64], scale: FloatArray) -> Worth:
+def compute_information(arcs: Arcs, x: FloatArray, free: NDArray[np.int64], scale: FloatArray) -> CosineInformation:
     """Weigh a cosine estimate at x by the arcs' true covariance.
 
     Parameters
@@ -76,7 +76,7 @@ def worth(arcs: Arcs, x: FloatArray, free: NDArray[np.int64], scale: FloatArray)
     for claimed, spread in arcs.over_blocks(_worth_of_block, x, free, scale, sigma_0):
         A += claimed
         B += spread
-    return Worth(A @ np.linalg.pinv(B, rcond=1e-13, hermitian=True) @ A, A)
+    return CosineInformation(A @ np.linalg.pinv(B, rcond=1e-13, hermitian=True) @ A, A)
 
 
 def _worth_of_block(

@@ -30,7 +30,7 @@ from boresight.estimation.stored_arcs import Arcs
 
 
 @dataclass(frozen=True)
-class Insurance:
+class HuberEffect:
     """What the loss did at one state.
 
     Parameters
@@ -45,16 +45,16 @@ class Insurance:
     information_share: float
 
 
-def insurance(arcs: Arcs, x: NDArray[np.float64], n_free: int, threshold: float) -> Insurance:
+def measure_huber_effect(arcs: Arcs, x: NDArray[np.float64], n_free: int, threshold: float) -> HuberEffect:
     """Judge the loss at state x; a share of zero where every arc is beyond the threshold or none is left over."""
     parts = arcs.over_blocks(_beyond_in_block, x, threshold)
     beyond, squares = sum(count for count, _ in parts), sum(total for _, total in parts)
     n = arcs.n_arcs
     inside = 1 - beyond / n
     if inside == 0 or n <= n_free:
-        return Insurance(beyond, 0.0)
+        return HuberEffect(beyond, 0.0)
     K = 1 + n_free / n * (1 - inside) / inside
-    return Insurance(beyond, float(inside**2 * (n - n_free) / (squares * K**2)))
+    return HuberEffect(beyond, float(inside**2 * (n - n_free) / (squares * K**2)))
 
 
 def _beyond_in_block(block: ArcSet, x: NDArray[np.float64], threshold: float) -> tuple[int, float]:

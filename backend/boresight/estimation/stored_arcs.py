@@ -21,7 +21,7 @@ from boresight.arrays import IntArray
 from boresight.columns import Columns, write_columns
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.blocks import FRAMES, in_blocks
-from boresight.estimation.spread import Spread
+from boresight.estimation.executor import Executor
 
 T = TypeVar("T")
 Step = tuple[Callable[..., ArcSet], tuple[Any, ...]]
@@ -93,7 +93,7 @@ class StoredArcs:
     """
 
     pieces: tuple[ArcsPiece, ...]
-    spread: Spread
+    spread: Executor
     steps: tuple[Step, ...] = ()
 
     @cached_property

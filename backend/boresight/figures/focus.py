@@ -1,4 +1,4 @@
-"""A closer look: what was thinned away comes back for the part of the axis that is looked at.
+"""Zoom detail: the points that thinning removed, for the visible part of the axis.
 
 The figure is drawn with every point, so that sums and means over the run stay what they are; then each curve is cut to the
 window, with its neighbours on both sides so that lines run to the edge, and thinned again to what a screen can show.

@@ -30,11 +30,11 @@ def guide_page() -> str:
     return HEAD + "\n" + "\n".join(chapters)
 
 
-def image_of(figure: Figure) -> str:
+def name_image(figure: Figure) -> str:
     """Name the image of a figure, beside the page."""
     return f"figures/{figure.name}.webp"
 
 
 def _entry(figure: Figure) -> str:
     guide = figure.guide.replace("<", "&lt;").replace(">", "&gt;")
-    return f"### {figure.title}\n\n`{figure.name}`. {guide}\n\n![{figure.title}]({image_of(figure)})\n\n"
+    return f"### {figure.title}\n\n`{figure.name}`. {guide}\n\n![{figure.title}]({name_image(figure)})\n\n"

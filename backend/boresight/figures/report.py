@@ -3,7 +3,7 @@
 The drawing library and the figures are inside the file; a content security policy in it forbids every connection.
 Everything that came from outside is escaped: text by the template, data by writing `<` as its JSON escape.
 
-Figures inside a page that stands alone: the library, the data and the colours go into the file itself.
+Embedded figures: library, data and colours are written into one HTML file.
 
 Everything that came from outside is escaped: in a script element only `<` could end it, so it is written as its JSON
 escape. `figures/drawn_figures.html` is the part of the page that draws them.
@@ -37,10 +37,10 @@ from boresight.figures.tables.matching_table import (
 from boresight.figures.tables.parameter_table import HEADINGS, printed_rows
 from boresight.figures.tables.star_table import star_rows, to_flag
 from boresight.resources import folder
-from boresight.verdicts.verdict import prospects, trust_marks, verdict, why_absent
+from boresight.verdicts.verdict import make_verdict, prospects, trust_marks, why_absent
 
 
-def standing(figures: Mapping[str, go.Figure]) -> dict[str, Markup]:
+def embed_figures(figures: Mapping[str, go.Figure]) -> dict[str, Markup]:
     """Return what a page that draws these figures by name needs: `plotly`, `figures_json`, and `tokens` of white paper."""
     for figure in figures.values():
         figure.update_layout(template=LIGHT_TEMPLATE, meta=None)
@@ -78,12 +78,12 @@ def render_report(result: Result, *, four_eyes: bool = True) -> str:
     return environment.get_template("figures/report.html").render(
         result=result,
         four_eyes=four_eyes,
-        verdict=verdict(result),
+        verdict=make_verdict(result),
         summary=list(_summary(result)),
         headings=HEADINGS,
         rows=printed_rows(result),
         chapters=CHAPTERS,
-        **standing({name: figure.draw([_trace(result)]) for name, figure in FIGURES.items()}),
+        **embed_figures({name: figure.draw([_trace(result)]) for name, figure in FIGURES.items()}),
         **_examined(result),
         **_matched(result),
         provenance=list(flattened(result.get("inputs") or {})),

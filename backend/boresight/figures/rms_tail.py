@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from boresight.figures.chart import Result, Trace
-from boresight.figures.course import Course, course_of, settled_step
+from boresight.figures.history import History, read_history, settled_step
 from boresight.verdicts.verdict import sigma_of_rms
 
 SETTLING_SHARE = 0.2  # of the run, where nothing says when it settled
@@ -21,7 +21,7 @@ LATEST_SHARE = 0.95  # of the run: a tail that is shorter than the rest says not
 
 
 @dataclass(frozen=True)
-class Tail:
+class RmsTail:
     """Error of a run from a step on.
 
     Parameters
@@ -53,33 +53,33 @@ def tailed(traces: Sequence[Trace], tail_from: float | None) -> list[Trace]:
     return [replace(trace, result={**trace.result, "tail_from": tail_from}) for trace in traces]
 
 
-def tail_start(result: Result, course: Course) -> float:
-    """Return the step at which the tail begins, on the course's axis."""
-    low, high = float(course.x.min()), float(course.x.max())
+def tail_start(result: Result, history: History) -> float:
+    """Return the step at which the tail begins, on the history's axis."""
+    low, high = float(history.x.min()), float(history.x.max())
     latest = low + LATEST_SHARE * (high - low)
     if (chosen := result.get("tail_from")) is not None:
         return float(np.clip(chosen, low, latest))
     first = settled_step(result)
-    settled = low + SETTLING_SHARE * (high - low) if first is None else float(course.x[first])
+    settled = low + SETTLING_SHARE * (high - low) if first is None else float(history.x[first])
     return min(settled, latest)
 
 
-def tail_of(result: Result) -> Tail | None:
+def summarise_tail(result: Result) -> RmsTail | None:
     """Sum up what follows the start of the tail; None for a batch, which has no way behind it, and before any step."""
-    course = course_of(result)
-    if course is None or course.axis != "frame":
+    history = read_history(result)
+    if history is None or history.axis != "frame":
         return None
-    start = tail_start(result, course)
-    shown = course.x >= start
-    tail = course.series("tail_rms_rad")[shown]
-    aggregate = course.series("aggregate_rms_rad")
+    start = tail_start(result, history)
+    shown = history.x >= start
+    tail = history.series("tail_rms_rad")[shown]
+    aggregate = history.series("aggregate_rms_rad")
     known, seen = tail[np.isfinite(tail)], aggregate[np.isfinite(aggregate)]
     mean = float(known.mean()) if len(known) else None
     arcs = result.get("pairs")
-    return Tail(
-        axis=course.axis,
+    return RmsTail(
+        axis=history.axis,
         start=start,
-        end=float(course.x.max()),
+        end=float(history.x.max()),
         points=int(shown.sum()),
         tail_rad=mean,
         aggregate_rad=float(seen[-1]) if len(seen) else None,

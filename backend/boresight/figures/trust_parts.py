@@ -16,7 +16,7 @@ from boresight.arrays import FloatArray
 from boresight.figures.chart import Trace
 from boresight.figures.style import theme
 from boresight.figures.style.theme import RunStyle
-from boresight.verdicts.verdict import part_of, why_absent
+from boresight.verdicts.verdict import read_part, why_absent
 
 Part = tuple[Trace, RunStyle, Any]
 
@@ -24,7 +24,7 @@ Part = tuple[Trace, RunStyle, Any]
 def parts(traces: Sequence[Trace], name: str) -> list[Part]:
     """Pair every run that has the part with its style and the part itself."""
     styled = zip(traces, theme.run_styles(traces), strict=True)
-    return [(trace, style, part) for trace, style in styled if (part := part_of(trace.result, name))]
+    return [(trace, style, part) for trace, style in styled if (part := read_part(trace.result, name))]
 
 
 def absent(title: str, traces: Sequence[Trace], name: str) -> go.Figure:

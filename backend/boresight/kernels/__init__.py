@@ -7,7 +7,7 @@ stars. None calls another, so that Numba's cache, which looks at one file's age,
 
 from __future__ import annotations
 
-from boresight.kernels.angles import pair_rows, weigh_pairs, whiten_pairs
+from boresight.kernels.angles import factor_pairs, pair_rows, whiten_pairs
 from boresight.kernels.arclengths import (
     HALF_BANDWIDTH,
     N_PARAMETERS,
@@ -26,7 +26,7 @@ from boresight.kernels.arclengths import (
     whitened_rows,
 )
 from boresight.kernels.information import cost, information_update, invert, whiten, worst_departure
-from boresight.kernels.singular import value_rows, weigh_values
+from boresight.kernels.singular import factor_values, value_rows
 
 __all__ = [
     "HALF_BANDWIDTH",
@@ -35,6 +35,8 @@ __all__ = [
     "carlson_update",
     "cost",
     "count_beyond",
+    "factor_pairs",
+    "factor_values",
     "inflate",
     "information_update",
     "invert",
@@ -48,8 +50,6 @@ __all__ = [
     "sums_of_squares",
     "unscented_filter",
     "value_rows",
-    "weigh_pairs",
-    "weigh_values",
     "whiten",
     "whiten_pairs",
     "whitened_rows",

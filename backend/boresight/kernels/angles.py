@@ -74,7 +74,7 @@ def _factor(M, n):
 
 
 @_jit
-def weigh_pairs(star_start, s_i, sigma, phi, G, L):
+def factor_pairs(star_start, s_i, sigma, phi, G, L):
     """Take the catalogue's pairs of one frame. Called by `estimation.filters.angular`.
 
     `star_start` (n_exposures + 1,) begins at 0; `sigma` (n_stars,) rad. Fills per exposure `phi` (pairs of most,), the angles; `G`
@@ -121,7 +121,7 @@ def pair_rows(star_start, s, D, free, scale, phi, e, H):
     """Fill e (n_exposures, pairs of most), measured minus catalogue angles, and H (.., n_free), in units of `scale`.
 
     Called by `estimation.filters.angular`; s (n_stars, 3) and D (n_stars, 3, N_PARAMETERS) are the measured directions of one
-    frame and their derivatives, `phi` that of `weigh_pairs`.
+    frame and their derivatives, `phi` that of `factor_pairs`.
     """
     t_i, t_j, h = np.empty(3), np.empty(3), np.empty(_N_PARAMETERS)
     for x in range(star_start.shape[0] - 1):

@@ -48,7 +48,7 @@ def _worst(excess, kept, n):
 def agreeing_matches(exposure_start, s_d, s_i, matched, tolerance, accepted):
     """Mark the matches of each exposure that agree among themselves.
 
-    The caller is `calibration.matching.flight.flight_view`. `s_d`, `s_i` (n_rows, 3) are measured and catalogue directions,
+    The caller is `calibration.matching.flight_check.check_flight`. `s_d`, `s_i` (n_rows, 3) are measured and catalogue directions,
     `matched` (n_rows,) says which rows have both, `tolerance` is in rad; fills `accepted` (n_rows,).
     """
     most = 0

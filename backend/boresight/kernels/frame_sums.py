@@ -19,8 +19,8 @@ _jit = numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp
 def frame_sums(arc_start, e, H, P, chi2, scores, squares, leverage):
     """Add up the rows of every frame.
 
-    The caller is `calibration.trust.ground`. `arc_start` (n_frames + 1,) is the first arc of each frame; fills `chi2` (n_frames,),
-    `scores` and `squares` (n_frames, n_free) and `leverage` (n_frames,).
+    The caller is `calibration.trust.fitted_set`. `arc_start` (n_frames + 1,) is the first arc of each frame; fills `chi2`
+    (n_frames,), `scores` and `squares` (n_frames, n_free) and `leverage` (n_frames,).
     """
     n = H.shape[1]
     A = np.empty((n, n))

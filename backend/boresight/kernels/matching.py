@@ -188,7 +188,7 @@ def _verify(s, G, sigma, c, use, named, gate, bad, work):
 
 
 @_jit
-def _frame_of(ax, ay, az, bx, by, bz, F):
+def _make_triad(ax, ay, az, bx, by, bz, F):
     """Fill F (3, 3) with an orthonormal triad whose first row is a and whose third is along a x b."""
     cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     norm = 1.0 / math.sqrt(cx * cx + cy * cy + cz * cz)
@@ -219,8 +219,8 @@ def _wahba(s, c, weight, use, C, work):
     if j < 0:
         return False
     F, E = work.triads[0], work.triads[1]
-    _frame_of(s[i, 0], s[i, 1], s[i, 2], s[j, 0], s[j, 1], s[j, 2], F)
-    _frame_of(c[i, 0], c[i, 1], c[i, 2], c[j, 0], c[j, 1], c[j, 2], E)
+    _make_triad(s[i, 0], s[i, 1], s[i, 2], s[j, 0], s[j, 1], s[j, 2], F)
+    _make_triad(c[i, 0], c[i, 1], c[i, 2], c[j, 0], c[j, 1], c[j, 2], E)
     for a in range(3):
         for b in range(3):
             C[a, b] = F[0, a] * E[0, b] + F[1, a] * E[1, b] + F[2, a] * E[2, b]

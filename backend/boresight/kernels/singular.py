@@ -204,7 +204,7 @@ def _factor(G, ends, determined, L, pivot, full, variance, left):
 
 
 @_jit
-def weigh_values(star_start, s_i, sigma, model, chosen, apart, determined, rows, z, L, pivot, sizes):
+def factor_values(star_start, s_i, sigma, model, chosen, apart, determined, rows, z, L, pivot, sizes):
     """Take the catalogue's values of one frame and factor their covariance. Called by `estimation.filters.singular`.
 
     `star_start` (n_exposures + 1,) begins at 0; `sigma` (n_stars,) rad; `chosen` (3,). Fills per exposure `rows`
@@ -249,7 +249,7 @@ def value_rows(star_start, s, D, free, scale, model, rows, z, e, H):
     """Fill e (n_exposures, 3 most), measured minus catalogue values, and H (n_exposures, 3 most, n_free), in units of `scale`.
 
     Called by `estimation.filters.singular`; s (n_stars, 3) and D (n_stars, 3, N_PARAMETERS) are the measured directions of one
-    frame and their derivatives, `rows` and `z` those of `weigh_values`.
+    frame and their derivatives, `rows` and `z` those of `factor_values`.
     """
     most = rows.shape[1]
     prefix, sums = np.empty((most + 1, _SIX)), np.empty(_SIX)

@@ -15,7 +15,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from boresight import __version__
 from boresight.errors import RefusedInputError
-from boresight.figures.report import standing
+from boresight.figures.report import embed_figures
 from boresight.resources import folder
 
 Document = Mapping[str, Any]
@@ -62,7 +62,7 @@ def rendered(template: str, document: Document, draw: Draw, **more: Any) -> str:
     return environment.get_template(template).render(
         document=document,
         plan=document["plan"],
-        **standing({one["number"]: draw[one["number"]](one) for one in document["figures"]}),
+        **embed_figures({one["number"]: draw[one["number"]](one) for one in document["figures"]}),
         version=__version__,
         **more,
     )

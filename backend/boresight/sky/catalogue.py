@@ -7,7 +7,7 @@ J1991.25. Facts of that file which cost accuracy when forgotten:
 - its magnitude is Hp, not V;
 - parallaxes may be zero or negative (noise); they are kept, for clipping them would bias the mean;
 - about 260 Hipparcos numbers have no entry (55203, xi Ursae Majoris, is a bright one), so a number found in telemetry
-  may be unknown: `Catalogue.index_of` then answers -1;
+  may be unknown: `Catalogue.find_index` then answers -1;
 - the last digit of its second field is the solution type. 5 is a single star with five parameters; 1 is stochastic;
   3, 7 and 9 carry extra derivatives of the motion that are not applied here, so such stars may stray.
 """
@@ -72,7 +72,7 @@ class Catalogue:
         bright = self.magnitude <= magnitude
         return Catalogue(**{field.name: getattr(self, field.name)[bright] for field in fields(self)})
 
-    def index_of(self, hip: IntArray) -> IntArray:
+    def find_index(self, hip: IntArray) -> IntArray:
         """Find stars by number.
 
         Parameters

@@ -66,10 +66,10 @@ def star_directions(
             )
         return given
     directions = np.full((len(star_id), 3), np.nan) if given is None else np.where(star_id[:, None] > 0, given, np.nan)
-    index = catalogue.index_of(star_id)
+    index = catalogue.find_index(star_id)
     wanted = np.flatnonzero((star_id > 0) & (index >= 0) & np.isnan(directions[:, 0]))
     if len(wanted):
-        times = _times_of(time_utc, wanted)
+        times = _get_times(time_utc, wanted)
         velocity = None if velocity_m_s is None else velocity_m_s[wanted]
         directions[wanted] = apparent_directions(catalogue, index[wanted], times, velocity)
     return directions
@@ -83,7 +83,7 @@ def _given_directions(ra_rad: FloatArray | None, dec_rad: FloatArray | None) -> 
     return np.column_stack([cos_dec * np.cos(ra_rad), cos_dec * np.sin(ra_rad), np.sin(dec_rad)])
 
 
-def _times_of(time_utc: NDArray[np.datetime64] | None, rows: IntArray) -> NDArray[np.datetime64]:
+def _get_times(time_utc: NDArray[np.datetime64] | None, rows: IntArray) -> NDArray[np.datetime64]:
     """Return the times of rows whose direction comes from the catalogue; refuse when not one of them has a time."""
     if time_utc is None or np.isnat(time_utc[rows]).all():
         raise TimelessError(len(rows))

@@ -47,10 +47,10 @@ from boresight.errors import RefusedInputError
 from boresight.estimation.attitude import (
     conjugate,
     product,
-    quaternion_of,
-    quaternion_of_vector,
     rotation_vector,
+    to_quaternion,
     triad,
+    vector_to_quaternion,
 )
 
 HOW_TO_INSTALL = (
@@ -138,7 +138,7 @@ def identify(
     )
     if not answer or answer.parity_flip:
         return None
-    return quaternion_of(answer.rotation_matrix_icrs_to_camera)
+    return to_quaternion(answer.rotation_matrix_icrs_to_camera)
 
 
 def _pixels(s: FloatArray, magnitude: FloatArray | None, field_deg: float) -> FloatArray:
@@ -248,6 +248,6 @@ def carried_on(
 
 def _turned(C_a: FloatArray, C_b: FloatArray, share: float) -> FloatArray:
     """Quaternion of C_a turned on by a share of the turn from C_a to C_b."""
-    q_a, q_b = quaternion_of(C_a), quaternion_of(C_b)
+    q_a, q_b = to_quaternion(C_a), to_quaternion(C_b)
     turn = rotation_vector(product(q_b, conjugate(q_a)))
-    return product(quaternion_of_vector(share * turn), q_a)
+    return product(vector_to_quaternion(share * turn), q_a)

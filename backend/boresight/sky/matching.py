@@ -44,7 +44,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
-from boresight.estimation.attitude import matrix_of, quaternion_of
+from boresight.estimation.attitude import to_matrix, to_quaternion
 from boresight.estimation.blocks import in_blocks
 from boresight.kernels import matching as loops
 from boresight.sky.guide_stars import GuideStars, ObserverMotion
@@ -291,7 +291,7 @@ class _Matcher:
         C, covariance = np.zeros((e, 3, 3)), np.zeros((e, 3, 3))
         kind = kind[exposures]
         radius = np.array([START_RADIUS.get(place, 0.0) for place in range(len(STARTS))])[kind]
-        hints, any_own = matrix_of(hint[exposures]), bool(part.own.any())
+        hints, any_own = to_matrix(hint[exposures]), bool(part.own.any())
         years, earth_au, beta = (values[exposures] for values in (motion.years, motion.earth_au, motion.beta))
 
         guides = loops.Guides(stars.hip, stars.place, stars.motion, stars.parallax_rad, stars.density)
@@ -342,7 +342,7 @@ def _fill_from_exposures(run: _Matcher) -> None:
     hint = np.full((run.detections.n_exposures, 4), np.nan)
     for k in partly:
         exposures = np.arange(frame_start[k], frame_start[k + 1])
-        hint[exposures] = quaternion_of(run.answer.C[exposures[valid[exposures]][0]])
+        hint[exposures] = to_quaternion(run.answer.C[exposures[valid[exposures]][0]])
     run(partly, hint, np.where(np.isnan(hint[:, 0]), 0, OTHER_EXPOSURE))
 
 

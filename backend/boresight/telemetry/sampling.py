@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
-from boresight.telemetry.quality.evidence import Evidence
-from boresight.telemetry.schema import exposures_of
+from boresight.telemetry.quality.inputs import QualityInputs
+from boresight.telemetry.schema import find_exposures
 from boresight.telemetry.working_table import WorkingTable
 
 #: Interval between frames, their median, and which of them are gaps: `interval_s`, `median_s` and `gaps` of a `Sampling`.
@@ -49,19 +49,19 @@ class Sampling:
     gaps: IntArray
 
 
-def sampling_of(evidence: Evidence) -> Sampling | None:
+def compute_sampling(inputs: QualityInputs) -> Sampling | None:
     """Return how the frames follow in time; None when no frame has a time."""
-    time_utc = evidence.telemetry.time_utc
-    if time_utc is None or evidence.untimed.all():
+    time_utc = inputs.telemetry.time_utc
+    if time_utc is None or inputs.untimed.all():
         return None
-    timed = np.flatnonzero(~evidence.untimed)
-    frame = evidence.telemetry.frame[timed]
+    timed = np.flatnonzero(~inputs.untimed)
+    frame = inputs.telemetry.frame[timed]
     entry = timed[np.concatenate([[True], np.diff(frame) != 0])]
-    interval_s, median_s, gaps = intervals_of(time_utc[entry])
+    interval_s, median_s, gaps = compute_intervals(time_utc[entry])
     return Sampling(entry=entry, interval_s=interval_s, median_s=median_s, gaps=gaps)
 
 
-def intervals_of(time_utc: NDArray[np.datetime64]) -> Intervals:
+def compute_intervals(time_utc: NDArray[np.datetime64]) -> Intervals:
     """Return the intervals between frames taken at these times (n_timed_frames,), as in `Sampling`."""
     interval_s = np.diff(time_utc) / np.timedelta64(1, "s")
     positive = interval_s[interval_s > 0]
@@ -86,7 +86,7 @@ def exposure_marks(path: Path) -> NDArray[np.complex128]:
     """
     sums = [np.zeros(0, np.complex128)]
     for part in WorkingTable(path).parts():
-        start = exposures_of(part).start
+        start = find_exposures(part).start
         sums.append(np.add.reduceat(part.row_px, start) + 1j * np.add.reduceat(part.col_px, start))
     return np.asarray(np.round(np.concatenate(sums), DECIMALS))
 

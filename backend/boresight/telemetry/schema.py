@@ -105,7 +105,7 @@ class Telemetry:
         return len(self.frame)
 
 
-def rows_of(telemetry: Telemetry, rows: slice) -> Telemetry:
+def select_rows(telemetry: Telemetry, rows: slice) -> Telemetry:
     """Return consecutive rows of a set as a set of their own."""
     if rows == slice(0, len(telemetry)):
         return telemetry
@@ -128,7 +128,7 @@ def joined(parts: Sequence[Telemetry]) -> Telemetry:
     return replace(parts[0], **arrays, unknown=unknown)
 
 
-def bytes_of(telemetry: Telemetry) -> int:
+def count_bytes(telemetry: Telemetry) -> int:
     """How many bytes a set takes in memory."""
     arrays = sum(value.nbytes for value in vars(telemetry).values() if isinstance(value, np.ndarray))
     return arrays + sum(int(cells.nbytes) for cells in telemetry.unknown.values())
@@ -165,7 +165,7 @@ class Exposures:
         return len(self.start)
 
 
-def exposures_of(telemetry: Telemetry) -> Exposures:
+def find_exposures(telemetry: Telemetry) -> Exposures:
     """Return the runs of rows with the same frame and exposure number."""
     rows = len(telemetry)
     first = np.ones(rows, dtype=np.bool_)

@@ -21,7 +21,7 @@ from boresight.arrays import FloatArray
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
 from boresight.telemetry.read.checks import Faults
-from boresight.telemetry.read.formats import json_of
+from boresight.telemetry.read.formats import read_json
 
 _REQUIRED = ("name", "detector", "camera_model", "parity", "centroid_sigma_px", "initial", "typical_sigma")
 _OPTIONAL = ("free", "magnitude_limit")
@@ -83,7 +83,7 @@ def read_sensor(path: Path) -> Sensor:
     """
     path = Path(path)
     try:
-        document = json_of(path, path.name)
+        document = read_json(path, path.name)
     except json.JSONDecodeError as error:
         raise RefusedInputError(
             f"{path.name}: row {error.lineno}: this is not JSON: a sensor file is one JSON object."

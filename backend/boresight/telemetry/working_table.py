@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from boresight import disks as integrity
 from boresight.arrays import IntArray
 from boresight.errors import CorruptFileError, RefusedInputError
-from boresight.telemetry.schema import Telemetry, joined, rows_of
+from boresight.telemetry.schema import Telemetry, joined, select_rows
 
 MEDIA_TYPE = "application/vnd.apache.arrow.file"
 _MAGIC = b"ARROW1"
@@ -122,7 +122,7 @@ class WorkingTable:
         """Map the rows begin <= k < end."""
         first, last = np.searchsorted(self.row_start, [begin, end - 1], side="right") - 1
         before = int(self.row_start[first])
-        return rows_of(joined([self.part(k) for k in range(first, last + 1)]), slice(begin - before, end - before))
+        return select_rows(joined([self.part(k) for k in range(first, last + 1)]), slice(begin - before, end - before))
 
     def _mapped(self) -> tuple[mmap.mmap, pa.ipc.RecordBatchFileReader]:
         if self.sha256 is not None and not integrity.is_intact(self.path, self.sha256):

@@ -26,7 +26,7 @@ from typing import Any
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.telemetry.read.checks import Faults
-from boresight.telemetry.read.formats import json_of
+from boresight.telemetry.read.formats import read_json
 from boresight.telemetry.sensors import Sensor
 from boresight.uplink.cfe import CfeHeaders, parse_cfe
 from boresight.uplink.checksum import Checksum
@@ -101,7 +101,7 @@ def read_definition(path: Path, sensor: Sensor) -> TableDefinition:
         When the file cannot be read, is not JSON, or as `parse_definition` refuses.
     """
     try:
-        document = json_of(path, path.name)
+        document = read_json(path, path.name)
     except json.JSONDecodeError as error:
         raise RefusedInputError(f"{path.name} is not JSON: a table definition is one JSON object.") from error
     return parse_definition(document, sensor)

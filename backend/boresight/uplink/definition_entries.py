@@ -13,7 +13,7 @@ from typing import Any
 
 from boresight.telemetry.read.checks import Faults
 from boresight.uplink.checksum import CHECKED, CHECKSUMS, WIDTHS, Checksum
-from boresight.uplink.fields import bits_of
+from boresight.uplink.fields import get_bits
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 LONGEST_TEXT = 64
@@ -103,7 +103,7 @@ class Entries:
     def kind(self, key: str) -> str:
         """Return the type of a field."""
         value = self.document.get(key)
-        if isinstance(value, str) and bits_of(value):
+        if isinstance(value, str) and get_bits(value):
             return value
         self._wrong(key, "choose float32, float64, or int<n> or uint<n> of 1 to 64 bits")
         return "uint8"

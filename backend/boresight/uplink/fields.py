@@ -24,7 +24,7 @@ INTEGER = re.compile(r"(u?)int([1-9][0-9]?)")
 MOST_BITS = 64
 
 
-def bits_of(kind: str) -> int | None:
+def get_bits(kind: str) -> int | None:
     """Size of a type, bits; None when there is no such type."""
     if kind in FORMATS:
         return FORMATS[kind][0]
@@ -66,7 +66,7 @@ class Field:
     @property
     def bits(self) -> int:
         """Size, bits."""
-        return bits_of(self.kind) or 0
+        return get_bits(self.kind) or 0
 
     @property
     def end(self) -> int:

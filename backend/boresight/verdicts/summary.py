@@ -13,12 +13,12 @@ import numpy as np
 
 from boresight.calibration.result import trend_entry
 from boresight.estimation.statistics.observability import WEAK
-from boresight.verdicts.verdict import verdict
+from boresight.verdicts.verdict import make_verdict
 
 
 def summary_of(result: Mapping[str, Any]) -> dict[str, Any]:
     """Pick the figures for lists from a calibration JSON; what it does not have, or is no number there, is None."""
-    judged = verdict(result)
+    judged = make_verdict(result)
     advice = [*(result.get("advice") or ()), *(judged.reasons if judged.level != "normal" else ())]
     found = {
         "status": result.get("status"),

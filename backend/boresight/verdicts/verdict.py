@@ -45,7 +45,7 @@ NO_REASON = "This part of the examination could not be made for this run."
 
 
 @dataclass(frozen=True)
-class Mark:
+class VerdictMark:
     """One answer on the verdict strip.
 
     Parameters
@@ -69,7 +69,7 @@ class Mark:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class RunVerdict:
     """The worst of the marks.
 
     Parameters
@@ -85,8 +85,8 @@ class Verdict:
     reasons: tuple[str, ...]
 
 
-def _unknown(question: str, detail: str) -> Mark:
-    return Mark(question, "off", "NO DATA", "–", detail)
+def _unknown(question: str, detail: str) -> VerdictMark:
+    return VerdictMark(question, "off", "NO DATA", "–", detail)
 
 
 def _not_yet(result: Mapping[str, Any], never: str) -> str:
@@ -94,17 +94,17 @@ def _not_yet(result: Mapping[str, Any], never: str) -> str:
     return "Judged when the run ends." if result.get("status") == "running" else never
 
 
-def _fit(result: Mapping[str, Any]) -> Mark:
+def _fit(result: Mapping[str, Any]) -> VerdictMark:
     status = str(result.get("status", "unknown"))
     if status == "running":
-        return Mark("Fit", LEVEL_OF_STATUS[status], status, *_so_far(result), WHY[status])
+        return VerdictMark("Fit", LEVEL_OF_STATUS[status], status, *_so_far(result), WHY[status])
     used = (
         f"{count(result.get('frames'))} frames, {count(result.get('stars'))} stars, {count(result.get('pairs'))} pairs"
     )
     steps = result.get("iterations")
     level, reason = LEVEL_OF_STATUS.get(status, "serious"), WHY.get(status, f"The status is {status}.")
     value = f"{count(steps)} iteration{'s' * (steps != 1)}" if steps else ""
-    return Mark("Fit", level, status.replace("_", " "), value, used, "" if level == "normal" else reason)
+    return VerdictMark("Fit", level, status.replace("_", " "), value, used, "" if level == "normal" else reason)
 
 
 def _so_far(result: Mapping[str, Any]) -> tuple[str, str]:
@@ -116,37 +116,37 @@ def _so_far(result: Mapping[str, Any]) -> tuple[str, str]:
     return value, f"{frames} frames in all" if done is None else f"{count(done)} of {frames} frames so far"
 
 
-def _chi_square(result: Mapping[str, Any]) -> Mark:
+def _chi_square(result: Mapping[str, Any]) -> VerdictMark:
     question, chi2, per_dof = "χ² per degree of freedom", result.get("chi2") or {}, result.get("chi2_per_dof")
     if per_dof is None or chi2.get("consistent") is None:
         return _unknown(question, _not_yet(result, "No chi-square was computed."))
     detail = f"95 % bounds {_bounds(chi2)}, {count(chi2.get('dof'))} degrees of freedom"
     if chi2["consistent"]:
-        return Mark(question, "normal", "consistent", number(per_dof), detail)
+        return VerdictMark(question, "normal", "consistent", number(per_dof), detail)
     word = "noise above model" if per_dof > 1 else "noise below model"
     reason = f"{question} is {number(per_dof, 3)}: the noise is not what was assumed."
-    return Mark(question, "caution", word, number(per_dof), detail, reason)
+    return VerdictMark(question, "caution", word, number(per_dof), detail, reason)
 
 
 def _bounds(test: Mapping[str, Any]) -> str:
     return f"{number(test.get('lower'))} to {number(test.get('upper'))}"
 
 
-def _nis(result: Mapping[str, Any]) -> Mark:
+def _nis(result: Mapping[str, Any]) -> VerdictMark:
     question, nis = "Innovations (NIS)", result.get("nis") or {}
     if result.get("method") not in FILTERS:
-        return Mark(question, "off", "not applicable", "", "A batch has no innovations; a filter has.")
+        return VerdictMark(question, "off", "not applicable", "", "A batch has no innovations; a filter has.")
     if nis.get("consistent") is None:
         return _unknown(question, "No innovations yet.")
     value, detail = number(nis.get("mean")), f"95 % bounds {_bounds(nis)}, a degree of freedom"
     if nis["consistent"]:
-        return Mark(question, "normal", "consistent", value, detail)
+        return VerdictMark(question, "normal", "consistent", value, detail)
     word = "over-confident" if (nis.get("mean") or 0.0) > (nis.get("upper") or 0.0) else "pessimistic"
     reason = "The innovations are outside their 95 % bounds: the sigmas of this filter are not honest."
-    return Mark(question, "caution", word, value, detail, reason)
+    return VerdictMark(question, "caution", word, value, detail, reason)
 
 
-def _weakest(result: Mapping[str, Any]) -> Mark:
+def _weakest(result: Mapping[str, Any]) -> VerdictMark:
     question, seen = "Weakest direction", result.get("observability") or {}
     spread = [sigma for sigma in seen.get("sigma_of_direction") or () if sigma is not None]
     sentence = str((seen.get("weakest") or {}).get("sentence") or "One direction was not seen at all.")
@@ -155,13 +155,13 @@ def _weakest(result: Mapping[str, Any]) -> Mark:
     worst = max(spread, default=0.0)
     if len(spread) < len(seen["singular_values"]):
         value = f"condition {number(seen.get('condition_number'), 3)}"
-        return Mark(question, "caution", "not seen", value, sentence, sentence)
+        return VerdictMark(question, "caution", "not seen", value, sentence, sentence)
     if worst > UNSEEN_TYPICAL_SIGMAS:
-        return Mark(question, "caution", "not seen", f"{number(worst, 2)} typical σ", sentence, sentence)
-    return Mark(question, "normal", "seen", f"{number(worst, 2)} typical σ", sentence)
+        return VerdictMark(question, "caution", "not seen", f"{number(worst, 2)} typical σ", sentence, sentence)
+    return VerdictMark(question, "normal", "seen", f"{number(worst, 2)} typical σ", sentence)
 
 
-def _validation(result: Mapping[str, Any]) -> Mark:
+def _validation(result: Mapping[str, Any]) -> VerdictMark:
     question, validation = "Validation RMS", result.get("validation") or {}
     rms = validation.get("rms_arc_rad") or {}
     before, after = rms.get("initial"), rms.get("final")
@@ -173,29 +173,29 @@ def _validation(result: Mapping[str, Any]) -> Mark:
     detail += "; σ not kept" if sigma is None else f"; the new RMS is known to ± {urad(3 * sigma, 2)} µrad (3σ)"
     value = f"{urad(before)} → {urad(after)} µrad"
     if after < before:
-        return Mark(question, "normal", "better", value, detail)
+        return VerdictMark(question, "normal", "better", value, detail)
     reason = f"On the validation set the error went from {urad(before)} to {urad(after)} µrad."
-    return Mark(question, "serious", "worse" if after > before else "no better", value, detail, reason)
+    return VerdictMark(question, "serious", "worse" if after > before else "no better", value, detail, reason)
 
 
-def marks(result: Mapping[str, Any]) -> list[Mark]:
+def make_verdict_marks(result: Mapping[str, Any]) -> list[VerdictMark]:
     """Answer the five questions of the verdict strip from a calibration JSON."""
     return [question(result) for question in (_fit, _chi_square, _nis, _weakest, _validation)]
 
 
-def verdict(result: Mapping[str, Any]) -> Verdict:
+def make_verdict(result: Mapping[str, Any]) -> RunVerdict:
     """Judge a result by the worst of its marks and its examination's; one whose fit did not converge by that alone."""
-    answers = [*marks(result), *trust_marks(result)]
+    answers = [*make_verdict_marks(result), *trust_marks(result)]
     fit = answers[0]
     if fit.reason:
-        return Verdict(fit.level, fit.word, (fit.reason,))
+        return RunVerdict(fit.level, fit.word, (fit.reason,))
     level = max((mark.level for mark in answers), key=LEVELS.index)
     against = tuple(mark.reason for mark in answers if mark.reason)
     agreement = "The statistics agree with the noise that was assumed."
-    return Verdict(level, WORD_OF_LEVEL.get(level, "converged and consistent"), against or (agreement,))
+    return RunVerdict(level, WORD_OF_LEVEL.get(level, "converged and consistent"), against or (agreement,))
 
 
-def trust_marks(result: Mapping[str, Any]) -> list[Mark]:
+def trust_marks(result: Mapping[str, Any]) -> list[VerdictMark]:
     """Answer the questions of the examination; none where a result has no examination."""
     if not result.get("trust"):
         return []
@@ -214,23 +214,23 @@ def trust_doubts(result: Mapping[str, Any]) -> list[str]:
 
 def prospects(result: Mapping[str, Any]) -> list[str]:
     """Say what more data would buy, which speaks neither for nor against the result."""
-    sentence = (part_of(result, "more_data") or {}).get("sentence")
+    sentence = (read_part(result, "more_data") or {}).get("sentence")
     return [str(sentence)] if sentence else []
 
 
-def _not_made(result: Mapping[str, Any], question: str, part: str) -> Mark:
-    return Mark(question, "off", "NO DATA", "–", why_absent(result, part))
+def _not_made(result: Mapping[str, Any], question: str, part: str) -> VerdictMark:
+    return VerdictMark(question, "off", "NO DATA", "–", why_absent(result, part))
 
 
-def _examined(question: str, words: tuple[str, str], sound: bool, value: str, sentence: str) -> Mark:
+def _examined(question: str, words: tuple[str, str], sound: bool, value: str, sentence: str) -> VerdictMark:
     """Make a mark: the first word where all is well, the second, with the sentence as doubt, where it is not."""
     if sound:
-        return Mark(question, "normal", words[0], value, sentence)
-    return Mark(question, "caution", words[1], value, sentence, sentence or f"{question}: {words[1]}.")
+        return VerdictMark(question, "normal", words[0], value, sentence)
+    return VerdictMark(question, "caution", words[1], value, sentence, sentence or f"{question}: {words[1]}.")
 
 
-def _halves(result: Mapping[str, Any]) -> Mark:
-    question, part = "Two halves", part_of(result, "two_halves")
+def _halves(result: Mapping[str, Any]) -> VerdictMark:
+    question, part = "Two halves", read_part(result, "two_halves")
     chi2: Mapping[str, Any] = (part or {}).get("chi2") or {}
     if not part or chi2.get("consistent") is None:
         return _not_made(result, question, "two_halves")
@@ -239,24 +239,24 @@ def _halves(result: Mapping[str, Any]) -> Mark:
     return _examined(question, ("agree", "differ"), sound, value, str(part.get("sentence") or ""))
 
 
-def _innovations(result: Mapping[str, Any]) -> Mark:
-    question, part = "Innovations over time", part_of(result, "nis_over_time")
+def _innovations(result: Mapping[str, Any]) -> VerdictMark:
+    question, part = "Innovations over time", read_part(result, "nis_over_time")
     if not part or part.get("consistent") is None:
         return _not_made(result, question, "nis_over_time")
     value = f"{percent(part.get('outside_share'))} outside"
     return _examined(question, ("as expected", "uneven"), part["consistent"], value, str(part.get("sentence") or ""))
 
 
-def _whiteness(result: Mapping[str, Any]) -> Mark:
-    question, part = "Whiteness", part_of(result, "whiteness")
+def _whiteness(result: Mapping[str, Any]) -> VerdictMark:
+    question, part = "Whiteness", read_part(result, "whiteness")
     if not part or part.get("white") is None:
         return _not_made(result, question, "whiteness")
     value = f"p {number((part.get('ljung_box') or {}).get('p'), 2)}"
     return _examined(question, ("white", "not white"), part["white"], value, str(part.get("sentence") or ""))
 
 
-def _efficiency(result: Mapping[str, Any]) -> Mark:
-    question, part = "Efficiency", part_of(result, "efficiency")
+def _efficiency(result: Mapping[str, Any]) -> VerdictMark:
+    question, part = "Efficiency", read_part(result, "efficiency")
     ratio = (part or {}).get("overall_ratio")
     if not part or ratio is None:
         return _not_made(result, question, "efficiency")
@@ -266,9 +266,9 @@ def _efficiency(result: Mapping[str, Any]) -> Mark:
     return _examined(question, ("at the bound", word), low <= ratio <= high, value, str(part.get("sentence") or ""))
 
 
-def _causes(result: Mapping[str, Any]) -> Mark:
+def _causes(result: Mapping[str, Any]) -> VerdictMark:
     """Hold the residual against its causes: the sentences of those that explain it."""
-    question, part = "Residual against causes", part_of(result, "residual_against")
+    question, part = "Residual against causes", read_part(result, "residual_against")
     judged = [(name, part[name]) for name in CAUSES if (part or {}).get(name) and part[name].get("even") is not None]
     if not judged:
         return _not_made(result, question, "residual_against")
@@ -280,8 +280,8 @@ def _causes(result: Mapping[str, Any]) -> Mark:
     )
 
 
-def _needed(result: Mapping[str, Any]) -> Mark:
-    question, part = "Parameters", part_of(result, "drop_one")
+def _needed(result: Mapping[str, Any]) -> VerdictMark:
+    question, part = "Parameters", read_part(result, "drop_one")
     if not part:
         return _not_made(result, question, "drop_one")
     needed = sum(bool(row.get("needed")) for row in part)
@@ -289,8 +289,8 @@ def _needed(result: Mapping[str, Any]) -> Mark:
     return _examined(question, ("all needed", "some spare"), needed == len(part), f"{needed} of {len(part)}", sentence)
 
 
-def _stars(result: Mapping[str, Any]) -> Mark:
-    question, part = "Stars", part_of(result, "stars")
+def _stars(result: Mapping[str, Any]) -> VerdictMark:
+    question, part = "Stars", read_part(result, "stars")
     if not part:
         return _not_made(result, question, "stars")
     trust: Mapping[str, Any] = result["trust"]
@@ -300,7 +300,7 @@ def _stars(result: Mapping[str, Any]) -> Mark:
     return _examined(question, ("none suspect", "suspects"), not suspects, value, sentence)
 
 
-def part_of(result: Mapping[str, Any], name: str) -> Any:
+def read_part(result: Mapping[str, Any], name: str) -> Any:
     """Read one part of `trust`; None where it is not there, or is empty."""
     return (result.get("trust") or {}).get(name) or None
 

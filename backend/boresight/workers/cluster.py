@@ -38,14 +38,14 @@ from distributed import Client, Event, KilledWorker, SpecCluster
 from distributed.system import MEMORY_LIMIT
 
 import boresight
-from boresight.console.runs.queries import End, Held
+from boresight.console.runs.queries import HeldRun, RunEnd
 from boresight.settings import Settings
-from boresight.workers.flight import UNFIT_TOPIC, Fitness
+from boresight.workers.cluster_executor import LENT_TOPIC
+from boresight.workers.dispatched_tasks import UNFIT_TOPIC, WorkerCheck
 from boresight.workers.link import TOPIC, Report, cancel_event
-from boresight.workers.security import PROTOCOL, own_security, security_of
-from boresight.workers.spread import LENT_TOPIC
+from boresight.workers.security import PROTOCOL, make_security, own_security
 from boresight.workers.tasks import Work, execute_group
-from boresight.workers.warm import WarmUp
+from boresight.workers.warm_up import WarmUp
 
 #: Of a machine, over its worker processes; the rest is the server's and the system's.
 MEMORY_SHARE = 0.8
@@ -70,7 +70,7 @@ CONFIGURATION = {
 END_S = 2.0  # a thread that is stuck, as in asking for a name, is left to itself
 
 
-class Connection(Client):  # type: ignore[misc] # dask is not typed
+class SchedulerClient(Client):  # type: ignore[misc] # dask is not typed
     """A connection to a scheduler, as `distributed.Client`."""
 
     _is_over = False
@@ -166,10 +166,10 @@ class Cluster:
         with dask.config.set(CONFIGURATION):
             local = None if settings.scheduler else _local_cluster(settings)
             try:
-                client = Connection(
+                client = SchedulerClient(
                     settings.scheduler or local,
                     timeout=CONNECT_S,
-                    security=security_of(settings) if settings.scheduler else None,
+                    security=make_security(settings) if settings.scheduler else None,
                     set_as_default=False,
                     heartbeat_interval="2s",
                 )
@@ -180,7 +180,7 @@ class Cluster:
         try:
             client.subscribe_topic(TOPIC, lambda event: on_progress(Report(**event[1]["report"])))
             if settings.scheduler:
-                client.register_plugin(Fitness(boresight.__version__, _shared_folder(settings)))
+                client.register_plugin(WorkerCheck(boresight.__version__, _shared_folder(settings)))
             client.register_plugin(WarmUp(str(settings.catalogue_folder), ours=local is not None))
         except Exception:
             opened.close(())
@@ -204,12 +204,12 @@ class Cluster:
         future.add_done_callback(lambda _: done())
         return future
 
-    def ends_of(self, future: Any, worker: str) -> list[End] | LostTaskError | None:
+    def ends_of(self, future: Any, worker: str) -> list[RunEnd] | LostTaskError | None:
         """Return how a task's attempts ended, that it was lost, or None when it has not ended or ended for no fault of its own."""
         if not future.done():
             return None
         try:
-            ends: list[End] = future.result(timeout=FETCH_S)
+            ends: list[RunEnd] = future.result(timeout=FETCH_S)
         except (TimeoutError, CancelledError):  # its worker died after it had ended and before it was asked
             return None
         except KilledWorker:
@@ -225,11 +225,11 @@ class Cluster:
         self._lent_until_s = {name: until_s for name, until_s in self._lent_until_s.items() if until_s > now_s}
         self._lent_until_s[event["worker"]] = now_s + event["for_s"] + LENT_S
 
-    def ask_to_stop(self, held: Held) -> None:
+    def ask_to_stop(self, held: HeldRun) -> None:
         """Ask an attempt to stop; it looks twice a second."""
         Event(cancel_event(*held), client=self._client).set()
 
-    def forget_stop(self, held: Held) -> None:
+    def forget_stop(self, held: HeldRun) -> None:
         """Drop the wish once the attempt has ended."""
         Event(cancel_event(*held), client=self._client).clear()
 
@@ -245,7 +245,7 @@ class Cluster:
         except Exception:
             log.exception("Worker %s could not be restarted", worker)
 
-    def close(self, unfinished: Collection[Held]) -> None:
+    def close(self, unfinished: Collection[HeldRun]) -> None:
         """Ask what is still computing to stop, let go of the scheduler, and end the workers that are ours."""
         with suppress(Exception):  # what is lost already cannot be closed in order
             for held in unfinished if self.connected and self._local is None else ():

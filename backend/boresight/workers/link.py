@@ -27,7 +27,7 @@ import orjson
 from distributed import Event, get_worker
 
 from boresight.calibration.calibrate import Progress
-from boresight.console.runs.queries import Held
+from boresight.console.runs.queries import HeldRun
 from boresight.console.runs.run_events import Line
 from boresight.errors import CancelledError
 
@@ -69,22 +69,22 @@ class Report:
         return Line.log(f"{100 * self.fraction:.0f} %: {self.message}", numbers)
 
 
-class Reports:
-    """A letter box that the cluster's thread fills and the engine's thread empties."""
+class ProgressInbox:
+    """An inbox that the cluster's thread fills and the dispatcher's thread empties."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._newest: dict[Held, Report] = {}
-        self._recorded_s: dict[Held, float] = {}
-        self._told_frame: dict[Held, int] = {}
-        self._lines: dict[Held, tuple[int, float]] = {}
+        self._newest: dict[HeldRun, Report] = {}
+        self._recorded_s: dict[HeldRun, float] = {}
+        self._told_frame: dict[HeldRun, int] = {}
+        self._lines: dict[HeldRun, tuple[int, float]] = {}
 
     def hear(self, report: Report) -> None:
         """Take a report; it replaces the one before of the same attempt."""
         with self._lock:
             self._newest[report.run_id, report.attempt] = report
 
-    def take(self, ours: AbstractSet[Held]) -> dict[Held, Report]:
+    def take(self, ours: AbstractSet[HeldRun]) -> dict[HeldRun, Report]:
         """Return what came since the last time, of our attempts only."""
         with self._lock:
             reports, self._newest = self._newest, {}
@@ -92,14 +92,14 @@ class Reports:
         self._lines = {held: line for held, line in self._lines.items() if held in ours}
         return {held: report for held, report in reports.items() if held in ours}
 
-    def news(self, held: Held, report: Report) -> dict[str, Any]:
+    def news(self, held: HeldRun, report: Report) -> dict[str, Any]:
         """Say what a report tells, with the points of the course that were not told before; they are taken as told now."""
         points = points_after((report.calibration or {}).get("history") or {}, self._told_frame.get(held))
         if points is not None:
             self._told_frame[held] = points["frame"][-1]
         return report.told() | {"history": points}
 
-    def due(self, reports: dict[Held, Report]) -> dict[Held, Report]:
+    def due(self, reports: dict[HeldRun, Report]) -> dict[HeldRun, Report]:
         """Return those whose rows were not written in the last half second; they are taken as written now."""
         now_s = time.monotonic()
         self._recorded_s = {held: at_s for held, at_s in self._recorded_s.items() if now_s - at_s < RECORD_EVERY_S}
@@ -107,7 +107,7 @@ class Reports:
         self._recorded_s |= dict.fromkeys(due, now_s)
         return due
 
-    def lines(self, reports: Mapping[Held, Report]) -> dict[Held, Line]:
+    def lines(self, reports: Mapping[HeldRun, Report]) -> dict[HeldRun, Line]:
         """Return a line for the log of each attempt that came to another twentieth of its way, one in two seconds at most."""
         now_s = time.monotonic()
         lines = {}

@@ -4,12 +4,12 @@ Leases: what we hold we renew three times a lease; what lapses belonged to a ser
 or ended when it has lost too many attempts. Every write is fenced by attempt and state (see `boresight.console.runs.queries`), so
 two servers on one database cannot both end a run, and a result that comes too late writes nothing.
 
-How long waiting runs will take: as long as the newest runs of their method and size took.
+The duration model: predicts how long waiting runs take from the newest runs of their method.
 
 Time is not in proportion to the number of stars: judging a small run takes longer than fitting it. So runs of about the same
 size are asked first, and all of the method only where there are none. What the newest runs took is read anew every few seconds.
 
-The look at what finished runs found: whether it raises an alarm.
+Checking finished runs for alarms.
 
 It is no part of writing an end, so no worker waits for it: the runs are noted, and looked at some at a time while others compute.
 What is still noted when a server stops, its upkeep finds when it starts again.
@@ -34,14 +34,14 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from statistics import median
 
-from boresight.console.alarms.watch import changed_sensors, watch
+from boresight.console.alarms.rules import find_changed_sensors, update_alarms
 from boresight.console.runs import queries as runs
-from boresight.console.runs.dry_runs import Timed, predicted_s, seconds_per_star, timed_runs
-from boresight.console.runs.queries import Claimed, End, Held, Waiting, sensors_of, waiting_runs
+from boresight.console.runs.dry_runs import TimedRun, estimate_seconds_per_star, list_timed_runs, predict_duration_s
+from boresight.console.runs.queries import ClaimedRun, HeldRun, RunEnd, WaitingRun, list_sensors, waiting_runs
 from boresight.console.runs.run_events import Line, write_event
-from boresight.platform.db.marks import Kept, Marks
+from boresight.platform.db.data_version import DataVersionReader, VersionedCache
 from boresight.platform.db.sessions import Engine as Database
-from boresight.platform.db.sessions import Session, reading, utc_now, writing
+from boresight.platform.db.sessions import Session, open_reading, open_writing, utc_now
 from boresight.workers.link import Report
 
 FRESH_S = 3.0
@@ -49,33 +49,33 @@ ALIKE = 1.5  # times as many stars at most, or as few
 
 
 @dataclass
-class _Pace:
+class _MethodDuration:
     """What is known of a method."""
 
-    timed: list[Timed]
+    timed: list[TimedRun]
     s_per_star: float
     read_s: float
 
 
 @dataclass
-class Paces:
+class DurationModel:
     """What the newest runs of each method took."""
 
-    _known: dict[str, _Pace] = field(default_factory=dict)
+    _known: dict[str, _MethodDuration] = field(default_factory=dict)
 
     def refresh(self, session: Session, methods: set[str]) -> None:
         """Read what the newest runs of these methods took, where that was not done just now."""
         now_s = time.monotonic()
         for method in methods:
             if method not in self._known or now_s - self._known[method].read_s > FRESH_S:
-                timed, pace = timed_runs(session, method), seconds_per_star(session, method)
-                self._known[method] = _Pace(timed, pace, now_s)
+                timed, pace = list_timed_runs(session, method), estimate_seconds_per_star(session, method)
+                self._known[method] = _MethodDuration(timed, pace, now_s)
 
-    def seconds(self, run: Waiting) -> float:
+    def seconds(self, run: WaitingRun) -> float:
         """Predict the time of a waiting run, seconds."""
         pace = self._known[run.method]
         alike = [one.seconds / one.stars for one in pace.timed if 1 / ALIKE <= run.stars / one.stars <= ALIKE]
-        foreseen_s = predicted_s(run.settings, run.frames, run.stars, pace.s_per_star)
+        foreseen_s = predict_duration_s(run.settings, run.frames, run.stars, pace.s_per_star)
         waits = run.settings.get("replay_frames_per_s")
         return foreseen_s if waits or not alike else run.stars * median(alike)
 
@@ -86,7 +86,7 @@ GROUP_RUNS = 64
 
 
 @dataclass(frozen=True)
-class Group:
+class RunGroup:
     """Runs that share a task.
 
     Parameters
@@ -105,8 +105,8 @@ class Group:
 
 
 def planned(
-    waiting: Sequence[Waiting], free: int, followed: int, threads: int, seconds_of: Callable[[Waiting], float]
-) -> list[Group]:
+    waiting: Sequence[WaitingRun], free: int, followed: int, threads: int, seconds_of: Callable[[WaitingRun], float]
+) -> list[RunGroup]:
     """Divide the oldest waiting runs over the threads.
 
     Parameters
@@ -131,7 +131,7 @@ def planned(
     most = min(GROUP_RUNS, math.ceil(len(waiting) / max(1, slots)))
     share_s = QUEUE_SHARE * sum(map(seconds_of, waiting)) / max(1, threads)
     longest_s = min(LONG_GROUP_S, max(GROUP_S, share_s))
-    groups: list[Group] = []
+    groups: list[RunGroup] = []
     rest = list(waiting)
     while rest and len(groups) < slots:
         group = _first_group(rest, most, longest_s, seconds_of)
@@ -143,12 +143,12 @@ def planned(
 
 
 def _first_group(
-    waiting: Sequence[Waiting], most: int, longest_s: float, seconds_of: Callable[[Waiting], float]
-) -> Group:
+    waiting: Sequence[WaitingRun], most: int, longest_s: float, seconds_of: Callable[[WaitingRun], float]
+) -> RunGroup:
     """Return the oldest runs that may share a task."""
     total_s = seconds_of(waiting[0])
     if waiting[0].attempt or total_s > GROUP_S:
-        return Group([waiting[0].run_id], total_s, short=False)
+        return RunGroup([waiting[0].run_id], total_s, short=False)
     chosen = [waiting[0].run_id]
     for run in waiting[1:most]:
         seconds = seconds_of(run)
@@ -156,7 +156,7 @@ def _first_group(
             break
         chosen.append(run.run_id)
         total_s += seconds
-    return Group(chosen, total_s, short=True)
+    return RunGroup(chosen, total_s, short=True)
 
 
 log = logging.getLogger(__name__)
@@ -184,53 +184,53 @@ class Reconciler:
     owner: str
     lease_s: float
     max_attempts: int
-    paces: Paces = field(default_factory=Paces)
+    paces: DurationModel = field(default_factory=DurationModel)
 
     @cached_property
-    def _marks(self) -> Marks:
+    def _marks(self) -> DataVersionReader:
         """Tells whether anything was committed: what is asked every turn is read only then."""
-        return Marks(self.database)
+        return DataVersionReader(self.database)
 
     @cached_property
-    def _waiting(self) -> Kept[list[Waiting]]:
-        return Kept(self._marks)
+    def _waiting(self) -> VersionedCache[list[WaitingRun]]:
+        return VersionedCache(self._marks)
 
     @cached_property
-    def _stops(self) -> Kept[set[Held]]:
-        return Kept(self._marks)
+    def _stops(self) -> VersionedCache[set[HeldRun]]:
+        return VersionedCache(self._marks)
 
     def close(self) -> None:
         """Let go of the store."""
         self._marks.close()
 
-    def settle(self, ends: Sequence[End]) -> None:
+    def settle(self, ends: Sequence[RunEnd]) -> None:
         """Write how attempts ended, unless they no longer hold their runs."""
-        with writing(self.database) as session:
+        with open_writing(self.database) as session:
             written = runs.finish_all(session, ends)
         for held in {(end.run_id, end.attempt) for end in ends} - written.keys():
             log.info("Run %d: a late end of attempt %d writes nothing", *held)
 
-    def give_up(self, members: Collection[Held], cause: str, *, begun: bool = True) -> None:
+    def give_up(self, members: Collection[HeldRun], cause: str, *, begun: bool = True) -> None:
         """Write that a task was lost with its worker.
 
         A run that was alone in it is charged with the loss. Of several nobody knows which one was guilty, and of a task that had
         not begun none was: they go back unharmed, and alone the next time.
         """
-        with writing(self.database) as session:
+        with open_writing(self.database) as session:
             for held in members:
                 if begun and len(members) == 1:
                     runs.give_up_attempt(session, *held, cause, self.max_attempts)
                 else:
                     runs.put_back(session, *held, cause)
 
-    def put_back(self, members: Collection[Held], cause: str) -> None:
+    def put_back(self, members: Collection[HeldRun], cause: str) -> None:
         """Queue attempts again that ended through no fault of their own."""
         if members:
-            with writing(self.database) as session:
+            with open_writing(self.database) as session:
                 for held in members:
                     runs.put_back(session, *held, cause)
 
-    def put_back_or_give_up(self, members: Collection[Held], cause: str) -> None:
+    def put_back_or_give_up(self, members: Collection[HeldRun], cause: str) -> None:
         """Queue attempts again whose worker was gone though the scheduler charged nobody with its end.
 
         They are not to blame, unless it goes on so: a scheduler that allows failures never says which task ended a
@@ -240,49 +240,49 @@ class Reconciler:
         self.put_back(again, cause)
         self.give_up(set(members) - again, cause)
 
-    def end_cancelled(self, held: Held) -> None:
+    def end_cancelled(self, held: HeldRun) -> None:
         """Write that an attempt which did not answer was ended by force."""
-        with writing(self.database) as session:
+        with open_writing(self.database) as session:
             runs.finish(session, *held, "CANCELLED")
 
-    def renew(self, members: Collection[Held]) -> set[Held]:
+    def renew(self, members: Collection[HeldRun]) -> set[HeldRun]:
         """Renew our leases and give up lapsed ones of others; return those of `members` that are no longer ours."""
-        with writing(self.database) as session:
+        with open_writing(self.database) as session:
             ours = runs.renew(session, self.owner, self.lease_s, [run_id for run_id, _ in members])
             runs.give_up_expired(session, self.max_attempts)
         return {held for held in members if held not in ours}
 
-    def stops(self, members: Collection[Held]) -> set[Held]:
+    def stops(self, members: Collection[HeldRun]) -> set[HeldRun]:
         """Return those attempts that somebody asked to stop."""
         return self._stops.answer(frozenset(members), lambda: self._asked_to_stop(members))
 
-    def _asked_to_stop(self, members: Collection[Held]) -> set[Held]:
+    def _asked_to_stop(self, members: Collection[HeldRun]) -> set[HeldRun]:
         """Read the states of attempts."""
-        with reading(self.database) as session:
-            states = runs.states_of(session, [run_id for run_id, _ in members])
+        with open_reading(self.database) as session:
+            states = runs.read_states(session, [run_id for run_id, _ in members])
         return {held for held in members if states.get(held) == "CANCELLING"}
 
-    def record(self, reports: Mapping[Held, Report], lines: Mapping[Held, Line]) -> None:
+    def record(self, reports: Mapping[HeldRun, Report], lines: Mapping[HeldRun, Line]) -> None:
         """Write how far attempts are and when they said so, with what a live page draws, and lines for their logs."""
-        with writing(self.database) as session:
+        with open_writing(self.database) as session:
             for held, report in reports.items():
                 if runs.record_progress(session, *held, report.progress(utc_now())) and held in lines:
                     write_event(session, *held, lines[held])
 
-    def waiting(self, limit: int) -> list[Waiting]:
+    def waiting(self, limit: int) -> list[WaitingRun]:
         """Return the oldest runs that wait."""
         return self._waiting.answer(limit, lambda: self._oldest(limit))
 
-    def _oldest(self, limit: int) -> list[Waiting]:
+    def _oldest(self, limit: int) -> list[WaitingRun]:
         """Read the oldest runs that wait."""
-        with reading(self.database) as session:
+        with open_reading(self.database) as session:
             return waiting_runs(session, limit)
 
     def take(
-        self, waiting: Sequence[Waiting], free: int, followed: int, threads: int
-    ) -> list[tuple[Group, list[Claimed]]]:
+        self, waiting: Sequence[WaitingRun], free: int, followed: int, threads: int
+    ) -> list[tuple[RunGroup, list[ClaimedRun]]]:
         """Claim the oldest of the waiting runs for free threads and for those to be followed, grouped into tasks."""
-        with writing(self.database) as session:
+        with open_writing(self.database) as session:
             self.paces.refresh(session, {run.method for run in waiting})
             groups = planned(waiting, free, followed, threads, self.paces.seconds)
             run_ids = [run_id for group in groups for run_id in group.run_ids]
@@ -295,7 +295,7 @@ class Reconciler:
 RUNS = 16  # looked at together
 
 
-class Lookout:
+class AlarmCheck:
     """The runs of one engine that were not looked at yet."""
 
     def __init__(self, database: Database) -> None:
@@ -306,7 +306,7 @@ class Lookout:
         """Whether there is anything to look at."""
         return bool(self._noted)
 
-    def note(self, ends: Collection[End]) -> None:
+    def note(self, ends: Collection[RunEnd]) -> None:
         """Remember the runs that succeeded."""
         self._noted += [end.run_id for end in ends if end.state == "SUCCEEDED"]
 
@@ -315,12 +315,12 @@ class Lookout:
         some, self._noted = self._noted[:RUNS], self._noted[RUNS:]
         try:
             if some and (sensor_ids := self._changed(some)):
-                with writing(self._database) as session:
-                    watch(session, sensor_ids)
+                with open_writing(self._database) as session:
+                    update_alarms(session, sensor_ids)
         except Exception:
             log.exception("The watch failed after a run; the server's upkeep looks again")
 
     def _changed(self, run_ids: Collection[int]) -> list[int]:
         """Return the sensors of these runs whose alarms are not as they should be."""
-        with reading(self._database) as session:
-            return changed_sensors(session, sensors_of(session, run_ids))
+        with open_reading(self._database) as session:
+            return find_changed_sensors(session, list_sensors(session, run_ids))

@@ -42,7 +42,7 @@ HASH = hashes.SHA256()
 
 
 @dataclass(frozen=True, repr=False)
-class Issued:
+class IssuedCertificates:
     """An authority and the one certificate it has signed, with the certificate's key, each as PEM."""
 
     authority: str
@@ -50,7 +50,7 @@ class Issued:
     key: str
 
 
-def issue(begins: datetime = ALWAYS, ends: datetime = NEVER) -> Issued:
+def issue(begins: datetime = ALWAYS, ends: datetime = NEVER) -> IssuedCertificates:
     """Sign one certificate, for both ends of a link, by an authority whose key is forgotten."""
     authority_key, key = ec.generate_private_key(ec.SECP256R1()), ec.generate_private_key(ec.SECP256R1())
     authority_name, name = _named("Boresight authority"), _named("Boresight")
@@ -72,7 +72,7 @@ def issue(begins: datetime = ALWAYS, ends: datetime = NEVER) -> Issued:
         .add_extension(x509.AuthorityKeyIdentifier.from_issuer_subject_key_identifier(signer), critical=False)
         .sign(authority_key, HASH)
     )
-    return Issued(
+    return IssuedCertificates(
         authority.public_bytes(Encoding.PEM).decode(),
         certificate.public_bytes(Encoding.PEM).decode(),
         key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()).decode(),
@@ -178,7 +178,7 @@ def _is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def security_of(settings: Settings) -> Security | None:
+def make_security(settings: Settings) -> Security | None:
     """Return what TLS links need, or None where links are plain.
 
     Raises

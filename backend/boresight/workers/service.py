@@ -24,8 +24,8 @@ from distributed.system import MEMORY_LIMIT
 
 from boresight.settings import Settings
 from boresight.workers.cluster import CONFIGURATION, MEMORY_SHARE, Nanny, Scheduler
-from boresight.workers.security import PROTOCOL, refuse_open_link, security_of
-from boresight.workers.warm import WarmUp
+from boresight.workers.security import PROTOCOL, make_security, refuse_open_link
+from boresight.workers.warm_up import WarmUp
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 LASTED_S = 60.0
@@ -44,7 +44,7 @@ def run_scheduler(settings: Settings, host: str, port: int, say: Say) -> None:
     OSError
         When the port cannot be listened on.
     """
-    security = security_of(settings)
+    security = make_security(settings)
     if security is None:
         refuse_open_link(settings, host, f"--host {host}")
     _configure()
@@ -94,7 +94,7 @@ class WorkerService:
 
     async def run(self) -> None:
         """Join, and join again, until stopped."""
-        security = security_of(self.settings)
+        security = make_security(self.settings)
         pause_s = FIRST_PAUSE_S
         while True:
             await self._until_answered(security)
@@ -144,7 +144,7 @@ def run_workers(settings: Settings, processes: int, memory_bytes: int | None, sa
     RefusedInputError
         When certificates are missing, the scheduler's address is none, or links would be open to others.
     """
-    security_of(settings)
+    make_security(settings)
     _configure()
     memory_bytes = memory_bytes or int(MEMORY_SHARE * MEMORY_LIMIT / max(processes, CPU_COUNT))
 

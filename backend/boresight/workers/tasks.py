@@ -23,21 +23,21 @@ import orjson
 
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.source import StoredTable
-from boresight.console.runs.queries import Claimed, End
+from boresight.console.runs.queries import ClaimedRun, RunEnd
 from boresight.console.runs.run_events import Line
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, CancelledError, CorruptFileError
 from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.locations import BlobLocation
 from boresight.platform.blobs.opening import open_blobs
-from boresight.platform.blobs.places import BlobPlace
 from boresight.platform.blobs.working_tables import working_table
 from boresight.settings import Settings, read_settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts.summary import summary_of
+from boresight.workers.cluster_executor import ClusterExecutor, make_scratch_folder
 from boresight.workers.link import Link
-from boresight.workers.spread import ClusterSpread, scratch_of
 
 CALCULATION = "boresight.calibration.calibrate:calibrate"
 TABLES = 2  # kept in a worker process; none is so large that it is spread
@@ -58,7 +58,7 @@ Work = tuple[int, int, Inputs]  # run id, attempt, inputs
 Keep = Callable[[Callable[[], str]], "Future[str]"]
 
 
-def inputs_of(settings: Settings, run: Claimed) -> Inputs:
+def gather_inputs(settings: Settings, run: ClaimedRun) -> Inputs:
     """Gather what a worker needs."""
     return Inputs(
         blob_address=settings.blob_place.address,
@@ -70,14 +70,16 @@ def inputs_of(settings: Settings, run: Claimed) -> Inputs:
     )
 
 
-def execute_group(group: list[Work], calculation: str = CALCULATION) -> list[End]:
+def execute_group(group: list[Work], calculation: str = CALCULATION) -> list[RunEnd]:
     """Compute several small runs one after the other in one task; each result is synced to the disk while the next computes."""
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="boresight-results") as keeper:
         computed = [execute(*work, calculation, keeper.submit) for work in group]
         return [_kept(end, sha256) for end, sha256 in computed]
 
 
-def execute(run_id: int, attempt: int, inputs: Inputs, calculation: str, keep: Keep) -> tuple[End, Future[str] | None]:
+def execute(
+    run_id: int, attempt: int, inputs: Inputs, calculation: str, keep: Keep
+) -> tuple[RunEnd, Future[str] | None]:
     """Compute one run; whatever happens, the answer is its end, and the address that its result will have.
 
     Parameters
@@ -96,31 +98,31 @@ def execute(run_id: int, attempt: int, inputs: Inputs, calculation: str, keep: K
         link.refuse_if_cancelled()
         return _succeeded(inputs, calculation, link, keep)
     except CancelledError as error:
-        return End(run_id, attempt, "CANCELLED", str(error) or "Stopped on request."), None
+        return RunEnd(run_id, attempt, "CANCELLED", str(error) or "Stopped on request."), None
     except CorruptFileError as error:
-        return End(run_id, attempt, "FAILED", str(error), corrupt_sha256=error.sha256 or None), None
+        return RunEnd(run_id, attempt, "FAILED", str(error), corrupt_sha256=error.sha256 or None), None
     except BoresightError as error:
         faults = [Line.log(str(fault)) for fault in getattr(error, "faults", ())]
-        return End(run_id, attempt, "FAILED", str(error), log=faults), None
+        return RunEnd(run_id, attempt, "FAILED", str(error), log=faults), None
     except Exception as error:  # noqa: BLE001 - any defect of the computation ends its run, not the worker
         of_disk = storage_error(error) if isinstance(error, OSError) else None
         if of_disk is not None:
-            return End(run_id, attempt, "FAILED", str(of_disk)), None
+            return RunEnd(run_id, attempt, "FAILED", str(of_disk)), None
         reason = f"The computation broke down, {type(error).__name__}: {error}"
-        return End(run_id, attempt, "FAILED", reason, log=[_traceback()]), None
+        return RunEnd(run_id, attempt, "FAILED", reason, log=[_traceback()]), None
 
 
-def _kept(end: End, sha256: Future[str] | None) -> End:
+def _kept(end: RunEnd, sha256: Future[str] | None) -> RunEnd:
     """Complete an end with the address of its result, once that is on the disk."""
     if sha256 is None:
         return end
     try:
         return replace(end, result_sha256=sha256.result())
     except BoresightError as error:  # a full disk, say: the run has no result then
-        return End(end.run_id, end.attempt, "FAILED", f"The result could not be kept. {error}")
+        return RunEnd(end.run_id, end.attempt, "FAILED", f"The result could not be kept. {error}")
     except Exception as error:  # noqa: BLE001 - a defect ends the run, not the worker
         reason = f"The result could not be kept, {type(error).__name__}: {error}"
-        return End(end.run_id, end.attempt, "FAILED", reason, log=[_traceback()])
+        return RunEnd(end.run_id, end.attempt, "FAILED", reason, log=[_traceback()])
 
 
 def _traceback() -> Line:
@@ -128,7 +130,7 @@ def _traceback() -> Line:
     return Line.log(traceback.format_exc(), level="error")
 
 
-def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tuple[End, Future[str] | None]:
+def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tuple[RunEnd, Future[str] | None]:
     """Calibrate, begin to put the result, and describe it."""
     begun_s, begun_cpu_s = time.perf_counter(), time.thread_time()
     blobs = open_blobs(replace(_own_place(), address=inputs["blob_address"]), make=False)
@@ -138,7 +140,7 @@ def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tupl
     took = {"seconds": round(seconds, 4), "cpu_seconds": round(cpu_seconds, 4)}
     summary = summary_of(document) | took
     told = Line.log(f"Computed in {seconds:.2f} s: {summary['status']}.", took)
-    end = End(link.run_id, link.attempt, "SUCCEEDED", summary=summary, result_bytes=len(content), log=[told])
+    end = RunEnd(link.run_id, link.attempt, "SUCCEEDED", summary=summary, result_bytes=len(content), log=[told])
     return end, keep(lambda: blobs.put(content))
 
 
@@ -152,9 +154,9 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
         folders: dict[str, Any] = {}
         if large:
             scratch = Path(inputs["catalogue_folder"]).parent / "scratch"
-            folder = stack.enter_context(scratch_of(scratch, link.run_id, link.attempt))
-            spread = ClusterSpread(f"{link.run_id}-{link.attempt}", folder, link.cancelled)
-            folders = {"scratch_folder": folder, "spread": spread}
+            folder = stack.enter_context(make_scratch_folder(scratch, link.run_id, link.attempt))
+            executor = ClusterExecutor(f"{link.run_id}-{link.attempt}", folder, link.cancelled)
+            folders = {"scratch_folder": folder, "spread": executor}
         return _function(calculation)(
             source if large else _telemetry(source),
             parse_sensor(inputs["sensor_document"]),
@@ -174,7 +176,7 @@ def _table(blobs: BlobStore, sha256: str) -> StoredTable:
 
 
 @cache
-def _own_place() -> BlobPlace:
+def _own_place() -> BlobLocation:
     """Where this process would keep files by its own settings: what it fetches is kept there."""
     return read_settings().blob_place
 

@@ -40,10 +40,10 @@ from boresight.calibration.result import numbers
 from boresight.estimation.arcs import ArcSet, angular_sigma
 from boresight.estimation.attitude import (
     attitudes,
-    matrix_of,
     mean_rotation,
-    quaternion_of,
     rotation_vector,
+    to_matrix,
+    to_quaternion,
     triad,
     turns_from,
 )
@@ -98,7 +98,7 @@ class Alignment:
     @property
     def c_sd_update(self) -> FloatArray:
         """(3, 3) R^T: C_sd_new = C_sd_old @ c_sd_update."""
-        return matrix_of(self.quaternion).T
+        return to_matrix(self.quaternion).T
 
 
 def align(problem: Problem, x_0: FloatArray, x: FloatArray, P: FloatArray) -> Alignment | None:
@@ -129,7 +129,7 @@ def align(problem: Problem, x_0: FloatArray, x: FloatArray, P: FloatArray) -> Al
         )
         for state in (x_0, x)
     )
-    turns = quaternion_of(new.C @ np.swapaxes(old.C, 1, 2))
+    turns = to_quaternion(new.C @ np.swapaxes(old.C, 1, 2))
     variance = np.trace(new.covariance, axis1=1, axis2=2)
     known = np.isfinite(variance) & old.known
     weights = np.where(known, 1 / np.where(known, variance, 1.0), 0.0)

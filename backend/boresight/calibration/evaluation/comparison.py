@@ -36,7 +36,7 @@ def compared(arcs: Arcs, x: FloatArray, free: NDArray[np.int64], scale: FloatArr
     best = batch.normal_equations(arcs, x, free, scale)
     if not best.finite():
         return None
-    worth = cosine.worth(arcs, x, free, scale)
+    worth = cosine.compute_information(arcs, x, free, scale)
     sigma, claimed, of_arcs = (batch.sigma_in_scale(A) for A in (worth.held, worth.claimed, best.A))
     known = np.isfinite(sigma) & np.isfinite(claimed) & np.isfinite(of_arcs)
     return Compared(worth.held, best.chi2, _remark(sigma[known], claimed[known], of_arcs[known]))

@@ -57,13 +57,13 @@ class Contrast:
         return np.asarray(self.difference / self.sigma)
 
 
-def values_of(result: Result, names: Sequence[str]) -> FloatArray:
+def read_values(result: Result, names: Sequence[str]) -> FloatArray:
     """Read a result's parameters, (n_parameters,), NaN where it has none."""
     values = result.get("parameters") or {}
     return np.array([values.get(name) for name in names], dtype=np.float64)
 
 
-def covariance_of(result: Result, names: Sequence[str]) -> FloatArray:
+def read_covariance(result: Result, names: Sequence[str]) -> FloatArray:
     """Read a result's covariance in the model's order, (n_parameters, n_parameters), zero rows for what it held fixed."""
     found = result.get("covariance") or {}
     place = [names.index(name) for name in found.get("names") or ()]
@@ -75,8 +75,8 @@ def covariance_of(result: Result, names: Sequence[str]) -> FloatArray:
 
 def contrast(result: Result, reference: Result, names: Sequence[str], shared: SharedData) -> Contrast:
     """Set one result against another."""
-    difference = values_of(result, names) - values_of(reference, names)
-    P, P_reference = covariance_of(result, names), covariance_of(reference, names)
+    difference = read_values(result, names) - read_values(reference, names)
+    P, P_reference = read_covariance(result, names), read_covariance(reference, names)
     D = covariance_of_difference(P, P_reference, shared)
     sigma = np.where(np.isfinite(difference), sigma_of_difference(P, P_reference, D), np.nan)
     return Contrast(difference, D, sigma, joint_test(difference, D, sigma))
@@ -84,7 +84,7 @@ def contrast(result: Result, reference: Result, names: Sequence[str], shared: Sh
 
 def correlation(result: Result, names: Sequence[str]) -> FloatArray:
     """Read a result's correlations, (n_parameters, n_parameters), NaN where a parameter was not estimated."""
-    P = covariance_of(result, names)
+    P = read_covariance(result, names)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(P / np.sqrt(np.outer(np.diag(P), np.diag(P))))
 
@@ -119,7 +119,7 @@ def radial_contrast(
     what is not noise, and `data_radius_px`, the outermost star that both have seen.
     """
     camera = CAMERA_MODELS[str(result.get("camera_model"))]
-    x, x_0 = (values_of(one, camera.parameter_names) for one in (result, reference))
+    x, x_0 = (read_values(one, camera.parameter_names) for one in (result, reference))
     if not (np.isfinite(x).all() and np.isfinite(x_0).all()):
         return None
     row_0, col_0 = camera.principal_point(x_0)

@@ -1,7 +1,7 @@
 """How two parameter sets do on a telemetry set: availability, matched stars and RMS on common pairs (E section III).
 
-The set is seen under each state (`calibration.matching.sighting`): stars are matched anew, and the flight code's check says what
-it would accept. With N(x) the accepted matches of all valid exposures,
+The set is seen under each state (`calibration.matching.matched_frames`): stars are matched anew, and the flight code's check says
+what it would accept. With N(x) the accepted matches of all valid exposures,
 
     availability(x)     = frames with a valid exposure / frames
     matched star ratio  = N(x_final) / N(x_initial)                                  (E Eq 30)
@@ -21,11 +21,11 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.evaluation import bootstrap
-from boresight.calibration.matching.flight import FLIGHT_REASONS
+from boresight.calibration.matching.flight_check import FLIGHT_REASONS
+from boresight.calibration.matching.matched_frames import MatchedFrames, common_arcs, match_under_states
 from boresight.calibration.matching.rematch import Matches
-from boresight.calibration.matching.sighting import Sighting, common_arcs, sightings
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.problem import weighed
+from boresight.calibration.problem import whiten_at
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.metrics import arc_errors
@@ -83,15 +83,15 @@ def evaluate_parameters(  # noqa: PLR0913 - two states, each a vector and its co
         When rows that name stars can be given no direction at all.
     """
     states = [(x_initial, P_initial), (x_final, P_final)]
-    initial, final = sightings(telemetry, sensor, catalogue, states, settings)
-    return evaluate_sightings(telemetry, sensor, initial, final, settings, rng)
+    initial, final = match_under_states(telemetry, sensor, catalogue, states, settings)
+    return evaluate_matched_frames(telemetry, sensor, initial, final, settings, rng)
 
 
-def evaluate_sightings(
+def evaluate_matched_frames(
     telemetry: Telemetry,
     sensor: Sensor,
-    initial: Sighting,
-    final: Sighting,
+    initial: MatchedFrames,
+    final: MatchedFrames,
     settings: CalibrationSettings,
     rng: np.random.Generator | None,
     ordered: ArcSet | None = None,
@@ -129,7 +129,7 @@ def _sides(scores: dict[str, Any], name: str) -> dict[str, Any]:
     return {side: scores[f"{name}_{side}"] for side in ("initial", "final")}
 
 
-def _columns(initial: Sighting, final: Sighting, common: list[ArcSet], camera: CameraModel) -> FloatArray:
+def _columns(initial: MatchedFrames, final: MatchedFrames, common: list[ArcSet], camera: CameraModel) -> FloatArray:
     """What the scores are made of, a row a frame: 1, available, stars, sums of squares of both, and common arcs, (n_frames, 8)."""
     frames = initial.view.frames
     squares = np.zeros((len(frames), 3))
@@ -146,7 +146,7 @@ def _columns(initial: Sighting, final: Sighting, common: list[ArcSet], camera: C
 
 def _squares(arcs: ArcSet, camera: CameraModel, x_initial: FloatArray, x_final: FloatArray) -> FloatArray:
     """Sums of squared arc errors under both states and the number of arcs, a row a frame, (n, 3)."""
-    arcs = arcs if arcs.n_arcs else weighed(arcs, camera, x_final)
+    arcs = arcs if arcs.n_arcs else whiten_at(arcs, camera, x_final)
     squares = [np.add.reduceat(arc_errors(arcs, x) ** 2, arcs.frame_arcs[:-1]) for x in (x_initial, x_final)]
     return np.column_stack([*squares, np.diff(arcs.frame_arcs)])
 
@@ -171,6 +171,6 @@ def _score(
     return score, interval(score, np.sqrt(ratios) if root else ratios, len(columns) / length)
 
 
-def _counted(seen: Sighting) -> dict[str, int]:
+def _counted(seen: MatchedFrames) -> dict[str, int]:
     """How many frames are not available, by reason."""
     return dict(Counter(reason for reason in seen.frame_reasons if reason != FLIGHT_REASONS[0]))

@@ -25,7 +25,7 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.advice import remedies, too_few
-from boresight.calibration.calibrate import matchable, parameters_of
+from boresight.calibration.calibrate import choose_match_mode, select_free_parameters
 from boresight.calibration.estimate import Estimate, Parameters, covariance, run_batch
 from boresight.calibration.matching.match_report import identification_advice
 from boresight.calibration.matching.matched import Dataset
@@ -48,7 +48,7 @@ MOST_ITERATIONS = 25
 
 
 @dataclass(frozen=True)
-class _Foreseen:
+class _Prediction:
     """Information of the whole set and covariance at the method's end, (n_free, n_free) in typical sigmas, and where taken."""
 
     A: FloatArray
@@ -83,8 +83,10 @@ def forecast(
     RefusedInputError
         When the free parameters are not the sensor's, or directions cannot be had.
     """
-    parameters = parameters_of(sensor, settings)
-    sets = Dataset(sample.telemetry, sensor, catalogue, parameters, matchable(sample.telemetry, settings), cache_folder)
+    parameters = select_free_parameters(sensor, settings)
+    sets = Dataset(
+        sample.telemetry, sensor, catalogue, parameters, choose_match_mode(sample.telemetry, settings), cache_folder
+    )
     start = sets.at_start()
     problem = start.problem
     names = [problem.camera.parameter_names[p] for p in parameters.free]
@@ -97,13 +99,13 @@ def forecast(
     if problem.arcs.n_exposures == 0:
         why = [*identification_advice(start.unidentified), *too_few(problem, settings.minimum_stars)]
         return {**known, **_nothing(names, why[0])}
-    foreseen = _foreseen(sample, problem, parameters, settings)
+    foreseen = _predict(sample, problem, parameters, settings)
     if not np.isfinite(foreseen.A).all():
         sentence = "The camera model cannot be evaluated at the present parameters: check the sensor's initial values."
         return {**known, **_nothing(names, sentence)}
     observed = observability(foreseen.A, tuple(names), tuple(problem.camera.symbols[p] for p in parameters.free))
     helpful = remedies(foreseen.A, observed, problem, sample.frames_in_set, settings)
-    return {**known, **_told(foreseen, parameters, observed, helpful)}
+    return {**known, **_describe(foreseen, parameters, observed, helpful)}
 
 
 def _nothing(names: list[str], sentence: str) -> dict[str, Any]:
@@ -119,20 +121,20 @@ def _nothing(names: list[str], sentence: str) -> dict[str, Any]:
     }
 
 
-def _foreseen(sample: Sample, problem: Problem, parameters: Parameters, settings: CalibrationSettings) -> _Foreseen:
+def _predict(sample: Sample, problem: Problem, parameters: Parameters, settings: CalibrationSettings) -> _Prediction:
     """Fit the sample, take the information there, and scale it to the whole."""
     x, at, A = _fitted(problem, parameters, settings)
     if settings.method in ("svd", "angular"):
         view = View(problem.camera, x, parameters.free, parameters.scale)
         selection = Selection(settings.star_model, settings.singular_values) if settings.method == "svd" else None
-        A = whitened_information(view, problem.weighed(x).whole(), selection)
+        A = whitened_information(view, problem.whitened(x).whole(), selection)
     whole = A * (sample.frames_in_set / sample.frames)
     if not settings.sequential or not np.isfinite(A).all():
-        return _Foreseen(whole, covariance(whole), at)
+        return _Prediction(whole, covariance(whole), at)
     start = np.eye(len(A)) * settings.initial_sigma_scale**2
     frames = max(1, round(problem.arcs.n_frames * sample.frames_in_set / sample.frames))
     P = further_covariance(start, whole / frames, frames, settings.process_noise, settings.forgetting_factor)
-    return _Foreseen(whole, P, at)
+    return _Prediction(whole, P, at)
 
 
 def _fitted(
@@ -148,7 +150,7 @@ def _fitted(
     if rests:
         return estimate.x, "fitted", estimate.A
     x = problem.sensor.initial
-    return x, "present", normal_equations(problem.weighed(x), x, parameters.free, parameters.scale).A
+    return x, "present", normal_equations(problem.whitened(x), x, parameters.free, parameters.scale).A
 
 
 def _unheard(estimate: Estimate, fraction: float, message: str) -> None:
@@ -160,7 +162,9 @@ def _never() -> bool:
     return False
 
 
-def _told(foreseen: _Foreseen, parameters: Parameters, observed: Observability, helpful: list[str]) -> dict[str, Any]:
+def _describe(
+    foreseen: _Prediction, parameters: Parameters, observed: Observability, helpful: list[str]
+) -> dict[str, Any]:
     """Put a forecast into numbers and words."""
     weak = observed.weak()
     n = len(observed.names)

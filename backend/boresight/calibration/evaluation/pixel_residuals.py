@@ -25,12 +25,12 @@ import numpy as np
 from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.cameras import CameraModel
 from boresight.estimation.arcs import ArcSet, angular_sigma
-from boresight.estimation.attitude import attitudes, matrix_of, quaternion_of_vector, triad
+from boresight.estimation.attitude import attitudes, to_matrix, triad, vector_to_quaternion
 from boresight.estimation.statistics.cramer_rao import CentroidRows, centroid_rows, each, sums
 
 
 @dataclass(frozen=True)
-class Freedom:
+class FreeCovariance:
     """What the parameters may still be: places and typical sigmas of the free ones (n_free,), covariance P in these units."""
 
     free: IntArray
@@ -67,7 +67,12 @@ class PixelResiduals:
 
 
 def pixel_residuals(
-    camera: CameraModel, x: FloatArray, arcs: ArcSet, parity: int, freedom: Freedom, kept: BoolArray | None = None
+    camera: CameraModel,
+    x: FloatArray,
+    arcs: ArcSet,
+    parity: int,
+    freedom: FreeCovariance,
+    kept: BoolArray | None = None,
 ) -> PixelResiduals:
     """Residuals at a state.
 
@@ -98,7 +103,7 @@ def pixel_residuals(
         M=_own_share(rows, arcs, freedom.P, kept),
         from_sky=rows.inverse @ toward.transpose(0, 2, 1),
         inverse=rows.inverse,
-        C=matrix_of(quaternion_of_vector(-parity * w @ mirror)) @ C,
+        C=to_matrix(vector_to_quaternion(-parity * w @ mirror)) @ C,
         attitude_covariance=mirror @ rows.N @ mirror,
     )
 

@@ -1,7 +1,7 @@
 """Shadow mode: baseline and candidate parameters side by side on every frame, and what each would have lost.
 
-Both states see the same set (`calibration.matching.sighting`). A star is lost in a frame when the baseline's valid exposures held
-it and the
+Both states see the same set (`calibration.matching.matched_frames`). A star is lost in a frame when the baseline's valid exposures
+held it and the
 candidate's do not, gained the other way round. Whether the candidate is available more often is McNemar's question: of the frames
 that one state alone solves, b the baseline's and c the candidate's, as many would fall to each if they were alike, and b is
 binomial,
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import bdtr
 
 from boresight.arrays import BoolArray, IntArray
-from boresight.calibration.matching.sighting import Sighting
+from boresight.calibration.matching.matched_frames import MatchedFrames
 from boresight.telemetry.schema import Telemetry
 
 #: Frames kept one by one; the summary is of all.
@@ -29,7 +29,7 @@ MOST_FRAMES = 2000
 MOST_DIFFERING = 1000
 
 
-def shadow_view(telemetry: Telemetry, baseline: Sighting, candidate: Sighting) -> dict[str, Any]:
+def shadow_view(telemetry: Telemetry, baseline: MatchedFrames, candidate: MatchedFrames) -> dict[str, Any]:
     """Set two sightings of one set side by side.
 
     Returns
@@ -59,7 +59,7 @@ def shadow_view(telemetry: Telemetry, baseline: Sighting, candidate: Sighting) -
     }
 
 
-def _moved(here: Sighting, there: Sighting) -> BoolArray:
+def _moved(here: MatchedFrames, there: MatchedFrames) -> BoolArray:
     """Rows (n_rows,) whose star one sighting's valid exposures hold and the other's do not."""
     held, kept = here.taken(), there.taken()
     return np.asarray(held & ~(kept & (here.matches.star_id == there.matches.star_id)))
@@ -85,13 +85,13 @@ def _time(telemetry: Telemetry, row: int) -> str | None:
     return f"{telemetry.time_utc[row]}Z"
 
 
-def _side(seen: Sighting, k: int, reasons: list[str]) -> dict[str, Any]:
+def _side(seen: MatchedFrames, k: int, reasons: list[str]) -> dict[str, Any]:
     """One state's answer to frame k."""
     valid = bool(seen.view.valid_frames[k])
     return {"valid": valid, "matched": int(seen.view.matched_in_frame[k]), "reason": None if valid else reasons[k]}
 
 
-def _ids(seen: Sighting, moved: BoolArray, rows: IntArray) -> list[int]:
+def _ids(seen: MatchedFrames, moved: BoolArray, rows: IntArray) -> list[int]:
     """Star numbers of the rows of a frame that moved; 0 where the file gives a direction and no number."""
     first, last = rows
     ids: list[int] = seen.matches.star_id[first:last][moved[first:last]].tolist()

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Estimate, Parameters
-from boresight.calibration.problem import Problem, weighed
-from boresight.calibration.trust.ground import chosen, nested
+from boresight.calibration.problem import Problem, whiten_at
+from boresight.calibration.trust.fitted_set import chosen, nested
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import determined, normal_equations
 from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
@@ -53,7 +53,7 @@ def frame_observability(problem: Problem, parameters: Parameters, estimate: Esti
     `information`, one entry a reference with `share` of the bound's (geometric mean over the parameters), `least_share` and
     `least`, the parameter that has it; `sentence`.
     """
-    arcs = weighed(chosen(problem.arcs.whole(), _taken(problem.arcs.whole())), problem.camera, estimate.x)
+    arcs = whiten_at(chosen(problem.arcs.whole(), _taken(problem.arcs.whole())), problem.camera, estimate.x)
     view = View(problem.camera, estimate.x, parameters.free, parameters.scale)
     runs = seen(view, arcs)
     found = {chosen_values: judged(view, runs, Selection(*chosen_values)) for chosen_values in SELECTIONS}

@@ -104,7 +104,7 @@ def _matched_rows(seen: Matched) -> BoolArray:
 
 def _magnitudes(catalogue: Catalogue, star_id: IntArray) -> FloatArray:
     """Catalogue magnitudes of stars by number, Hp, NaN where unknown."""
-    index = catalogue.index_of(star_id)
+    index = catalogue.find_index(star_id)
     return np.where(index >= 0, catalogue.magnitude[index], np.nan)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Parameters
-from boresight.calibration.evaluation.pixel_residuals import Freedom
+from boresight.calibration.evaluation.pixel_residuals import FreeCovariance
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
@@ -42,7 +42,7 @@ class State:
     """
 
     x: FloatArray
-    freedom: Freedom
+    freedom: FreeCovariance
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class RunStates:
     noise: float
 
 
-def states_of(result: Mapping[str, Any], sensor: Sensor, settings: CalibrationSettings) -> RunStates:
+def read_run_states(result: Mapping[str, Any], sensor: Sensor, settings: CalibrationSettings) -> RunStates:
     """Read the states of a run.
 
     Parameters
@@ -87,9 +87,9 @@ def states_of(result: Mapping[str, Any], sensor: Sensor, settings: CalibrationSe
     free = np.array([place for place, name in enumerate(names) if name in wanted], np.int64)
     scale = sensor.typical_sigma[free]
     P = _covariance(result, [names[place] for place in free], scale, settings.initial_sigma_scale)
-    nothing = Freedom(free, scale, np.zeros_like(P))
+    nothing = FreeCovariance(free, scale, np.zeros_like(P))
     # only a batch's covariance is that of this very fit, see `frame_view`
-    fitted = nothing if settings.sequential else Freedom(free, scale, _known(result, P))
+    fitted = nothing if settings.sequential else FreeCovariance(free, scale, _known(result, P))
     x = _estimate(result, names)
     excess = 1.0 if settings.sequential else max(1.0, float(result.get("chi2_per_dof") or 1.0))
     return RunStates(

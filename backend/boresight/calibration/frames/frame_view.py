@@ -31,10 +31,10 @@ from boresight.calibration.matching.detections import centroid_sigma_px, cone_ra
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.estimation.arcs import ArcSet
-from boresight.estimation.attitude import quaternion_of, triad, turns_from
+from boresight.estimation.attitude import to_quaternion, triad, turns_from
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.schema import Telemetry, rows_of
+from boresight.telemetry.schema import Telemetry, select_rows
 from boresight.telemetry.sensors import Sensor
 
 MOST_SHOWN = 60
@@ -118,7 +118,7 @@ def frame_view(states: RunStates, read: Read, catalogue: Catalogue, cache_folder
     `new` (or null, with the sentence in `why`), its stars, and the catalogue stars it did not detect.
     """
     telemetry, rows = read(0)
-    part = rows_of(telemetry, rows)
+    part = select_rows(telemetry, rows)
     head = {
         "frame": int(part.frame[0]),
         "time_utc": _time(part, 0),
@@ -133,7 +133,7 @@ def frame_view(states: RunStates, read: Read, catalogue: Catalogue, cache_folder
     except RefusedInputError as refusal:
         return head | {"exposures": [], "why_nothing": str(refusal)}
     stars = frame_stars(found, states.sensor, catalogue, states.settings.minimum_stars)
-    part = rows_of(found.telemetry, found.rows)
+    part = select_rows(found.telemetry, found.rows)
     starts = _starts(part)
     exposures = [_exposure(states, found, part, stars, slice(int(a), int(b)), catalogue) for a, b in pairwise(starts)]
     return head | {"exposures": exposures, "why_nothing": None}
@@ -163,7 +163,7 @@ def _exposure(
     """Describe one exposure, rows of the frame."""
     k = int(np.searchsorted(found.new.matches.exposure_start, found.rows.start + rows.start))
     start, why_invalid = exposure_words(found.new, k)
-    here = rows_of(part, rows)
+    here = select_rows(part, rows)
     placed = np.flatnonzero(np.isfinite(stars.s_i[rows, 0]))
     kept = stars.kept[rows][placed]
     arcs = _arcs(here, states.sensor, stars.s_i[rows], placed)
@@ -295,7 +295,7 @@ def _attitude(
 ) -> dict[str, Any]:
     """An exposure's attitude, in every way of writing it, with its sigmas and its fit."""
     C, P = seen.C[0], seen.attitude_covariance[0]
-    quaternion = quaternion_of(C)
+    quaternion = to_quaternion(C)
     z = (seen.r / arcs.sigma_px[:, None])[kept]
     given = None if here.quaternion is None else here.quaternion[0]
     turn = None

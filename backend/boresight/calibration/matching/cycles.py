@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.calibration.estimate import Asked, Estimate, Listener, Parameters, run_batch
+from boresight.calibration.estimate import Asked, Estimate, Parameters, ReportEstimate, run_batch
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.sequence import finished, run_sequential, standing_frames
@@ -48,7 +48,7 @@ class Cycle:
 
 
 @dataclass(frozen=True)
-class Ended:
+class CyclesEnd:
     """Where the cycles ended: the set and estimate that belong together, every cycle, and whether the matches rest.
 
     `method_s` is the processor time of the method alone in its last cycle, matching left out.
@@ -60,7 +60,7 @@ class Ended:
     rested: bool = True
     method_s: float = 0.0
 
-    def judged_by(self, matched: Matched) -> Ended:
+    def judged_by(self, matched: Matched) -> CyclesEnd:
         """Put what is in memory of the set, all or a sample, in its place, and of a filter's updates those that are of it."""
         history, frame = self.estimate.history, matched.problem.arcs.frame
         if history is not None and len(frame) < self.matched.problem.arcs.n_frames:
@@ -73,9 +73,9 @@ def fit_in_cycles(
     first: Matched,
     parameters: Parameters,
     settings: CalibrationSettings,
-    listen: Listener,
+    listen: ReportEstimate,
     cancelled: Asked,
-) -> Ended:
+) -> CyclesEnd:
     """Run the batch estimator until its matches rest."""
     matched, cycles = first, list[Cycle]()
     while True:
@@ -83,12 +83,12 @@ def fit_in_cycles(
         estimate = run_batch(matched.problem, parameters, settings, listen, cancelled)
         method_s = time.thread_time() - began
         if sets.stands or estimate.status == "diverged":
-            return Ended(matched, estimate, tuple(cycles), sets.stands, method_s)
+            return CyclesEnd(matched, estimate, tuple(cycles), sets.stands, method_s)
         again = sets.at(estimate, matched.problem)
         cycles.append(_cycle(len(cycles) + 1, sets.changed(matched, again), matched, again, estimate))
         rested = cycles[-1].changed == 0
         if rested or len(cycles) == MOST_CYCLES or again.problem.arcs.n_exposures == 0:
-            return Ended(matched, estimate, tuple(cycles), rested, method_s)
+            return CyclesEnd(matched, estimate, tuple(cycles), rested, method_s)
         matched = again
 
 
@@ -97,9 +97,9 @@ def filter_set(
     first: Matched,
     parameters: Parameters,
     settings: CalibrationSettings,
-    listen: Listener,
+    listen: ReportEstimate,
     cancelled: Asked,
-) -> Ended:
+) -> CyclesEnd:
     """Run a filter, on the baseline's matches or on those of its latest state."""
     renewed = settings.matched_with == "latest" and not sets.stands
     frames = sets.frames() if renewed else standing_frames(first.problem)
@@ -107,17 +107,17 @@ def filter_set(
     history = run_sequential(frames, first.problem, parameters, settings, listen, cancelled)
     method_s = time.thread_time() - began - sets.matching_s
     if not renewed or not history.finite:
-        return Ended(first, finished(first.problem, parameters, history), method_s=method_s)
+        return CyclesEnd(first, finished(first.problem, parameters, history), method_s=method_s)
     last = sets.at_covariance(history.last.x, history.last.P)
     if last.problem.arcs.n_exposures == 0:
-        return Ended(first, finished(first.problem, parameters, history), rested=False, method_s=method_s)
+        return CyclesEnd(first, finished(first.problem, parameters, history), rested=False, method_s=method_s)
     estimate = finished(last.problem, parameters, history)
-    return Ended(last, estimate, (_cycle(1, sets.changed(first, last), first, last, estimate),), method_s=method_s)
+    return CyclesEnd(last, estimate, (_cycle(1, sets.changed(first, last), first, last, estimate),), method_s=method_s)
 
 
 def _cycle(number: int, changed: int, before: Matched, after: Matched, estimate: Estimate) -> Cycle:
     """Count what a result changed in its matches."""
-    value = rms(before.problem.weighed(estimate.x), estimate.x)
+    value = rms(before.problem.whitened(estimate.x), estimate.x)
     return Cycle(
         cycle=number,
         matched=before.problem.arcs.n_stars,
@@ -127,6 +127,6 @@ def _cycle(number: int, changed: int, before: Matched, after: Matched, estimate:
     )
 
 
-def cycles_view(ended: Ended) -> list[dict[str, Any]]:
+def cycles_view(ended: CyclesEnd) -> list[dict[str, Any]]:
     """Every cycle as JSON."""
     return [vars(cycle) for cycle in ended.cycles]

@@ -11,7 +11,7 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.estimation.attitude import triad
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import star_directions
-from boresight.telemetry.schema import Telemetry, exposures_of
+from boresight.telemetry.schema import Telemetry, find_exposures
 from boresight.telemetry.sensors import Sensor
 
 #: Stars move by proper motion and aberration while the catalogue stands still: margin of the field.
@@ -98,14 +98,16 @@ def cone_rad(sensor: Sensor, x: FloatArray) -> float:
 
 def magnitude_limit(telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, given: IntArray) -> float:
     """Faintest star that may be matched, Hp: the sensor's limit, else beyond the faintest named, else by how many are detected."""
-    return limit_of(sensor, catalogue, np.unique(given[given > 0]), float(np.median(exposures_of(telemetry).count)))
+    return compute_magnitude_limit(
+        sensor, catalogue, np.unique(given[given > 0]), float(np.median(find_exposures(telemetry).count))
+    )
 
 
-def limit_of(sensor: Sensor, catalogue: Catalogue, named: IntArray, typical_stars: float) -> float:
+def compute_magnitude_limit(sensor: Sensor, catalogue: Catalogue, named: IntArray, typical_stars: float) -> float:
     """As `magnitude_limit`, of a set that names these stars (n,) and detects so many an exposure."""
     if sensor.magnitude_limit is not None:
         return sensor.magnitude_limit
-    index = catalogue.index_of(named)
+    index = catalogue.find_index(named)
     magnitude = catalogue.magnitude[index[index >= 0]]
     if len(magnitude):
         return float(magnitude.max() + FAINTER_MAG)

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, IntArray
-from boresight.calibration.matching.cycles import Ended, cycles_view
+from boresight.calibration.matching.cycles import CyclesEnd, cycles_view
 from boresight.calibration.matching.detections import pixel_rad
+from boresight.calibration.matching.matched_frames import MatchedFrames
 from boresight.calibration.matching.rematch import Matches
-from boresight.calibration.matching.sighting import Sighting
 from boresight.sky.guide_stars import DOUBLE, UNRELIABLE
 from boresight.sky.identification import HOW_TO_INSTALL
 from boresight.sky.matching import EXPOSURE_REASONS, LEFT_OUT, ROW_REASONS, STARTS
@@ -34,7 +34,7 @@ SCHEMA = "boresight.matching/1"
 NOT_ACCEPTED = "not accepted by the flight code"
 
 
-def matched_stars(matches: Matches, seen: Sighting | None) -> tuple[IntArray, list[str]]:
+def matched_stars(matches: Matches, seen: MatchedFrames | None) -> tuple[IntArray, list[str]]:
     """Star number of every row, 0 = unmatched, and why it has none, (n_rows,) each; `seen` to keep what the flight code accepts."""
     reasons = [ROW_REASONS[place] for place in matches.row_reason]
     if seen is None:
@@ -47,7 +47,7 @@ def matched_stars(matches: Matches, seen: Sighting | None) -> tuple[IntArray, li
 
 
 def match_report(
-    telemetry: Telemetry, sensor: Sensor, matches: Matches, seen: Sighting | None = None
+    telemetry: Telemetry, sensor: Sensor, matches: Matches, seen: MatchedFrames | None = None
 ) -> dict[str, Any]:
     """Count what changed, and list every exposure with its attitude.
 
@@ -114,7 +114,7 @@ def _counted(why: list[str], rows: BoolArray) -> dict[str, int]:
     return dict(Counter(why[row] for row in np.flatnonzero(rows)).most_common())
 
 
-def _exposure(matches: Matches, seen: Sighting | None, counts: IntArray, k: int) -> dict[str, Any]:
+def _exposure(matches: Matches, seen: MatchedFrames | None, counts: IntArray, k: int) -> dict[str, Any]:
     """What matching says of exposure k: valid or not with the reason, stars, and the attitude with its covariance."""
     valid = bool(matches.valid[k] if seen is None else seen.view.valid[k])
     known = bool(np.isfinite(matches.quaternion[k]).all())
@@ -130,7 +130,7 @@ def _exposure(matches: Matches, seen: Sighting | None, counts: IntArray, k: int)
     }
 
 
-def _reason(matches: Matches, seen: Sighting | None, k: int) -> str:
+def _reason(matches: Matches, seen: MatchedFrames | None, k: int) -> str:
     """Why an exposure is not valid."""
     return EXPOSURE_REASONS[matches.reason[k]] if seen is None else seen.exposure_reason(k)
 
@@ -143,7 +143,7 @@ def _frame_reason(exposures: list[dict[str, Any]], first: IntArray, k: int) -> s
 
 
 def matching_view(
-    telemetry: Telemetry, sensor: Sensor, ended: Ended, evaluation: dict[str, Any]
+    telemetry: Telemetry, sensor: Sensor, ended: CyclesEnd, evaluation: dict[str, Any]
 ) -> dict[str, Any] | None:
     """Describe the matches that an estimate stands on; None where the given ones stood.
 

@@ -3,7 +3,7 @@
 Matched again, the set is T(x) of E section II-B: what "a ground-based implementation of the sensor flight software"
 makes of it under x. With `match_rule` "flight" it is what the flight code itself would keep: arcs that disagree with
 the catalogue by more than one fixed tolerance cost their star, and an exposure without enough of them is lost
-(`calibration.matching.flight`).
+(`calibration.matching.flight_check`).
 
 What is known of x for the tolerance: at the start the ground calibration's sigmas; at an estimate whose data hold the
 information A (in typical sigmas) its own covariance beside the start's, (A + I / initial_sigma_scale^2)^-1, widened by
@@ -22,21 +22,27 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.matching.matched_frames import GivenMatches, read_given_matches
 from boresight.calibration.matching.rematch import Matches, Rematcher, ground_covariance, joined_matches
-from boresight.calibration.matching.sighting import GivenMatches, given_matches
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.problem import Problem, build_problem, problem_from
+from boresight.calibration.problem import Problem, build_problem, make_problem_of_directions
 from boresight.calibration.sequence import Frames
 from boresight.calibration.streaming import matching
-from boresight.calibration.streaming.matching import MatchedRange, Under, changed_in_range, match_range, matched_rows
+from boresight.calibration.streaming.matching import (
+    MatchedRange,
+    MatchingState,
+    changed_in_range,
+    match_range,
+    matched_rows,
+)
 from boresight.calibration.streaming.sample import WHOLE, MatchedRows, judged_frames, judged_matches, judged_telemetry
 from boresight.calibration.streaming.stored_arcs import order_set, problem_of_parts, refuse_timeless, write_catalogue
 from boresight.calibration.streaming.telemetry_pieces import PREPARED, READING, Pieces, Prepared, in_memory
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.executor import Told
 from boresight.estimation.filters.history import FilterState
-from boresight.estimation.spread import Told
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.schema import Telemetry, rows_of
+from boresight.telemetry.schema import Telemetry, select_rows
 from boresight.telemetry.sensors import Sensor
 
 #: Frames that are matched together, counted from a set's first: an exposure without a start looks for a neighbour among these.
@@ -79,18 +85,18 @@ class Matched:
 
 
 @dataclass(frozen=True)
-class Known:
+class PriorKnowledge:
     """What is known of a sensor's parameters, see the module."""
 
     sensor: Sensor
     parameters: Parameters
     settings: CalibrationSettings
 
-    def at_start(self) -> Under:
+    def at_start(self) -> MatchingState:
         """Before any estimate."""
-        return Under(self.sensor.initial, self._ground)
+        return MatchingState(self.sensor.initial, self._ground)
 
-    def at(self, estimate: Estimate, problem: Problem) -> Under:
+    def at(self, estimate: Estimate, problem: Problem) -> MatchingState:
         """After an estimate made from a problem."""
         n = len(self.parameters.free)
         held = np.asarray(np.linalg.inv(estimate.A + np.eye(n) / self.settings.initial_sigma_scale**2), np.float64)
@@ -98,9 +104,9 @@ class Known:
         excess = max(1.0, estimate.chi2 / max(dof, 1))
         return replace(self.at_covariance(estimate.x, held * excess), noise=float(np.sqrt(excess)))
 
-    def at_covariance(self, x: FloatArray, P: FloatArray) -> Under:
+    def at_covariance(self, x: FloatArray, P: FloatArray) -> MatchingState:
         """At x, SI, with its free parameters' covariance P (n_free, n_free) in typical sigmas."""
-        return Under(x, self.parameters.full_covariance(P, self._ground, n=len(x)))
+        return MatchingState(x, self.parameters.full_covariance(P, self._ground, n=len(x)))
 
     @property
     def _ground(self) -> FloatArray:
@@ -109,7 +115,7 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Judged:
+class EvaluatedSet:
     """What of a set is judged in memory, all of it or a sample: as it is matched first, and last."""
 
     sets: Dataset
@@ -150,7 +156,7 @@ class Dataset:
         )
         self._pieces = in_memory(pieces) if isinstance(pieces, Telemetry) else pieces
         self._parameters, self._cache_folder, self._told = parameters, cache_folder, told
-        self._known = Known(sensor, parameters, settings)
+        self._known = PriorKnowledge(sensor, parameters, settings)
         self._states: list[Matched] = []
 
     @property
@@ -191,22 +197,22 @@ class Dataset:
         """Count the detections whose star differs between two of its matchings."""
         return sum(self._pieces.spread.map(changed_in_range, list(zip(before.ranges, after.ranges, strict=True))))
 
-    def judged(self, first: Matched, last: Matched) -> Judged:
+    def judged(self, first: Matched, last: Matched) -> EvaluatedSet:
         """What of two of its matchings is judged in memory."""
         ends = judged_frames(last.problem.arcs)
         if ends == WHOLE and not self._pieces.folder:
-            return Judged(self, first, last)
+            return EvaluatedSet(self, first, last)
         telemetry = judged_telemetry(self._pieces.parts(), ends)
         sets = Dataset(telemetry, self.sensor, self.catalogue, self._parameters, self.settings, self._cache_folder)
         if self.stands:
-            return Judged(sets, sets.at_start(), sets.at_start())
+            return EvaluatedSet(sets, sets.at_start(), sets.at_start())
         rows = [judged_matches((part.rows() for part in state.ranges), ends) for state in (first, last)]
-        return Judged(sets, *(sets._of_rows(part) for part in rows))
+        return EvaluatedSet(sets, *(sets._of_rows(part) for part in rows))
 
     def _first_done(self, verb: str) -> Told:
         return lambda k, n: self._told(READING + (1 - READING) * k / n, f"{verb} {k} of {n} pieces")
 
-    def _at(self, under: Under, done: Told | None = None) -> Matched:
+    def _at(self, under: MatchingState, done: Told | None = None) -> Matched:
         """Match all ranges of frames; files go into a folder of their own."""
         if self.stands:
             return self._standing
@@ -226,7 +232,7 @@ class Dataset:
         self._states.append(Matched(problem, tuple(ranges), folder))
         return self._states[-1]
 
-    def _matched_rows(self, under: Under) -> MatchedRows:
+    def _matched_rows(self, under: MatchingState) -> MatchedRows:
         """Match a set in memory, a range of frames at a time."""
         parts = [self._matcher(under.x, under.P, slice(*ends), under.noise) for ends in self._ranges]
         return matched_rows(self.telemetry, joined_matches(parts), under.x, self.sensor, self.settings)
@@ -244,7 +250,7 @@ class Dataset:
         if self._pieces.folder is None:
             frames = slice(first, last)
             telemetry, matches = (
-                rows_of(self.telemetry, self._matcher.rows(frames)),
+                select_rows(self.telemetry, self._matcher.rows(frames)),
                 self._matcher(under.x, under.P, frames),
             )
             rows = matched_rows(telemetry, matches, under.x, self.sensor, self.settings)
@@ -277,8 +283,8 @@ class Dataset:
     def _standing(self) -> Matched:
         """Under the given matches."""
         if self._pieces.folder is None:
-            given = given_matches(self.telemetry, self.sensor, self.catalogue)
-            problem = problem_from(self.telemetry, self.sensor, given.s_i, self.settings.minimum_stars)
+            given = read_given_matches(self.telemetry, self.sensor, self.catalogue)
+            problem = make_problem_of_directions(self.telemetry, self.sensor, given.s_i, self.settings.minimum_stars)
             return Matched(problem, (MatchedRange(MatchedRows(self.telemetry, given, given.star_id)),))
         stars = write_catalogue(self.catalogue, self._pieces.folder)
         problem = order_set(

@@ -20,13 +20,13 @@ from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.matching import detections as prepared
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
-from boresight.estimation.attitude import quaternion_of
+from boresight.estimation.attitude import to_quaternion
 from boresight.sky import identification, matching
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.guide_stars import FAINTER_MAG, GuideStars, guide_stars, observer_motion, star_flags
 from boresight.sky.matching import Detections
 from boresight.telemetry.quality.detector import on_detector
-from boresight.telemetry.schema import Telemetry, exposures_of
+from boresight.telemetry.schema import Telemetry, find_exposures
 from boresight.telemetry.sensors import Sensor
 
 #: Of two stars closer than this on the detector, one image shows the brighter.
@@ -145,7 +145,7 @@ class Rematcher:
     ) -> None:
         self._telemetry, self._sensor, self._settings = telemetry, sensor, settings
         self._cache_folder = cache_folder
-        self._exposures = exposures_of(telemetry)
+        self._exposures = find_exposures(telemetry)
         frame_first = np.unique(self._exposures.frame, return_index=True)[1]
         self._frame_start = np.append(frame_first, len(self._exposures)).astype(np.int64)
         self._row_start = np.append(self._exposures.start, len(telemetry)).astype(np.int64)
@@ -242,7 +242,7 @@ class Rematcher:
         self, answer: matching.Association, detections: Detections, exposures: slice, off: NDArray[np.bool_]
     ) -> Matches:
         """Flag the matched stars, leave out the flagged ones where asked, and name exposures and frames."""
-        index = self._flagged.index_of(answer.star_id)
+        index = self._flagged.find_index(answer.star_id)
         flags = np.where((answer.star_id > 0) & (index >= 0), self._flags[index], 0).astype(np.int8)
         left_out = (flags > 0) & self._settings.leave_out_doubles
         timeless = np.isnan(self._motion.years[exposures])
@@ -258,7 +258,7 @@ class Rematcher:
             exposure=self._exposures.exposure[exposures],
             start=answer.start,
             reason=np.where((answer.reason > 0) & timeless, matching.NO_TIME, answer.reason).astype(np.int8),
-            quaternion=quaternion_of(answer.C),
+            quaternion=to_quaternion(answer.C),
             attitude_covariance=answer.covariance,
             flags=flags,
         )

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
-from boresight.calibration.matching.detections import limit_of
-from boresight.calibration.matching.flight import flight_tolerance, flight_view
+from boresight.calibration.matching.detections import compute_magnitude_limit
+from boresight.calibration.matching.flight_check import check_flight, compute_flight_tolerance
 from boresight.calibration.matching.rematch import Matches, MatchingSky, Rematcher, blend_rad, matching_sky
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
@@ -26,17 +26,17 @@ from boresight.calibration.streaming.sample import MatchedRows
 from boresight.calibration.streaming.stored_arcs import OrderedPiece, read_catalogue, write_ordered
 from boresight.calibration.streaming.telemetry_pieces import FrameRange, TelemetryPiece
 from boresight.columns import Columns, write_columns
-from boresight.estimation.spread import Spread
+from boresight.estimation.executor import Executor
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import TimelessError
-from boresight.telemetry.schema import Telemetry, exposures_of
+from boresight.telemetry.schema import Telemetry, find_exposures
 from boresight.telemetry.sensors import Sensor
 
 _MATCHES = tuple(item.name for item in fields(Matches))
 
 
 @dataclass(frozen=True)
-class Under:
+class MatchingState:
     """What a set is matched under: x, SI, its covariance P, SI, and centroid errors so many times the stated ones."""
 
     x: FloatArray
@@ -86,7 +86,7 @@ class MatchedRange:
         return MatchedRows(of.read()[0], Matches(**{name: arrays[name] for name in _MATCHES}), arrays["kept"])
 
 
-def match_range(how: Matching, of: FrameRange, under: Under, path: str) -> MatchedRange:
+def match_range(how: Matching, of: FrameRange, under: MatchingState, path: str) -> MatchedRange:
     """Match one range and write what comes out."""
     telemetry, begins = of.read()
     rows, matches, timeless = matched_range(how, telemetry, under)
@@ -96,7 +96,7 @@ def match_range(how: Matching, of: FrameRange, under: Under, path: str) -> Match
     return MatchedRange((of, write_columns(Path(f"{path}-matches"), arrays)), matches.unidentified, ordered)
 
 
-def matched_range(how: Matching, telemetry: Telemetry, under: Under) -> tuple[MatchedRows, Matches, int]:
+def matched_range(how: Matching, telemetry: Telemetry, under: MatchingState) -> tuple[MatchedRows, Matches, int]:
     """Match rows in memory; returns them, their matches, and how many stars wanted a time where none of these rows has one."""
     stars, timeless = read_catalogue(how.catalogue), 0
     sky = _sky(how.catalogue, how.magnitude_limit, blend_rad(how.sensor))
@@ -114,7 +114,9 @@ def matched_rows(
     """Keep the matches that the flight code would accept at x, or all where `match_rule` does not ask it."""
     if settings.match_rule != "flight":
         return MatchedRows(telemetry, matches, matches.star_id)
-    view = flight_view(telemetry, sensor, matches, x, flight_tolerance(sensor, settings), settings.minimum_stars)
+    view = check_flight(
+        telemetry, sensor, matches, x, compute_flight_tolerance(sensor, settings), settings.minimum_stars
+    )
     taken = view.accepted & np.repeat(view.valid, np.diff(matches.exposure_start))
     return MatchedRows(telemetry, matches, np.where(taken, matches.star_id, 0))
 
@@ -130,22 +132,22 @@ def _sky(catalogue: Columns, magnitude_limit: float, blend: float) -> MatchingSk
     return matching_sky(read_catalogue(catalogue), magnitude_limit, blend)
 
 
-def magnitude_limit(pieces: Sequence[TelemetryPiece], sensor: Sensor, catalogue: Columns, spread: Spread) -> float:
+def magnitude_limit(pieces: Sequence[TelemetryPiece], sensor: Sensor, catalogue: Columns, spread: Executor) -> float:
     """Faintest star that may be matched, Hp, as `detections.magnitude_limit` finds it of a set in memory."""
     parts: list[tuple[int, NDArray[np.int64]]] = spread.map(seen_in_piece, [(piece, catalogue) for piece in pieces])
     longest = max(len(counts) for _, counts in parts)
     counts = np.sum([np.pad(part, (0, longest - len(part))) for _, part in parts], axis=0)
     faintest = np.array(sorted({star for star, _ in parts if star > 0}), np.int64)
-    return limit_of(sensor, read_catalogue(catalogue), faintest, _median(counts))
+    return compute_magnitude_limit(sensor, read_catalogue(catalogue), faintest, _median(counts))
 
 
 def seen_in_piece(piece: TelemetryPiece, catalogue: Columns) -> tuple[int, NDArray[np.int64]]:
     """The faintest known star that a piece names, 0 = none, and how many of its exposures have 0, 1, 2, ... detections."""
     telemetry, stars = piece.read(), read_catalogue(catalogue)
-    counts = np.bincount(exposures_of(telemetry).count)
+    counts = np.bincount(find_exposures(telemetry).count)
     if telemetry.star_id is None:
         return 0, counts
-    index = stars.index_of(np.unique(telemetry.star_id[telemetry.star_id > 0]))
+    index = stars.find_index(np.unique(telemetry.star_id[telemetry.star_id > 0]))
     index = index[index >= 0]
     return (int(stars.hip[index[np.argmax(stars.magnitude[index])]]) if len(index) else 0), counts
 

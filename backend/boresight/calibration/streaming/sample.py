@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import IntArray
+from boresight.calibration.matching.matched_frames import GivenMatches
 from boresight.calibration.matching.rematch import Matches, joined_matches, matched_telemetry
-from boresight.calibration.matching.sighting import GivenMatches
 from boresight.estimation.blocks import FRAMES
 from boresight.estimation.stored_arcs import Arcs
-from boresight.telemetry.schema import Telemetry, joined, rows_of
+from boresight.telemetry.schema import Telemetry, joined, select_rows
 
 #: Stars up to which a set is judged whole, and of a larger one so many are.
 JUDGED_WHOLE = 500_000
@@ -64,13 +64,13 @@ def judged_frames(arcs: Arcs) -> Ends:
 
 def judged_telemetry(parts: Iterable[Telemetry], ends: Ends) -> Telemetry:
     """Rows of the frames in these stretches, also of those that take no part; `parts` are whole frames of the set as it came."""
-    return joined([rows_of(part, rows) for part in parts for rows in _rows_of_frames(part, ends)])
+    return joined([select_rows(part, rows) for part in parts for rows in _rows_of_frames(part, ends)])
 
 
 def judged_matches(parts: Iterable[MatchedRows], ends: Ends) -> MatchedRows:
     """The same with the matches of these rows."""
     found = [
-        (rows_of(part.telemetry, rows), _matches_of_rows(part.matches, rows), part.kept[rows])
+        (select_rows(part.telemetry, rows), _matches_of_rows(part.matches, rows), part.kept[rows])
         for part in parts
         for rows in _rows_of_frames(part.telemetry, ends)
         if isinstance(part.matches, Matches)

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.calibration.problem import LeftOut, Problem, added, problem_of
+from boresight.calibration.problem import LeftOut, Problem, added, make_problem
 from boresight.calibration.streaming.telemetry_pieces import TelemetryPiece
 from boresight.columns import Columns, write_columns
-from boresight.estimation.spread import Spread, Told
+from boresight.estimation.executor import Executor, Told
 from boresight.estimation.stored_arcs import ArcsPiece, StoredArcs, write_arcs
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import TimelessError, star_directions
@@ -53,7 +53,7 @@ def order_set(
     catalogue: Columns,
     minimum_stars: int,
     folder: Path,
-    spread: Spread,
+    executor: Executor,
     done: Told,
 ) -> Problem:
     """Order the stars of every exposure of a set.
@@ -67,18 +67,18 @@ def order_set(
         (piece, sensor, catalogue, minimum_stars, str(folder / f"arcs-{number:06d}"))
         for number, piece in enumerate(pieces)
     ]
-    parts: list[OrderedPiece] = spread.map(order_piece, work, done=done)
-    refuse_timeless(pieces, sum(part.timeless for part in parts), catalogue, spread)
-    return problem_of_parts(parts, sensor, spread)
+    parts: list[OrderedPiece] = executor.map(order_piece, work, done=done)
+    refuse_timeless(pieces, sum(part.timeless for part in parts), catalogue, executor)
+    return problem_of_parts(parts, sensor, executor)
 
 
-def problem_of_parts(parts: Sequence[OrderedPiece], sensor: Sensor, spread: Spread) -> Problem:
+def problem_of_parts(parts: Sequence[OrderedPiece], sensor: Sensor, executor: Executor) -> Problem:
     """Make one problem of the parts of a set; a part may have no frame."""
     pieces = tuple(part.arcs for part in parts if part.arcs.n_frames)
     timed = bool(pieces) and all(piece.has("time_utc") for piece in pieces)
     return Problem(
         sensor=sensor,
-        arcs=StoredArcs(pieces, spread),
+        arcs=StoredArcs(pieces, executor),
         time_utc=np.concatenate([piece.column("time_utc") for piece in pieces]) if timed else None,
         frames_in_set=sum(part.frames_in_set for part in parts),
         left_out=added(item for part in parts for item in part.left_out),
@@ -95,7 +95,7 @@ def order_piece(
         s_i = _directions(telemetry, stars)
     except TimelessError as refusal:
         timeless, s_i = refusal.stars, _directions(telemetry, stars.brighter_than(-np.inf))
-    return write_ordered(problem_of(telemetry, sensor, s_i, minimum_stars), piece.begins, Path(path), timeless)
+    return write_ordered(make_problem(telemetry, sensor, s_i, minimum_stars), piece.begins, Path(path), timeless)
 
 
 def write_ordered(problem: Problem, begins: int, path: Path, timeless: int = 0) -> OrderedPiece:
@@ -112,9 +112,9 @@ def _directions(telemetry: Telemetry, catalogue: Catalogue) -> NDArray[np.float6
     )
 
 
-def refuse_timeless(pieces: Sequence[TelemetryPiece], timeless: int, catalogue: Columns, spread: Spread) -> None:
+def refuse_timeless(pieces: Sequence[TelemetryPiece], timeless: int, catalogue: Columns, executor: Executor) -> None:
     """Refuse a set in which no star that needs a time has one; `timeless` are those of parts that have none at all."""
-    if timeless and not any(spread.map(has_timed_star, [(piece, catalogue) for piece in pieces])):
+    if timeless and not any(executor.map(has_timed_star, [(piece, catalogue) for piece in pieces])):
         raise TimelessError(timeless)
 
 
@@ -126,4 +126,4 @@ def has_timed_star(piece: TelemetryPiece, catalogue: Columns) -> bool:
     wanted = (telemetry.star_id > 0) & ~np.isnat(telemetry.time_utc)
     if telemetry.ra_rad is not None:
         wanted &= np.isnan(telemetry.ra_rad)
-    return bool((read_catalogue(catalogue).index_of(telemetry.star_id[wanted]) >= 0).any())
+    return bool((read_catalogue(catalogue).find_index(telemetry.star_id[wanted]) >= 0).any())

@@ -14,10 +14,10 @@ from boresight.arrays import IntArray
 from boresight.calibration.source import StoredTable, TelemetryFile
 from boresight.columns import Columns, write_columns
 from boresight.errors import CancelledError, RefusedInputError
-from boresight.estimation.spread import InThisProcess, Spread
+from boresight.estimation.executor import Executor, LocalExecutor
 from boresight.telemetry.quality.detector import OffDetector
 from boresight.telemetry.read.readers import Stretch
-from boresight.telemetry.schema import Telemetry, joined, rows_of
+from boresight.telemetry.schema import Telemetry, joined, select_rows
 from boresight.telemetry.sensors import Sensor
 from boresight.telemetry.working_table import ARRAYS, WorkingTable
 
@@ -88,7 +88,7 @@ class FrameRange:
             rows = slice(*(int(starts[np.clip(k - done, 0, piece.frames)]) for k in (self.first, self.last)))
             if rows.start < rows.stop:
                 begins = begins if begins >= 0 else piece.begins + rows.start
-                parts.append(rows_of(piece.read(), rows))
+                parts.append(select_rows(piece.read(), rows))
             done += piece.frames
         return joined(parts), begins
 
@@ -108,7 +108,7 @@ class Pieces:
     """
 
     pieces: tuple[TelemetryPiece, ...]
-    spread: Spread
+    spread: Executor
     folder: Path | None = None
 
     @property
@@ -153,14 +153,14 @@ def in_memory(telemetry: Telemetry) -> Pieces:
     n_frames = len(frame_starts(telemetry)) - 1
     never = np.datetime64("NaT", "us")
     piece = TelemetryPiece(telemetry, len(telemetry), 0, telemetry.first_row, n_frames, never, OffDetector())
-    return Pieces((piece,), InThisProcess())
+    return Pieces((piece,), LocalExecutor())
 
 
 def copied(
     file: TelemetryFile | StoredTable,
     sensor: Sensor,
     folder: Path,
-    spread: Spread,
+    spread: Executor,
     told: Prepared,
     cancelled: Callable[[], bool],
 ) -> Pieces:
@@ -186,7 +186,7 @@ def copied(
 
 
 def _mapped(
-    file: StoredTable, sensor: Sensor, folder: Path, spread: Spread, told: Prepared
+    file: StoredTable, sensor: Sensor, folder: Path, spread: Executor, told: Prepared
 ) -> tuple[TelemetryPiece, ...]:
     """Look at the parts of a stored table; one that other machines may not see is copied as it is."""
     table = file.table
@@ -204,7 +204,7 @@ def look_at_part(table: WorkingTable, number: int, sensor: Sensor, begins: int) 
 
 
 def _copied_apart(
-    file: TelemetryFile, sensor: Sensor, folder: Path, spread: Spread, told: Prepared
+    file: TelemetryFile, sensor: Sensor, folder: Path, spread: Executor, told: Prepared
 ) -> tuple[TelemetryPiece, ...]:
     """Copy the stretches of a file; nothing when one of them cannot be used, or it has none."""
     work = [

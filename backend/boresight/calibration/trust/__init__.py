@@ -37,10 +37,10 @@ from boresight.calibration.trust.distribution import residual_distribution, resi
 from boresight.calibration.trust.drop_one import drop_one, drop_one_sentence
 from boresight.calibration.trust.efficiency import arc_sigma_map, efficiency
 from boresight.calibration.trust.field import residual_field
-from boresight.calibration.trust.ground import Ground, Unavailable, stand
+from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, fit_best
 from boresight.calibration.trust.innovations import nis_over_time, worst_frames
 from boresight.calibration.trust.more_data import more_data
-from boresight.calibration.trust.residuals import Sightings, residuals, sightings
+from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals, residuals
 from boresight.calibration.trust.stars import star_table, stars, stars_sentence
 from boresight.calibration.trust.two_halves import two_halves
 from boresight.calibration.trust.whiteness import whiteness
@@ -49,7 +49,7 @@ from boresight.telemetry.schema import Telemetry
 
 __all__ = ["trust_advice", "trust_view"]
 
-Part = Callable[[Ground], Any]
+Part = Callable[[FittedSet], Any]
 
 #: Parts that need the ground alone.
 OF_THE_FIT: dict[str, Part] = {
@@ -63,7 +63,7 @@ OF_THE_FIT: dict[str, Part] = {
     "worst_frames": worst_frames,
 }
 #: Parts that need the residuals of single stars too.
-OF_THE_RESIDUALS: dict[str, Callable[[Ground, Sightings], Any]] = {
+OF_THE_RESIDUALS: dict[str, Callable[[FittedSet, StarResiduals], Any]] = {
     "residuals": residuals,
     "residual_field": residual_field,
     "residual_distribution": residual_distribution,
@@ -103,15 +103,15 @@ def trust_view(
         "unavailable": {},
     }
     try:
-        ground = stand(problem, parameters, settings, estimate, telemetry, catalogue)
+        fitted = fit_best(problem, parameters, settings, estimate, telemetry, catalogue)
     except Unavailable as reason:
         view["unavailable"] = dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS), str(reason))
         return view
     for name, part in OF_THE_FIT.items():
-        _fill(view, name, partial(part, ground))
+        _fill(view, name, partial(part, fitted))
     if view["drop_one"] is not None:
-        view["drop_one_sentence"] = drop_one_sentence(ground, view["drop_one"])
-    _fill_stars(view, ground)
+        view["drop_one_sentence"] = drop_one_sentence(fitted, view["drop_one"])
+    _fill_stars(view, fitted)
     return view
 
 
@@ -125,20 +125,20 @@ def _fill(view: dict[str, Any], name: str, part: Callable[[], Any]) -> None:
         view["unavailable"][name] = SINGULAR
 
 
-def _fill_stars(view: dict[str, Any], ground: Ground) -> None:
+def _fill_stars(view: dict[str, Any], fitted: FittedSet) -> None:
     """The parts that rest on residuals in pixels."""
     try:
-        found = sightings(ground)
+        found = compute_star_residuals(fitted)
     except (Unavailable, np.linalg.LinAlgError) as error:
         reason = str(error) if isinstance(error, Unavailable) else SINGULAR
         view["unavailable"] |= dict.fromkeys(OF_THE_STARS, reason)
         return
     for name, part in OF_THE_RESIDUALS.items():
-        _fill(view, name, partial(part, ground, found))
-    entries, missing = residual_against(ground, found)
+        _fill(view, name, partial(part, fitted, found))
+    entries, missing = residual_against(fitted, found)
     view["residual_against"] = entries
     view["unavailable"] |= {f"residual_against.{name}": reason for name, reason in missing.items()}
-    _fill(view, "stars", lambda: _stars(view, ground, found))
+    _fill(view, "stars", lambda: _stars(view, fitted, found))
 
 
 def _fits(view: dict[str, Any]) -> bool:
@@ -147,11 +147,11 @@ def _fits(view: dict[str, Any]) -> bool:
     return radius is None or bool(radius["even"])
 
 
-def _stars(view: dict[str, Any], ground: Ground, found: Sightings) -> list[dict[str, Any]]:
+def _stars(view: dict[str, Any], fitted: FittedSet, found: StarResiduals) -> list[dict[str, Any]]:
     """The table of stars, and what is told of it beside."""
-    table = star_table(ground, found)
+    table = star_table(fitted, found)
     worst_first = np.argsort(-table.z)
     view["suspects"] = [int(table.star_id[i]) for i in worst_first if table.suspect[i]]
     view["stars_in_all"] = len(table.z)
-    view["stars_sentence"] = stars_sentence(table, found.arcs.n_frames, ground.arcs.n_frames, fits=_fits(view))
-    return stars(ground, table)
+    view["stars_sentence"] = stars_sentence(table, found.arcs.n_frames, fitted.arcs.n_frames, fits=_fits(view))
+    return stars(fitted, table)

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from boresight.arrays import FloatArray
-from boresight.calibration.trust.ground import Ground, nested, probability
-from boresight.calibration.trust.residuals import LEAST_SHARE, Sightings
+from boresight.calibration.trust.fitted_set import FittedSet, nested, probability
+from boresight.calibration.trust.residuals import LEAST_SHARE, StarResiduals
 
 MOST_BINS = 12
 FEWEST_IN_A_BIN = 20
@@ -32,16 +32,16 @@ ABSENT = {
 }
 
 
-def residual_against(ground: Ground, found: Sightings) -> tuple[dict[str, Any], dict[str, str]]:
+def residual_against(fitted: FittedSet, found: StarResiduals) -> tuple[dict[str, Any], dict[str, str]]:
     """One entry a quantity, and for those that are null why."""
     known = found.known
-    away, radius = _outward(ground, found)
+    away, radius = _outward(fitted, found)
     residual = np.sum(away * found.r, axis=1)
     share = np.maximum(np.einsum("ni,nij,nj->n", away, found.M, away), LEAST_SHARE)
     sigma = found.arcs.sigma_px * np.sqrt(share) * max(found.spread, 1.0)
     entries: dict[str, Any] = dict.fromkeys(UNITS)
     missing: dict[str, str] = {}
-    for name, values in _quantities(ground, found, radius).items():
+    for name, values in _quantities(fitted, found, radius).items():
         if values is None or not np.isfinite(values).any():
             missing[name] = ABSENT[name]
             continue
@@ -52,17 +52,17 @@ def residual_against(ground: Ground, found: Sightings) -> tuple[dict[str, Any], 
     return entries, missing
 
 
-def _outward(ground: Ground, found: Sightings) -> tuple[FloatArray, FloatArray]:
+def _outward(fitted: FittedSet, found: StarResiduals) -> tuple[FloatArray, FloatArray]:
     """Unit vectors away from the principal point (n_stars, 2), and the distance from it, pixels."""
-    row, col = ground.problem.camera.principal_point(ground.x)
+    row, col = fitted.problem.camera.principal_point(fitted.x)
     away = np.stack([found.arcs.row_px - row, found.arcs.col_px - col], axis=-1)
     radius = np.hypot(away[:, 0], away[:, 1])
     return away / np.maximum(radius, 1e-9)[:, None], radius
 
 
-def _quantities(ground: Ground, found: Sightings, radius: FloatArray) -> dict[str, FloatArray | None]:
+def _quantities(fitted: FittedSet, found: StarResiduals, radius: FloatArray) -> dict[str, FloatArray | None]:
     """What the residual is held against, (n_stars,) each; None where the telemetry lacks it."""
-    telemetry, rows = ground.telemetry, found.arcs.source_row
+    telemetry, rows = fitted.telemetry, found.arcs.source_row
     hours = None
     if telemetry.time_utc is not None:
         time = telemetry.time_utc[rows]

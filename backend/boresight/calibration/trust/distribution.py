@@ -19,8 +19,8 @@ from scipy.special import bdtr, bdtrc, ndtr
 
 from boresight.arrays import FloatArray
 from boresight.calibration.trust.field import before
-from boresight.calibration.trust.ground import Ground, Unavailable, nested, probability
-from boresight.calibration.trust.residuals import LEAST_SHARE, Sightings
+from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested, probability
+from boresight.calibration.trust.residuals import LEAST_SHARE, StarResiduals
 
 EDGES = np.linspace(-6.0, 6.0, 49)
 DEVIATES = np.linspace(-4.0, 4.0, 81)
@@ -32,7 +32,7 @@ MOST_OUTLIERS = 200
 OUTLIER = 4.0
 
 
-def residual_distribution(ground: Ground, found: Sightings) -> dict[str, Any]:
+def residual_distribution(fitted: FittedSet, found: StarResiduals) -> dict[str, Any]:
     """Histogram before and after, quantiles after, and the verdict on the tails."""
     z = found.z[found.known].ravel()
     if len(z) < FEWEST:
@@ -45,7 +45,7 @@ def residual_distribution(ground: Ground, found: Sightings) -> dict[str, Any]:
     p_tail = two_sided(beyond, len(z), share)
     return {
         "edges": nested(EDGES),
-        "before": _histogram(_before_z(ground, found)),
+        "before": _histogram(_before_z(fitted, found)),
         "after": _histogram(z),
         "normal": nested(DEVIATES[seen]),
         "quantile": nested(np.quantile(z, p[seen])),
@@ -62,9 +62,9 @@ def residual_distribution(ground: Ground, found: Sightings) -> dict[str, Any]:
     }
 
 
-def _before_z(ground: Ground, found: Sightings) -> FloatArray:
+def _before_z(fitted: FittedSet, found: StarResiduals) -> FloatArray:
     """Components over their sigmas at the sensor's own parameters, (n,)."""
-    r, M = before(ground, found)
+    r, M = before(fitted, found)
     share = np.maximum(np.diagonal(M, axis1=1, axis2=2), LEAST_SHARE)
     z = r / (found.arcs.sigma_px[:, None] * np.sqrt(share))
     return np.asarray(z[np.isfinite(z).all(axis=1)].ravel())
@@ -95,12 +95,12 @@ def _sentence(z: FloatArray, spread: float, share: float, expected: float, p: fl
     return f"{size}, {expected:.2%} are expected ({probability(p)}): something cut the largest off, such as a narrow match gate."
 
 
-def residual_outliers(ground: Ground, found: Sightings) -> dict[str, Any]:
+def residual_outliers(fitted: FittedSet, found: StarResiduals) -> dict[str, Any]:
     """Single sightings beyond `OUTLIER` spreads along either axis, the worst first, at most `MOST_OUTLIERS`."""
     size = np.where(found.known, np.abs(found.z).max(axis=1), 0.0) / max(found.spread, 1.0)
     out = np.flatnonzero(size > OUTLIER)
     shown = out[np.argsort(-size[out], kind="stable")][:MOST_OUTLIERS]
-    arcs, telemetry = found.arcs, ground.telemetry
+    arcs, telemetry = found.arcs, fitted.telemetry
     rows, expected = arcs.source_row[shown], int(found.known.sum()) * 4 * float(ndtr(-OUTLIER))
     return {
         "frame": found.frame[shown].tolist(),
@@ -111,8 +111,8 @@ def residual_outliers(ground: Ground, found: Sightings) -> dict[str, Any]:
         "d_row_px": nested(found.r[shown, 0]),
         "d_col_px": nested(found.r[shown, 1]),
         "normalised": nested(size[shown]),
-        "rows": ground.problem.sensor.rows,
-        "columns": ground.problem.sensor.columns,
+        "rows": fitted.problem.sensor.rows,
+        "columns": fitted.problem.sensor.columns,
         "limit": OUTLIER,
         "stars_in_all": int(found.known.sum()),
         "in_all": len(out),

@@ -20,7 +20,7 @@ from scipy.special import chdtri
 
 from boresight.arrays import FloatArray
 from boresight.calibration.estimate import covariance
-from boresight.calibration.trust.ground import Ground, Unavailable
+from boresight.calibration.trust.fitted_set import FittedSet, Unavailable
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 
@@ -38,7 +38,7 @@ class Optimum:
     cost: float
 
 
-def drop_one(ground: Ground) -> list[dict[str, Any]]:
+def drop_one(ground: FittedSet) -> list[dict[str, Any]]:
     """One entry a free parameter, in parameter order."""
     if len(ground.names) < 2:
         raise Unavailable("Only one parameter is free, so there is no other to fit without it.")
@@ -58,20 +58,20 @@ def drop_one(ground: Ground) -> list[dict[str, Any]]:
     return [_without(ground, arcs, place, best, whole) for place in range(len(ground.names))]
 
 
-def _cost(ground: Ground, arcs: ArcSet, x: FloatArray) -> float:
+def _cost(fitted: FittedSet, arcs: ArcSet, x: FloatArray) -> float:
     """What the fit minimises, at a state: chi-square, or Huber's loss."""
-    free, scale = ground.parameters.free, ground.parameters.scale
-    return batch.normal_equations(arcs, x, free, scale, ground.threshold).chi2
+    free, scale = fitted.parameters.free, fitted.parameters.scale
+    return batch.normal_equations(arcs, x, free, scale, fitted.threshold).chi2
 
 
-def quadratic_increase(ground: Ground, place: int, best: Optimum) -> tuple[float, FloatArray]:
+def quadratic_increase(fitted: FittedSet, place: int, best: Optimum) -> tuple[float, FloatArray]:
     """Increase of chi-square and step (n_free,) in typical sigmas that the quadratic model foresees."""
-    p = ground.parameters.free[place]
-    d = (ground.problem.sensor.initial[p] - best.x[p]) / ground.parameters.scale[place]
+    p = fitted.parameters.free[place]
+    d = (fitted.problem.sensor.initial[p] - best.x[p]) / fitted.parameters.scale[place]
     return float(d * d / best.P[place, place]), best.P[:, place] * d / best.P[place, place]
 
 
-def _without(ground: Ground, arcs: ArcSet, place: int, best: Optimum, whole: Optimum) -> dict[str, Any]:
+def _without(ground: FittedSet, arcs: ArcSet, place: int, best: Optimum, whole: Optimum) -> dict[str, Any]:
     """Hold one parameter at its start and fit the others."""
     free, scale = ground.parameters.free, ground.parameters.scale
     others = np.delete(np.arange(len(free)), place)
@@ -100,17 +100,17 @@ def _without(ground: Ground, arcs: ArcSet, place: int, best: Optimum, whole: Opt
     }
 
 
-def _start(arcs: ArcSet, foreseen: FloatArray, best: Optimum, ground: Ground, place: int) -> FloatArray:
+def _start(arcs: ArcSet, foreseen: FloatArray, best: Optimum, fitted: FittedSet, place: int) -> FloatArray:
     """The state foreseen, or the optimum with only this parameter held where that is nearer."""
-    p = ground.parameters.free[place]
+    p = fitted.parameters.free[place]
     held = best.x.copy()
-    held[p] = foreseen[p] = ground.problem.sensor.initial[p]
-    return foreseen if _cost(ground, arcs, foreseen) <= _cost(ground, arcs, held) else held
+    held[p] = foreseen[p] = fitted.problem.sensor.initial[p]
+    return foreseen if _cost(fitted, arcs, foreseen) <= _cost(fitted, arcs, held) else held
 
 
-def drop_one_sentence(ground: Ground, entries: list[dict[str, Any]]) -> str:
+def drop_one_sentence(fitted: FittedSet, entries: list[dict[str, Any]]) -> str:
     """Which parameters the data ask for."""
-    symbols = dict(zip(ground.names, ground.symbols, strict=True))
+    symbols = dict(zip(fitted.names, fitted.symbols, strict=True))
     spare = [symbols[entry["name"]] for entry in entries if not entry["needed"]]
     weakest = min(entries, key=lambda entry: float(entry["chi2_increase"]))
     least = f"{symbols[weakest['name']]} costs least to hold, {weakest['chi2_increase']:.3g} in chi-square"

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.calibration.trust.ground import ARCSEC, Ground, Unavailable, grid, nested
+from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailable, grid, nested
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet, arclength
@@ -41,55 +41,55 @@ NEAR = 0.03
 MEDIAN_OF_A_SQUARE = 0.454936
 
 
-def efficiency(ground: Ground) -> dict[str, Any]:
+def efficiency(fitted: FittedSet) -> dict[str, Any]:
     """Claimed sigma over bound, a parameter at a time and over all directions."""
-    if not ground.determined:
+    if not fitted.determined:
         raise Unavailable("The data leave a direction of the parameters open, so there is no bound: hold it fixed.")
-    arcs = ground.thinned(MOST_FRAMES)
-    held = _centroid_information(ground, arcs)
-    if ground.settings.sequential:
-        held = held + np.eye(len(held)) / ground.settings.initial_sigma_scale**2
-    bound, P = np.linalg.inv(held) * _noise(ground), ground.estimate.P
+    arcs = fitted.thinned(MOST_FRAMES)
+    held = _centroid_information(fitted, arcs)
+    if fitted.settings.sequential:
+        held = held + np.eye(len(held)) / fitted.settings.initial_sigma_scale**2
+    bound, P = np.linalg.inv(held) * _noise(fitted), fitted.estimate.P
     if not (np.diag(P) > 0).all() or not (np.diag(bound) > 0).all():
         raise np.linalg.LinAlgError("Expected positive variances, received rounding errors")
     ratio = np.sqrt(np.diag(P) / np.diag(bound))
     overall = float(np.exp((np.linalg.slogdet(P)[1] - np.linalg.slogdet(bound)[1]) / (2 * len(P))))
-    sigma = np.sqrt(np.diag(bound)) * ground.parameters.scale
+    sigma = np.sqrt(np.diag(bound)) * fitted.parameters.scale
     return {
-        "names": ground.names,
-        "cramer_rao_sigma": dict(zip(ground.names, nested(sigma), strict=True)),
-        "ratio": dict(zip(ground.names, nested(ratio), strict=True)),
+        "names": fitted.names,
+        "cramer_rao_sigma": dict(zip(fitted.names, nested(sigma), strict=True)),
+        "ratio": dict(zip(fitted.names, nested(ratio), strict=True)),
         "overall_ratio": overall,
         "frames_used": arcs.n_frames,
-        "sentence": _sentence(overall, ratio, ground, arcs.n_frames),
+        "sentence": _sentence(overall, ratio, fitted, arcs.n_frames),
     }
 
 
-def _noise(ground: Ground) -> float:
+def _noise(fitted: FittedSet) -> float:
     """Variance of the residuals over the stated one where the claim follows it, as a robust fit's does; else one."""
-    return 1.0 if np.isinf(ground.threshold) else float(np.median(ground.e**2)) / MEDIAN_OF_A_SQUARE
+    return 1.0 if np.isinf(fitted.threshold) else float(np.median(fitted.e**2)) / MEDIAN_OF_A_SQUARE
 
 
-def _centroid_information(ground: Ground, arcs: ArcSet) -> FloatArray:
+def _centroid_information(fitted: FittedSet, arcs: ArcSet) -> FloatArray:
     """Information of the centroids of all frames, from those of some (see above)."""
-    free, scale, x = ground.parameters.free, ground.parameters.scale, ground.x
-    held = centroid_rows(ground.problem.camera, x, arcs, free, scale).information
-    if arcs.n_frames == ground.arcs.n_frames:
+    free, scale, x = fitted.parameters.free, fitted.parameters.scale, fitted.x
+    held = centroid_rows(fitted.problem.camera, x, arcs, free, scale).information
+    if arcs.n_frames == fitted.arcs.n_frames:
         return held
-    L = np.linalg.cholesky(ground.A)
+    L = np.linalg.cholesky(fitted.A)
     L_t = np.linalg.cholesky(batch.normal_equations(arcs, x, free, scale).A)
     to_all = L @ np.linalg.inv(L_t)
     return np.asarray(to_all @ held @ to_all.T)
 
 
-def _sentence(overall: float, ratio: FloatArray, ground: Ground, frames_used: int) -> str:
+def _sentence(overall: float, ratio: FloatArray, fitted: FittedSet, frames_used: int) -> str:
     """The verdict in words."""
-    of = "" if frames_used == ground.arcs.n_frames else f", from {frames_used} frames spaced evenly over the set"
+    of = "" if frames_used == fitted.arcs.n_frames else f", from {frames_used} frames spaced evenly over the set"
     worst = int(np.argmax(ratio))
     numbers = (
-        f"{overall:.3f} times the Cramér-Rao bound over all directions, {ratio[worst]:.3f} for {ground.symbols[worst]}"
+        f"{overall:.3f} times the Cramér-Rao bound over all directions, {ratio[worst]:.3f} for {fitted.symbols[worst]}"
     )
-    remedy = "; run the batch" if ground.settings.sequential else ""
+    remedy = "; run the batch" if fitted.settings.sequential else ""
     if overall < 1 - NEAR:
         return f"The claimed sigmas are {numbers}{of}: less than the centroids allow, so they are too small{remedy}."
     if overall > 1 + NEAR:
@@ -131,15 +131,15 @@ def field_arc_sigma(sensor: Sensor, x: FloatArray, P: FloatArray) -> tuple[Float
     return sigma.reshape(ROWS, COLUMNS), length
 
 
-def arc_sigma_map(ground: Ground) -> dict[str, Any]:
+def arc_sigma_map(fitted: FittedSet) -> dict[str, Any]:
     """The map, with the length of its arcs and a sentence."""
-    if not ground.determined:
+    if not fitted.determined:
         raise Unavailable(
             "The data leave a direction of the parameters open, so arcs have no bounded error: hold it fixed."
         )
-    sensor = ground.problem.sensor
+    sensor = fitted.problem.sensor
     row, col = grid(sensor.rows, sensor.columns, ROWS, COLUMNS)
-    sigma, length = field_arc_sigma(sensor, ground.estimate.x, ground.full_covariance(ground.estimate.P))
+    sigma, length = field_arc_sigma(sensor, fitted.estimate.x, fitted.full_covariance(fitted.estimate.P))
     if not np.isfinite(sigma).any():
         raise Unavailable("At these parameters no arc of the detector has a bounded error: look at sensor and matches.")
     sigma_arcsec = ARCSEC * sigma

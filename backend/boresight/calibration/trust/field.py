@@ -19,9 +19,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from boresight.arrays import FloatArray, IntArray
-from boresight.calibration.evaluation.pixel_residuals import Freedom, pixel_residuals
-from boresight.calibration.trust.ground import Ground, Unavailable, nested, probability
-from boresight.calibration.trust.residuals import LEAST_SHARE, Sightings
+from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, pixel_residuals
+from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested, probability
+from boresight.calibration.trust.residuals import LEAST_SHARE, StarResiduals
 
 #: Cells along the longer side.
 FEWEST_CELLS, MOST_CELLS = 4, 16
@@ -32,13 +32,13 @@ LEAST_STARS = 4
 UNLIKELY = 0.01
 
 
-def residual_field(ground: Ground, found: Sightings) -> dict[str, Any]:
+def residual_field(fitted: FittedSet, found: StarResiduals) -> dict[str, Any]:
     """Cells over the whole detector, with their residuals before and after."""
-    sensor, arcs = ground.problem.sensor, found.arcs
+    sensor, arcs = fitted.problem.sensor, found.arcs
     row_edges, col_edges = cell_edges(sensor.rows, sensor.columns, int(found.known.sum()))
-    cell = cells_of(arcs.row_px, arcs.col_px, row_edges, col_edges)
+    cell = find_cells(arcs.row_px, arcs.col_px, row_edges, col_edges)
     spread = max(found.spread, 1.0)
-    r, M = before(ground, found)
+    r, M = before(fitted, found)
     views = {
         "before": _binned(r, M, arcs.sigma_px * spread, cell, row_edges, col_edges),
         "after": _binned(found.r, found.M, arcs.sigma_px * spread, cell, row_edges, col_edges),
@@ -55,20 +55,20 @@ def residual_field(ground: Ground, found: Sightings) -> dict[str, Any]:
     }
 
 
-def before(ground: Ground, found: Sightings) -> tuple[FloatArray, FloatArray]:
+def before(fitted: FittedSet, found: StarResiduals) -> tuple[FloatArray, FloatArray]:
     """Residuals (n_stars, 2) and shares (n_stars, 2, 2) at the sensor's own parameters, taken as known."""
-    if ground.kept.get("before of") is not found:
-        ground.kept.update({"before of": found, "before": _before(ground, found)})
-    answer: tuple[FloatArray, FloatArray] = ground.kept["before"]
+    if fitted.kept.get("before of") is not found:
+        fitted.kept.update({"before of": found, "before": _before(fitted, found)})
+    answer: tuple[FloatArray, FloatArray] = fitted.kept["before"]
     return answer
 
 
-def _before(ground: Ground, found: Sightings) -> tuple[FloatArray, FloatArray]:
+def _before(fitted: FittedSet, found: StarResiduals) -> tuple[FloatArray, FloatArray]:
     """The same, computed."""
-    n = len(ground.parameters.free)
-    known = Freedom(ground.parameters.free, ground.parameters.scale, np.zeros((n, n)))
-    sensor = ground.problem.sensor
-    seen = pixel_residuals(ground.problem.camera, sensor.initial, found.arcs, sensor.parity, known)
+    n = len(fitted.parameters.free)
+    known = FreeCovariance(fitted.parameters.free, fitted.parameters.scale, np.zeros((n, n)))
+    sensor = fitted.problem.sensor
+    seen = pixel_residuals(fitted.problem.camera, sensor.initial, found.arcs, sensor.parity, known)
     return seen.r, seen.M
 
 
@@ -82,7 +82,7 @@ def cell_edges(rows: int, columns: int, n_stars: int) -> tuple[FloatArray, Float
     return np.linspace(-0.5, rows - 0.5, n_rows + 1), np.linspace(-0.5, columns - 0.5, n_columns + 1)
 
 
-def cells_of(row_px: FloatArray, col_px: FloatArray, row_edges: FloatArray, col_edges: FloatArray) -> IntArray:
+def find_cells(row_px: FloatArray, col_px: FloatArray, row_edges: FloatArray, col_edges: FloatArray) -> IntArray:
     """Number of the cell of each place (n,), row after row."""
     i = np.clip(np.searchsorted(row_edges, row_px, side="right") - 1, 0, len(row_edges) - 2)
     j = np.clip(np.searchsorted(col_edges, col_px, side="right") - 1, 0, len(col_edges) - 2)

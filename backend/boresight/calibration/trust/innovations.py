@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, ndtr
 
 from boresight.arrays import FloatArray
-from boresight.calibration.trust.ground import Ground, Unavailable, nested, probability
+from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested, probability
 from boresight.estimation.statistics.consistency import CONFIDENCE, runs_p_value, share_bounds
 
 MOST_POINTS = 1000
@@ -37,9 +37,9 @@ UNLIKELY = 0.01
 FEWEST_FOR_RUNS = 20
 
 
-def nis_over_time(ground: Ground) -> dict[str, Any]:
+def nis_over_time(fitted: FittedSet) -> dict[str, Any]:
     """Innovations, or a batch's chi-squares, per degree of freedom, with their bounds."""
-    frame, values, dof = _series(ground)
+    frame, values, dof = _series(fitted)
     tail = (1 - CONFIDENCE) / 2
     per_dof, beyond = values / dof, chdtrc(dof, values)
     outside = float(np.mean((beyond > 1 - tail) | (beyond < tail)))
@@ -58,7 +58,7 @@ def nis_over_time(ground: Ground) -> dict[str, Any]:
         "runs_p": runs,
         "points_in_all": len(values),
         "consistent": low <= outside <= high and runs >= UNLIKELY,
-        "sentence": _sentence(len(values), outside, (low, high), runs, ground.estimate.history is not None),
+        "sentence": _sentence(len(values), outside, (low, high), runs, fitted.estimate.history is not None),
     }
 
 
@@ -71,19 +71,19 @@ def _shown(values: FloatArray) -> NDArray[np.int64]:
     return np.unique([first + end for first, part in stretches for end in (np.argmin(part), np.argmax(part))])
 
 
-def _series(ground: Ground) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+def _series(fitted: FittedSet) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
     """Frame numbers, sums of squares and their degrees of freedom, (n,) each."""
-    history, updated = ground.estimate.history, ground.estimate.updated
+    history, updated = fitted.estimate.history, fitted.estimate.updated
     if history is not None and updated is not None:
         took = history.dof > 0  # an update whose measurements were all left out says nothing
         if not took.any():
             raise Unavailable("The filter took no frame in.")
         return updated[took], history.nis[took], history.dof[took].astype(float)
-    if ground.sums.dof.min() < 1:
+    if fitted.sums.dof.min() < 1:
         raise Unavailable(
             "One frame alone determines most of the parameters, so it cannot be judged by the rest: add frames."
         )
-    return ground.arcs.frame, ground.sums.chi2, ground.sums.dof
+    return fitted.arcs.frame, fitted.sums.chi2, fitted.sums.dof
 
 
 def _sentence(n: int, outside: float, bounds: tuple[float, float], runs: float, filtered: bool) -> str:
@@ -106,9 +106,9 @@ MOST_SHOWN = 200
 BAD = 3.0
 
 
-def worst_frames(ground: Ground) -> dict[str, Any]:
+def worst_frames(fitted: FittedSet) -> dict[str, Any]:
     """At most `MOST_SHOWN` frames, the worst first."""
-    chi2, dof = ground.sums.chi2, ground.sums.dof
+    chi2, dof = fitted.sums.chi2, fitted.sums.dof
     judged = np.flatnonzero(dof >= 1)
     if not len(judged):
         raise Unavailable("One frame alone determines the parameters, so none can be judged by the rest: add frames.")
@@ -116,7 +116,7 @@ def worst_frames(ground: Ground) -> dict[str, Any]:
     order = np.argsort(-deviate, kind="stable")[:MOST_SHOWN]
     shown, bad, expected = judged[order], int(np.sum(deviate > BAD)), len(judged) * float(ndtr(-BAD))
     return {
-        "frame": ground.arcs.frame[shown].tolist(),
+        "frame": fitted.arcs.frame[shown].tolist(),
         "chi2_per_dof": nested(chi2[shown] / dof[shown]),
         "dof": nested(dof[shown]),
         "deviation": nested(deviate[order]),
@@ -125,7 +125,7 @@ def worst_frames(ground: Ground) -> dict[str, Any]:
         "expected_beyond": expected,
         "sentence": (
             f"{bad} of {len(judged)} frames {'is' if bad == 1 else 'are'} explained worse than {BAD:g} sigmas allow "
-            f"({expected:.1f} expected by chance); the worst is frame {ground.arcs.frame[shown[0]]}."
+            f"({expected:.1f} expected by chance); the worst is frame {fitted.arcs.frame[shown[0]]}."
         ),
     }
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.calibration.trust.ground import Ground, Unavailable, nested
+from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested
 from boresight.estimation import batch
 from boresight.estimation.statistics.observability import further_covariance
 
@@ -31,54 +31,54 @@ BLOCKS = 20
 SHARES = (0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 
-def more_data(ground: Ground) -> dict[str, Any]:
+def more_data(fitted: FittedSet) -> dict[str, Any]:
     """Predicted one-sigma of each free parameter, SI."""
-    if not ground.determined:
+    if not fitted.determined:
         raise Unavailable(
             "More frames of the same kind would leave the same direction open: turn the sensor, or hold it fixed."
         )
-    n = ground.arcs.n_frames
+    n = fitted.arcs.n_frames
     frames = sorted({round(share * n) for share in SHARES})
     noise, forgetting = 0.0, 1.0
-    if ground.settings.sequential:
-        noise, forgetting = ground.settings.process_noise, ground.settings.forgetting_factor
-    doubt = _doubt(ground)
-    P = [further_covariance(ground.estimate.P, ground.estimate.A / n, k, noise, forgetting) for k in frames]
+    if fitted.settings.sequential:
+        noise, forgetting = fitted.settings.process_noise, fitted.settings.forgetting_factor
+    doubt = _doubt(fitted)
+    P = [further_covariance(fitted.estimate.P, fitted.estimate.A / n, k, noise, forgetting) for k in frames]
     sigma = np.sqrt(np.array([np.diag(matrix) for matrix in P]))
-    shown = sigma * ground.parameters.scale
+    shown = sigma * fitted.parameters.scale
     return {
         "frames": n,
         "further_frames": frames,
-        "sigma": {name: nested(shown[:, i]) for i, name in enumerate(ground.names)},
-        "relative_uncertainty": None if doubt is None else dict(zip(ground.names, nested(doubt), strict=True)),
-        "sentence": _sentence(ground, frames, sigma, doubt),
+        "sigma": {name: nested(shown[:, i]) for i, name in enumerate(fitted.names)},
+        "relative_uncertainty": None if doubt is None else dict(zip(fitted.names, nested(doubt), strict=True)),
+        "sentence": _sentence(fitted, frames, sigma, doubt),
     }
 
 
-def _doubt(ground: Ground) -> FloatArray | None:
+def _doubt(fitted: FittedSet) -> FloatArray | None:
     """Relative uncertainty (n_free,) of the predicted sigmas; None where the blocks are too few or too thin."""
-    n = ground.arcs.n_frames
+    n = fitted.arcs.n_frames
     blocks = min(n, BLOCKS)
     if blocks < 3:
         return None
     block = np.arange(n) * blocks // n
-    starts = ground.arcs.frame_arcs
+    starts = fitted.arcs.frame_arcs
     cuts = starts[np.searchsorted(block, np.arange(blocks + 1))]
     logs = []
     for b in range(blocks):
-        H = ground.H[cuts[b] : cuts[b + 1]]
-        left = (ground.A - H.T @ H) / (n - np.sum(block == b))
+        H = fitted.H[cuts[b] : cuts[b + 1]]
+        left = (fitted.A - H.T @ H) / (n - np.sum(block == b))
         if not batch.determined(left)[2].all():
             return None
         logs.append(np.log(np.diag(np.linalg.inv(left))) / 2)
     return np.asarray(np.sqrt((blocks - 1) * np.var(logs, axis=0)))
 
 
-def _sentence(ground: Ground, frames: list[int], sigma: FloatArray, doubt: FloatArray | None) -> str:
+def _sentence(fitted: FittedSet, frames: list[int], sigma: FloatArray, doubt: FloatArray | None) -> str:
     """What twice the data would buy for the parameter that is known least."""
     least = int(np.argmax(sigma[0]))
-    double, most = frames.index(ground.arcs.n_frames), len(frames) - 1
-    symbol = ground.symbols[least]
+    double, most = frames.index(fitted.arcs.n_frames), len(frames) - 1
+    symbol = fitted.symbols[least]
     gain = 1 - sigma[:, least] / sigma[0, least]
     if gain[most] < LITTLE:
         return (

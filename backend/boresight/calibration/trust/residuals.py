@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, FloatArray
 from boresight.calibration.estimate import covariance
-from boresight.calibration.evaluation.pixel_residuals import Freedom, pixel_residuals
-from boresight.calibration.trust.ground import Ground, Unavailable, nested
+from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, pixel_residuals
+from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested
 from boresight.estimation.arcs import ArcSet
 
 MOST_FRAMES = 1500
@@ -32,7 +32,7 @@ LEAST_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
-class Sightings:
+class StarResiduals:
     """Residuals of the stars of a set.
 
     Parameters
@@ -72,7 +72,7 @@ class Sightings:
         return float(np.median(np.abs(self.z[self.known])) / 0.67449)
 
 
-def sightings(ground: Ground, kept: BoolArray | None = None) -> Sightings:
+def compute_star_residuals(fitted: FittedSet, kept: BoolArray | None = None) -> StarResiduals:
     """Residuals at the estimate.
 
     Parameters
@@ -80,32 +80,32 @@ def sightings(ground: Ground, kept: BoolArray | None = None) -> Sightings:
     kept
         (n_stars of the frames looked at,) stars that attitudes rest on; all when None.
     """
-    arcs = ground.thinned(MOST_FRAMES)
-    freedom = Freedom(ground.parameters.free, ground.parameters.scale, covariance(ground.A))
-    seen = pixel_residuals(ground.problem.camera, ground.x, arcs, ground.problem.sensor.parity, freedom, kept)
-    found = Sightings(
+    arcs = fitted.thinned(MOST_FRAMES)
+    freedom = FreeCovariance(fitted.parameters.free, fitted.parameters.scale, covariance(fitted.A))
+    seen = pixel_residuals(fitted.problem.camera, fitted.x, arcs, fitted.problem.sensor.parity, freedom, kept)
+    found = StarResiduals(
         arcs=arcs,
         frame=np.repeat(arcs.frame, np.diff(arcs.star_start[arcs.frame_start])),
         r=seen.r,
         M=seen.M,
         from_sky=seen.from_sky,
     )
-    _check_parity(ground, found)
+    _check_parity(fitted, found)
     return found
 
 
-def _check_parity(ground: Ground, found: Sightings) -> None:
+def _check_parity(fitted: FittedSet, found: StarResiduals) -> None:
     """Refuse residuals that no rotation can make small though the arcs fit."""
-    per_arc = float(np.sqrt(np.median(ground.e**2)) / 0.67449)
+    per_arc = float(np.sqrt(np.median(fitted.e**2)) / 0.67449)
     if not found.known.any() or found.spread > MIRRORED * max(per_arc, 1.0):
-        raise Unavailable(OTHER_PARITY[-ground.problem.sensor.parity])
+        raise Unavailable(OTHER_PARITY[-fitted.problem.sensor.parity])
 
 
-def residuals(ground: Ground, found: Sightings) -> dict[str, Any]:
+def residuals(fitted: FittedSet, found: StarResiduals) -> dict[str, Any]:
     """At most `MOST_SHOWN` residuals, evenly thinned, for drawing."""
     places = np.flatnonzero(found.known)
     shown = places[np.unique(np.linspace(0, len(places) - 1, min(len(places), MOST_SHOWN)).round().astype(int))]
-    arcs, star_id = found.arcs, ground.telemetry.star_id
+    arcs, star_id = found.arcs, fitted.telemetry.star_id
     rms = float(np.sqrt(np.mean(found.r[places] ** 2)))
     return {
         "row_px": nested(arcs.row_px[shown]),

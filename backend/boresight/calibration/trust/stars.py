@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
-from boresight.calibration.trust.ground import ARCSEC, Ground, Unavailable
-from boresight.calibration.trust.residuals import Sightings, sightings
+from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailable
+from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.guide_stars import phrases, star_flags
 
@@ -68,13 +68,13 @@ class StarTable:
     suspect: BoolArray
 
 
-def star_table(ground: Ground, first: Sightings) -> StarTable:
+def star_table(fitted: FittedSet, first: StarResiduals) -> StarTable:
     """Judge every star, taking suspects out until none is left."""
-    if ground.telemetry.star_id is None:
+    if fitted.telemetry.star_id is None:
         raise Unavailable(
             "The telemetry names no stars, so sightings of one star cannot be put together: give star_id."
         )
-    ids = ground.telemetry.star_id[first.arcs.source_row]
+    ids = fitted.telemetry.star_id[first.arcs.source_row]
     table = _judged(ids, first)
     for _ in range(MOST_ROUNDS):
         new = _suspect(table) & ~table.suspect
@@ -82,7 +82,7 @@ def star_table(ground: Ground, first: Sightings) -> StarTable:
             break
         worst = new & (table.z >= table.z[new].max() / 2)
         named = table.suspect | worst
-        again = _judged(ids, sightings(ground, _kept(ids, table.star_id[named], first)))
+        again = _judged(ids, compute_star_residuals(fitted, _kept(ids, table.star_id[named], first)))
         table = _merged(table, again, named)
     return table
 
@@ -92,7 +92,7 @@ def _suspect(table: StarTable) -> BoolArray:
     return np.asarray(table.z**2 > -2 * np.log(FAMILY_LEVEL / len(table.z)))
 
 
-def _kept(ids: IntArray, out: IntArray, found: Sightings) -> BoolArray:
+def _kept(ids: IntArray, out: IntArray, found: StarResiduals) -> BoolArray:
     """Sightings that attitudes may rest on: none of these stars, unless too few would be left in the exposure."""
     kept = ~np.isin(ids, out)
     start = found.arcs.star_start
@@ -119,7 +119,7 @@ def _merged(before: StarTable, after: StarTable, named: BoolArray) -> StarTable:
     return StarTable(**{**values, "suspect": suspect})
 
 
-def _judged(ids: IntArray, found: Sightings) -> StarTable:
+def _judged(ids: IntArray, found: StarResiduals) -> StarTable:
     """Add the sightings of each star up."""
     seen = found.known
     T, variance = found.from_sky[seen], found.arcs.sigma_px[seen] ** 2
@@ -153,10 +153,10 @@ def _summed(values: FloatArray, of: IntArray, n: int) -> FloatArray:
     return np.asarray(np.stack(columns, axis=-1).reshape(n, *values.shape[1:]), dtype=np.float64)
 
 
-def stars(ground: Ground, table: StarTable) -> list[dict[str, Any]]:
+def stars(fitted: FittedSet, table: StarTable) -> list[dict[str, Any]]:
     """The worst stars first, at most `MOST_SHOWN`, every suspect among the first."""
     order = np.lexsort((-table.z, ~table.suspect))[:MOST_SHOWN]
-    said = _said_of(ground, table.star_id[order], table.pixel_rad[order])
+    said = _describe_catalogue(fitted, table.star_id[order], table.pixel_rad[order])
     return [_entry(table, place, phrases_of) for place, phrases_of in zip(order, said, strict=True)]
 
 
@@ -179,19 +179,19 @@ def _entry(table: StarTable, i: int, said: list[str]) -> dict[str, Any]:
     }
 
 
-def _said_of(ground: Ground, star_id: IntArray, pixel_rad: FloatArray) -> list[list[str]]:
+def _describe_catalogue(fitted: FittedSet, star_id: IntArray, pixel_rad: FloatArray) -> list[list[str]]:
     """What the catalogue says against each star's place, in phrases."""
-    if ground.catalogue is None or not len(star_id):
+    if fitted.catalogue is None or not len(star_id):
         return [[] for _ in star_id]
     blend_rad = BLEND_PX * float(np.median(pixel_rad))
-    near = _near(ground.catalogue, star_id, blend_rad)
-    flags, place = star_flags(near, blend_rad), near.index_of(star_id)
+    near = _near(fitted.catalogue, star_id, blend_rad)
+    flags, place = star_flags(near, blend_rad), near.find_index(star_id)
     return [phrases(int(flags[at])) if at >= 0 else ["not in the catalogue"] for at in place]
 
 
 def _near(catalogue: Catalogue, star_id: IntArray, within_rad: float) -> Catalogue:
     """The catalogue's stars that differ in declination by no more than this from one of some stars."""
-    index = catalogue.index_of(star_id)
+    index = catalogue.find_index(star_id)
     dec = catalogue.dec_rad[index[index >= 0]]
     order = np.argsort(catalogue.dec_rad)
     edges = np.zeros(len(order) + 1, np.int64)

@@ -21,7 +21,7 @@ from scipy.special import chdtrc
 
 from boresight.arrays import FloatArray
 from boresight.calibration.estimate import covariance
-from boresight.calibration.trust.ground import ARCSEC, Ground, Unavailable, chosen, grid, nested, probability
+from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailable, chosen, grid, nested, probability
 from boresight.estimation import batch
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.estimation.statistics.uncertainty import difference_over_detector, expected_difference
@@ -31,21 +31,21 @@ ROWS, COLUMNS = 13, 17
 MOST_ITERATIONS = 20
 
 
-def two_halves(ground: Ground) -> dict[str, Any]:
+def two_halves(fitted: FittedSet) -> dict[str, Any]:
     """Fit both halves and compare them."""
-    if not ground.determined:
+    if not fitted.determined:
         raise Unavailable(
             "The whole set does not determine every free parameter, so neither does a half: hold some fixed."
         )
-    n = ground.arcs.n_frames
+    n = fitted.arcs.n_frames
     if n < 2:
         raise Unavailable("One frame has no halves: add frames.")
     in_first = (np.arange(n) * min(n, BLOCKS) // n) % 2 == 0
-    first, second = _fitted(ground, in_first), _fitted(ground, ~in_first)
-    return _compared(ground, first, second)
+    first, second = _fitted(fitted, in_first), _fitted(fitted, ~in_first)
+    return _compared(fitted, first, second)
 
 
-def _fitted(ground: Ground, frames: NDArray[np.bool_]) -> batch.BatchFit:
+def _fitted(ground: FittedSet, frames: NDArray[np.bool_]) -> batch.BatchFit:
     """Fit some frames alone."""
     arcs = chosen(ground.arcs, frames)
     if arcs.n_arcs <= len(ground.names):
@@ -61,20 +61,20 @@ def _fitted(ground: Ground, frames: NDArray[np.bool_]) -> batch.BatchFit:
     return fitted
 
 
-def _compared(ground: Ground, first: batch.BatchFit, second: batch.BatchFit) -> dict[str, Any]:
+def _compared(fitted: FittedSet, first: batch.BatchFit, second: batch.BatchFit) -> dict[str, Any]:
     """Their difference in units of its covariance, and over the detector."""
-    scale = ground.parameters.scale
+    scale = fitted.parameters.scale
     P = covariance(first.A) + covariance(second.A)
-    d = (first.x - second.x)[ground.parameters.free] / scale
+    d = (first.x - second.x)[fitted.parameters.free] / scale
     dof, value = len(d), float(d @ np.linalg.solve(P, d))
     test = chi_square(value, dof)
-    sensor, camera = ground.problem.sensor, ground.problem.camera
+    sensor, camera = fitted.problem.sensor, fitted.problem.camera
     row, col = grid(sensor.rows, sensor.columns, ROWS, COLUMNS)
     places = (np.repeat(row, COLUMNS), np.tile(col, ROWS))
     difference = ARCSEC * difference_over_detector(camera, first.x, second.x, places, sensor.pixel_pitch_m)
-    expected = ARCSEC * expected_difference(camera, ground.x, ground.full_covariance(P), places, sensor.pixel_pitch_m)
+    expected = ARCSEC * expected_difference(camera, fitted.x, fitted.full_covariance(P), places, sensor.pixel_pitch_m)
     return {
-        "names": ground.names,
+        "names": fitted.names,
         "difference_in_sigma": nested(d / np.sqrt(np.diag(P))),
         "chi2": {
             "value": value,

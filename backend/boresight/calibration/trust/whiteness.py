@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.calibration.trust.ground import Ground, Unavailable, nested, probability
+from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested, probability
 from boresight.estimation.statistics.consistency import ljung_box
 
 FEWEST_FRAMES = 20
@@ -28,12 +28,12 @@ TESTED_LAGS = 5
 UNLIKELY = 0.01
 
 
-def whiteness(ground: Ground) -> dict[str, Any]:
+def whiteness(fitted: FittedSet) -> dict[str, Any]:
     """Autocorrelation of the least white score, and the test over all of them."""
-    n = ground.arcs.n_frames
+    n = fitted.arcs.n_frames
     if n < FEWEST_FRAMES:
         raise Unavailable(f"A series needs {FEWEST_FRAMES} frames before it can be told from noise; there are {n}.")
-    y = np.ascontiguousarray((ground.sums.scores / np.sqrt(np.maximum(ground.sums.squares, np.finfo(float).tiny))).T)
+    y = np.ascontiguousarray((fitted.sums.scores / np.sqrt(np.maximum(fitted.sums.squares, np.finfo(float).tiny))).T)
     lags = min(MOST_LAGS, n // 5)
     tests = [ljung_box(series, min(TESTED_LAGS, lags)) for series in y]
     least = int(np.argmin([test.p for test in tests]))
@@ -42,11 +42,11 @@ def whiteness(ground: Ground) -> dict[str, Any]:
         "lags": list(range(1, lags + 1)),
         "autocorrelation": nested(ljung_box(y[least], lags).autocorrelation),
         "bound": float(1.96 / np.sqrt(n)),
-        "name": ground.names[least],
+        "name": fitted.names[least],
         "ljung_box": {"value": tests[least].value, "dof": tests[least].dof, "p": p},
-        "p_of_parameters": {name: test.p for name, test in zip(ground.names, tests, strict=True)},
+        "p_of_parameters": {name: test.p for name, test in zip(fitted.names, tests, strict=True)},
         "white": p >= UNLIKELY,
-        "sentence": _sentence(ground.symbols[least], p, n, p >= UNLIKELY),
+        "sentence": _sentence(fitted.symbols[least], p, n, p >= UNLIKELY),
     }
 
 

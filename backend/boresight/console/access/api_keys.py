@@ -17,7 +17,7 @@ from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError, U
 from boresight.platform.actors import SCOPES, Actor, refuse_key, require_person
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, utc_after, utc_now
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 
 SECONDS_PER_DAY = 86400.0
 LONGEST_DAYS = 3650

@@ -1,4 +1,4 @@
-"""Whose a request is: the credential that it carries, looked up in the store, and the proof of it for answers that stand ready.
+"""Authentication: the credential of a request looked up in the store, and its proof for the response cache.
 
 The log-in cookie: a signed value that holds the secret of a session and its CSRF token.
 
@@ -35,9 +35,9 @@ from boresight.console.access import api_keys, sessions, users
 from boresight.console.access.queries import CredentialRows
 from boresight.errors import BoresightError, PasswordDueError, SessionEndedError, UnauthenticatedError
 from boresight.platform.actors import Actor
-from boresight.platform.db.marks import Marks
-from boresight.platform.db.sessions import Engine, reading
-from boresight.platform.web.ready import Proof, is_active
+from boresight.platform.db.data_version import DataVersionReader
+from boresight.platform.db.sessions import Engine, open_reading
+from boresight.platform.web.response_cache import CredentialProof, is_active
 from boresight.settings import Settings
 
 SESSION_COOKIE = "boresight_session"
@@ -159,7 +159,7 @@ def current_actor(request: Request) -> Actor:
     return known
 
 
-async def who_acts(request: Request) -> Actor:
+async def get_actor(request: Request) -> Actor:
     """Return who acts, as `current_actor` does: without a thread where that is known already, or the store answers on the spot.
 
     Raises
@@ -169,10 +169,10 @@ async def who_acts(request: Request) -> Actor:
     """
     if (known := getattr(request.state, "actor", None)) is not None:
         return known  # type: ignore[no-any-return]  # the request's state is whatever is put there
-    return await on_the_spot(request.app.state.engine, current_actor, request)
+    return await identify_at_once(request.app.state.engine, current_actor, request)
 
 
-async def on_the_spot(engine: Engine, read: Callable[[T], U], given: T) -> U:
+async def identify_at_once(engine: Engine, read: Callable[[T], U], given: T) -> U:
     """Call what makes a short read of the store: SQLite answers sooner than a thread could be asked."""
     if engine.dialect.name == "sqlite":
         return read(given)
@@ -180,15 +180,15 @@ async def on_the_spot(engine: Engine, read: Callable[[T], U], given: T) -> U:
 
 
 @dataclass(frozen=True)
-class Known:
+class Identified:
     """Somebody who was identified, and the proof of it."""
 
     actor: Actor
     csrf_token: str | None
-    proof: Proof
+    proof: CredentialProof
 
 
-class Memory:
+class CredentialCache:
     """Who was identified lately by which credentials, byte for byte; known again while the rows behind say the same.
 
     Parameters
@@ -197,19 +197,19 @@ class Memory:
         Of the store, over whose connection the rows are looked at.
     """
 
-    def __init__(self, marks: Marks) -> None:
+    def __init__(self, marks: DataVersionReader) -> None:
         self.marks = marks
         self._lock = threading.Lock()
-        self._known: OrderedDict[Carried, Known] = OrderedDict()
+        self._known: OrderedDict[Carried, Identified] = OrderedDict()
 
-    def find(self, scope: Scope, *, active: bool) -> Known | None:
+    def find(self, scope: Scope, *, active: bool) -> Identified | None:
         """Return who carries these credentials, where that holds still."""
         known = self._known.get(_carried(scope))
         if known is None or not known.proof.unchanged() or not known.proof.holds(active=active):
             return None
         return known
 
-    def keep(self, scope: Scope, known: Known) -> None:
+    def keep(self, scope: Scope, known: Identified) -> None:
         """Note who was identified."""
         with self._lock:
             self._known[_carried(scope)] = known
@@ -226,7 +226,7 @@ def _carried(scope: Scope) -> Carried:
 def _identify(request: Request, *, active: bool = True) -> Actor:
     """Return whose credentials a request carries: as they were last identified, or by looking them up in the store."""
     active = active and is_active(request.scope)
-    memory: Memory = request.app.state.known
+    memory: CredentialCache = request.app.state.known
     known = memory.find(request.scope, active=active)
     if known is None:
         known, holds_anywhere = _looked_up(request, memory.marks, active=active)
@@ -240,32 +240,34 @@ def _identify(request: Request, *, active: bool = True) -> Actor:
     return known.actor
 
 
-def _looked_up(request: Request, marks: Marks, *, active: bool) -> tuple[Known, bool]:
+def _looked_up(request: Request, marks: DataVersionReader, *, active: bool) -> tuple[Identified, bool]:
     """Look up the credential in the store; tells too whether what was found holds for every address."""
     secret = bearer(request.headers)
     if secret is not None:
-        with reading(request.app.state.engine) as session:
+        with open_reading(request.app.state.engine) as session:
             actor = api_keys.actor_of_key(session, secret)
             rows = CredentialRows.read(session, "key", actor.credential.removeprefix("key:"))
         use = partial(request.app.state.upkeep.used, actor.credential)
         use(active=True)
-        return Known(actor, None, Proof(_seconds(actor.until_utc), use, partial(rows.say_so_still, marks))), True
+        return Identified(
+            actor, None, CredentialProof(_seconds(actor.until_utc), use, partial(rows.say_so_still, marks))
+        ), True
     cookie: LogInCookie = request.app.state.log_in_cookie
     if cookie.name not in request.cookies:
         raise UnauthenticatedError("You are not logged in; log in, or send an API key as a Bearer token.")
     content = cookie.read(request.cookies[cookie.name])
     request.state.csrf_token = content.csrf_token
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         log_in = sessions.find(session, content.token)
         due = f"/api/v1/users/{log_in.user_id}:change-password"
         sets_password = request.url.path in (*WHILE_PASSWORD_IS_DUE, due)
-        actor = users.actor_of(session, log_in.user_id, log_in.id, sets_password=sets_password)
+        actor = users.get_actor(session, log_in.user_id, log_in.id, sets_password=sets_password)
         rows = CredentialRows.read(session, "session", log_in.id)
     used = partial(request.app.state.upkeep.session_used, log_in.id, log_in.last_used_utc)
     if not used(active=active):
         raise SessionEndedError("idle")
     others = tuple(sorted(pair for pair in request.cookies.items() if pair[0] != cookie.name))
-    proof = Proof(
+    proof = CredentialProof(
         content.ends_s,
         used,
         partial(rows.say_so_still, marks),
@@ -273,7 +275,7 @@ def _looked_up(request: Request, marks: Marks, *, active: bool) -> tuple[Known, 
         roles=(actor.roles, others),
         gaps=(content.csrf_token.encode(), str(escape(actor.printed_name or actor.name)).encode()),
     )
-    return Known(
+    return Identified(
         actor, content.csrf_token, proof
     ), not sets_password  # what sets one's password proves nothing elsewhere
 
@@ -283,9 +285,9 @@ def _seconds(time_utc: str | None) -> float:
     return math.inf if time_utc is None else datetime.fromisoformat(time_utc).timestamp()
 
 
-def proof_of(scope: Scope) -> Proof | None:
+def get_proof(scope: Scope) -> CredentialProof | None:
     """Return the proof of a request's credentials, if they were looked up and hold for every address."""
-    proof: Proof | None = scope["state"].get("proof")
+    proof: CredentialProof | None = scope["state"].get("proof")
     return proof
 
 
@@ -303,16 +305,16 @@ def identify(scope: Scope) -> Actor | None:
         return None
 
 
-def prove(scope: Scope) -> Proof | None:
+def prove(scope: Scope) -> CredentialProof | None:
     """Look up a request's credentials; None where they do not hold, or not for every address."""
     try:
         current_actor(Request(scope))
     except BoresightError:
         return None
-    return proof_of(scope)
+    return get_proof(scope)
 
 
-def still_known(request: Request) -> bool:
+def is_still_valid(request: Request) -> bool:
     """Whether the credential of a long request still holds: not logged out everywhere, revoked, expired or disabled."""
     try:
         _identify(request, active=False)

@@ -1,4 +1,4 @@
-"""What every endpoint asks for: who acts, a transaction, proof that the request was meant.
+"""Dependencies of the endpoints: the actor, a transaction, the CSRF check.
 
 One request is one transaction. It ends before the answer is sent (`scope="function"`), so an answer that says "done"
 tells of something that is committed. Writers of this process queue on a lock of the event loop and not in the thread
@@ -20,11 +20,11 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.console.access import sessions, users
-from boresight.console.access.credentials import bearer, who_acts
-from boresight.console.access.password_checks import Passwords
+from boresight.console.access.credentials import bearer, get_actor
+from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import NO_PROOF, PasswordProof
-from boresight.console.access.sessions import Client
-from boresight.console.runs.dry_runs import Sight
+from boresight.console.access.sessions import ClientAddress
+from boresight.console.runs.dry_runs import ForecastSources
 from boresight.console.schemas import Row
 from boresight.errors import (
     ForbiddenError,
@@ -35,11 +35,11 @@ from boresight.errors import (
 )
 from boresight.platform.actors import Actor, Policy, require_person
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Engine, Session, only_try, reading, writing
-from boresight.platform.web.drawn import Drawn
+from boresight.platform.db.sessions import Engine, Session, mark_dry_run, open_reading, open_writing
+from boresight.platform.web.figure_cache import FigureCache
 from boresight.platform.web.openapi import refuses
 from boresight.platform.web.origins import SAFE_METHODS
-from boresight.platform.web.paging import register, row_number
+from boresight.platform.web.paging import parse_row_id, register
 from boresight.settings import Settings
 from boresight.sky.catalogue import Catalogue
 
@@ -48,42 +48,42 @@ register()  # what a parameter in a path may be, before the first route is made:
 FORM_TYPES = ("application/x-www-form-urlencoded", "multipart/form-data")
 CSRF_HEADER = "X-CSRF-Token"
 CSRF_FIELD = "csrf_token"
-DRY = "Check everything, change nothing: 200 with what would be, and `X-Validate-Only: true`."
+DRY_RUN_SENTENCE = "Check everything, change nothing: 200 with what would be, and `X-Validate-Only: true`."
 
 
-async def read_session(request: Request) -> AsyncIterator[Session]:
+async def open_read_session(request: Request) -> AsyncIterator[Session]:
     """Open the request's transaction for reading: one state of the database, from its first query on."""
     engine = request.app.state.engine
     if engine.dialect.name == "sqlite":  # neither beginning nor ending to read waits for anything there
-        with reading(engine) as session:
+        with open_reading(engine) as session:
             yield session
         return
-    async with contextmanager_in_threadpool(reading(engine)) as session:
+    async with contextmanager_in_threadpool(open_reading(engine)) as session:
         yield session
 
 
-async def write_session(request: Request) -> AsyncIterator[Session]:
+async def open_write_session(request: Request) -> AsyncIterator[Session]:
     """Open the request's transaction for writing; commits when the endpoint returns, before the answer is sent.
 
     Whoever follows the store is then told to look at once: the event feed, and the engine that waits for runs.
     """
     state = request.app.state
-    async with state.write_lock, contextmanager_in_threadpool(writing(state.engine)) as session:
+    async with state.write_lock, contextmanager_in_threadpool(open_writing(state.engine)) as session:
         yield session
     state.broadcast.nudge()
     state.deliveries.nudge()
     state.workers.notify()
 
 
-async def only_asked(validate_only: Annotated[bool, Query(description=DRY)] = False) -> bool:
+async def get_dry_run(validate_only: Annotated[bool, Query(description=DRY_RUN_SENTENCE)] = False) -> bool:
     """Whether the request only asks what would come of it."""
     return validate_only
 
 
-OnlyAsked = Annotated[bool, Depends(only_asked)]
+IsDryRun = Annotated[bool, Depends(get_dry_run)]
 
 
-async def never_tried(request: Request) -> None:
+async def refuse_dry_run(request: Request) -> None:
     """Refuse `validate_only` where there is nothing to try.
 
     Raises
@@ -95,18 +95,18 @@ async def never_tried(request: Request) -> None:
         raise RefusedInputError("Logging in and out cannot be tried with validate_only; leave it out.")
 
 
-async def write_or_try(request: Request, asked: OnlyAsked) -> AsyncIterator[Session]:
+async def open_write_or_dry_run(request: Request, asked: IsDryRun) -> AsyncIterator[Session]:
     """Open the request's transaction for writing, or with `validate_only` for a trial that is rolled back at its end.
 
     A trial holds the same lock and makes the same checks; files that it stored stay, referred to by nothing.
     """
     state = request.app.state
     if not asked:
-        async with asynccontextmanager(write_session)(request) as session:
+        async with asynccontextmanager(open_write_session)(request) as session:
             yield session
         return
-    async with state.write_lock, contextmanager_in_threadpool(writing(state.engine)) as session:
-        only_try(session)
+    async with state.write_lock, contextmanager_in_threadpool(open_writing(state.engine)) as session:
+        mark_dry_run(session)
         yield session
 
 
@@ -126,7 +126,7 @@ async def csrf(request: Request) -> None:
     if request.app.state.log_in_cookie.name not in request.cookies:
         return  # nothing to abuse; whoever needs an actor refuses it
     try:
-        await who_acts(request)
+        await get_actor(request)
     except UnauthenticatedError:
         return  # neither is there with a log-in that has ended; it must not keep anybody from logging in anew
     given = request.headers.get(CSRF_HEADER) or await _form_token(request)
@@ -199,7 +199,7 @@ async def seen_version(given: Annotated[Seen, Depends(seen)]) -> int:
     """
     tag = given.tag or ""
     digits = tag.removeprefix('"v').removesuffix('"')
-    version = row_number(digits)
+    version = parse_row_id(digits)
     if tag != f'"v{digits}"' or version is None:
         raise StaleError(f"No version has the tag {tag[:40]}; read it again and send its ETag in If-Match.")
     return version
@@ -223,14 +223,14 @@ def log_in_person(request: Request, response: Response, session: Session, proof:
         When name and password do not belong together.
     """
     actor = users.authenticate(session, proof, request.state.request_id)
-    _, token = sessions.begin(session, require_person(actor, "log in"), client_of(request))
+    _, token = sessions.begin(session, require_person(actor, "log in"), get_client(request))
     return actor, request.app.state.log_in_cookie.write(response, token)
 
 
-def client_of(request: Request) -> Client:
+def get_client(request: Request) -> ClientAddress:
     """Return where a request comes from; behind a proxy that uvicorn trusts, whom the proxy names."""
     address = None if request.client is None else request.client.host
-    return Client.of(address, request.headers.get("user-agent"))
+    return ClientAddress.of(address, request.headers.get("user-agent"))
 
 
 def clear_cookie(request: Request, response: Response) -> None:
@@ -240,8 +240,8 @@ def clear_cookie(request: Request, response: Response) -> None:
 
 async def check_own(request: Request, actor: Actor, password: str) -> PasswordProof:
     """Check the password of who acts, before any transaction begins."""
-    checks: Passwords = request.app.state.passwords
-    return await checks.check_own(actor, password, client_of(request))
+    checks: PasswordWorker = request.app.state.passwords
+    return await checks.check_own(actor, password, get_client(request))
 
 
 def own_password(body: type[BaseModel]) -> Any:
@@ -256,18 +256,18 @@ def own_password(body: type[BaseModel]) -> Any:
     return Depends(proven)
 
 
-Who = Annotated[Actor, Depends(who_acts)]
-Reading = Annotated[Session, Depends(read_session, scope="function")]
-Writing = Annotated[Session, Depends(write_or_try, scope="function")]
-LoggingIn = Annotated[Session, Depends(write_session, scope="function")]
+Who = Annotated[Actor, Depends(get_actor)]
+Reading = Annotated[Session, Depends(open_read_session, scope="function")]
+Writing = Annotated[Session, Depends(open_write_or_dry_run, scope="function")]
+LoggingIn = Annotated[Session, Depends(open_write_session, scope="function")]
 SeenVersion = Annotated[int, Depends(seen_version)]
 SeenTag = Annotated[Seen, Depends(seen)]
 MaybeSeenTag = Annotated[Seen, Depends(maybe_seen)]
 Blobs = Annotated[BlobStore, of_server("blobs")]
 Database = Annotated[Engine, of_server("engine")]
-Drawings = Annotated[Drawn, of_server("drawn")]
-Held = Annotated[Policy, of_server("policy")]
-PasswordChecks = Annotated[Passwords, of_server("passwords")]
+Drawings = Annotated[FigureCache, of_server("drawn")]
+PasswordChecked = Annotated[Policy, of_server("policy")]
+PasswordChecks = Annotated[PasswordWorker, of_server("passwords")]
 ServerSettings = Annotated[Settings, of_server("settings")]
-Sighted = Annotated[Sight, of_server("sight")]
+DryRunSight = Annotated[ForecastSources, of_server("sight")]
 Stars = Annotated[Callable[[], Catalogue], of_server("catalogue")]

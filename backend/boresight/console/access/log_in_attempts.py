@@ -36,7 +36,7 @@ from boresight.errors import TooManyAttemptsError
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.platform.web.words import comparison_key
+from boresight.platform.web.text_validation import comparison_key
 
 LONGEST_OF_NAME_S, LONGEST_OF_ACCOUNT_S, LONGEST_OF_PLACE_S = 100.0, 120.0, 10.0
 PLACES_A_NAME = 3  # times as many failures are free to strangers together at a name as to one of them
@@ -59,7 +59,7 @@ def place_of_address(address: str) -> str:
 
 
 @dataclass(frozen=True)
-class Tried:
+class LoginAttempt:
     """What is tried: a name from a place.
 
     Parameters
@@ -109,7 +109,7 @@ class LoginLimiter:
         self._now_s = now_s
         self._counts: OrderedDict[Hashable, _Count] = OrderedDict()
 
-    def admit(self, tried: Tried) -> float:
+    def admit(self, tried: LoginAttempt) -> float:
         """Let an attempt in; returns after how many seconds it may begin. `ended` must be told how it went.
 
         Raises
@@ -132,7 +132,7 @@ class LoginLimiter:
             self._counts.popitem(last=False)
         return begins_s - now_s
 
-    def ended(self, tried: Tried, *, failed: bool | None) -> None:
+    def ended(self, tried: LoginAttempt, *, failed: bool | None) -> None:
         """Note how an attempt went; None where it was not made. A right password makes up for the wrong ones of its name there.
 
         What counts no failure is not kept: only passwords that were really checked can push out older counts.
@@ -148,7 +148,7 @@ class LoginLimiter:
             if not count.pending and not count.failures:
                 del self._counts[key]
 
-    def _limits(self, tried: Tried) -> dict[Hashable, tuple[float, float]]:
+    def _limits(self, tried: LoginAttempt) -> dict[Hashable, tuple[float, float]]:
         """Return under which keys an attempt is counted, each with what is free there and the longest wait."""
         of_name = (self._free, LONGEST_OF_NAME_S)
         limits: dict[Hashable, tuple[float, float]] = {(tried.name, tried.place): of_name}
@@ -174,7 +174,7 @@ REFUSED = "refused wrong passwords of"
 
 
 @dataclass(frozen=True)
-class Attempt:
+class FailedAttempt:
     """A name as it was typed, the address it came from, and the log-in under which it was typed, if any."""
 
     name: str
@@ -182,7 +182,7 @@ class Attempt:
     session_id: int | None = None
 
     @classmethod
-    def of(cls, name: str, address: str, session_id: int | None = None) -> Attempt:
+    def of(cls, name: str, address: str, session_id: int | None = None) -> FailedAttempt:
         """Take what came, cut and cleaned."""
         return cls("".join(letter for letter in name[:LONGEST_NAME] if letter.isprintable()), address, session_id)
 
@@ -202,7 +202,7 @@ class Failures:
         self.count += 1
 
 
-def record(session: Session, failed: Mapping[Attempt, Failures]) -> None:
+def record(session: Session, failed: Mapping[FailedAttempt, Failures]) -> None:
     """Put failed attempts into the audit log, the most frequent each by itself, the rest together."""
     ranked = sorted(failed.items(), key=lambda pair: -pair[1].count)
     for attempt, failures in ranked[:MOST_RECORDS]:

@@ -18,15 +18,15 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access import api_keys, sessions, users
 from boresight.console.access.credentials import current_actor
-from boresight.console.access.dependencies import Reading, Who, clear_cookie, client_of, csrf, log_in_person
-from boresight.console.access.password_checks import Passwords
+from boresight.console.access.dependencies import Reading, Who, clear_cookie, csrf, get_client, log_in_person
+from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import MINIMUM_PASSWORD_LENGTH, NewPassword, PasswordProof
 from boresight.console.access.tables import User
-from boresight.console.pages.rendering import Refusal, attempt, redirect, render
+from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, render
 from boresight.errors import RefusedInputError, SessionEndedError, UnauthenticatedError
 from boresight.platform.actors import SCOPES, Actor, require_person, require_role
-from boresight.platform.db.sessions import Session, reading, utc_now
-from boresight.platform.web.paging import row_number
+from boresight.platform.db.sessions import Session, open_reading, utc_now
+from boresight.platform.web.paging import parse_row_id
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
@@ -51,16 +51,16 @@ WHAT_A_ROLE_MAY = {
 
 
 @dataclass(frozen=True)
-class Shown:
+class UsersContext:
     """What a form left behind on the page: its refusal, what was typed, a key's secret that is shown once."""
 
     form: str = ""
-    refusal: Refusal | None = None
+    refusal: ShownRefusal | None = None
     typed: Mapping[str, Any] = field(default_factory=dict)
     secret: str = ""
 
 
-def _page(request: Request, actor: Actor, session: Session, shown: Shown) -> HTMLResponse:
+def _page(request: Request, actor: Actor, session: Session, shown: UsersContext) -> HTMLResponse:
     """Render people and keys."""
     administrator = "administrator" in actor.roles
     people = users.list_users(session)
@@ -81,16 +81,16 @@ def _page(request: Request, actor: Actor, session: Session, shown: Shown) -> HTM
     )
 
 
-def _again(request: Request, actor: Actor, shown: Shown) -> HTMLResponse:
+def _again(request: Request, actor: Actor, shown: UsersContext) -> HTMLResponse:
     """Render the page after a form was refused, or with a secret."""
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         return _page(request, actor, session, shown)
 
 
 @router.get("/users", response_class=HTMLResponse)
 def users_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show people and keys."""
-    return _page(request, actor, session, Shown())
+    return _page(request, actor, session, UsersContext())
 
 
 @router.post("/users", response_class=HTMLResponse)
@@ -105,7 +105,7 @@ async def create(
 ) -> Response:
     """Add a person."""
     chosen = roles or []
-    checks: Passwords = request.app.state.passwords
+    checks: PasswordWorker = request.app.state.passwords
 
     async def prepare() -> tuple[NewPassword]:
         require_role(actor, "administrator")  # before a password is hashed for nothing; the service asks again
@@ -126,7 +126,7 @@ async def create(
     if outcome.value is not None:
         return redirect("/users", flash=f"{outcome.value.printed_name} may log in as {outcome.value.name}.")
     typed = {"name": name, "printed_name": printed_name, "roles": chosen}
-    return await run_in_threadpool(_again, request, actor, Shown("person", outcome.refusal, typed))
+    return await run_in_threadpool(_again, request, actor, UsersContext("person", outcome.refusal, typed))
 
 
 @router.post("/users/{user_id}/roles", response_class=HTMLResponse)
@@ -139,7 +139,7 @@ async def change_roles(
     if outcome.value is not None:
         held = ", ".join(outcome.value.roles) or "no role"
         return redirect("/users", flash=f"{outcome.value.printed_name} now has: {held}.")
-    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
+    return await run_in_threadpool(_again, request, actor, UsersContext("people", outcome.refusal))
 
 
 @router.post("/users/{user_id}/disable", response_class=HTMLResponse)
@@ -148,7 +148,7 @@ async def disable(request: Request, actor: Who, user_id: int) -> Response:
     outcome = await attempt(request, partial(users.disable_user, actor=actor, user_id=user_id))
     if outcome.value is not None:
         return redirect("/users", flash=f"{outcome.value.printed_name} can no longer log in.")
-    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
+    return await run_in_threadpool(_again, request, actor, UsersContext("people", outcome.refusal))
 
 
 @router.post("/users/{user_id}/enable", response_class=HTMLResponse)
@@ -157,7 +157,7 @@ async def enable(request: Request, actor: Who, user_id: int) -> Response:
     outcome = await attempt(request, partial(users.enable_user, actor=actor, user_id=user_id))
     if outcome.value is not None:
         return redirect("/users", flash=f"{outcome.value.printed_name} can log in again.")
-    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
+    return await run_in_threadpool(_again, request, actor, UsersContext("people", outcome.refusal))
 
 
 @router.post("/users/{user_id}/password", response_class=HTMLResponse)
@@ -165,10 +165,10 @@ async def reset_password(request: Request, actor: Who, user_id: int, password: A
     """Give a person a password that they must change at their next log-in."""
     if user_id == actor.user_id:
         return redirect("/password")
-    checks: Passwords = request.app.state.passwords
+    checks: PasswordWorker = request.app.state.passwords
 
     async def prepare() -> tuple[NewPassword, PasswordProof]:
-        return await checks.prepare_change(actor, user_id, password, "", client_of(request))
+        return await checks.prepare_change(actor, user_id, password, "", get_client(request))
 
     def change(session: Session, prepared: NewPassword, current: PasswordProof) -> User:
         return users.change_password(session, actor, user_id, prepared, current)
@@ -179,7 +179,7 @@ async def reset_password(request: Request, actor: Who, user_id: int, password: A
             "/users",
             flash=f"{outcome.value.printed_name} is logged out and must set a password of their own at the next log-in.",
         )
-    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
+    return await run_in_threadpool(_again, request, actor, UsersContext("people", outcome.refusal))
 
 
 @router.post("/users/{user_id}/end-sessions", response_class=HTMLResponse)
@@ -188,7 +188,7 @@ async def end_sessions(request: Request, actor: Who, user_id: int) -> Response:
     outcome = await attempt(request, partial(_end_sessions, actor, user_id))
     if outcome.value is not None:
         return redirect("/users", flash=f"{outcome.value} is logged out everywhere.")
-    return await run_in_threadpool(_again, request, actor, Shown("people", outcome.refusal))
+    return await run_in_threadpool(_again, request, actor, UsersContext("people", outcome.refusal))
 
 
 def _end_sessions(actor: Actor, user_id: int, session: Session) -> str:
@@ -204,7 +204,7 @@ def sessions_page(request: Request, session: Reading, actor: Who, user: int | No
 
 
 def _sessions_page(
-    request: Request, actor: Actor, session: Session, user_id: int | None, refusal: Refusal | None
+    request: Request, actor: Actor, session: Session, user_id: int | None, refusal: ShownRefusal | None
 ) -> HTMLResponse:
     """Render the log-ins of a person, those that are open first."""
     limits = request.app.state.settings.session_limits
@@ -248,9 +248,9 @@ async def end_other_sessions(request: Request, actor: Who) -> Response:
     return redirect("/sessions", flash=f"{count} other log-in{'s are' if count != 1 else ' is'} ended.")
 
 
-def _sessions_again(request: Request, actor: Actor, refusal: Refusal | None) -> HTMLResponse:
+def _sessions_again(request: Request, actor: Actor, refusal: ShownRefusal | None) -> HTMLResponse:
     """Render one's log-ins after a refusal."""
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         return _sessions_page(request, actor, session, None, refusal)
 
 
@@ -265,14 +265,14 @@ async def create_key(
     """Make a key and show its secret, this once."""
     outcome = await attempt(request, partial(_make_key, actor, label, days, scopes or []))
     if outcome.value is not None:
-        return await run_in_threadpool(_again, request, actor, Shown("key", secret=outcome.value))
+        return await run_in_threadpool(_again, request, actor, UsersContext("key", secret=outcome.value))
     typed = {"label": label, "days": days, "scopes": scopes or []}
-    return await run_in_threadpool(_again, request, actor, Shown("key", outcome.refusal, typed))
+    return await run_in_threadpool(_again, request, actor, UsersContext("key", outcome.refusal, typed))
 
 
 def _make_key(actor: Actor, label: str, days: str, scopes: list[str], session: Session) -> str:
     """Return the secret of a new key."""
-    expires_days = row_number(days)
+    expires_days = parse_row_id(days)
     if expires_days is None:
         raise RefusedInputError(f"{days.strip()[:20]!r} is not a number of days; type one, such as 90.")
     _, secret = api_keys.create_key(session, actor, label=label, scopes=scopes, expires_days=expires_days)
@@ -285,7 +285,7 @@ async def revoke_key(request: Request, actor: Who, key_id: int) -> Response:
     outcome = await attempt(request, partial(api_keys.revoke_key, actor=actor, key_id=key_id))
     if outcome.value is not None:
         return redirect("/users", flash=f"The key {outcome.value.label!r} is revoked.")
-    return await run_in_threadpool(_again, request, actor, Shown("keys", outcome.refusal))
+    return await run_in_threadpool(_again, request, actor, UsersContext("keys", outcome.refusal))
 
 
 login_router = APIRouter()
@@ -317,10 +317,10 @@ async def log_in(
 ) -> Response:
     """Check name and password; the answer to a wrong one does not tell which of the two it was."""
     response = redirect(local_path(next))
-    checks: Passwords = request.app.state.passwords
+    checks: PasswordWorker = request.app.state.passwords
 
     async def prove() -> tuple[PasswordProof]:
-        return (await checks.check_log_in(name, password, client_of(request)),)
+        return (await checks.check_log_in(name, password, get_client(request)),)
 
     refusal = (await attempt(request, partial(log_in_person, request, response), prove)).refusal
     if refusal is None:
@@ -360,7 +360,7 @@ def password_page(request: Request, actor: Who) -> HTMLResponse:  # noqa: ARG001
     return _password_page(request, None)
 
 
-def _password_page(request: Request, refusal: Refusal | None) -> HTMLResponse:
+def _password_page(request: Request, refusal: ShownRefusal | None) -> HTMLResponse:
     """Render the form, with why it was refused."""
     sentence = refusal.sentence if refusal else ""
     return render(
@@ -377,13 +377,13 @@ async def change_password(
     repeated: Annotated[str, Form()] = "",
 ) -> Response:
     """Set one's own password; every log-in then ends, this one too."""
-    checks: Passwords = request.app.state.passwords
+    checks: PasswordWorker = request.app.state.passwords
     user_id = require_person(actor, "set a password")
 
     async def prepare() -> tuple[NewPassword, PasswordProof]:
         if password != repeated:
             raise RefusedInputError("The two new passwords differ; type the same one twice.")
-        return await checks.prepare_change(actor, user_id, password, current, client_of(request))
+        return await checks.prepare_change(actor, user_id, password, current, get_client(request))
 
     outcome = await attempt(request, partial(set_password, actor, user_id), prepare)
     if outcome.refusal is not None:

@@ -23,14 +23,20 @@ from fastapi.concurrency import run_in_threadpool
 
 from boresight.console.access import log_in_attempts as failed_log_ins
 from boresight.console.access import passwords, sessions, users
-from boresight.console.access.log_in_attempts import Attempt, Failures, LoginLimiter, Tried, place_of_address
+from boresight.console.access.log_in_attempts import (
+    FailedAttempt,
+    Failures,
+    LoginAttempt,
+    LoginLimiter,
+    place_of_address,
+)
 from boresight.console.access.passwords import NO_PROOF, NewPassword, PasswordProof, StoredPassword
-from boresight.console.access.sessions import Client
+from boresight.console.access.sessions import ClientAddress
 from boresight.errors import BoresightError, OverloadedError
 from boresight.platform.actors import Actor
-from boresight.platform.db.sessions import Engine, Session, reading, writing
-from boresight.platform.jobs.rounds import Rounds
-from boresight.platform.web.words import comparison_key
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
+from boresight.platform.jobs.periodic_thread import PeriodicThread
+from boresight.platform.web.text_validation import comparison_key
 
 MOST_QUEUED = 16  # hashes; at less than 0.2 s each the last waits some seconds
 MOST_HELD = 64  # attempts that wait because others failed
@@ -41,7 +47,7 @@ NICE = 10
 T = TypeVar("T")
 
 
-class _Lane:
+class _PasswordThread:
     """One thread for slow work, and a queue before it that is never long."""
 
     def __init__(self, name: str, *, yields: bool) -> None:
@@ -75,7 +81,7 @@ def _yield_processors() -> None:
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
 
 
-class Passwords:
+class PasswordWorker:
     """The passwords of one server's requests.
 
     Parameters
@@ -89,15 +95,18 @@ class Passwords:
     def __init__(self, database: Engine, free: int) -> None:
         self._database = database
         self._limiter = LoginLimiter(free)
-        self._known, self._returning = _Lane("passwords", yields=False), _Lane("returns", yields=False)
-        self._anybody = _Lane("log-ins", yields=True)
+        self._known, self._returning = (
+            _PasswordThread("passwords", yields=False),
+            _PasswordThread("returns", yields=False),
+        )
+        self._anybody = _PasswordThread("log-ins", yields=True)
         self._held = 0
         self._guard = threading.Lock()
-        self._failed: dict[Attempt, Failures] = {}
-        self._prompt: set[Attempt] = set()
-        self._told: set[Attempt] = set()
+        self._failed: dict[FailedAttempt, Failures] = {}
+        self._prompt: set[FailedAttempt] = set()
+        self._told: set[FailedAttempt] = set()
         self._told_s = time.monotonic()
-        self._rounds = Rounds("record of wrong passwords", [self.record_failures], self._rest_s)
+        self._rounds = PeriodicThread("record of wrong passwords", [self.record_failures], self._rest_s)
 
     def start(self) -> None:
         """Begin to tell the audit log of failures."""
@@ -111,25 +120,25 @@ class Passwords:
         self._returning.close()
         self._anybody.close()
 
-    async def check_log_in(self, name: str, password: str, client: Client) -> PasswordProof:
+    async def check_log_in(self, name: str, password: str, client: ClientAddress) -> PasswordProof:
         """Check name and password of somebody who is not known yet."""
         place = place_of_address(client.address)
         stored, known = await self._read(partial(_stored_at, name=name, place=place))
-        tried = Tried(comparison_key(name), place, known)
+        tried = LoginAttempt(comparison_key(name), place, known)
         lane = self._returning if known else self._anybody
-        return await self._check(Attempt.of(name, client.address), tried, lane, stored, password)
+        return await self._check(FailedAttempt.of(name, client.address), tried, lane, stored, password)
 
-    async def check_own(self, actor: Actor, password: str, client: Client) -> PasswordProof:
+    async def check_own(self, actor: Actor, password: str, client: ClientAddress) -> PasswordProof:
         """Check the password of who acts; only what failed under the same log-in makes it wait."""
         if actor.is_key:
             return NO_PROOF  # whatever it says: a key never signs
-        attempt = Attempt.of(actor.name, client.address, actor.session_id)
-        stored = await self._read(partial(passwords.stored_of, user_id=actor.user_id))
-        tried = Tried(comparison_key(actor.name), f"session {actor.session_id}", known=True)
+        attempt = FailedAttempt.of(actor.name, client.address, actor.session_id)
+        stored = await self._read(partial(passwords.read_stored, user_id=actor.user_id))
+        tried = LoginAttempt(comparison_key(actor.name), f"session {actor.session_id}", known=True)
         return await self._check(attempt, tried, self._known, stored, password)
 
     async def check_beside(
-        self, actor: Actor, name: str, password: str, client: Client, refuse: Callable[[Session], None]
+        self, actor: Actor, name: str, password: str, client: ClientAddress, refuse: Callable[[Session], None]
     ) -> PasswordProof:
         """Check name and password of a second person at the console of who acts.
 
@@ -151,8 +160,8 @@ class Passwords:
         if found is None:
             return NO_PROOF
         stored, known = found
-        tried = Tried(comparison_key(name), place, known, console=f"person {actor.user_id}")
-        attempt = Attempt.of(name, client.address, actor.session_id)
+        tried = LoginAttempt(comparison_key(name), place, known, console=f"person {actor.user_id}")
+        attempt = FailedAttempt.of(name, client.address, actor.session_id)
         return await self._check(attempt, tried, self._known, stored, password)
 
     async def prepare(self, password: str, *names: str) -> NewPassword:
@@ -160,13 +169,13 @@ class Passwords:
         return await self._known.run(partial(passwords.prepare, password, *names))
 
     async def prepare_change(
-        self, actor: Actor, user_id: int, password: str, current: str, client: Client
+        self, actor: Actor, user_id: int, password: str, current: str, client: ClientAddress
     ) -> tuple[NewPassword, PasswordProof]:
         """Hash a password that is to follow another, and check the current one where it is one's own."""
         own = actor.user_id == user_id
         if actor.is_key or not (own or "administrator" in actor.roles):
             return NewPassword(refusal="Only an administrator sets another's password."), NO_PROOF
-        names = await self._read(partial(users.names_of, user_id=user_id))
+        names = await self._read(partial(users.get_person_names, user_id=user_id))
         if not own:
             return await self.prepare(password, *names), NO_PROOF
         proof = await self.check_own(actor, current, client)
@@ -178,13 +187,13 @@ class Passwords:
         """Read something in a transaction of its own, which is over before any work begins."""
 
         def in_transaction() -> T:
-            with reading(self._database) as session:
+            with open_reading(self._database) as session:
                 return read(session)
 
         return await run_in_threadpool(in_transaction)
 
     async def _check(
-        self, attempt: Attempt, tried: Tried, lane: _Lane, stored: StoredPassword, password: str
+        self, attempt: FailedAttempt, tried: LoginAttempt, lane: _PasswordThread, stored: StoredPassword, password: str
     ) -> PasswordProof:
         """Check a password when the limiter lets it, and note how that went."""
         wait_s = self._limiter.admit(tried)
@@ -212,7 +221,7 @@ class Passwords:
         finally:
             self._held -= 1
 
-    def _note(self, attempt: Attempt) -> None:
+    def _note(self, attempt: FailedAttempt) -> None:
         """Count a failure; the first of a name and an address is told soon."""
         with self._guard:
             self._failed.setdefault(attempt, Failures()).add()
@@ -237,7 +246,7 @@ class Passwords:
                 failed = {one: self._failed.pop(one) for one in self._prompt if one in self._failed}
             self._prompt = set()
         if failed:
-            with writing(self._database) as session:
+            with open_writing(self._database) as session:
                 failed_log_ins.record(session, failed)
 
 

@@ -8,7 +8,7 @@ A password proves a person only if nobody else chose it. Administrators create p
 then sign as somebody else; that cannot be told from the person doing it, so `password_by` says of every signature what
 the audit log knows, and it stays with the signature.
 
-Passwords that are guessed early: common ones, ones made of common parts, and ones made of the person's own names.
+Password strength: refuses common passwords, those made of common parts, and those made of the person's own names.
 
 zxcvbn estimates in how many guesses a password falls, from its lists (the 30,000 commonest passwords, names, words), from
 keyboard patterns, dates, repeats and sequences; all of it offline. OWASP ASVS 4.0, 2.1.7, asks to refuse the commonest that
@@ -30,7 +30,7 @@ from boresight.console.access.tables import User
 from boresight.errors import RefusedInputError, UnauthenticatedError
 from boresight.platform.audit import queries as records
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.words import comparison_key
+from boresight.platform.web.text_validation import comparison_key
 
 LEAST_GUESSES = 1e8  # zxcvbn's score 3: safe against guessing at the rate that logging in allows, many times over
 JUDGED_LETTERS = 40  # at either end; the costliest text of this length takes 0.1 s
@@ -39,7 +39,7 @@ SHORTEST_NAME = 3  # a shorter one is part of words in half of all sentences: it
 CONTAINS_NAME = "The password contains the log-in name or the printed name; use one that does not."
 
 
-def guessable(password: str, names: tuple[str, ...] = ()) -> str | None:
+def describe_weakness(password: str, names: tuple[str, ...] = ()) -> str | None:
     """Say why a password is guessed early; None when it is not.
 
     Parameters
@@ -145,7 +145,7 @@ def stored_under(session: Session, name: str) -> StoredPassword:
     return _stored(rows.user_named(session, name, comparison_key(name)) if _is_text(name) else None)
 
 
-def stored_of(session: Session, user_id: int | None) -> StoredPassword:
+def read_stored(session: Session, user_id: int | None) -> StoredPassword:
     """Read what is stored of a person."""
     return _stored(None if user_id is None else session.get(User, user_id))
 
@@ -215,7 +215,7 @@ def _refusal(password: str, names: tuple[str, ...]) -> str | None:
         return f"The password has {len(password)} characters; use at least {MINIMUM_PASSWORD_LENGTH}."
     if len(password) > MAXIMUM_PASSWORD_LENGTH:
         return f"The password is over {MAXIMUM_PASSWORD_LENGTH} characters; use a shorter one."
-    return guessable(password, names)
+    return describe_weakness(password, names)
 
 
 def password_by(session: Session, user_id: int) -> str | None:
@@ -225,8 +225,8 @@ def password_by(session: Session, user_id: int) -> str | None:
     after somebody else had given one: whoever gave it could log in with it and set the next.
     """
     subject, actions = f"users/{user_id}", (CREATED, CHANGED, RESET)
-    newest = records.newest_of(session, subject, actions)
-    given = records.newest_of(session, subject, actions, not_by=user_id)
+    newest = records.find_newest(session, subject, actions)
+    given = records.find_newest(session, subject, actions, not_by=user_id)
     if newest is None or given is None:
         return "given by nobody on record"
     given_at = datetime.fromisoformat(given.at_utc)

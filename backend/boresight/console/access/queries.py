@@ -4,7 +4,7 @@ Queries on API keys.
 
 Queries on log-ins.
 
-The rows that a credential follows from, so that one who was identified is known again for the price of one look at them.
+The rows on which a credential depends, so that a cached identity is checked again with one query.
 
 Identifying somebody makes objects of rows and rules on them: some milliseconds. While the rows say what they said, so does that.
 """
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import sqlalchemy as sa
 
 from boresight.console.access.tables import ApiKey, LoginSession, User
-from boresight.platform.db.marks import Marks
+from boresight.platform.db.data_version import DataVersionReader
 from boresight.platform.db.sessions import Session
 
 
@@ -154,6 +154,6 @@ class CredentialRows:
         row = session.connection().execute(sa.text(_QUESTIONS[kind]), {"number": number}).one_or_none()
         return cls(kind, number, None if row is None else tuple(row))
 
-    def say_so_still(self, marks: Marks) -> bool:
+    def say_so_still(self, marks: DataVersionReader) -> bool:
         """Whether the rows say the same now; False where that cannot be had at once."""
         return self.said is not None and self.said == marks.row(_QUESTIONS[self.kind], {"number": self.number})

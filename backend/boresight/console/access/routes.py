@@ -27,9 +27,9 @@ from boresight.console.access.dependencies import (
     Who,
     Writing,
     clear_cookie,
-    client_of,
+    get_client,
     log_in_person,
-    never_tried,
+    refuse_dry_run,
 )
 from boresight.console.access.passwords import NewPassword, PasswordProof
 from boresight.console.access.tables import ApiKey, LoginSession, User
@@ -90,7 +90,7 @@ async def prepared_change(
 ) -> tuple[NewPassword, PasswordProof]:
     """Check the current password and hash the new one before any transaction begins."""
     new, current = given.password.get_secret_value(), given.current.get_secret_value()
-    return await passwords.prepare_change(actor, user_id, new, current, client_of(request))
+    return await passwords.prepare_change(actor, user_id, new, current, get_client(request))
 
 
 @router.get("", summary="List people", response_model=Page[schemas.User])
@@ -204,7 +204,7 @@ def revoke_api_key(key_id: Id, actor: Who, seen: MaybeSeenTag, session: Writing)
 
 session_router = operations("/sessions", tags=["sessions"])
 entrance = operations("/sessions", tags=["sessions"], open_to_all=True)
-NEVER_TRIED = [Depends(never_tried)]
+NO_DRY_RUN = [Depends(refuse_dry_run)]
 
 
 class Credentials(BaseModel):
@@ -219,7 +219,7 @@ class Credentials(BaseModel):
 async def proven(credentials: Credentials, passwords: PasswordChecks, request: Request) -> PasswordProof:
     """Check name and password before any transaction begins."""
     password = credentials.password.get_secret_value()
-    return await passwords.check_log_in(credentials.name, password, client_of(request))
+    return await passwords.check_log_in(credentials.name, password, get_client(request))
 
 
 def _who(session: Session, actor: Actor, csrf_token: str | None) -> Answer:
@@ -237,7 +237,7 @@ def _who(session: Session, actor: Actor, csrf_token: str | None) -> Answer:
     return Answer(body, headers={"Cache-Control": "no-store"})
 
 
-@entrance.post("", summary="Log in", status_code=201, response_model=schemas.Session, dependencies=NEVER_TRIED)
+@entrance.post("", summary="Log in", status_code=201, response_model=schemas.Session, dependencies=NO_DRY_RUN)
 def log_in(proof: Annotated[PasswordProof, Depends(proven)], session: LoggingIn, request: Request) -> Answer:
     """Log in: sets the cookie and returns the token for `X-CSRF-Token`. Failures make further tries from there wait."""
     carrier = Response()
@@ -245,13 +245,13 @@ def log_in(proof: Annotated[PasswordProof, Depends(proven)], session: LoggingIn,
     return replace(answer, headers={**answer.headers, "Set-Cookie": carrier.headers["Set-Cookie"]})
 
 
-@session_router.get("/current", summary="Who am I", response_model=schemas.Session, dependencies=NEVER_TRIED)
+@session_router.get("/current", summary="Who am I", response_model=schemas.Session, dependencies=NO_DRY_RUN)
 def get_session(actor: Who, session: Reading, request: Request) -> Answer:
     """Say who acts, with which roles and scopes, and give the CSRF token again."""
     return _who(session, actor, getattr(request.state, "csrf_token", None))
 
 
-@session_router.delete("/current", summary="Log out", status_code=204, dependencies=NEVER_TRIED)
+@session_router.delete("/current", summary="Log out", status_code=204, dependencies=NO_DRY_RUN)
 def log_out(actor: Who, request: Request, session: LoggingIn) -> Response:
     """End this log-in, wherever its cookie was copied to; `users/{id}:end-sessions` ends every one."""
     sessions.log_out(session, actor)

@@ -26,14 +26,14 @@ LONGEST_ADDRESS, LONGEST_USER_AGENT = 64, 200
 
 
 @dataclass(frozen=True)
-class Client:
+class ClientAddress:
     """Where a log-in is made: the address and what the program says of itself, cut to what is printable and short."""
 
     address: str = ""
     user_agent: str = ""
 
     @classmethod
-    def of(cls, address: str | None, user_agent: str | None) -> Client:
+    def of(cls, address: str | None, user_agent: str | None) -> ClientAddress:
         """Take both as a request brings them."""
         return cls(_printable(address, LONGEST_ADDRESS), _printable(user_agent, LONGEST_USER_AGENT))
 
@@ -42,7 +42,7 @@ def _printable(text: str | None, longest: int) -> str:
     return "".join(letter for letter in (text or "")[:longest] if letter.isprintable())
 
 
-def begin(session: Session, user_id: int, client: Client) -> tuple[LoginSession, str]:
+def begin(session: Session, user_id: int, client: ClientAddress) -> tuple[LoginSession, str]:
     """Begin a log-in of a person who proved to be one; returns the row and the secret for the cookie."""
     token, now = secrets.token_urlsafe(32), utc_now()
     row = LoginSession(

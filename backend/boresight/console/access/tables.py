@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base, one_of
+from boresight.platform.db.declared import STRICT, Base, allow_only
 from boresight.platform.db.documents import JsonText
 
 ROLES = ("viewer", "analyst", "operator", "approver", "administrator")
@@ -68,7 +68,7 @@ class LoginSession(Base):
 
     __tablename__ = "login_sessions"
     __table_args__ = (
-        one_of("ended_because", SESSION_ENDINGS),
+        allow_only("ended_because", SESSION_ENDINGS),
         sa.Index("ix_login_sessions_user_id_ended_utc", "user_id", "ended_utc"),
         sa.Index("ix_login_sessions_ended_utc", "ended_utc"),
         STRICT,

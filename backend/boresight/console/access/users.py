@@ -27,7 +27,7 @@ from boresight.errors import ConflictError, NotFoundError, PasswordDueError, Ref
 from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor, refuse_key, require_person, require_role
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.platform.web.words import comparison_key, normal_name
+from boresight.platform.web.text_validation import comparison_key, normal_name
 
 
 def known_roles(roles: Collection[str]) -> list[str]:
@@ -105,7 +105,7 @@ def _refuse_taken(session: Session, name: str, printed_name: str) -> None:
         raise ConflictError(f"The printed name {other.printed_name!r} is that of {other.name!r}; print another.")
 
 
-def names_of(session: Session, user_id: int) -> tuple[str, ...]:
+def get_person_names(session: Session, user_id: int) -> tuple[str, ...]:
     """Return the names of a person, none where there is no such person."""
     user = session.get(User, user_id)
     return () if user is None else (user.name, user.printed_name)
@@ -128,7 +128,7 @@ def _actor(user: User, request_id: str | None = None, session_id: int | None = N
     return Actor(user.id, user.name, user.printed_name, roles, "session", None, request_id, session_id=session_id)
 
 
-def actor_of(session: Session, user_id: int, session_id: int | None = None, *, sets_password: bool = False) -> Actor:
+def get_actor(session: Session, user_id: int, session_id: int | None = None, *, sets_password: bool = False) -> Actor:
     """Return a person as they act under a log-in, with the roles held now.
 
     Parameters

@@ -3,7 +3,7 @@
 The gallery: every figure of the registry and every element of the pages, in all their states, on a specimen.
 
 It is where a person learns what a figure looks like before there is a run, and what the screenshot tests look at. Nothing
-here reads the store: the figures draw `boresight.figures.specimen`.
+here reads the store: the figures draw `boresight.figures.example_calibration`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access import api_keys, users
-from boresight.console.access.credentials import who_acts
+from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who
 from boresight.console.access.tables import ROLES, ApiKey, User
 from boresight.console.pages.formats import LEVEL_OF_STATE
@@ -27,10 +27,10 @@ from boresight.console.pages.rendering import render
 from boresight.console.runs import service as runs
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import CHAPTERS, FIGURES, WIDE, figure_json
-from boresight.figures.specimen import specimen_traces, specimens
+from boresight.figures.example_calibration import get_example_calibrations, make_example_traces
 from boresight.figures.tables.parameter_table import parameter_rows
 from boresight.platform.db.sessions import Session, utc_after, utc_now
-from boresight.verdicts.verdict import LEVELS, marks
+from boresight.verdicts.verdict import LEVELS, make_verdict_marks
 
 SOON_S = 14 * 86400.0
 ALONE = ("approver", "administrator")  # roles that one person alone should not be the only one to have
@@ -39,7 +39,7 @@ router = APIRouter()
 
 
 @dataclass(frozen=True)
-class Keys:
+class KeyCounts:
     """How the API keys are at."""
 
     valid: int
@@ -64,10 +64,10 @@ def warnings(people: Sequence[User], *, four_eyes: bool) -> list[str]:
     return said
 
 
-def keys_at(keys: Sequence[ApiKey], now: str, soon: str) -> Keys:
+def keys_at(keys: Sequence[ApiKey], now: str, soon: str) -> KeyCounts:
     """Count the keys that are valid, and of them those never used, soon expired, or valid for ever."""
     valid = [key for key in keys if not key.revoked_utc and (key.expires_utc is None or key.expires_utc > now)]
-    return Keys(
+    return KeyCounts(
         valid=len(valid),
         unused=sum(key.last_used_utc is None for key in valid),
         expiring=sum(key.expires_utc is not None and key.expires_utc <= soon for key in valid),
@@ -111,10 +111,10 @@ STATES = {
     "nothing": ("Nothing yet", ("nothing",)),
 }
 
-gallery_router = APIRouter(dependencies=[Depends(who_acts)])
+gallery_router = APIRouter(dependencies=[Depends(get_actor)])
 
 
-def _traces_of(name: str, of: str) -> tuple[str, ...]:
+def _find_traces(name: str, of: str) -> tuple[str, ...]:
     """Find a figure and a state, or say which there are."""
     if name not in FIGURES:
         raise NotFoundError(f"There is no figure {name}; choose from {', '.join(FIGURES)}.")
@@ -133,7 +133,7 @@ def gallery_page(request: Request, part: str = "figures", of: str = "one") -> HT
     if part not in PARTS:
         raise NotFoundError(f"There is no part {part}; choose from {', '.join(PARTS)}.")
     _state(of)
-    result = specimens()["filter"]
+    result = get_example_calibrations()["filter"]
     return render(
         request,
         "administration/gallery.html",
@@ -145,25 +145,25 @@ def gallery_page(request: Request, part: str = "figures", of: str = "one") -> HT
         wide=WIDE,
         levels=LEVELS,
         words=LEVEL_OF_STATE,
-        marks=marks(result),
+        marks=make_verdict_marks(result),
         rows=parameter_rows(result),
     )
 
 
 @gallery_router.get("/gallery/figures/{name}")
 def gallery_figure(name: str, of: str = "one") -> Response:
-    """Send a figure of the specimen as Plotly JSON."""
+    """Send a figure of the example as Plotly JSON."""
     if of == "broken":
         raise RefusedInputError("This figure fails on purpose, to show how its panel says why; Retry asks again.")
-    traces = specimen_traces(_traces_of(name, of))
+    traces = make_example_traces(_find_traces(name, of))
     return Response(figure_json(FIGURES[name].draw(traces)), media_type="application/json")
 
 
 @gallery_router.get("/gallery/figures/{name}/data")
 def gallery_data(name: str, of: str = "one") -> Response:
-    """Send the numbers of a figure of the specimen as CSV."""
-    shown = _traces_of(name, of)
-    table = FIGURES[name].table(specimens()[shown[0]])
+    """Send the numbers of a figure of the example as CSV."""
+    shown = _find_traces(name, of)
+    table = FIGURES[name].table(get_example_calibrations()[shown[0]])
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table)

@@ -19,13 +19,13 @@ from boresight.console.access.dependencies import Reading, Who, csrf
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import ALARM_KINDS, Alarm
 from boresight.console.fleet import service as sensors
-from boresight.console.pages.rendering import Refusal, attempt, read_texts, redirect, render, seen_version
+from boresight.console.pages.rendering import ShownRefusal, attempt, read_texts, redirect, render, seen_version
 from boresight.console.pages.tables import LONGEST_FILTER, csv_file, is_text
-from boresight.console.runs.pages.list import Names, read_names
+from boresight.console.runs.pages.list import RunNames, read_names
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor
-from boresight.platform.db.sessions import Session, reading, utc_after
-from boresight.platform.web.paging import row_number
+from boresight.platform.db.sessions import Session, open_reading, utc_after
+from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.verdict import LEVELS
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -42,29 +42,29 @@ DONE = {
 }
 
 
-def _sought(state: str = "", sensor: str = "", sensor_name: str = "", kind: str = "") -> alarms.Sought:
+def _sought(state: str = "", sensor: str = "", sensor_name: str = "", kind: str = "") -> alarms.AlarmFilter:
     """Read the filters; one that does not exist is none."""
-    return alarms.Sought(
-        sensor_id=row_number(sensor),
+    return alarms.AlarmFilter(
+        sensor_id=parse_row_id(sensor),
         sensor_name=sensor_name.strip()[:LONGEST_FILTER] if is_text(sensor_name) else "",
         kind=kind if kind in ALARM_KINDS else None,
         state=state if state in alarms.STATES else None,
     )
 
 
-def _query(sought: alarms.Sought) -> str:
+def _query(sought: alarms.AlarmFilter) -> str:
     """Write the filters as an address's query."""
     named = {"state": sought.state or "", "sensor": sought.sensor_id or "", "kind": sought.kind or ""}
     return urlencode(named | ({"sensor_name": sought.sensor_name} if sought.sensor_name else {}))
 
 
-Seeking = Annotated[alarms.Sought, Depends(_sought)]
+Seeking = Annotated[alarms.AlarmFilter, Depends(_sought)]
 
 
 @router.get("/alarms", response_class=HTMLResponse)
 def alarms_page(request: Request, session: Reading, actor: Who, sought: Seeking, before: str = "") -> HTMLResponse:
     """Show the alarms that are open, those to be acknowledged first; or those sought."""
-    before_id = row_number(before)
+    before_id = parse_row_id(before)
     found = alarms.list_alarms(session, sought, before_id=before_id, limit=A_PAGE + 1)
     return render(
         request,
@@ -77,7 +77,7 @@ def alarms_page(request: Request, session: Reading, actor: Who, sought: Seeking,
         kinds=ALARM_KINDS,
         choices=sensors.choices(session, keep=[sought.sensor_id] if sought.sensor_id else []),
         names=read_names(session, sensors_of=found),
-        state_of=alarms.state_of,
+        state_of=alarms.get_alarm_state,
         ranks={level: rank for rank, level in enumerate(LEVELS)},
         may_handle=bool(actor.roles.intersection(alarms.HANDLERS)),
     )
@@ -91,13 +91,13 @@ def alarms_csv(session: Reading, actor: Who, sought: Seeking) -> Response:  # no
     return csv_file("alarms", CSV_FIELDS, (_csv_row(row, names) for row in found))
 
 
-def _csv_row(row: Alarm, names: Names) -> dict[str, Any]:
+def _csv_row(row: Alarm, names: RunNames) -> dict[str, Any]:
     """Lay out an alarm for a program."""
     return {
         "alarm": row.id,
         "kind": row.kind,
         "severity": row.level,
-        "state": alarms.state_of(row),
+        "state": alarms.get_alarm_state(row),
         "sentence": row.sentence,
         "sensor": names.sensors[row.sensor_id] if row.sensor_id is not None else None,
         "raised_utc": row.raised_utc,
@@ -113,10 +113,10 @@ def alarm_page(request: Request, actor: Who, alarm_id: int) -> HTMLResponse:
 
 
 def _page(
-    request: Request, actor: Actor, alarm_id: int, typed: Mapping[str, str], refusal: Refusal | None
+    request: Request, actor: Actor, alarm_id: int, typed: Mapping[str, str], refusal: ShownRefusal | None
 ) -> HTMLResponse:
     """Render an alarm, with what a refused form left behind."""
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         row = alarms.get_alarm(session, alarm_id)
         return render(
             request,
@@ -124,9 +124,9 @@ def _page(
             refused=refusal,
             alarm=row,
             sensor=None if row.sensor_id is None else sensors.get_sensor(session, row.sensor_id),
-            state=alarms.state_of(row),
+            state=alarms.get_alarm_state(row),
             shelved=alarms.is_shelved(row),
-            events=alarms.events_of(session, alarm_id),
+            events=alarms.list_alarm_events(session, alarm_id),
             people=[user for user in users.list_users(session) if user.disabled_utc is None],
             names=read_names(session),
             may_handle=bool(actor.roles.intersection(alarms.HANDLERS)) and row.closed_utc is None,
@@ -166,7 +166,7 @@ def _person(number: str) -> int | None:
     """Read who is asked; nothing is nobody in particular."""
     if not number:
         return None
-    person = row_number(number)
+    person = parse_row_id(number)
     if person is None:
         raise RefusedInputError("Choose a person from the list.")
     return person

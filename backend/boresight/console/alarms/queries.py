@@ -13,7 +13,7 @@ from boresight.platform.db.sessions import Session, utc_now
 
 
 @dataclass(frozen=True)
-class Sought:
+class AlarmFilter:
     """What a list of alarms is narrowed to; None is everything, and closed ones are left out unless asked for.
 
     Parameters

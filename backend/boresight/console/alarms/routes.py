@@ -40,7 +40,7 @@ class Assignee(BaseModel):
 
 
 def _shown(row: Alarm) -> Beside:
-    return Beside(row, state=alarms.state_of(row))
+    return Beside(row, state=alarms.get_alarm_state(row))
 
 
 @router.get("", summary="List alarms", response_model=Page[schemas.Alarm])
@@ -54,7 +54,7 @@ def list_alarms(
     kind: Annotated[str | None, Query(examples=["DRIFT"])] = None,
 ) -> Listing[Alarm]:
     """List the alarms that are open, newest first, or those of a state."""
-    sought = alarms.Sought(sensor_id=sensor_id, kind=kind, state=state)
+    sought = alarms.AlarmFilter(sensor_id=sensor_id, kind=kind, state=state)
     return page.cut(alarms.list_alarms(session, sought, before_id=page.last_id, limit=page.limit + 1), _shown)
 
 
@@ -67,7 +67,7 @@ def get_alarm(alarm_id: Id, session: Reading) -> Beside:
 @router.get("/{alarm_id}/events", summary="Read what became of it", response_model=Page[schemas.AlarmEvent])
 def list_alarm_events(alarm_id: Id, session: Reading) -> Listing[AlarmEvent]:
     """Read every step of an alarm, in order."""
-    return Listing(alarms.events_of(session, alarm_id))
+    return Listing(alarms.list_alarm_events(session, alarm_id))
 
 
 @router.post("/{alarm_id}:acknowledge", summary="Say that you have seen it", response_model=schemas.Alarm)

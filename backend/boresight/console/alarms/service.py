@@ -19,29 +19,29 @@ from typing import Any
 from boresight.console import list_queries as lists
 from boresight.console.access.tables import User
 from boresight.console.alarms import queries
-from boresight.console.alarms.queries import Sought
+from boresight.console.alarms.queries import AlarmFilter
 from boresight.console.alarms.tables import Alarm, AlarmEvent
-from boresight.console.transitions import require_seen, subject_of
+from boresight.console.transitions import name_subject, require_seen
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_person, require_role
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, utc_after, utc_now
 from boresight.platform.db.times import read_time
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 
 __all__ = [
     "STATES",
-    "Sought",
+    "AlarmFilter",
     "acknowledge",
     "assign",
     "close_if_over",
     "comment",
-    "events_of",
     "get_alarm",
+    "get_alarm_state",
     "is_shelved",
+    "list_alarm_events",
     "list_alarms",
     "shelve",
-    "state_of",
     "step",
     "unacknowledged",
     "unshelve",
@@ -69,11 +69,11 @@ def step(session: Session, actor: Actor, row: Alarm, event: str, text: str, **to
         AlarmEvent(alarm_id=row.id, event=event, user_id=actor.user_id, printed_name=name, text=text, at_utc=utc_now())
     )
     session.flush()
-    after = {"state": state_of(row), "version": row.version, "kind": row.kind, "level": row.level, **told}
-    audit.append(session, actor, f"alarm {event.lower()}", subject_of(row), None, after, text or None)
+    after = {"state": get_alarm_state(row), "version": row.version, "kind": row.kind, "level": row.level, **told}
+    audit.append(session, actor, f"alarm {event.lower()}", name_subject(row), None, after, text or None)
 
 
-def state_of(row: Alarm) -> str:
+def get_alarm_state(row: Alarm) -> str:
     """Say an alarm's state in the words of ISA-18.2."""
     if row.closed_utc is not None:
         return "closed"
@@ -215,7 +215,7 @@ def get_alarm(session: Session, alarm_id: int) -> Alarm:
 
 
 def list_alarms(
-    session: Session, sought: Sought | None = None, *, before_id: int | None = None, limit: int | None = None
+    session: Session, sought: AlarmFilter | None = None, *, before_id: int | None = None, limit: int | None = None
 ) -> Sequence[Alarm]:
     """Return a page of alarms, newest first; those that are closed only when sought.
 
@@ -224,7 +224,7 @@ def list_alarms(
     RefusedInputError
         When the state does not exist.
     """
-    sought = sought or Sought()
+    sought = sought or AlarmFilter()
     if sought.state is not None and sought.state not in STATES:
         raise RefusedInputError(f"There is no alarm state {sought.state!r}; choose from {', '.join(STATES)}.")
     return lists.newest(
@@ -246,7 +246,7 @@ def open_of_sensors(session: Session, kind: str, sensor_ids: Collection[int]) ->
     }
 
 
-def events_of(session: Session, alarm_id: int) -> Sequence[AlarmEvent]:
+def list_alarm_events(session: Session, alarm_id: int) -> Sequence[AlarmEvent]:
     """Return what became of an alarm, in order."""
     return queries.events(session, get_alarm(session, alarm_id).id)
 

@@ -7,7 +7,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base, one_of, only_one
+from boresight.platform.db.declared import STRICT, Base, allow_only, only_one
 from boresight.platform.db.documents import JsonText
 
 ALARM_KINDS = ("DRIFT", "AGE", "MISMATCH", "CHAIN", "FILES", "HEAD", "CLOCK")
@@ -30,8 +30,8 @@ class Alarm(Base):
 
     __tablename__ = "alarms"
     __table_args__ = (
-        one_of("kind", ALARM_KINDS),
-        one_of("level", ALARM_LEVELS),
+        allow_only("kind", ALARM_KINDS),
+        allow_only("level", ALARM_LEVELS),
         only_one("uq_alarms_one_open", "source", "closed_utc IS NULL"),
         STRICT,
     )
@@ -56,7 +56,7 @@ class AlarmEvent(Base):
     """A step in an alarm's life, by a person or by Boresight; never edited."""
 
     __tablename__ = "alarm_events"
-    __table_args__ = (one_of("event", ALARM_EVENTS), STRICT)
+    __table_args__ = (allow_only("event", ALARM_EVENTS), STRICT)
     id: Mapped[int] = mapped_column(primary_key=True)
     alarm_id: Mapped[int] = mapped_column(sa.ForeignKey("alarms.id"), index=True)
     event: Mapped[str] = mapped_column(sa.Text)

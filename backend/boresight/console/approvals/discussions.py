@@ -1,4 +1,4 @@
-"""The talk about a request: who is asked to look at it, what people say, which evidence they opened.
+"""The discussion of a request: assignment, remarks, opened evidence.
 
 Nothing here decides. Remarks and openings are only ever added. Which evidence a person opened is shown beside their
 signature and not enforced: a click proves no reading.
@@ -11,14 +11,14 @@ from collections.abc import Sequence
 
 from boresight.console.access.tables import User
 from boresight.console.approvals import queries as rows
-from boresight.console.approvals.signers import signers_of
+from boresight.console.approvals.signers import list_signers
 from boresight.console.approvals.tables import Approval, Opening, Remark
-from boresight.console.transitions import get_approval, move, require_seen, subject_of, who_changed
+from boresight.console.transitions import get_approval, move, name_subject, require_seen, who_changed
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import POLICY, Actor, Policy, require_person, require_role
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 
 LONGEST_REMARK = 4000
 EVIDENCE = re.compile(r"[a-z0-9][a-z0-9-]{0,63}")
@@ -62,7 +62,7 @@ def _signer(session: Session, approval: Approval, user_id: int, policy: Policy) 
         raise NotFoundError(f"There is no user {user_id}.")
     if user.disabled_utc is not None:
         raise ConflictError(f"{user.printed_name} is disabled; ask another approver.")
-    found = next((one for one in signers_of(session, approval, policy) if one.user.id == user_id), None)
+    found = next((one for one in list_signers(session, approval, policy) if one.user.id == user_id), None)
     if found is None:
         raise ConflictError(
             f"{user.printed_name} cannot sign this request, having no role approver; ask another person."
@@ -97,11 +97,11 @@ def remark(session: Session, actor: Actor, approval_id: int, text: str) -> Remar
     )
     session.add(row)
     session.flush()
-    audit.append(session, actor, "remarked", f"{subject_of(approval)}/remarks/{row.id}", None, {"text": row.text})
+    audit.append(session, actor, "remarked", f"{name_subject(approval)}/remarks/{row.id}", None, {"text": row.text})
     return row
 
 
-def remarks_of(session: Session, approval_id: int) -> Sequence[Remark]:
+def list_remarks(session: Session, approval_id: int) -> Sequence[Remark]:
     """Return what was said about a request, in order."""
     return rows.remarks(session, get_approval(session, approval_id).id)
 
@@ -120,7 +120,7 @@ def record_opening(session: Session, actor: Actor, approval_id: int, evidence: s
     approval = get_approval(session, approval_id)
     if not EVIDENCE.fullmatch(evidence):
         raise RefusedInputError("Name the evidence in small letters, digits and -, such as gate-report or radial.")
-    if (known := rows.opening_of(session, approval.id, user_id, evidence)) is not None:
+    if (known := rows.find_opening(session, approval.id, user_id, evidence)) is not None:
         return known
     row = Opening(approval_id=approval.id, user_id=user_id, evidence=evidence, opened_utc=utc_now())
     session.add(row)
@@ -128,6 +128,6 @@ def record_opening(session: Session, actor: Actor, approval_id: int, evidence: s
     return row
 
 
-def openings_of(session: Session, approval_id: int) -> Sequence[Opening]:
+def list_openings(session: Session, approval_id: int) -> Sequence[Opening]:
     """Return who opened which evidence of a request, in order."""
     return rows.openings(session, get_approval(session, approval_id).id)

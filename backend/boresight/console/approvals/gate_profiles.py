@@ -22,9 +22,9 @@ from boresight.errors import BoresightError, NotFoundError, PreconditionRequired
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts import gates
 from boresight.verdicts.gates import Measurement, Profile
@@ -32,13 +32,13 @@ from boresight.verdicts.gates.assessment import ground_set
 from boresight.verdicts.gates.held_out import of_result
 
 DEFAULT = gates.parse_profile({}).document()
-DEFAULT_SHA256 = sha256_of(DEFAULT)
+DEFAULT_SHA256 = compute_sha256(DEFAULT)
 RUNS_TRIED = 40
-NO_HELD_OUT = "The run had no validation set: nothing outside the fitted frames was measured."
+NO_VALIDATION = "The run had no validation set: nothing outside the fitted frames was measured."
 
 
 @dataclass(frozen=True)
-class Tried:
+class TriedProfile:
     """What a profile would have said of a past run.
 
     Parameters
@@ -169,7 +169,7 @@ def checked(
     complete = gates.parse_profile(document).document()
     if not reason.strip():
         raise RefusedInputError("Give the reason why the limits change.")
-    if sha256_of(complete) == current.sha256:
+    if compute_sha256(complete) == current.sha256:
         raise RefusedInputError(f"These are the limits of version {current.number}, in force already: change one.")
     return complete
 
@@ -189,7 +189,7 @@ def put_into_force(
         sensor_id=sensor_id,
         number=current.number + 1,
         document=complete,
-        sha256=sha256_of(complete),
+        sha256=compute_sha256(complete),
         reason=reason.strip(),
         created_utc=utc_now(),
         created_by=actor.user_id if proposal is None else proposal.proposed_by,
@@ -200,7 +200,7 @@ def put_into_force(
     return row
 
 
-def subject_of(sensor_id: int) -> str:
+def name_profile(sensor_id: int) -> str:
     """Name a sensor's profiles as the audit log does, by their REST address."""
     return f"sensors/{sensor_id}/gate-profiles"
 
@@ -211,7 +211,7 @@ def _require_seen(session: Session, current: GateProfile, seen_number: int | Non
         raise PreconditionRequiredError('Say which version of the gate profile you saw: If-Match: "v<number>".')
     if seen_number == current.number:
         return
-    record = audit.last_change(session, subject_of(current.sensor_id))
+    record = audit.last_change(session, name_profile(current.sensor_id))
     by = f": {record.actor} {record.action} it at {record.at_utc}" if record else ""
     raise StaleError(
         f"The gate profile has changed since you looked (you saw v{seen_number}, it is v{current.number}){by}. "
@@ -237,11 +237,11 @@ def _add(
         for old, new in zip(before.document["gates"], row.document["gates"], strict=True):
             for key in (key for key in new if old[key] != new[key]):
                 earlier[f"{new['name']} {key}"], told[f"{new['name']} {key}"] = old[key], new[key]
-    audit.append(session, actor, "set", subject_of(row.sensor_id), earlier, told, row.reason)
+    audit.append(session, actor, "set", name_profile(row.sensor_id), earlier, told, row.reason)
     return row
 
 
-def dry_run(session: Session, blobs: BlobStore, sensor_id: int, document: Mapping[str, Any]) -> list[Tried]:
+def dry_run(session: Session, blobs: BlobStore, sensor_id: int, document: Mapping[str, Any]) -> list[TriedProfile]:
     """Judge a sensor's newest runs by a profile that is not in force, to see what it would have blocked.
 
     Raises
@@ -258,7 +258,7 @@ def dry_run(session: Session, blobs: BlobStore, sensor_id: int, document: Mappin
         row = set_rows.set_of_run(session, run.id)
         report = None if row is None else rows.newest_reports(session, [row.id]).get(row.id)
         basis = "the set's gate report" if report else "the run's own result"
-        measured = gates.measurements_of(report.document) if report else _measured(blobs, run)
+        measured = gates.read_measurements(report.document) if report else _measured(blobs, run)
         found.append(_tried(run, row.name if row else None, measured, (tried, current), basis))
     return found
 
@@ -269,10 +269,10 @@ def _tried(
     measured: Mapping[str, Measurement],
     profiles: tuple[Profile, Profile],
     basis: str,
-) -> Tried:
+) -> TriedProfile:
     """Judge one run by the profile that is tried and by the one in force."""
     new, now = (gates.judge(profile, measured) for profile in profiles)
-    return Tried(run, set_name, new["verdict"], new["blocking"], now["verdict"], now["blocking"], basis)
+    return TriedProfile(run, set_name, new["verdict"], new["blocking"], now["verdict"], now["blocking"], basis)
 
 
 def _measured(blobs: BlobStore, run: Run) -> dict[str, Measurement]:
@@ -280,14 +280,14 @@ def _measured(blobs: BlobStore, run: Run) -> dict[str, Measurement]:
     try:
         result = read_result(blobs, str(run.result_sha256), run.id)
         sensor = parse_sensor(run.sensor_document)
-        evidence = gates.Evidence(
+        evidence = gates.GateInputs(
             sensor=sensor,
             candidate={**result, "sensor": sensor.name},  # as a set that was made of it would say
             incumbent=ground_set(sensor),
             result=result,
             made_with=run.sensor_document,
             held_out=of_result(result),
-            no_held_out=NO_HELD_OUT,
+            no_held_out=NO_VALIDATION,
         )
     except (BoresightError, ValueError):
         return {}

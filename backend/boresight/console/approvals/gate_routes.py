@@ -13,25 +13,25 @@ from pydantic import BaseModel, ConfigDict, Field, SecretStr
 from boresight.console.access.dependencies import (
     Blobs,
     Database,
-    Held,
-    OnlyAsked,
+    DryRunSight,
+    IsDryRun,
+    PasswordChecked,
     Reading,
     SeenVersion,
-    Sighted,
     Who,
     Writing,
     own_password,
 )
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import gate_profiles, gates, schemas
-from boresight.console.approvals.gates import gather
+from boresight.console.approvals.gates import read_gate_inputs
 from boresight.console.approvals.tables import GateProfile, GateReport, Waiver
 from boresight.console.change_proposals import service as second_person
 from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
 from boresight.console.operation import Answer, Beside, operations
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.platform.actors import require_role, require_scope
-from boresight.platform.db.sessions import Session, reading
+from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.openapi import refusals
 from boresight.platform.web.paging import Id, Page, Paged
 
@@ -76,7 +76,7 @@ def list_gate_profiles(sensor_id: Id, session: Reading, page: Paged) -> Answer:
     responses=PROPOSED,
 )
 def set_gate_profile(
-    sensor_id: Id, profile: NewProfile, actor: Who, seen: SeenVersion, policy: Held, session: Writing
+    sensor_id: Id, profile: NewProfile, actor: Who, seen: SeenVersion, policy: PasswordChecked, session: Writing
 ) -> GateProfile | TableDefinition | Answer:
     """Put other limits into force. The sensor's undecided requests become STALE, for their verdict may be another.
 
@@ -93,7 +93,7 @@ def set_gate_profile(
 @router.post(
     "/{sensor_id}/gate-profiles:dry-run", summary="Try limits on past runs", response_model=schemas.DryRunOfProfile
 )
-def try_gate_profile(sensor_id: Id, profile: Limits, asked: OnlyAsked, session: Reading, blobs: Blobs) -> Answer:
+def try_gate_profile(sensor_id: Id, profile: Limits, asked: IsDryRun, session: Reading, blobs: Blobs) -> Answer:
     """Say of each of the sensor's newest runs what these limits would have blocked; nothing is stored in any case."""
     found = gate_profiles.dry_run(session, blobs, sensor_id, {"gates": profile.gates})
     items = [
@@ -144,16 +144,16 @@ class Waiving(BaseModel):
 Proven = Annotated[PasswordProof, own_password(Waiving)]
 
 
-def _examine(parameter_set_id: Id, actor: Who, sight: Sighted, engine: Database) -> gates.Assessment:
-    """See the held-out frames before the writing transaction: that takes seconds, and there is one writer."""
+def _examine(parameter_set_id: Id, actor: Who, sight: DryRunSight, engine: Database) -> gates.GateAssessment:
+    """See the validation frames before the writing transaction: that takes seconds, and there is one writer."""
     require_role(actor, *gates.ASSESSORS)
     require_scope(actor, "parameter-sets")
-    with reading(engine) as session:
-        case = gather(session, parameter_set_id)
+    with open_reading(engine) as session:
+        case = read_gate_inputs(session, parameter_set_id)
     return gates.examine(case, sight.blobs, sight.catalogue(), sight.catalogue_folder)
 
 
-Examined = Annotated[gates.Assessment, Depends(_examine)]
+Examined = Annotated[gates.GateAssessment, Depends(_examine)]
 
 
 def _shown(session: Session, row: GateReport) -> Beside:
@@ -177,7 +177,7 @@ def assess_parameter_set(
     examined: Examined,
     session: Writing,
 ) -> Beside:
-    """Match the held-out frames under this set and the incumbent, judge every gate, and keep the report.
+    """Match the validation frames under this set and the incumbent, judge every gate, and keep the report.
 
     The same evidence gives the same report, which is then the one that is there. Where the evidence moved while the frames
     were matched the answer is 412: assess it again. An open request that binds another report is STALE at its next signature.

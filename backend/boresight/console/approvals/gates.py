@@ -1,6 +1,6 @@
 """Gate reports: a set held against its sensor's limits and against the incumbent.
 
-A report is made in three steps, because seeing held-out frames under two sets takes seconds and there is one writer::
+A report is made in three steps, because seeing validation frames under two sets takes seconds and there is one writer::
 
     gather   reading transaction    what the verdict rests on, with its hashes     (`gate_evidence`)
     examine  no transaction         measure and judge
@@ -58,21 +58,21 @@ from boresight.platform.actors import Actor, require_person, require_role, requi
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.blobs.working_tables import table_path
-from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, utc_after, utc_now
 from boresight.platform.db.times import read_time
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sensors import Sensor, parse_sensor
 from boresight.telemetry.working_table import WorkingTable
 from boresight.verdicts import gates
 from boresight.verdicts.gates import GATES
 from boresight.verdicts.gates.assessment import started_from
-from boresight.verdicts.gates.held_out import held_out_scores, of_result
+from boresight.verdicts.gates.held_out import compute_validation_scores, of_result
 
 
 @dataclass(frozen=True)
-class Case:
+class StoredGateInputs:
     """A set with everything that its verdict rests on, as it stands in the store.
 
     Parameters
@@ -105,7 +105,7 @@ class Case:
     bound: dict[str, str | None]
 
 
-def gather(session: Session, parameter_set_id: int) -> Case:
+def read_gate_inputs(session: Session, parameter_set_id: int) -> StoredGateInputs:
     """Read a set's case.
 
     Raises
@@ -117,8 +117,8 @@ def gather(session: Session, parameter_set_id: int) -> Case:
     run = None if row.run_id is None else session.get_one(Run, row.run_id)
     incumbent = _incumbent(session, row)
     definition = table_definitions.definition_in_force(session, row.sensor_id)
-    held_out = _held_out(session, row, run, incumbent)
-    return Case(
+    held_out = _choose_validation_frames(session, row, run, incumbent)
+    return StoredGateInputs(
         parameter_set_id=row.id,
         name=row.name,
         sensor_document=session.get_one(gate_evidence_Sensor, row.sensor_id).document,
@@ -130,17 +130,17 @@ def gather(session: Session, parameter_set_id: int) -> Case:
         held_out=None if held_out is None else (held_out.name, held_out.table_sha256),
         profile=profile_in_force(session, row.sensor_id).document,
         definition=None if definition is None else definition.document,
-        bound=bound_now(session, row),
+        bound=compute_bound_hashes(session, row),
     )
 
 
-def bound_now(session: Session, row: ParameterSet) -> dict[str, str | None]:
+def compute_bound_hashes(session: Session, row: ParameterSet) -> dict[str, str | None]:
     """Return the hashes of everything that a report on a set rests on, as they are now."""
     run = None if row.run_id is None else session.get_one(Run, row.run_id)
     incumbent = set_rows.baseline(session, row.sensor_id)
     definition = table_definitions.definition_in_force(session, row.sensor_id)
     return {
-        "set_sha256": sha256_of(row.document),
+        "set_sha256": compute_sha256(row.document),
         "run_result_sha256": None if run is None else run.result_sha256,
         "profile_sha256": profile_in_force(session, row.sensor_id).sha256,
         "incumbent_sha256": None if incumbent is None else incumbent.sha256,
@@ -154,7 +154,7 @@ def _incumbent(session: Session, row: ParameterSet) -> ParameterSet | None:
     return None if baseline is None or baseline.id == row.id else baseline
 
 
-def _held_out(
+def _choose_validation_frames(
     session: Session, row: ParameterSet, run: Run | None, incumbent: ParameterSet | None
 ) -> TelemetrySet | None:
     """Choose the frames to look at."""
@@ -168,13 +168,15 @@ def _held_out(
     return next((known for known in candidates if known.id not in fitted), None)
 
 
-NO_SET = "There are no held-out frames: upload a validation set that neither this set nor the incumbent was fitted to."
-NOT_SEEN = "The held-out frames were not seen under this set and the incumbent: assess the set."
+NO_SET = (
+    "There are no validation frames: upload a validation set that neither this set nor the incumbent was fitted to."
+)
+NOT_SEEN = "The validation frames were not seen under this set and the incumbent: assess the set."
 ASSESSORS = ("analyst", "approver", "operator", "administrator")
 
 
 @dataclass(frozen=True)
-class Assessment:
+class GateAssessment:
     """A report that is not stored yet.
 
     Parameters
@@ -189,12 +191,14 @@ class Assessment:
     document: dict[str, Any]
 
 
-def measure(session: Session, blobs: BlobStore, catalogue: Catalogue | None, parameter_set_id: int) -> Assessment:
+def measure(session: Session, blobs: BlobStore, catalogue: Catalogue | None, parameter_set_id: int) -> GateAssessment:
     """Gather and examine in one; the session is only read."""
-    return examine(gather(session, parameter_set_id), blobs, catalogue)
+    return examine(read_gate_inputs(session, parameter_set_id), blobs, catalogue)
 
 
-def examine(case: Case, blobs: BlobStore, catalogue: Catalogue | None, cache_folder: Path | None = None) -> Assessment:
+def examine(
+    stored: StoredGateInputs, blobs: BlobStore, catalogue: Catalogue | None, cache_folder: Path | None = None
+) -> GateAssessment:
     """Measure and judge a case.
 
     Parameters
@@ -204,54 +208,60 @@ def examine(case: Case, blobs: BlobStore, catalogue: Catalogue | None, cache_fol
     cache_folder
         Where lost-in-space identification keeps its tables.
     """
-    sensor = parse_sensor(case.sensor_document)
-    result = None if case.result_sha256 is None else read_result(blobs, case.result_sha256)
-    held_out, why = _seen(case, blobs, sensor, result, catalogue, cache_folder)
-    evidence = gates.Evidence(
+    sensor = parse_sensor(stored.sensor_document)
+    result = None if stored.result_sha256 is None else read_result(blobs, stored.result_sha256)
+    held_out, why = _seen(stored, blobs, sensor, result, catalogue, cache_folder)
+    inputs = gates.GateInputs(
         sensor=sensor,
-        candidate=case.candidate,
-        incumbent=case.incumbent,
+        candidate=stored.candidate,
+        incumbent=stored.incumbent,
         result=result,
-        made_with=case.made_with,
+        made_with=stored.made_with,
         held_out=held_out,
         no_held_out=why,
-        definition=case.definition,
+        definition=stored.definition,
     )
-    report = gates.judge(gates.parse_profile(case.profile), gates.measure(evidence))
-    seen = None if held_out is None or case.held_out is None else {"name": case.held_out[0], "sha256": case.held_out[1]}
-    return Assessment(case.parameter_set_id, {**report, "held_out": seen, "bound": case.bound})
+    report = gates.judge(gates.parse_profile(stored.profile), gates.measure(inputs))
+    seen = (
+        None
+        if held_out is None or stored.held_out is None
+        else {"name": stored.held_out[0], "sha256": stored.held_out[1]}
+    )
+    return GateAssessment(stored.parameter_set_id, {**report, "held_out": seen, "bound": stored.bound})
 
 
 def _seen(
-    case: Case,
+    stored: StoredGateInputs,
     blobs: BlobStore,
     sensor: Sensor,
     result: Mapping[str, Any] | None,
     catalogue: Catalogue | None,
     cache_folder: Path | None,
 ) -> tuple[Mapping[str, Any] | None, str]:
-    """Return the scores on held-out frames, or None with the reason; what the run compared already is not seen again."""
-    if case.incumbent is not None and result is not None and started_from(result, case.incumbent):
+    """Return the scores on validation frames, or None with the reason; what the run compared already is not seen again."""
+    if stored.incumbent is not None and result is not None and started_from(result, stored.incumbent):
         own = of_result(result)
         if own is not None:
             return own, ""
-    if case.held_out is None:
+    if stored.held_out is None:
         return None, NO_SET
     if catalogue is None:
         return None, NOT_SEEN
-    name, sha256 = case.held_out
-    incumbent = case.candidate if case.incumbent is None else case.incumbent
+    name, sha256 = stored.held_out
+    incumbent = stored.candidate if stored.incumbent is None else stored.incumbent
     try:
-        settings = CalibrationSettings.parse(case.settings or {})
+        settings = CalibrationSettings.parse(stored.settings or {})
         frames = WorkingTable(table_path(blobs, sha256)).read()
-        return held_out_scores(frames, sensor, catalogue, incumbent, case.candidate, settings, cache_folder), ""
+        return compute_validation_scores(
+            frames, sensor, catalogue, incumbent, stored.candidate, settings, cache_folder
+        ), ""
     except CorruptFileError:
         raise  # no evidence is made of, or in spite of, a file that was altered
     except BoresightError as refusal:
         return None, f"The held-out set {name} could not be used: {refusal}"
 
 
-def record_report(session: Session, actor: Actor, assessment: Assessment) -> GateReport:
+def record_report(session: Session, actor: Actor, assessment: GateAssessment) -> GateReport:
     """Store a report; the same one again is the row that is there.
 
     Raises
@@ -266,16 +276,16 @@ def record_report(session: Session, actor: Actor, assessment: Assessment) -> Gat
     return _record(session, actor, assessment)
 
 
-def _record(session: Session, actor: Actor, assessment: Assessment) -> GateReport:
+def _record(session: Session, actor: Actor, assessment: GateAssessment) -> GateReport:
     """Store a report if what it rests on is as it was."""
     row = get_parameter_set(session, assessment.parameter_set_id)
     profile = ensure_profile(session, actor, row.sensor_id)
     bound = assessment.document["bound"]
-    moved = [_word(name) for name, now in bound_now(session, row).items() if bound[name] != now]
+    moved = [_word(name) for name, now in compute_bound_hashes(session, row).items() if bound[name] != now]
     if moved:
         since = whose_baseline(session, row.sensor_id)
         raise StaleError(f"The {' and the '.join(moved)} moved while {row.name} was assessed.{since} Do it again.")
-    sha256 = sha256_of(assessment.document)
+    sha256 = compute_sha256(assessment.document)
     newest = rows.newest_reports(session, [row.id]).get(row.id)
     if newest is not None and newest.sha256 == sha256:
         return newest
@@ -327,12 +337,15 @@ def get_report(session: Session, parameter_set_id: int, sha256: str | None = Non
 
 def moved_since(session: Session, report: GateReport) -> list[str]:
     """Name what moved of all that a report rests on; it holds while nothing did."""
-    bound, now = report.document["bound"], bound_now(session, get_parameter_set(session, report.parameter_set_id))
+    bound, now = (
+        report.document["bound"],
+        compute_bound_hashes(session, get_parameter_set(session, report.parameter_set_id)),
+    )
     return [_word(name) for name in now if bound[name] != now[name]]
 
 
 def report_for_submission(
-    session: Session, actor: Actor, blobs: BlobStore, parameter_set_id: int, assessment: Assessment | None = None
+    session: Session, actor: Actor, blobs: BlobStore, parameter_set_id: int, assessment: GateAssessment | None = None
 ) -> GateReport:
     """Return the report that a request binds: the one given, the one that holds, or a light one from the run's own result.
 
@@ -362,7 +375,7 @@ def _laid_over(report: GateReport, waivers: Collection[Waiver], bound: Collectio
     now = utc_now()
     holding = [waiver for waiver in waivers if (waiver.expires_utc > now if bound is None else waiver.id in bound)]
     waived = {waiver.gate for waiver in holding}
-    return gates.summarised(report.document, waived, {waiver.gate for waiver in waivers})
+    return gates.summarise(report.document, waived, {waiver.gate for waiver in waivers})
 
 
 def verdicts(session: Session, parameter_set_ids: Collection[int]) -> dict[int, str]:

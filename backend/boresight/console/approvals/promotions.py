@@ -6,10 +6,15 @@ that what was signed while four-eyes was off does not pass once it is on.
 
 from __future__ import annotations
 
-from boresight.console.alarms.watch import watch
+from boresight.console.alarms.rules import update_alarms
 from boresight.console.approvals import queries as approval_rows
 from boresight.console.approvals.signers import second_persons
-from boresight.console.approvals.staleness import make_others_stale, refuse_blocked, refuse_expired, refuse_moved
+from boresight.console.approvals.staleness import (
+    make_others_stale,
+    refuse_blocked,
+    refuse_changed_evidence,
+    refuse_expired,
+)
 from boresight.console.approvals.tables import Approval
 from boresight.console.parameter_sets import queries as rows
 from boresight.console.parameter_sets.service import record_promotion
@@ -36,11 +41,11 @@ def promote(
     require_scope(actor, "parameter-sets")
     row = get_parameter_set(session, parameter_set_id)
     require_seen(session, row, seen_version)
-    approval = approval_rows.latest_of(session, row.id, "APPROVED")
+    approval = approval_rows.find_latest(session, row.id, "APPROVED")
     if row.ground_state != "APPROVED" or approval is None:
         raise ConflictError(f"{row.name} is {row.ground_state}, not APPROVED: {who_changed(session, row)}.")
     refuse_expired(session, approval, row)
-    refuse_moved(session, actor, approval, row)
+    refuse_changed_evidence(session, actor, approval, row)
     refuse_blocked(session, row)
     _refuse_lone(session, approval, policy)
     incumbent = rows.baseline(session, row.sensor_id)
@@ -52,7 +57,7 @@ def promote(
     move(session, actor, row, "BASELINE", "promoted", reason=approval.reason, approval=approval.id, kind=approval.kind)
     record_promotion(session, actor, row, approval)
     make_others_stale(session, actor, row)
-    watch(session, [row.sensor_id])
+    update_alarms(session, [row.sensor_id])
     return row
 
 

@@ -11,14 +11,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from boresight.console import list_queries as lists
-from boresight.console.alarms import watch as clock
+from boresight.console.alarms import rules as clock
 from boresight.console.approvals import queries as rows
 from boresight.console.approvals.tables import PROPOSAL_KINDS, PROPOSAL_STATES, ChangeProposal
 from boresight.console.transitions import move, require_seen, who_changed
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import SYSTEM, Actor, require_role, require_scope
 from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_now
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 
 MAY_CONFIRM = {"gate-profile": ("administrator",), "table-definition": ("analyst", "administrator")}
 TITLES = {"gate-profile": "gate limits", "table-definition": "table layout"}

@@ -34,7 +34,7 @@ def submitters(session: Session, states: Collection[str]) -> frozenset[int]:
     return frozenset(session.scalars(sa.select(Approval.submitted_by).where(Approval.state.in_(states)).distinct()))
 
 
-def latest_of(session: Session, parameter_set_id: int, *states: str) -> Approval | None:
+def find_latest(session: Session, parameter_set_id: int, *states: str) -> Approval | None:
     """Return a set's newest request in one of these states."""
     query = sa.select(Approval).where(Approval.parameter_set_id == parameter_set_id, Approval.state.in_(states))
     return session.scalar(query.order_by(Approval.id.desc()).limit(1))
@@ -72,7 +72,7 @@ def signatures(session: Session, approval_id: int) -> Sequence[Signature]:
     ).all()
 
 
-def signature_of(session: Session, approval_id: int, user_id: int) -> Signature | None:
+def find_signature(session: Session, approval_id: int, user_id: int) -> Signature | None:
     """Return a person's signature on a request."""
     query = sa.select(Signature).where(Signature.approval_id == approval_id)
     return session.scalar(query.where(Signature.user_id == user_id))
@@ -88,7 +88,7 @@ def openings(session: Session, approval_id: int) -> Sequence[Opening]:
     return session.scalars(sa.select(Opening).where(Opening.approval_id == approval_id).order_by(Opening.id)).all()
 
 
-def opening_of(session: Session, approval_id: int, user_id: int, evidence: str) -> Opening | None:
+def find_opening(session: Session, approval_id: int, user_id: int, evidence: str) -> Opening | None:
     """Return when a person first opened a piece of evidence."""
     query = sa.select(Opening).where(Opening.approval_id == approval_id, Opening.user_id == user_id)
     return session.scalar(query.where(Opening.evidence == evidence))

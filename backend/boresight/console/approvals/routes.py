@@ -1,6 +1,6 @@
 """Requests for approval: read, sign, refuse. Only people sign, each with the password given again.
 
-The talk about a request for approval: who is asked to decide, what people say, which evidence they opened.
+The discussion of a request for approval: assignment, remarks, opened evidence.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from pydantic import BaseModel, ConfigDict, Field, SecretStr
 from starlette.requests import Request
 
 from boresight.console.access.dependencies import (
-    Held,
+    PasswordChecked,
     PasswordChecks,
     Reading,
     SeenVersion,
     Who,
     Writing,
-    client_of,
+    get_client,
     own_password,
 )
 from boresight.console.access.passwords import PasswordProof
@@ -51,7 +51,7 @@ class SigningByName(Signing):
 
 def with_signatures(session: Session, row: Approval) -> Beside:
     """Return a request with its signatures."""
-    return Beside(row, signatures=approvals.signatures_of(session, row.id))
+    return Beside(row, signatures=approvals.list_signatures(session, row.id))
 
 
 Proven = Annotated[PasswordProof, own_password(Signing)]
@@ -67,7 +67,7 @@ async def proven_beside(
         approvals.refuse_beside(session, actor, approval_id, signed.decision, signed.meaning, signed.comment, seen)
 
     password = signed.password.get_secret_value()
-    return await passwords.check_beside(actor, signed.name, password, client_of(request), refuse)
+    return await passwords.check_beside(actor, signed.name, password, get_client(request), refuse)
 
 
 @router.get("", summary="List requests", response_model=Page[schemas.Approval])
@@ -91,7 +91,7 @@ def get_approval(approval_id: Id, session: Reading) -> Beside:
 
 
 @router.get("/{approval_id}/signers", summary="List who may sign", response_model=Page[schemas.Signer])
-def list_signers(approval_id: Id, policy: Held, session: Reading) -> Listing[dict[str, Any]]:
+def list_signers(approval_id: Id, policy: PasswordChecked, session: Reading) -> Listing[dict[str, Any]]:
     """List every approver with whether they may sign this request, and if not, which part in the set excludes them."""
     found = approvals.who_may_sign(session, approval_id, policy=policy)
     return Listing(
@@ -110,7 +110,13 @@ def list_signers(approval_id: Id, policy: Held, session: Reading) -> Listing[dic
 
 @router.post("/{approval_id}:approve", summary="Sign for it", response_model=schemas.Approval)
 def approve(
-    approval_id: Id, signed: Signing, actor: Who, seen: SeenVersion, proof: Proven, policy: Held, session: Writing
+    approval_id: Id,
+    signed: Signing,
+    actor: Who,
+    seen: SeenVersion,
+    proof: Proven,
+    policy: PasswordChecked,
+    session: Writing,
 ) -> Beside:
     """Approve, as a second person: neither who submitted or created the set nor who launched its run; no administrator, no key."""
     approvals.sign(session, actor, approval_id, "APPROVE", signed.meaning, signed.comment, proof, seen, policy=policy)
@@ -119,7 +125,13 @@ def approve(
 
 @router.post("/{approval_id}:refuse", summary="Sign against it", response_model=schemas.Approval)
 def refuse(
-    approval_id: Id, signed: Signing, actor: Who, seen: SeenVersion, proof: Proven, policy: Held, session: Writing
+    approval_id: Id,
+    signed: Signing,
+    actor: Who,
+    seen: SeenVersion,
+    proof: Proven,
+    policy: PasswordChecked,
+    session: Writing,
 ) -> Beside:
     """Refuse with a comment; one refusal blocks, also after an approval, until the set is promoted."""
     approvals.sign(session, actor, approval_id, "REFUSE", signed.meaning, signed.comment, proof, seen, policy=policy)
@@ -135,7 +147,7 @@ def sign_over_the_shoulder(
     actor: Who,
     seen: SeenVersion,
     proof: Annotated[PasswordProof, Depends(proven_beside)],
-    policy: Held,
+    policy: PasswordChecked,
     session: Writing,
 ) -> Beside:
     """Approve or refuse as a second person who gives name and password where another is logged in."""
@@ -171,7 +183,7 @@ class NewOpening(BaseModel):
 
 @discussion_router.post(":assign", summary="Ask a person to decide", response_model=schemas.Approval)
 def assign_approval(
-    approval_id: Id, assignment: Assignment, actor: Who, seen: SeenVersion, policy: Held, session: Writing
+    approval_id: Id, assignment: Assignment, actor: Who, seen: SeenVersion, policy: PasswordChecked, session: Writing
 ) -> Beside:
     """Ask a person who may sign it to decide on an open request."""
     row = approvals.assign(session, actor, approval_id, assignment.user_id, seen, policy=policy)
@@ -181,7 +193,7 @@ def assign_approval(
 @discussion_router.get("/remarks", summary="Read the discussion", response_model=Page[schemas.Remark])
 def list_remarks(approval_id: Id, session: Reading) -> Listing[Remark]:
     """Read what was said about a request, in order."""
-    return Listing(approvals.remarks_of(session, approval_id))
+    return Listing(approvals.list_remarks(session, approval_id))
 
 
 @discussion_router.post("/remarks", summary="Say something about it", status_code=201, response_model=schemas.Remark)
@@ -193,7 +205,7 @@ def remark(approval_id: Id, new: NewRemark, actor: Who, session: Writing) -> Rem
 @discussion_router.get("/openings", summary="Read who opened which evidence", response_model=Page[schemas.Opening])
 def list_openings(approval_id: Id, session: Reading) -> Listing[Opening]:
     """Read who opened which evidence of a request, in order."""
-    return Listing(approvals.openings_of(session, approval_id))
+    return Listing(approvals.list_openings(session, approval_id))
 
 
 @discussion_router.post(

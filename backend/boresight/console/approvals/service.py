@@ -17,24 +17,24 @@ from collections.abc import Collection, Sequence
 from boresight.console import list_queries as lists
 from boresight.console.access import users
 from boresight.console.access.passwords import PasswordProof, password_by
-from boresight.console.alarms import watch as clock
+from boresight.console.alarms import rules as clock
 from boresight.console.approvals import queries as rows
-from boresight.console.approvals.discussions import assign, openings_of, record_opening, remark, remarks_of
+from boresight.console.approvals.discussions import assign, list_openings, list_remarks, record_opening, remark
 from boresight.console.approvals.signers import (
     Signer,
+    list_signers,
     refuse_signer,
     refuse_who_never_signs,
     second_persons,
-    signers_of,
 )
 from boresight.console.approvals.staleness import (
-    any_due,
-    expire_due,
+    compute_binding_sha256,
+    expire_due_requests,
+    is_any_request_due,
     is_expired,
     refuse_blocked,
+    refuse_changed_evidence,
     refuse_expired,
-    refuse_moved,
-    shown_sha256,
 )
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.list_queries import Signatory
@@ -43,26 +43,26 @@ from boresight.console.transitions import get_approval, move, require_seen, rest
 from boresight.errors import ConflictError, ForbiddenError, RefusedInputError, StaleError
 from boresight.platform.actors import POLICY, Actor, Policy, require_person
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 
 __all__ = [
     "DECISIONS",
-    "any_due",
     "assign",
-    "expire_due",
+    "compute_binding_sha256",
+    "expire_due_requests",
     "get_approval",
+    "is_any_request_due",
     "list_approvals",
+    "list_openings",
+    "list_remarks",
+    "list_signatures",
     "newest_open",
-    "openings_of",
     "record_opening",
     "refuse_beside",
     "remark",
-    "remarks_of",
-    "shown_sha256",
     "sign",
     "sign_over_the_shoulder",
     "signatory",
-    "signatures_of",
     "who_may_sign",
     "why_not_sign",
 ]
@@ -102,7 +102,7 @@ def submitters(session: Session, states: Collection[str]) -> frozenset[int]:
     return rows.submitters(session, states)
 
 
-def signatures_of(session: Session, approval_id: int) -> Sequence[Signature]:
+def list_signatures(session: Session, approval_id: int) -> Sequence[Signature]:
     """Return who signed a request, in order."""
     return rows.signatures(session, approval_id)
 
@@ -122,7 +122,7 @@ def why_not_sign(session: Session, actor: Actor, approval_id: int, *, policy: Po
 
 def who_may_sign(session: Session, approval_id: int, *, policy: Policy = POLICY) -> list[Signer]:
     """Return every approver with whether they may sign a request, and if not, why."""
-    return signers_of(session, get_approval(session, approval_id), policy)
+    return list_signers(session, get_approval(session, approval_id), policy)
 
 
 def sign(  # noqa: PLR0913 - a signature has that many parts
@@ -269,7 +269,7 @@ def _sign(
     """Keep the signature of a person who proved to be one, if the evidence still stands, and decide by it."""
     parameter_set = session.get_one(ParameterSet, approval.parameter_set_id)
     refuse_expired(session, approval, parameter_set)
-    refuse_moved(session, actor, approval, parameter_set)
+    refuse_changed_evidence(session, actor, approval, parameter_set)
     if decision == "APPROVE":
         refuse_blocked(session, parameter_set)
     user_id = require_person(actor, "sign")
@@ -280,7 +280,7 @@ def _sign(
         decision=decision,
         meaning=meaning,
         comment=comment,
-        shown_sha256=shown_sha256(approval),
+        shown_sha256=compute_binding_sha256(approval),
         signed_utc=utc_now(),
         console=console,
         password_by=password_by(session, user_id),

@@ -27,7 +27,7 @@ PARTS = (SUBMITTER, LAUNCHER, CREATOR)
 
 
 @dataclass(frozen=True)
-class Part:
+class SetPart:
     """What a person did for a set that is asked for.
 
     Parameters
@@ -62,7 +62,7 @@ class Signer:
     refusal: str | None
 
 
-def parts_of(session: Session, approval: Approval) -> list[Part]:
+def list_parts(session: Session, approval: Approval) -> list[SetPart]:
     """Return who had which part in the set of a request; Boresight itself and the command line are nobody."""
     row = session.get_one(ParameterSet, approval.parameter_set_id)
     run = None if row.run_id is None else session.get(Run, row.run_id)
@@ -75,7 +75,7 @@ def parts_of(session: Session, approval: Approval) -> list[Part]:
             if campaign.launched_by != run.launched_by
         ]
     done.append((row.created_by, CREATOR, "created this set"))
-    return [Part(user_id, role, deed) for user_id, role, deed in done if user_id is not None]
+    return [SetPart(user_id, role, deed) for user_id, role, deed in done if user_id is not None]
 
 
 def refuse_who_never_signs(session: Session, actor: Actor) -> int:
@@ -106,21 +106,21 @@ def refuse_signer(session: Session, actor: Actor, approval: Approval, policy: Po
         When this person signed already.
     """
     user_id = refuse_who_never_signs(session, actor)
-    own = [part for part in parts_of(session, approval) if part.user_id == user_id] if policy.four_eyes else []
+    own = [part for part in list_parts(session, approval) if part.user_id == user_id] if policy.four_eyes else []
     if own:
         raise ForbiddenError(f"You {_listed(own)}; another approver must sign.")
-    if (earlier := rows.signature_of(session, approval.id, user_id)) is not None:
+    if (earlier := rows.find_signature(session, approval.id, user_id)) is not None:
         raise ConflictError(f"You signed this request already, at {earlier.signed_utc}; its submitter can withdraw it.")
 
 
-def _listed(parts: Sequence[Part]) -> str:
+def _listed(parts: Sequence[SetPart]) -> str:
     """Join what somebody did."""
     return " and ".join(part.deed for part in parts)
 
 
-def signers_of(session: Session, approval: Approval, policy: Policy) -> list[Signer]:
+def list_signers(session: Session, approval: Approval, policy: Policy) -> list[Signer]:
     """Return every approver of this installation with whether they may sign a request now, by log-in name."""
-    parts = parts_of(session, approval) if policy.four_eyes else []
+    parts = list_parts(session, approval) if policy.four_eyes else []
     signed = {one.user_id: one.signed_utc for one in rows.signatures(session, approval.id)}
     return [
         _signer(user, [part for part in parts if part.user_id == user.id], signed.get(user.id))
@@ -129,7 +129,7 @@ def signers_of(session: Session, approval: Approval, policy: Policy) -> list[Sig
     ]
 
 
-def _signer(user: User, own: Sequence[Part], signed_utc: str | None) -> Signer:
+def _signer(user: User, own: Sequence[SetPart], signed_utc: str | None) -> Signer:
     """Say of an approver what keeps them from signing; in the order in which `refuse_signer` asks."""
     roles, name = tuple(part.role for part in own), user.printed_name
     if "administrator" in user.roles:
@@ -143,6 +143,6 @@ def _signer(user: User, own: Sequence[Part], signed_utc: str | None) -> Signer:
 
 def second_persons(session: Session, approval: Approval, policy: Policy) -> Sequence[Signature]:
     """Return the approvals of a request that count: with four-eyes, only those of second persons."""
-    first = {part.user_id for part in parts_of(session, approval)} if policy.four_eyes else set()
+    first = {part.user_id for part in list_parts(session, approval)} if policy.four_eyes else set()
     signed = rows.signatures(session, approval.id)
     return [row for row in signed if row.decision == "APPROVE" and row.user_id not in first]

@@ -1,14 +1,14 @@
-"""When the ground under a request moves, or its time runs out: nobody may decide on it any more.
+"""Approval staleness: a request becomes STALE when what it binds changes, and EXPIRED when its time is over.
 
 Promoting a set, a new gate profile and a new table definition make the sensor's other requests STALE at once, a waiver
-those of its set. `refuse_moved` asks again at every signature and promotion, for whatever else may have happened to
+those of its set. `refuse_changed_evidence` asks again at every signature and promotion, for whatever else may have happened to
 the rows. A request that nobody decided on in time is EXPIRED by the server's heartbeat, or by whoever comes too late.
 
-What a request binds: the evidence that an approver is shown, by its hashes, and what of it stops a set.
+The approval binding: the hashes of the evidence that an approver is shown, and the gates that block a set.
 
 A request binds the hashes of the set, of its run's result, of the gate report with its profile, of the table on board
-and of the baseline that would be replaced, and which waivers were in force. `moved` compares them with the rows as they
-are now. A request of before there were gates binds no report and no profile: it is held to what it binds.
+and of the baseline that would be replaced, and which waivers were in force. `find_changed_evidence` compares them with the rows as
+they are now. A request of before there were gates binds no report and no profile: it is held to what it binds.
 
 A report says which gates block. A waiver in force lifts one that may be waived; a critical gate is lifted by nothing.
 """
@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from boresight.console.alarms import watch as clock
+from boresight.console.alarms import rules as clock
 from boresight.console.approvals import queries as approval_rows
 from boresight.console.approvals import queries as gate_rows
 from boresight.console.approvals.tables import Approval
@@ -29,7 +29,7 @@ from boresight.console.transitions import move, resting_state, whose_baseline
 from boresight.console.uplinks.queries import definition_in_force
 from boresight.errors import ConflictError, StaleError
 from boresight.platform.actors import SYSTEM, Actor
-from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_now
 
 WORDS = {
@@ -44,7 +44,7 @@ WORDS = {
 OF_GATES = ("gate_report_sha256", "profile_sha256")  # absent from requests of before there were gates
 
 
-def bound_evidence(session: Session, parameter_set: ParameterSet) -> dict[str, Any]:
+def bind_evidence(session: Session, parameter_set: ParameterSet) -> dict[str, Any]:
     """Return the hashes of what an approver of this set is shown now, and the waivers in force."""
     run = None if parameter_set.run_id is None else session.get(Run, parameter_set.run_id)
     report = gate_rows.newest_report(session, parameter_set.id)
@@ -52,7 +52,7 @@ def bound_evidence(session: Session, parameter_set: ParameterSet) -> dict[str, A
     definition = definition_in_force(session, parameter_set.sensor_id)
     incumbent = set_rows.baseline(session, parameter_set.sensor_id)
     return {
-        "set_sha256": sha256_of(parameter_set.document),
+        "set_sha256": compute_sha256(parameter_set.document),
         "run_result_sha256": None if run is None else run.result_sha256,
         "gate_report_sha256": None if report is None else report.sha256,
         "profile_sha256": None if profile is None else profile.sha256,
@@ -62,14 +62,14 @@ def bound_evidence(session: Session, parameter_set: ParameterSet) -> dict[str, A
     }
 
 
-def moved(session: Session, approval: Approval, parameter_set: ParameterSet) -> list[str]:
+def find_changed_evidence(session: Session, approval: Approval, parameter_set: ParameterSet) -> list[str]:
     """Name what is not any more as the request binds it."""
-    bound, current = approval.bound, bound_evidence(session, parameter_set)
+    bound, current = approval.bound, bind_evidence(session, parameter_set)
     held = [name for name in bound if name in current and not (name in OF_GATES and bound[name] is None)]
     return [WORDS[name] for name in WORDS if name in held and bound[name] != current[name]]
 
 
-def shown_sha256(approval: Approval) -> str:
+def compute_binding_sha256(approval: Approval) -> str:
     """Return the hash of what a signature stands for: the request with everything that it binds."""
     shown: dict[str, Any] = {
         "approval": approval.id,
@@ -81,10 +81,10 @@ def shown_sha256(approval: Approval) -> str:
     }
     if approval.expires_utc is not None:  # a request of before requests expired was shown without these
         shown |= {"kind": approval.kind, "needed": approval.needed, "expires_utc": approval.expires_utc}
-    return sha256_of(shown)
+    return compute_sha256(shown)
 
 
-def blocking_gates(session: Session, parameter_set: ParameterSet) -> list[Mapping[str, Any]]:
+def find_blocking_gates(session: Session, parameter_set: ParameterSet) -> list[Mapping[str, Any]]:
     """Return the gates of a set's newest report that stop it and that no waiver in force lifts."""
     report = gate_rows.newest_report(session, parameter_set.id)
     if report is None:
@@ -103,7 +103,7 @@ def refuse_blocked(session: Session, parameter_set: ParameterSet) -> None:
     ConflictError
         Names the gates, and says whether they can be waived.
     """
-    gates = blocking_gates(session, parameter_set)
+    gates = find_blocking_gates(session, parameter_set)
     if not gates:
         return
     named = ", ".join(f"{gate['name']} ({gate['status']})" for gate in gates)
@@ -147,7 +147,7 @@ def _make_stale(session: Session, actor: Actor, approval: Approval, reason: str)
     move(session, actor, row, resting_state(row, "CANDIDATE"), "returned", reason=f"its request became stale: {reason}")
 
 
-def refuse_moved(session: Session, actor: Actor, approval: Approval, row: ParameterSet) -> None:
+def refuse_changed_evidence(session: Session, actor: Actor, approval: Approval, row: ParameterSet) -> None:
     """Make a request stale and refuse, when anything that it binds is not what it was when submitted.
 
     Raises
@@ -155,7 +155,7 @@ def refuse_moved(session: Session, actor: Actor, approval: Approval, row: Parame
     StaleError
         Says what moved; the request stays STALE although the refusal is raised.
     """
-    names = moved(session, approval, row)
+    names = find_changed_evidence(session, approval, row)
     if not names:
         return
     since = whose_baseline(session, row.sensor_id)
@@ -169,12 +169,12 @@ def is_expired(approval: Approval) -> bool:
     return approval.expires_utc is not None and approval.expires_utc <= utc_now()
 
 
-def any_due(session: Session) -> bool:
+def is_any_request_due(session: Session) -> bool:
     """Whether there are requests whose time is over and that still stand open."""
     return bool(approval_rows.due(session, utc_now())) and not clock.is_held(session)
 
 
-def expire_due(session: Session) -> Sequence[Approval]:
+def expire_due_requests(session: Session) -> Sequence[Approval]:
     """Close every request whose time is over, and return them; their sets may be submitted again."""
     due = () if clock.is_held(session) else approval_rows.due(session, utc_now())
     for approval in due:

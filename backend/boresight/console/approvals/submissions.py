@@ -8,17 +8,24 @@ from __future__ import annotations
 
 from boresight.console.approvals import gates
 from boresight.console.approvals import queries as approval_rows
-from boresight.console.approvals.gates import Assessment
-from boresight.console.approvals.staleness import bound_evidence
+from boresight.console.approvals.gates import GateAssessment
+from boresight.console.approvals.staleness import bind_evidence
 from boresight.console.approvals.tables import Approval
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.transitions import get_parameter_set, move, require_seen, resting_state, subject_of, who_changed
+from boresight.console.transitions import (
+    get_parameter_set,
+    move,
+    name_subject,
+    require_seen,
+    resting_state,
+    who_changed,
+)
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.actors import DAY_S, POLICY, Actor, Policy, require_role, require_scope, require_user
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Session, utc_after, utc_now
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 
 SUBMITTABLE = ("CANDIDATE", "WITHDRAWN", "EXPIRED", "SUPERSEDED")
 
@@ -30,7 +37,7 @@ def submit(
     parameter_set_id: int,
     reason: str,
     seen_version: int | None,
-    assessment: Assessment | None = None,
+    assessment: GateAssessment | None = None,
     *,
     policy: Policy = POLICY,
 ) -> Approval:
@@ -64,7 +71,7 @@ def roll_back(
     parameter_set_id: int,
     reason: str,
     seen_version: int | None,
-    assessment: Assessment | None = None,
+    assessment: GateAssessment | None = None,
     *,
     policy: Policy = POLICY,
 ) -> Approval:
@@ -111,7 +118,7 @@ def _submittable(
 
 def _open(session: Session, actor: Actor, row: ParameterSet, reason: str, policy: Policy) -> Approval:
     """Open the request, with its time and the approvals that it needs."""
-    bound = bound_evidence(session, row)
+    bound = bind_evidence(session, row)
     is_rollback = row.baseline_from_utc is not None
     days = policy.rollback_days if is_rollback else policy.approval_days
     approval = Approval(
@@ -129,7 +136,7 @@ def _open(session: Session, actor: Actor, row: ParameterSet, reason: str, policy
     session.flush()
     told = {"set": row.name, "bound": bound, "kind": approval.kind, "needed": approval.needed}
     told |= {"expires_utc": approval.expires_utc, "four_eyes": policy.four_eyes}
-    audit.append(session, actor, "opened", subject_of(approval), None, told, reason)
+    audit.append(session, actor, "opened", name_subject(approval), None, told, reason)
     move(session, actor, row, "SUBMITTED", "asked to roll back to" if is_rollback else "submitted", reason=reason)
     return approval
 
@@ -148,7 +155,7 @@ def withdraw(
     refuse_control_characters(reason=reason)
     row = get_parameter_set(session, parameter_set_id)
     require_seen(session, row, seen_version)
-    approval = approval_rows.latest_of(session, row.id, "OPEN", "APPROVED")
+    approval = approval_rows.find_latest(session, row.id, "OPEN", "APPROVED")
     if row.ground_state not in {"SUBMITTED", "APPROVED"} or approval is None:
         raise ConflictError(
             f"{row.name} is {row.ground_state}, not submitted: {who_changed(session, row)}. "

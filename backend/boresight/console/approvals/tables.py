@@ -12,7 +12,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base, one_of, only_one
+from boresight.platform.db.declared import STRICT, Base, allow_only, only_one
 from boresight.platform.db.documents import JsonText
 
 APPROVAL_STATES = ("OPEN", "APPROVED", "REJECTED", "WITHDRAWN", "STALE", "EXPIRED")
@@ -24,7 +24,7 @@ class Approval(Base):
 
     __tablename__ = "approvals"
     __table_args__ = (
-        one_of("state", APPROVAL_STATES),
+        allow_only("state", APPROVAL_STATES),
         only_one("uq_approvals_one_open", "parameter_set_id", "state = 'OPEN'"),
         STRICT,
     )
@@ -47,7 +47,11 @@ class Signature(Base):
     """A person's GO or NO-GO on a request, with what it means and the hash of what was shown."""
 
     __tablename__ = "signatures"
-    __table_args__ = (one_of("decision", ("APPROVE", "REFUSE")), sa.UniqueConstraint("approval_id", "user_id"), STRICT)
+    __table_args__ = (
+        allow_only("decision", ("APPROVE", "REFUSE")),
+        sa.UniqueConstraint("approval_id", "user_id"),
+        STRICT,
+    )
     id: Mapped[int] = mapped_column(primary_key=True)
     approval_id: Mapped[int] = mapped_column(sa.ForeignKey("approvals.id"))
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
@@ -142,8 +146,8 @@ class ChangeProposal(Base):
 
     __tablename__ = "change_proposals"
     __table_args__ = (
-        one_of("kind", PROPOSAL_KINDS),
-        one_of("state", PROPOSAL_STATES),
+        allow_only("kind", PROPOSAL_KINDS),
+        allow_only("state", PROPOSAL_STATES),
         sa.Index("ix_change_proposals_sensor_id_state", "sensor_id", "state"),
         STRICT,
     )

@@ -23,7 +23,17 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.console.access.dependencies import Reading, Who
 from boresight.console.pages.formats import day_of_year, instant
 from boresight.console.pages.rendering import render
-from boresight.console.pages.tables import Column, Page, Table, View, all_of, csv_of, is_text, page_of, read_view
+from boresight.console.pages.tables import (
+    Table,
+    TableColumn,
+    TablePage,
+    TableView,
+    is_text,
+    read_all,
+    read_page,
+    read_view,
+    write_csv,
+)
 from boresight.errors import RefusedInputError
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
@@ -69,7 +79,7 @@ NAMES = {
 
 
 @dataclass(frozen=True)
-class Change:
+class ChangedMember:
     """One member of a document, before and after.
 
     Parameters
@@ -89,12 +99,14 @@ class Change:
     unit: str = ""
 
 
-def changes(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None) -> list[Change]:
+def changes(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None) -> list[ChangedMember]:
     """Return the members that differ between two documents, in the order of the newer one."""
     old, new = dict(_leaves(before)), dict(_leaves(after))
     names = [*new, *(name for name in old if name not in new)]
     return [
-        Change(name, _shown(name, old.get(name)), _shown(name, new.get(name)), title_of(name), unit_of(name))
+        ChangedMember(
+            name, _shown(name, old.get(name)), _shown(name, new.get(name)), name_member(name), find_unit(name)
+        )
         for name in names
         if old.get(name) != new.get(name)
     ]
@@ -109,7 +121,7 @@ def _leaves(document: Mapping[str, Any] | None, prefix: str = "") -> Iterator[tu
             yield f"{prefix}{name}", value
 
 
-def title_of(name: str) -> str:
+def name_member(name: str) -> str:
     """Name a member as people do: `initial.f_m` is `Initial, f`."""
     *way, last = name.split(".")
     if last in QUANTITIES:
@@ -125,7 +137,7 @@ def _word(part: str) -> str:
     return (bare[:1].upper() + bare[1:]).replace("_", " ")
 
 
-def unit_of(name: str) -> str:
+def find_unit(name: str) -> str:
     """Return the unit that a member is shown in."""
     last = name.rpartition(".")[2]
     if last in QUANTITIES:
@@ -167,13 +179,13 @@ RECORDS = Table(
     "audit",
     "Records",
     (
-        Column("number", "No.", "-number", "num", head=True),
-        Column("time", "Time", "", "tight"),
-        Column("who", "Who, with what", "who", "named"),
-        Column("did", "Did, to", "did", "happening"),
-        Column("changed", "What changed", "", "words"),
-        Column("reason", "Reason", "", "words"),
-        Column("hash", "Hash, request", "", "tight"),
+        TableColumn("number", "No.", "-number", "num", head=True),
+        TableColumn("time", "Time", "", "tight"),
+        TableColumn("who", "Who, with what", "who", "named"),
+        TableColumn("did", "Did, to", "did", "happening"),
+        TableColumn("changed", "What changed", "", "words"),
+        TableColumn("reason", "Reason", "", "words"),
+        TableColumn("hash", "Hash, request", "", "tight"),
     ),
     dict.fromkeys(FILTERS, is_text),
     "-number",
@@ -217,12 +229,12 @@ router = APIRouter()
 
 
 @dataclass(frozen=True)
-class Line:
+class AuditLine:
     """One record as the page lays it out."""
 
     record: AuditRecord
     address: str | None
-    changes: list[Change]
+    changes: list[ChangedMember]
 
     @property
     def gist(self) -> str:
@@ -231,7 +243,7 @@ class Line:
         return " · ".join(f"{it.before} → {it.after}" if it.before != "–" else it.after for it in telling[:IN_GIST])
 
 
-def _sought(view: View) -> dict[str, Any]:
+def _sought(view: TableView) -> dict[str, Any]:
     """Say what a view is narrowed to, as the list takes it.
 
     Raises
@@ -242,12 +254,12 @@ def _sought(view: View) -> dict[str, Any]:
     return {"since": None, "until": None, **audit.sought(**{name: view.where.get(name) for name in FILTERS})}
 
 
-def line_of(record: AuditRecord) -> Line:
+def make_audit_line(record: AuditRecord) -> AuditLine:
     """Lay out a record; its object links to its page where it has one."""
     noun, _, rest = record.object.partition("/")
     page = PAGE_OF_NOUN.get(noun)
     address = f"/{page}/{rest}" if page and rest.isdecimal() else None
-    return Line(record, address, changes(record.before, record.after))
+    return AuditLine(record, address, changes(record.before, record.after))
 
 
 @router.get("/audit", response_class=HTMLResponse)
@@ -258,9 +270,9 @@ def audit_page(
     verify: str = "",
 ) -> HTMLResponse:
     """Show a page of records, and the light of the chain."""
-    view, found, refusal = read_view(request, RECORDS), Page((), None), ""
+    view, found, refusal = read_view(request, RECORDS), TablePage((), None), ""
     try:
-        found = page_of(session, view, **_sought(view))
+        found = read_page(session, view, **_sought(view))
     except RefusedInputError as error:
         refusal = str(error)
     newest = audit.list_records(session, limit=1)
@@ -270,7 +282,7 @@ def audit_page(
         request,
         "audit/audit.html",
         view=view,
-        lines=[line_of(record) for record in found.rows],
+        lines=[make_audit_line(record) for record in found.rows],
         last=found.last,
         refusal=refusal,
         words=audit.words(session),
@@ -284,12 +296,12 @@ def audit_page(
 def audit_csv(request: Request, session: Reading, actor: Who) -> Response:  # noqa: ARG001 - who is known may read
     """Give every record of a view as CSV; the export with its verifier is what proves anything."""
     view = read_view(request, RECORDS)
-    return csv_of(view, CSV_FIELDS, (_csv_row(record) for record in all_of(session, view, **_sought(view))))
+    return write_csv(view, CSV_FIELDS, (_csv_row(record) for record in read_all(session, view, **_sought(view))))
 
 
 def _csv_row(record: AuditRecord) -> dict[str, Any]:
     """Lay out a record for a program."""
-    told = {"roles": ", ".join(record.roles or ()), "changed": line_of(record).gist}
+    told = {"roles": ", ".join(record.roles or ()), "changed": make_audit_line(record).gist}
     names = (name for names in CSV_FIELDS.values() for name in names if name not in told)
     return {name: getattr(record, name) for name in names} | told
 
@@ -304,5 +316,9 @@ def record_page(
     """Show one record whole: what it changed member by member, who did it how, and the rows that it sealed."""
     record = audit.get_record(session, record_id)
     return render(
-        request, "audit/audit_record.html", line=line_of(record), record=record, sealed=sorted(record.rows or {})
+        request,
+        "audit/audit_record.html",
+        line=make_audit_line(record),
+        record=record,
+        sealed=sorted(record.rows or {}),
     )

@@ -26,19 +26,27 @@ from boresight.calibration.options import METHODS, OPTIONS
 from boresight.console import lists
 from boresight.console.access.dependencies import Reading, Who, csrf
 from boresight.console.campaigns import service as campaigns
-from boresight.console.campaigns.service import FAILED, MOST_SENSORS, CampaignView, Member, result_of
+from boresight.console.campaigns.service import FAILED, MOST_SENSORS, CampaignView, MemberRequest, make_result_line
 from boresight.console.fleet import service as sensors
-from boresight.console.fleet.service import Choices
-from boresight.console.pages.rendering import Outcome, Refusal, attempt, read_texts, redirect, redirect_refused, render
+from boresight.console.fleet.service import SensorChoices
+from boresight.console.pages.rendering import (
+    AttemptResult,
+    ShownRefusal,
+    attempt,
+    read_texts,
+    redirect,
+    redirect_refused,
+    render,
+)
 from boresight.console.pages.tables import csv_file
 from boresight.console.runs import presets
-from boresight.console.runs.pages.launch import LONGEST_NUMBER, Origin, Typed, origin_of, typed_form
+from boresight.console.runs.pages.launch import LONGEST_NUMBER, LaunchOrigin, TypedForm, read_origin, typed_form
 from boresight.console.runs.pages.list import read_names
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.errors import BoresightError, NotFoundError
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.paging import row_number
+from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.verdict import LEVELS
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -52,7 +60,7 @@ CSV_FIELDS = (
 @router.get("/campaigns", response_class=HTMLResponse)
 def campaigns_page(request: Request, session: Reading, actor: Who, before: str = "") -> HTMLResponse:  # noqa: ARG001 - whoever is known may read
     """List campaigns with how far each is, newest first."""
-    before_id = row_number(before)
+    before_id = parse_row_id(before)
     found = campaigns.list_campaigns(session, before_id=before_id, limit=CAMPAIGNS_A_PAGE + 1)
     shown = found[:CAMPAIGNS_A_PAGE]
     return render(
@@ -105,7 +113,7 @@ def campaign_page(request: Request, session: Reading, actor: Who, campaign_id: i
 
 def _lines(session: Session, campaign_id: int) -> list[dict[str, Any]]:
     """Return what the sensors came to, the worst first: what failed, then by verdict."""
-    lines = [result_of(one) for one in campaigns.results(session, campaign_id)]
+    lines = [make_result_line(one) for one in campaigns.results(session, campaign_id)]
     return sorted(lines, key=_rank)
 
 
@@ -164,7 +172,7 @@ NEWEST_SETS = 3  # of either purpose, that a row offers where the fleet is large
 
 
 @dataclass(frozen=True)
-class Sets:
+class SensorSets:
     """A sensor's sets in use, newest first."""
 
     calibration: list[Any] = field(default_factory=list)
@@ -172,11 +180,11 @@ class Sets:
 
 
 @dataclass(frozen=True)
-class Offered:
+class OfferedSensors:
     """The sensors that have a row, the sets that each can be calibrated on, and which are ticked."""
 
-    choices: Choices
-    sets: Mapping[int, Sets]
+    choices: SensorChoices
+    sets: Mapping[int, SensorSets]
     ticked: Collection[int]
 
     @property
@@ -190,33 +198,33 @@ class Offered:
         return self.able if self.choices.is_all else []
 
 
-def _offer(session: Session, given: FormData | QueryParams) -> Offered:
+def _offer(session: Session, given: FormData | QueryParams) -> OfferedSensors:
     """Read what the form offers that was sent, or that an address begins: what is ticked, and what it seeks."""
     members = _chosen(given)
     choices = sensors.choices(session, find=str(given.get("find", "")), keep=[member.sensor_id for member in members])
     chosen = {one for member in members for one in (member.telemetry_set_id, member.validation_set_id)}
     keep = [one for one in chosen if isinstance(one, int)]
-    found: dict[int, Sets] = {}
+    found: dict[int, SensorSets] = {}
     every = lists.count(session, "telemetry", {"in_use": True}) <= MOST_SETS if choices.is_all else False
     for row in (
         telemetry_sets.list_telemetry_sets(session)
         if every
-        else telemetry_sets.sets_of(session, choices.names, newest=NEWEST_SETS, keep=keep)
+        else telemetry_sets.list_set_heads(session, choices.names, newest=NEWEST_SETS, keep=keep)
     ):
-        getattr(found.setdefault(row.sensor_id, Sets()), row.purpose).append(row)
-    return Offered(choices, found, {member.sensor_id for member in members})
+        getattr(found.setdefault(row.sensor_id, SensorSets()), row.purpose).append(row)
+    return OfferedSensors(choices, found, {member.sensor_id for member in members})
 
 
-def _chosen(form: FormData | QueryParams) -> list[Member]:
+def _chosen(form: FormData | QueryParams) -> list[MemberRequest]:
     """Read the sensors that are ticked, and their sets."""
     texts = map(str, form.getlist("sensors"))
     numbers = [int(text) for text in texts if text.isdecimal() and len(text) <= LONGEST_NUMBER]
     return [_member(form, number) for number in numbers[: MOST_SENSORS + 1]]  # one too many, to be refused
 
 
-def _member(form: FormData | QueryParams, number: int) -> Member:
+def _member(form: FormData | QueryParams, number: int) -> MemberRequest:
     """Read the sets of a sensor, ticked or not."""
-    return Member(number, _set(form, f"calibration-{number}") or "newest", _set(form, f"validation-{number}"))
+    return MemberRequest(number, _set(form, f"calibration-{number}") or "newest", _set(form, f"validation-{number}"))
 
 
 def _set(form: FormData | QueryParams, name: str) -> Any:
@@ -229,19 +237,19 @@ def _set(form: FormData | QueryParams, name: str) -> Any:
 @router.get("/campaigns/new", response_class=HTMLResponse)
 def campaign_form(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show the form as the address says, else with the whole of a small fleet chosen."""
-    origin, address = origin_of(request, session), request.query_params
+    origin, address = read_origin(request, session), request.query_params
     typed, offered = _begun(origin).amended(address), _offer(session, address)
     typed = typed.with_settings({"method": origin.method or typed["method"]})
     offered = offered if "sensors" in address else replace(offered, ticked=set(offered.begun))
     return _page(request, session, actor, typed, origin, offered, address)
 
 
-def _begun(origin: Origin) -> Typed:
+def _begun(origin: LaunchOrigin) -> TypedForm:
     """Fill the settings anew, from the preset where there is one."""
-    return Typed() if origin.preset is None else Typed().under(origin.preset.settings)
+    return TypedForm() if origin.preset is None else TypedForm().under(origin.preset.settings)
 
 
-def _beginning(origin: Origin, offered: Offered) -> str:
+def _beginning(origin: LaunchOrigin, offered: OfferedSensors) -> str:
     """Write the form as it begins, as an address's query."""
     newest = [
         (f"{purpose}-{number}", "newest")
@@ -256,7 +264,7 @@ def _beginning(origin: Origin, offered: Offered) -> str:
 async def campaign_launch(request: Request, session: Reading, actor: Who) -> Response:
     """Apply a preset (`intent=preset`), find sensors (`find`), tick what is found (`all`), queue (`queue`), or only check."""
     form = await request.form()
-    origin = await run_in_threadpool(origin_of, request, session)
+    origin = await run_in_threadpool(read_origin, request, session)
     typed, members = typed_form(form), _chosen(form)
     if form.get("intent") == "preset" and origin.preset is not None:
         typed = typed.under(origin.preset.settings)
@@ -283,9 +291,9 @@ def _intent(form: FormData) -> str:
 def _launch(
     session: Session,
     actor: Actor,
-    typed: Typed,
-    origin: Origin,
-    members: Sequence[Member],
+    typed: TypedForm,
+    origin: LaunchOrigin,
+    members: Sequence[MemberRequest],
     *,
     validate_only: bool = False,
 ) -> Any:
@@ -304,25 +312,25 @@ def _launch(
     )
 
 
-def _checked(ask: partial[Any]) -> Outcome[Any]:
+def _checked(ask: partial[Any]) -> AttemptResult[Any]:
     """Make the dry run: it reads and writes nothing."""
     try:
-        return Outcome(ask(), None)
+        return AttemptResult(ask(), None)
     except NotFoundError:
         raise
     except BoresightError as error:
-        return Outcome(None, Refusal.of(error))
+        return AttemptResult(None, ShownRefusal.of(error))
 
 
 def _page(
     request: Request,
     session: Session,
     actor: Actor,
-    typed: Typed,
-    origin: Origin,
-    offered: Offered,
+    typed: TypedForm,
+    origin: LaunchOrigin,
+    offered: OfferedSensors,
     given: FormData | QueryParams,
-    outcome: Outcome[Any] | None = None,
+    outcome: AttemptResult[Any] | None = None,
 ) -> HTMLResponse:
     """Render the form with what was typed and what the check said."""
     refusal = outcome.refusal if outcome else None
@@ -333,13 +341,13 @@ def _page(
         offered=offered,
         has_telemetry=bool(offered.sets or telemetry_sets.list_telemetry_sets(session, limit=1)),
         chosen={number: _member(given, number) for number in offered.choices.names},
-        nothing=Sets(),
+        nothing=SensorSets(),
         options=OPTIONS,
         methods=METHODS.values(),
         typed=typed,
         origin=origin,
         begun=_beginning(origin, offered),
-        offers=presets.offers(session),
+        offers=presets.list_offers(session),
         refusal=refusal,
         summary=outcome.value if outcome else None,
         may_launch="analyst" in actor.roles,

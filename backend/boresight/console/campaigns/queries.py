@@ -23,7 +23,7 @@ from boresight.platform.db.sessions import Session, utc_now
 
 
 @dataclass(frozen=True)
-class Standing:
+class MemberStatus:
     """Where a sensor of a campaign stands; what its run has not, or it without a run, is None."""
 
     id: int
@@ -60,7 +60,7 @@ def add_runs(session: Session, values: Sequence[Mapping[str, Any]]) -> dict[int,
     return {sensor_id: run_id for run_id, sensor_id in added}
 
 
-def add_places(session: Session, values: Sequence[Mapping[str, Any]]) -> None:
+def add_members(session: Session, values: Sequence[Mapping[str, Any]]) -> None:
     """Insert many sensors of a campaign."""
     _inserted(session, CampaignRun, values, CampaignRun.id)
 
@@ -102,7 +102,9 @@ def counts(session: Session, campaign_ids: Collection[int]) -> dict[int, Counted
     return found
 
 
-def standings(session: Session, campaign_id: int, *, after_id: int = 0, limit: int | None = None) -> list[Standing]:
+def list_member_statuses(
+    session: Session, campaign_id: int, *, after_id: int = 0, limit: int | None = None
+) -> list[MemberStatus]:
     """Return where the sensors of a campaign stand, in the order of their rows."""
     query = (
         sa.select(
@@ -115,7 +117,7 @@ def standings(session: Session, campaign_id: int, *, after_id: int = 0, limit: i
         .order_by(CampaignRun.id)
         .limit(limit)
     )  # fmt: skip
-    return [Standing(*row) for row in session.execute(query)]
+    return [MemberStatus(*row) for row in session.execute(query)]
 
 
 def cancel_all(session: Session, campaign_id: int, reason: str) -> list[tuple[int, str]]:

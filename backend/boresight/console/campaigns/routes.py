@@ -7,11 +7,11 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.console import schemas as console_schemas
-from boresight.console.access.dependencies import OnlyAsked, Reading, Seen, SeenTag, Who, Writing
+from boresight.console.access.dependencies import IsDryRun, Reading, Seen, SeenTag, Who, Writing
 from boresight.console.campaigns import schemas
 from boresight.console.campaigns import service as campaigns
-from boresight.console.campaigns.queries import Standing
-from boresight.console.campaigns.service import MOST_SENSORS, CampaignView, Member, result_of
+from boresight.console.campaigns.queries import MemberStatus
+from boresight.console.campaigns.service import MOST_SENSORS, CampaignView, MemberRequest, make_result_line
 from boresight.console.operation import Answer, Beside, operations
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import Id, Listing, Page, Paged
@@ -51,9 +51,9 @@ class CampaignLaunch(BaseModel):
         default=False, description="Check everything, change nothing, and say what it would be."
     )
 
-    def members(self) -> list[Member] | None:
+    def members(self) -> list[MemberRequest] | None:
         """Return the sensors as the service takes them."""
-        return None if self.sensors is None else [Member(**one.model_dump()) for one in self.sensors]
+        return None if self.sensors is None else [MemberRequest(**one.model_dump()) for one in self.sensors]
 
 
 class CampaignCancellation(BaseModel):
@@ -87,7 +87,7 @@ def list_campaigns(session: Reading, page: Paged) -> Listing[CampaignView]:
     response_model=schemas.Campaign,
     responses={200: {"model": schemas.DryRunOfCampaign, "description": "The dry run of `validate_only`."}},
 )
-def launch_campaign(order: CampaignLaunch, actor: Who, session: Writing, asked: OnlyAsked) -> Beside | Answer:
+def launch_campaign(order: CampaignLaunch, actor: Who, session: Writing, asked: IsDryRun) -> Beside | Answer:
     """Queue a run for every sensor that can have one; the others are listed with the cause. All or nothing in one transaction."""
     made = campaigns.launch_campaign(
         session,
@@ -112,10 +112,10 @@ def get_campaign(campaign_id: Id, session: Reading) -> Beside:
 @router.get(
     "/{campaign_id}/results", summary="List what the sensors came to", response_model=Page[schemas.CampaignResult]
 )
-def list_campaign_results(campaign_id: Id, session: Reading, page: Paged) -> Listing[Standing]:
+def list_campaign_results(campaign_id: Id, session: Reading, page: Paged) -> Listing[MemberStatus]:
     """List the newest run of every sensor with its cause or its figures, in the order of launch."""
     found = campaigns.results(session, campaign_id, after_id=page.last_id or 0, limit=page.limit + 1)
-    return page.cut(found, result_of)
+    return page.cut(found, make_result_line)
 
 
 @router.post("/{campaign_id}:cancel", summary="Stop a campaign", response_model=schemas.Campaign)

@@ -4,7 +4,7 @@ Each sensor gets a run of its own, or the cause why it has none; what failed can
 sensor counts. However many sensors, a launch is one transaction and reads and writes them many at a time; its audit records, one
 a run, are written in portions, so that none carries the seals of more than `PORTION` runs.
 
-The sensors of a campaign with what each is to do: its own order, on its newest sets unless others are named, or why not.
+Campaign members: the run request of each sensor, on its newest sets unless others are named, or why there is none.
 
 A sensor that cannot have a run, for want of telemetry say, is part of the campaign all the same, with the cause. Sensors
 and sets are read at once, however many there are.
@@ -20,19 +20,19 @@ from typing import Any, Literal
 
 from boresight.console import list_queries as lists
 from boresight.console.campaigns import queries as rows
-from boresight.console.campaigns.queries import Counted, Standing
+from boresight.console.campaigns.queries import Counted, MemberStatus
 from boresight.console.campaigns.tables import Campaign
 from boresight.console.fleet import queries as sensor_rows
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs.dry_runs import expected_s
 from boresight.console.runs.presets import chosen_settings
-from boresight.console.runs.requests import Order, ordered, refuse_label
+from boresight.console.runs.requests import RunRequest, check_run_request, refuse_label
 from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES
 from boresight.errors import BoresightError, ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 
 MOST_SENSORS = 1000
 
@@ -40,7 +40,7 @@ Newest = Literal["newest"]
 
 
 @dataclass(frozen=True)
-class Member:
+class MemberRequest:
     """A sensor of a campaign and its sets: numbers, the newest in use, or for validation none."""
 
     sensor_id: int
@@ -49,17 +49,17 @@ class Member:
 
 
 @dataclass(frozen=True)
-class Place:
+class CampaignMemberPlan:
     """A sensor of a campaign with what it is to do, or why it cannot."""
 
     sensor: Sensor
-    order: Order | None
+    order: RunRequest | None
     refusal: str | None
 
 
-def places_of(
-    session: Session, members: Sequence[Member] | None, settings: Mapping[str, Any], label: str
-) -> list[Place]:
+def plan_members(
+    session: Session, members: Sequence[MemberRequest] | None, settings: Mapping[str, Any], label: str
+) -> list[CampaignMemberPlan]:
     """Check every sensor's order.
 
     Parameters
@@ -74,24 +74,26 @@ def places_of(
     RefusedInputError
         When there are too many sensors, one twice, or none that can have a run.
     """
-    wanted = [Member(head.id) for head in sensor_rows.sensor_heads(session)] if members is None else list(members)
+    wanted = (
+        [MemberRequest(head.id) for head in sensor_rows.sensor_heads(session)] if members is None else list(members)
+    )
     ids = [member.sensor_id for member in wanted]
     _refuse_members(ids)
     fleet = {sensor.id: sensor for sensor in sensor_rows.sensors(session, ids)}
     if strange := [number for number in ids if number not in fleet]:
         raise NotFoundError(f"There is no sensor {strange[0]}; choose from the list.")
     newest = rows.newest_sets(session, ids)
-    named = [(member, *_sets_of(member, newest)) for member in wanted]
+    named = [(member, *_choose_sets(member, newest)) for member in wanted]
     numbers = {number for _, *numbers in named for number in numbers if number is not None}
     held = rows.sets_numbered(session, numbers)  # while these are held, an order finds its own without a statement
-    places = [
-        _place(session, fleet[member.sensor_id], calibration, validation, settings, label)
+    plans = [
+        _plan_member(session, fleet[member.sensor_id], calibration, validation, settings, label)
         for member, calibration, validation in named
     ]
     del held
-    if all(place.order is None for place in places):
-        raise RefusedInputError(f"No sensor of the campaign can have a run. {places[0].refusal}")
-    return places
+    if all(place.order is None for place in plans):
+        raise RefusedInputError(f"No sensor of the campaign can have a run. {plans[0].refusal}")
+    return plans
 
 
 def _refuse_members(ids: Sequence[int]) -> None:
@@ -104,7 +106,7 @@ def _refuse_members(ids: Sequence[int]) -> None:
         raise RefusedInputError("A sensor is in the campaign twice; name each once.")
 
 
-def _sets_of(member: Member, newest: Mapping[tuple[int, str], int]) -> tuple[int | None, int | None]:
+def _choose_sets(member: MemberRequest, newest: Mapping[tuple[int, str], int]) -> tuple[int | None, int | None]:
     """Return the numbers of a member's calibration and validation sets."""
     calibration, validation = member.telemetry_set_id, member.validation_set_id
     return (
@@ -113,21 +115,25 @@ def _sets_of(member: Member, newest: Mapping[tuple[int, str], int]) -> tuple[int
     )
 
 
-def _place(
+def _plan_member(
     session: Session,
     sensor: Sensor,
     calibration: int | None,
     validation: int | None,
     settings: Mapping[str, Any],
     label: str,
-) -> Place:
+) -> CampaignMemberPlan:
     """Check one sensor's order; a refusal is its cause."""
     if calibration is None:
-        return Place(sensor, None, f"{sensor.name} has no calibration set; upload one and launch it again.")
+        return CampaignMemberPlan(
+            sensor, None, f"{sensor.name} has no calibration set; upload one and launch it again."
+        )
     try:
-        return Place(sensor, ordered(session, sensor.id, calibration, settings, validation, label), None)
+        return CampaignMemberPlan(
+            sensor, check_run_request(session, sensor.id, calibration, settings, validation, label), None
+        )
     except BoresightError as error:
-        return Place(sensor, None, str(error))
+        return CampaignMemberPlan(sensor, None, str(error))
 
 
 NOT_LAUNCHED = "NOT LAUNCHED"
@@ -188,13 +194,13 @@ class CampaignView:
         return "SUCCEEDED" if self.counts["SUCCEEDED"] == self.sensors else "ENDED"
 
 
-def view_of(row: Campaign, counted: Counted) -> CampaignView:
+def make_campaign_view(row: Campaign, counted: Counted) -> CampaignView:
     """Put a campaign beside its counts by state, where None has no run."""
     counts = {state: counted.by_state.get(state, 0) for state in RUN_STATES}
     return CampaignView(row, {**counts, NOT_LAUNCHED: counted.by_state.get(None, 0)}, counted.newest_id)
 
 
-def result_of(standing: Standing) -> dict[str, Any]:
+def make_result_line(standing: MemberStatus) -> dict[str, Any]:
     """Return one line of the results over sensors; what a run has not is None.
 
     Arcs in rad: `rms_initial_arc_rad` and `rms_final_arc_rad` of the fit, `validation_...` of the frames held out.
@@ -224,7 +230,7 @@ def launch_campaign(
     actor: Actor,
     label: str,
     settings: Mapping[str, Any],
-    members: Sequence[Member] | None = None,
+    members: Sequence[MemberRequest] | None = None,
     *,
     preset: str | None = None,
     validate_only: bool = False,
@@ -241,8 +247,8 @@ def launch_campaign(
     Returns
     -------
     Campaign or dict
-        The row; with `validate_only` the `label`, `preset`, `settings`, `sensors`, `runs`, `predicted_s` of all runs together, and
-        `refused` [{`sensor_id`, `sensor`, `refusal`}].
+        The row; with `validate_only` the `label`, `preset`, `settings`, `sensors`, `runs`, `predict_duration_s` of all runs
+        together, and `refused` [{`sensor_id`, `sensor`, `refusal`}].
 
     Raises
     ------
@@ -259,30 +265,30 @@ def launch_campaign(
     if not label.strip():
         raise RefusedInputError("Give the campaign a label: what it is for, in a few words.")
     named, chosen = chosen_settings(session, preset, settings)
-    places = places_of(session, members, chosen, label.strip())
+    plans = plan_members(session, members, chosen, label.strip())
     if validate_only:
-        return _dry(session, places, label.strip(), named, chosen)
-    whole = next(place.order.settings.document() for place in places if place.order is not None)
+        return _dry_run(session, plans, label.strip(), named, chosen)
+    whole = next(place.order.settings.document() for place in plans if place.order is not None)
     row = Campaign(label=label.strip(), preset=named, settings=whole, launched_utc=utc_now(), launched_by=actor.user_id)
     session.add(row)
     session.flush()
-    after = {"label": row.label, "preset": named, "settings": row.settings, "sensors": len(places)}
+    after = {"label": row.label, "preset": named, "settings": row.settings, "sensors": len(plans)}
     audit.append(session, actor, "launched", _subject(row), None, after)
-    _queue(session, actor, row, places)
+    _queue(session, actor, row, plans)
     return row
 
 
-def _dry(
-    session: Session, places: Sequence[Place], label: str, preset: str | None, settings: Mapping[str, Any]
+def _dry_run(
+    session: Session, plans: Sequence[CampaignMemberPlan], label: str, preset: str | None, settings: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Say what a campaign would be."""
-    orders = [place.order for place in places if place.order is not None]
-    refused = [place for place in places if place.order is None]
+    orders = [place.order for place in plans if place.order is not None]
+    refused = [place for place in plans if place.order is None]
     return {
         "label": label,
         "preset": preset,
         "settings": orders[0].settings.document() if orders else dict(settings),
-        "sensors": len(places),
+        "sensors": len(plans),
         "runs": len(orders),
         "predicted_s": expected_s(session, orders),
         "refused": [
@@ -291,17 +297,17 @@ def _dry(
     }
 
 
-def _queue(session: Session, actor: Actor, row: Campaign, places: Sequence[Place]) -> None:
+def _queue(session: Session, actor: Actor, row: Campaign, plans: Sequence[CampaignMemberPlan]) -> None:
     """Add the runs and the places of a campaign, portion by portion, and put each run on record."""
-    for start in range(0, len(places), PORTION):
-        some = places[start : start + PORTION]
+    for start in range(0, len(plans), PORTION):
+        some = plans[start : start + PORTION]
         orders = [place.order for place in some if place.order is not None]
         run_of = rows.add_runs(session, [{**order.columns(), "launched_by": actor.user_id} for order in orders])
         named = [
             {"sensor_id": place.sensor.id, "run_id": run_of.get(place.sensor.id), "refusal": place.refusal}
             for place in some
         ]
-        rows.add_places(session, [{"campaign_id": row.id, **one} for one in named])
+        rows.add_members(session, [{"campaign_id": row.id, **one} for one in named])
         for order in orders:
             after = {**order.on_record(), "campaign": row.id}
             audit.append(session, actor, "launched", f"runs/{run_of[order.sensor.id]}", None, after)
@@ -354,18 +360,18 @@ def relaunch_failed(session: Session, actor: Actor, campaign_id: int) -> Campaig
     require_role(actor, "analyst")
     require_scope(actor, "runs")
     row = get_campaign(session, campaign_id)
-    failed = [one for one in rows.standings(session, row.id) if one.state in AGAIN]
+    failed = [one for one in rows.list_member_statuses(session, row.id) if one.state in AGAIN]
     if not failed:
         raise ConflictError(f"Nothing of campaign {row.id} failed; there is nothing to launch again.")
     members = [
-        Member(one.sensor_id)
+        MemberRequest(one.sensor_id)
         if one.telemetry_set_id is None
-        else Member(one.sensor_id, one.telemetry_set_id, one.validation_set_id)
+        else MemberRequest(one.sensor_id, one.telemetry_set_id, one.validation_set_id)
         for one in failed
     ]
-    places = [place for place in places_of(session, members, row.settings, row.label) if place.order is not None]
-    audit.append(session, actor, "launched again", _subject(row), None, {"sensors": len(places)})
-    _queue(session, actor, row, places)
+    plans = [place for place in plan_members(session, members, row.settings, row.label) if place.order is not None]
+    audit.append(session, actor, "launched again", _subject(row), None, {"sensors": len(plans)})
+    _queue(session, actor, row, plans)
     return row
 
 
@@ -392,17 +398,17 @@ def read_campaign(session: Session, campaign_id: int) -> CampaignView:
         When there is none of this number.
     """
     row = get_campaign(session, campaign_id)
-    return view_of(row, rows.counts(session, [row.id])[row.id])
+    return make_campaign_view(row, rows.counts(session, [row.id])[row.id])
 
 
 def list_campaigns(session: Session, *, before_id: int | None = None, limit: int | None = None) -> list[CampaignView]:
     """Return a page of campaigns with their counts, newest first; the next starts before the last one's id."""
     found = lists.newest(session, Campaign, before_id=before_id, limit=limit)
     counted = rows.counts(session, [row.id for row in found])
-    return [view_of(row, counted[row.id]) for row in found]
+    return [make_campaign_view(row, counted[row.id]) for row in found]
 
 
-def results(session: Session, campaign_id: int, *, after_id: int = 0, limit: int | None = None) -> list[Standing]:
+def results(session: Session, campaign_id: int, *, after_id: int = 0, limit: int | None = None) -> list[MemberStatus]:
     """Return where every sensor of a campaign stands, in the order of launch.
 
     Raises
@@ -411,7 +417,7 @@ def results(session: Session, campaign_id: int, *, after_id: int = 0, limit: int
         When there is no such campaign.
     """
     get_campaign(session, campaign_id)
-    return rows.standings(session, campaign_id, after_id=after_id, limit=limit)
+    return rows.list_member_statuses(session, campaign_id, after_id=after_id, limit=limit)
 
 
 def _subject(row: Campaign) -> str:

@@ -15,11 +15,11 @@ from boresight.console.approvals.proposals import TITLES
 from boresight.console.approvals.tables import ChangeProposal
 from boresight.console.change_proposals import service as second_person
 from boresight.console.fleet import service as sensors
-from boresight.console.pages.rendering import Refusal, attempt, read_texts, redirect, render, seen_version
+from boresight.console.pages.rendering import ShownRefusal, attempt, read_texts, redirect, render, seen_version
 from boresight.console.runs.pages.list import read_names
 from boresight.platform.actors import Actor
-from boresight.platform.db.sessions import reading
-from boresight.platform.web.paging import row_number
+from boresight.platform.db.sessions import open_reading
+from boresight.platform.web.paging import parse_row_id
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
@@ -37,7 +37,7 @@ def change_proposals_page(
     request: Request, session: Reading, actor: Who, show: str = "open", before: str = ""
 ) -> HTMLResponse:
     """Show what waits for a second person, or every proposal there was."""
-    state, before_id = (None if show == "all" else "OPEN"), row_number(before)
+    state, before_id = (None if show == "all" else "OPEN"), parse_row_id(before)
     found = proposals.list_proposals(session, state=state, before_id=before_id, limit=ROWS_A_PAGE + 1)
     return render(
         request,
@@ -57,9 +57,9 @@ def change_proposal_page(request: Request, actor: Who, proposal_id: int) -> HTML
     return _page(request, actor, proposal_id, None, "")
 
 
-def _page(request: Request, actor: Actor, proposal_id: int, refusal: Refusal | None, comment: str) -> HTMLResponse:
+def _page(request: Request, actor: Actor, proposal_id: int, refusal: ShownRefusal | None, comment: str) -> HTMLResponse:
     """Render a proposal, with what a refused form left behind."""
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         row = proposals.get_proposal(session, proposal_id)
         own = row.proposed_by == actor.user_id
         return render(

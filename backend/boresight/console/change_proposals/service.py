@@ -18,22 +18,22 @@ from boresight.console.approvals import gate_profiles, proposals
 from boresight.console.approvals import queries as gate_rows
 from boresight.console.approvals.proposals import MAY_CONFIRM, TITLES
 from boresight.console.approvals.tables import ChangeProposal, GateProfile
-from boresight.console.transitions import require_seen, subject_of
+from boresight.console.transitions import name_subject, require_seen
 from boresight.console.uplinks import queries as table_rows
 from boresight.console.uplinks import table_definitions
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import ConflictError, ForbiddenError, RefusedInputError, StaleError
 from boresight.platform.actors import DAY_S, Actor, Policy, require_person, require_role, require_user
 from boresight.platform.audit import log as audit
-from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_after, utc_now
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 
 Scalar = str | int | float | bool | None
 
 
 @dataclass(frozen=True)
-class Difference:
+class ChangedEntry:
     """An entry that a proposal changes.
 
     Parameters
@@ -71,7 +71,7 @@ def change(
         change_now = gate_profiles.set_profile if kind == "gate-profile" else table_definitions.set_definition
         return change_now(session, actor, sensor_id, document, reason, seen_number)
     complete = _checked(session, actor, kind, sensor_id, document, reason, seen_number)
-    same = [row for row in proposals.open_proposals(session, sensor_id, kind) if row.sha256 == sha256_of(complete)]
+    same = [row for row in proposals.open_proposals(session, sensor_id, kind) if row.sha256 == compute_sha256(complete)]
     if same:
         raise ConflictError(f"Proposal {same[0].id} asks for this change already: have another person confirm it.")
     row = ChangeProposal(
@@ -79,7 +79,7 @@ def change(
         kind=kind,
         base_number=_in_force(session, kind, sensor_id),
         document=complete,
-        sha256=sha256_of(complete),
+        sha256=compute_sha256(complete),
         reason=reason.strip(),
         proposed_utc=utc_now(),
         proposed_by=require_user(actor, "propose a change"),
@@ -90,7 +90,7 @@ def change(
     session.flush()
     told = {"kind": kind, "sensor": f"sensors/{sensor_id}", "against": row.base_number, "sha256": row.sha256}
     told |= {"document": complete, "expires_utc": row.expires_utc}
-    audit.append(session, actor, "proposed", subject_of(row), None, told, row.reason)
+    audit.append(session, actor, "proposed", name_subject(row), None, told, row.reason)
     return row
 
 
@@ -159,12 +159,12 @@ def refuse(session: Session, actor: Actor, proposal_id: int, seen_version: int |
     return row
 
 
-def differences(session: Session, row: ChangeProposal) -> list[Difference]:
+def differences(session: Session, row: ChangeProposal) -> list[ChangedEntry]:
     """Return what a proposal changes in the version that it was made against."""
     before, after = dict(_leaves(_base(session, row))), dict(_leaves(row.document))
     places = [*before, *(place for place in after if place not in before)]
     return [
-        Difference(place, before.get(place), after.get(place))
+        ChangedEntry(place, before.get(place), after.get(place))
         for place in places
         if (place in before) != (place in after) or before[place] != after[place]
     ]

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.console.fleet.trend import Point, Trend
+from boresight.console.fleet.trend import Trend, TrendPoint
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.estimation.statistics import drift as tests
-from boresight.estimation.statistics.drift import FALSE_ALARM_RATE, Epoch, Line
+from boresight.estimation.statistics.drift import FALSE_ALARM_RATE, Epoch, RegressionLine
 from boresight.verdicts.numbers import fixed, number
 from boresight.verdicts.quantities import quantity
 
@@ -33,7 +33,7 @@ EPOCH = "2000-01-01T12:00:00+00:00"  # days are counted from J2000, and any day 
 
 
 @dataclass(frozen=True)
-class Drift:
+class DriftResult:
     """What the tests say.
 
     Parameters
@@ -61,13 +61,13 @@ class Drift:
     verdict: str
     sentence: str
     names: tuple[str, ...] = ()
-    newest: Point | None = None
+    newest: TrendPoint | None = None
     difference: FloatArray | None = None
     sigma: FloatArray | None = None
     covariance: FloatArray | None = None
-    holds: tests.Test | None = None
-    slope: tests.Test | None = None
-    line: Line | None = None
+    holds: tests.ChiSquareTest | None = None
+    slope: tests.ChiSquareTest | None = None
+    line: RegressionLine | None = None
     counted: int = 0
 
     @property
@@ -80,7 +80,7 @@ class Drift:
         return self.names[most], float(worth[most])
 
 
-def judge(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> Drift:
+def judge_drift(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> DriftResult:
     """Test a sensor for drift.
 
     Parameters
@@ -89,26 +89,28 @@ def judge(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> Drift:
         Chance that a look rejects although nothing changed.
     """
     if trend.baseline is None:
-        return Drift("NOT TESTED", "There is no baseline to hold a calibration against; register the sensor again.")
+        return DriftResult(
+            "NOT TESTED", "There is no baseline to hold a calibration against; register the sensor again."
+        )
     own = trend.of_run(trend.baseline.run_id)
     since = [point for point in trend.independent if _is_since(point, own, trend.baseline)]
     later = [point for point in since if own is None or not point.overlaps(own)]
     if not later:
-        return Drift("NOT TESTED", _nothing_newer(trend))
+        return DriftResult("NOT TESTED", _nothing_newer(trend))
     newest = later[-1]
     names, base = newest.names, _baseline_epoch(trend.baseline, own, newest.names)
-    series = [epoch_of(point, names) for point in since if point.timed and set(point.names) == set(names)]
+    series = [make_epoch(point, names) for point in since if point.timed and set(point.names) == set(names)]
     line = tests.fit_line(series)
     share = alpha / (1 if line is None else 2)
-    first = epoch_of(newest, names)
+    first = make_epoch(newest, names)
     held = tests.baseline_test(first, base, share)
     slope = None if line is None else tests.slope_test(line, share)
     if held is None:
-        return Drift(
+        return DriftResult(
             "NOT TESTED", f"The covariance of run {newest.run_id} or of the baseline is not positive definite."
         )
     covariance = first.covariance + base.covariance
-    found = Drift(
+    found = DriftResult(
         _verdict(held, slope, trend.baseline),
         "",
         names,
@@ -124,7 +126,7 @@ def judge(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> Drift:
     return _with_sentence(found, trend.baseline)
 
 
-def _verdict(held: tests.Test, slope: tests.Test | None, baseline: ParameterSet) -> str:
+def _verdict(held: tests.ChiSquareTest, slope: tests.ChiSquareTest | None, baseline: ParameterSet) -> str:
     """Say it in a word; calibrations that move with time drift, whatever the baseline was made from."""
     if slope is not None and slope.rejects:
         return "DRIFT"
@@ -133,7 +135,7 @@ def _verdict(held: tests.Test, slope: tests.Test | None, baseline: ParameterSet)
     return "GROUND SHIFT" if baseline.run_id is None else "DRIFT"
 
 
-def _is_since(point: Point, own: Point | None, baseline: ParameterSet) -> bool:
+def _is_since(point: TrendPoint, own: TrendPoint | None, baseline: ParameterSet) -> bool:
     """Whether a calibration is of the baseline's own data or of later ones."""
     if baseline.run_id is None:
         return True
@@ -149,7 +151,7 @@ def _nothing_newer(trend: Trend) -> str:
     return f"No calibration of data that {name} has not seen: upload newer telemetry and calibrate it.{more}"
 
 
-def epoch_of(point: Point, names: Sequence[str]) -> Epoch:
+def make_epoch(point: TrendPoint, names: Sequence[str]) -> Epoch:
     """Return a calibration's estimate of these parameters, in their order."""
     order = [point.names.index(name) for name in names]
     days = (datetime.fromisoformat(point.at_utc) - datetime.fromisoformat(EPOCH)).total_seconds() / DAY_S
@@ -158,7 +160,7 @@ def epoch_of(point: Point, names: Sequence[str]) -> Epoch:
     return Epoch(days, value, point.covariance[np.ix_(order, order)], warmth)
 
 
-def _baseline_epoch(baseline: ParameterSet, own: Point | None, names: Sequence[str]) -> Epoch:
+def _baseline_epoch(baseline: ParameterSet, own: TrendPoint | None, names: Sequence[str]) -> Epoch:
     """Return the baseline's estimate; its run's covariance is the honest one where it is known."""
     document = baseline.document["covariance"]
     listed, matrix = list(document["names"]), np.array(document["matrix"], dtype=np.float64)
@@ -169,14 +171,14 @@ def _baseline_epoch(baseline: ParameterSet, own: Point | None, names: Sequence[s
     return Epoch(0.0, value, matrix[np.ix_(order, order)])
 
 
-def _with_sentence(found: Drift, baseline: ParameterSet) -> Drift:
+def _with_sentence(found: DriftResult, baseline: ParameterSet) -> DriftResult:
     """Say what was found, the test that rejects first."""
     first = [GROUND_SHIFTED] if found.verdict == "GROUND SHIFT" else []
     said = [*first, _of_the_baseline(found, baseline), *_of_the_slope(found), *_of_temperature(found)]
     return replace(found, sentence=" ".join(said))
 
 
-def _of_the_baseline(found: Drift, baseline: ParameterSet) -> str:
+def _of_the_baseline(found: DriftResult, baseline: ParameterSet) -> str:
     """Say whether the baseline holds."""
     if found.holds is None or found.newest is None or found.largest is None:
         return ""
@@ -188,7 +190,7 @@ def _of_the_baseline(found: Drift, baseline: ParameterSet) -> str:
     return f"Run {found.newest.run_id} agrees with {baseline.name} ({numbers})."
 
 
-def _of_the_slope(found: Drift) -> list[str]:
+def _of_the_slope(found: DriftResult) -> list[str]:
     """Say whether there is a slope."""
     if found.slope is None or found.line is None:
         return ["Too few calibrations since the baseline for a slope: three of different times show one."]
@@ -203,7 +205,7 @@ def _of_the_slope(found: Drift) -> list[str]:
     return sentences
 
 
-def _of_temperature(found: Drift) -> list[str]:
+def _of_temperature(found: DriftResult) -> list[str]:
     """Say what part temperature has."""
     if found.line is None or found.line.thermal_per_c is None or found.line.thermal_covariance is None:
         return []
@@ -214,7 +216,7 @@ def _of_temperature(found: Drift) -> list[str]:
     return ["They move with temperature; the slope is what is left."] if test.rejects else []
 
 
-def document(found: Drift) -> dict[str, Any]:
+def document(found: DriftResult) -> dict[str, Any]:
     """Write what the tests say as JSON, SI."""
     line = found.line
     return {
@@ -238,7 +240,7 @@ def _listed(names: Sequence[str], values: FloatArray | None) -> dict[str, float]
     return None if values is None else dict(zip(names, values.tolist(), strict=True))
 
 
-def _test(test: tests.Test | None) -> dict[str, Any] | None:
+def _test(test: tests.ChiSquareTest | None) -> dict[str, Any] | None:
     if test is None:
         return None
     return {"statistic": test.statistic, "dof": test.dof, "limit": test.limit, "p": test.p, "rejects": test.rejects}

@@ -31,20 +31,22 @@ def sensor_named(session: Session, name: str) -> Sensor | None:
 def sensors(session: Session, sensor_ids: Collection[int] | None = None, *, documents: bool = True) -> Sequence[Sensor]:
     """Return the fleet, or some of it, by name; on request without their documents, which then cannot be asked for."""
     query = (
-        sa.select(Sensor).where(*_of(Sensor.id, sensor_ids)).options(*_but(documents, Sensor.document, Sensor.truth))
+        sa.select(Sensor)
+        .where(*_filter_sensors(Sensor.id, sensor_ids))
+        .options(*_but(documents, Sensor.document, Sensor.truth))
     )
     return session.scalars(query.order_by(Sensor.name)).all()
 
 
 def sensor_heads(session: Session, sensor_ids: Collection[int] | None = None) -> Sequence[Any]:
     """Return id, name and version of the sensors of the fleet, or of some, by name."""
-    query = sa.select(Sensor.id, Sensor.name, Sensor.version).where(*_of(Sensor.id, sensor_ids))
+    query = sa.select(Sensor.id, Sensor.name, Sensor.version).where(*_filter_sensors(Sensor.id, sensor_ids))
     return session.execute(query.order_by(Sensor.name)).all()
 
 
 def names(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, str]:
     """Return the names of the fleet, or of some sensors, by their numbers."""
-    query = sa.select(Sensor.id, Sensor.name).where(*_of(Sensor.id, sensor_ids))
+    query = sa.select(Sensor.id, Sensor.name).where(*_filter_sensors(Sensor.id, sensor_ids))
     return {row[0]: row[1] for row in session.execute(query)}
 
 
@@ -81,7 +83,7 @@ def baseline_heads(session: Session, sensor_ids: Collection[int] | None = None) 
 
 def _baselines(sensor_ids: Collection[int] | None, *columns: Any) -> sa.Select[Any]:
     query = sa.select(*columns).where(ParameterSet.ground_state == "BASELINE")
-    return query.where(*_of(ParameterSet.sensor_id, sensor_ids))
+    return query.where(*_filter_sensors(ParameterSet.sensor_id, sensor_ids))
 
 
 def last_runs(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, Run]:
@@ -99,21 +101,21 @@ def last_run_heads(session: Session, sensor_ids: Collection[int] | None = None) 
 def _last_runs(sensor_ids: Collection[int] | None, *columns: Any) -> sa.Select[Any]:
     """Ask each sensor for its newest run: the end of an index, however many it has."""
     newest = sa.select(sa.func.max(Run.id)).where(Run.sensor_id == Sensor.id).correlate(Sensor).scalar_subquery()
-    of_each = sa.select(newest).select_from(Sensor).where(*_of(Sensor.id, sensor_ids))
+    of_each = sa.select(newest).select_from(Sensor).where(*_filter_sensors(Sensor.id, sensor_ids))
     return sa.select(*columns).where(Run.id.in_(of_each))
 
 
 def set_counts(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, int]:
     """Count the telemetry sets that are in use of each sensor, or of some, by sensor."""
     query = sa.select(TelemetrySet.sensor_id, sa.func.count()).where(TelemetrySet.archived_utc.is_(None))
-    query = query.where(*_of(TelemetrySet.sensor_id, sensor_ids))
+    query = query.where(*_filter_sensors(TelemetrySet.sensor_id, sensor_ids))
     return {sensor_id: count for sensor_id, count in session.execute(query.group_by(TelemetrySet.sensor_id))}  # noqa: C416 - rows are not pairs to a type checker
 
 
 def waiting_approvals(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, str]:
     """Return the name of a set that waits for a signature, by sensor."""
     query = sa.select(ParameterSet.sensor_id, ParameterSet.name).join(Approval).where(Approval.state == "OPEN")
-    query = query.where(*_of(ParameterSet.sensor_id, sensor_ids))
+    query = query.where(*_filter_sensors(ParameterSet.sensor_id, sensor_ids))
     return {sensor_id: name for sensor_id, name in session.execute(query)}  # noqa: C416 - rows are not pairs to a type checker
 
 
@@ -133,7 +135,7 @@ def onboard_heads(session: Session, sensor_ids: Collection[int] | None = None) -
 
 def _onboard(sensor_ids: Collection[int] | None, *columns: Any) -> sa.Select[Any]:
     query = sa.select(*columns).where(ParameterSet.onboard_state.in_(("ACTIVE", "MISMATCH")))
-    return query.where(*_of(ParameterSet.sensor_id, sensor_ids))
+    return query.where(*_filter_sensors(ParameterSet.sensor_id, sensor_ids))
 
 
 def _but(whole: bool, *documents: Any) -> list[Any]:
@@ -149,7 +151,7 @@ def _by_sensor(found: Iterable[Any]) -> dict[int, list[Any]]:
     return by_sensor
 
 
-def _of(column: Any, sensor_ids: Collection[int] | None) -> list[sa.ColumnElement[bool]]:
+def _filter_sensors(column: Any, sensor_ids: Collection[int] | None) -> list[sa.ColumnElement[bool]]:
     """Keep to some sensors where some are named."""
     return [] if sensor_ids is None else [among(column, sensor_ids)]
 
@@ -277,7 +279,7 @@ def keys(
     return [Key(*row) for row in session.execute(query if limit is None else query.limit(limit))]
 
 
-def key_of(session: Session, sensor_id: int, kind: int, row_id: int) -> Key | None:
+def get_key(session: Session, sensor_id: int, kind: int, row_id: int) -> Key | None:
     """Return where one event stands; None when it is none of the sensor's."""
     table, time, query = _of_sensor(sensor_id)[KINDS[kind]]
     at_utc = session.scalar(query.with_only_columns(time).where(table.id == row_id))
@@ -306,7 +308,7 @@ def printed_names(session: Session) -> dict[int, str]:
     return {number: name for number, name in session.execute(query)}  # noqa: C416 - rows are not pairs to a type checker
 
 
-def requests_of(session: Session, sensor_id: int) -> dict[int, Approval]:
+def list_requests(session: Session, sensor_id: int) -> dict[int, Approval]:
     """Return every request for a sensor's sets, by its number."""
     query = sa.select(Approval).join(ParameterSet).where(ParameterSet.sensor_id == sensor_id)
     return {row.id: row for row in session.scalars(query)}

@@ -20,7 +20,7 @@ from boresight.console.access.dependencies import Reading, SeenVersion, Who, Wri
 from boresight.console.fleet import schemas, timeline
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
-from boresight.console.fleet.timeline import Event
+from boresight.console.fleet.timeline import TimelineEvent
 from boresight.console.fleet.trend_document import trend_document
 from boresight.console.operation import Beside, json_response, operations
 from boresight.console.runs import schemas as run_schemas
@@ -29,9 +29,9 @@ from boresight.console.uplinks import service as uplinks
 from boresight.errors import RefusedInputError
 from boresight.figures import figure_json
 from boresight.figures.charts import trend
-from boresight.platform.web.keeping import SAME_FOR_ALL, whole_tag
 from boresight.platform.web.media import CsvFile, csv_response
 from boresight.platform.web.paging import Id, Listing, Page, Paged
+from boresight.platform.web.response_cache_store import SAME_FOR_ALL, cover_with_tag
 
 router = operations("/sensors", tags=["sensors"])
 
@@ -50,7 +50,7 @@ SensorFile = Annotated[console_schemas.Document, Body(description="The sensor fi
 @router.get("", summary="List the fleet", response_model=Page[schemas.Sensor], dependencies=[SAME_FOR_ALL])
 def list_sensors(session: Reading, page: Paged) -> Listing[Sensor]:
     """List the fleet by name."""
-    return page.cut(lists.page_of(session, "sensors", {}, "sensor", before_id=page.last_id, limit=page.limit + 1))
+    return page.cut(lists.read_page(session, "sensors", {}, "sensor", before_id=page.last_id, limit=page.limit + 1))
 
 
 @router.post("", summary="Register a sensor", status_code=201, response_model=schemas.Sensor)
@@ -62,7 +62,7 @@ def register_sensor(document: SensorFile, actor: Who, session: Writing) -> Senso
 @router.get("/{sensor_id}", summary="Read a sensor", response_model=schemas.Sensor, dependencies=[SAME_FOR_ALL])
 def get_sensor(sensor_id: Id, session: Reading, request: Request) -> Sensor:
     """Read a sensor with its file; the ETag is for `PUT`."""
-    whole_tag(request)
+    cover_with_tag(request)
     return sensors.get_sensor(session, sensor_id)
 
 
@@ -103,7 +103,7 @@ def get_sensor_as_of(sensor_id: Id, session: Reading, time: Time = None) -> dict
 
     With the promotion, its request and signatures, and the records on board with their sources.
     """
-    known = timeline.as_of(session, sensor_id, time)
+    known = timeline.get_state_at(session, sensor_id, time)
     return {
         "sensor_id": known.sensor.id,
         "time_utc": known.time_utc,
@@ -129,7 +129,7 @@ def list_sensor_timeline(
     session: Reading,
     page: Paged,
     until: Annotated[str | None, Query(description="Leave out what was recorded after this time.")] = None,
-) -> Listing[Event]:
+) -> Listing[TimelineEvent]:
     """List what happened to a sensor, newest first.
 
     Promotions and roll-backs, requests and signatures, waivers, packages, records on board and read-backs, gate profiles and

@@ -12,28 +12,28 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.console.fleet import queries as rows
-from boresight.console.fleet.status import SensorTile, fleet_overview
+from boresight.console.fleet.status import SensorTile, list_fleet_tiles
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.service import create_ground_calibration
-from boresight.console.transitions import get_sensor, require_seen, subject_of
+from boresight.console.transitions import get_sensor, name_subject, require_seen
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.telemetry.sensors import parse_sensor, sensor_document
 
 __all__ = [
     "MOST_CHOICES",
-    "Choices",
+    "SensorChoices",
     "SensorTile",
     "choices",
     "count",
     "edit_sensor",
-    "fleet_overview",
     "get_sensor",
+    "get_sensor_names",
+    "list_fleet_tiles",
     "list_sensors",
-    "names_of",
     "register_sensor",
 ]
 
@@ -89,7 +89,7 @@ def register_sensor(
     )
     session.add(row)
     session.flush()
-    audit.append(session, actor, "registered", subject_of(row), None, row.document)
+    audit.append(session, actor, "registered", name_subject(row), None, row.document)
     create_ground_calibration(session, actor, row, description)
     return row
 
@@ -116,7 +116,7 @@ def edit_sensor(
             raise RefusedInputError(f"The {field} of {row.name} cannot change; register a new sensor for it.")
     row.document = after
     row.version += 1
-    audit.append(session, actor, "edited", subject_of(row), before, after)
+    audit.append(session, actor, "edited", name_subject(row), before, after)
     return row
 
 
@@ -125,7 +125,7 @@ def list_sensors(session: Session, sensor_ids: Collection[int] | None = None) ->
     return rows.sensors(session, sensor_ids)
 
 
-def names_of(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, str]:
+def get_sensor_names(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, str]:
     """Return the names of these sensors by their numbers; of the whole fleet where None is given."""
     return rows.names(session, sensor_ids)
 
@@ -136,7 +136,7 @@ def count(session: Session) -> int:
 
 
 @dataclass(frozen=True)
-class Choices:
+class SensorChoices:
     """The sensors that a chooser offers.
 
     Parameters
@@ -163,7 +163,7 @@ class Choices:
     fleet: int
 
 
-def choices(session: Session, *, find: str = "", keep: Iterable[int] = ()) -> Choices:
+def choices(session: Session, *, find: str = "", keep: Iterable[int] = ()) -> SensorChoices:
     """Return what a chooser offers: a small fleet whole; of a larger one what is kept and the first that hold `find`.
 
     Parameters
@@ -182,10 +182,10 @@ def choices(session: Session, *, find: str = "", keep: Iterable[int] = ()) -> Ch
     find = find.strip()[:LONGEST_NAME]
     first = rows.names_holding(session, "", MOST_CHOICES + 1)
     if len(first) <= MOST_CHOICES:
-        return Choices(first, is_all=True, find=find, found=len(first), fitting=len(first), fleet=len(first))
+        return SensorChoices(first, is_all=True, find=find, found=len(first), fitting=len(first), fleet=len(first))
     found = dict(list((rows.names_holding(session, find, MOST_CHOICES) if find else first).items())[:MOST_CHOICES])
     kept = rows.names(session, set(keep) - found.keys())
     kept = dict(sorted(kept.items(), key=lambda one: one[1]))
     fleet = count(session)
     fitting = rows.count_holding(session, find) if find else fleet
-    return Choices(kept | found, is_all=False, find=find, found=len(found), fitting=fitting, fleet=fleet)
+    return SensorChoices(kept | found, is_all=False, find=find, found=len(found), fitting=fitting, fleet=fleet)

@@ -3,7 +3,7 @@
 Status words, from worst to best: critical, serious, caution, normal, standby, off. Each finding below is a word with
 its sentence; a sensor shows the worst of its findings.
 
-Whether each sensor drifts, remembered: every page and every round of the upkeep asks, and an answer takes reading every run.
+Cached drift verdicts of the sensors: they are asked for often, and each takes reading a whole trend.
 
 A trend changes when a run succeeds, when another set becomes the baseline, or when the sensor's document does, and by nothing
 else: telemetry and finished runs are never rewritten. So a judgement rests on three values that cost one query for the whole
@@ -25,7 +25,7 @@ from boresight.console.fleet import queries as rows
 from boresight.console.fleet import queries as trends
 from boresight.console.fleet.drift import GROUND_SHIFTED
 from boresight.console.fleet.tables import Sensor
-from boresight.console.fleet.trend import trends_of
+from boresight.console.fleet.trend import read_trends
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
 from boresight.platform.db.sessions import Session, utc_now
@@ -35,8 +35,8 @@ TOGETHER = 16  # sensors whose runs are held in memory at once
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """What `drift.judge` said: its verdict, its sentence, and the figures as JSON."""
+class DriftVerdict:
+    """What `drift.judge_drift` said: its verdict, its sentence, and the figures as JSON."""
 
     verdict: str
     sentence: str
@@ -44,17 +44,17 @@ class Judgement:
 
 
 #: By store and sensor: what a judgement rests on, and the judgement.
-_known: WeakKeyDictionary[Any, dict[int, tuple[Any, Judgement]]] = WeakKeyDictionary()
+_known: WeakKeyDictionary[Any, dict[int, tuple[Any, DriftVerdict]]] = WeakKeyDictionary()
 
 
-def judgements(
+def get_drift_verdicts(
     session: Session,
     sensors: Sequence[Any],
     baselines: Mapping[int, Any],
     stamps: Mapping[int, Any],
     *,
     most: int | None = None,
-) -> dict[int, Judgement]:
+) -> dict[int, DriftVerdict]:
     """Return whether some sensors drift, by their ids; those that must be asked anew are, `TOGETHER` at a time.
 
     Parameters
@@ -72,9 +72,12 @@ def judgements(
     anew = unknown if most is None else unknown[:most]
     for start in range(0, len(anew), TOGETHER):
         asked = rows.sensors(session, anew[start : start + TOGETHER])
-        for sensor_id, trend in trends_of(session, asked).items():
-            found = drift.judge(trend)
-            of_store[sensor_id] = rests_on[sensor_id], Judgement(found.verdict, found.sentence, drift.document(found))
+        for sensor_id, trend in read_trends(session, asked).items():
+            found = drift.judge_drift(trend)
+            of_store[sensor_id] = (
+                rests_on[sensor_id],
+                DriftVerdict(found.verdict, found.sentence, drift.document(found)),
+            )
     return {sensor.id: of_store[sensor.id][1] for sensor in sensors if sensor.id in of_store}
 
 
@@ -119,7 +122,7 @@ class SensorTile:
 
 
 @dataclass(frozen=True)
-class Standing:
+class SensorStatus:
     """How a sensor stands.
 
     Parameters
@@ -144,7 +147,7 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Known:
+class SensorFacts:
     """What is known of one sensor; `baseline`, `last_run` and `onboard` are rows or their heads (`console.fleet.queries`)."""
 
     baseline: Any
@@ -157,20 +160,20 @@ class Known:
     ground_shifted: bool | None = False  # None where its runs have not been asked yet
 
 
-def standings(session: Session, sensor_ids: Collection[int] | None = None) -> list[Standing]:
+def list_sensor_statuses(session: Session, sensor_ids: Collection[int] | None = None) -> list[SensorStatus]:
     """Return how every sensor of the fleet stands, or some, by name; a fraction of what their tiles cost."""
     heads = trends.sensor_heads(session, sensor_ids)
     baselines, runs = trends.baseline_heads(session, sensor_ids), trends.last_run_heads(session, sensor_ids)
     onboard, counts = trends.onboard_heads(session, sensor_ids), trends.set_counts(session, sensor_ids)
     waiting, drifting = trends.waiting_approvals(session, sensor_ids), _drifting(session)
     known = {
-        head.id: Known(
+        head.id: SensorFacts(
             baseline=baselines.get(head.id),
             last_run=runs.get(head.id),
             onboard=tuple(onboard.get(head.id, ())),
             waiting=waiting.get(head.id),
             telemetry_sets=counts.get(head.id, 0),
-            days=days_since(baselines.get(head.id)),
+            days=count_days_since(baselines.get(head.id)),
             drift=drifting.get(head.id),
         )
         for head in heads
@@ -178,7 +181,7 @@ def standings(session: Session, sensor_ids: Collection[int] | None = None) -> li
     for sensor_id, shifted in _ground_shifted(session, heads, known):
         known[sensor_id] = replace(known[sensor_id], ground_shifted=shifted)
     return [
-        Standing(
+        SensorStatus(
             head.id,
             head.name,
             *_worst(one := known[head.id]),
@@ -190,12 +193,12 @@ def standings(session: Session, sensor_ids: Collection[int] | None = None) -> li
     ]
 
 
-def fleet_overview(session: Session, sensor_ids: Collection[int] | None = None) -> list[SensorTile]:
+def list_fleet_tiles(session: Session, sensor_ids: Collection[int] | None = None) -> list[SensorTile]:
     """Return a tile for every sensor, or for some, by name."""
-    return tiles(session, standings(session, sensor_ids))
+    return list_tiles(session, list_sensor_statuses(session, sensor_ids))
 
 
-def tiles(session: Session, stand: Sequence[Standing], *, documents: bool = True) -> list[SensorTile]:
+def list_tiles(session: Session, stand: Sequence[SensorStatus], *, documents: bool = True) -> list[SensorTile]:
     """Return the tiles of sensors that stand so, in their order: what a page counts and what it draws are one look.
 
     On request sensors and baselines come without their documents.
@@ -211,7 +214,7 @@ def tiles(session: Session, stand: Sequence[Standing], *, documents: bool = True
             active=next((row for row in onboard.get(one.sensor_id, ()) if row.onboard_state == "ACTIVE"), None),
             last_run=runs.get(one.sensor_id),
             telemetry_sets=counts.get(one.sensor_id, 0),
-            days_since_calibration=days_since(baselines.get(one.sensor_id)),
+            days_since_calibration=count_days_since(baselines.get(one.sensor_id)),
             status=one.status,
             sentence=one.sentence,
         )
@@ -219,15 +222,15 @@ def tiles(session: Session, stand: Sequence[Standing], *, documents: bool = True
     ]
 
 
-def _is_on_the_ground(known: Known) -> bool:
+def _is_on_the_ground(known: SensorFacts) -> bool:
     """Whether a sensor flies by its ground calibration and nothing worse is known, that would hide what its runs say of that."""
     if known.baseline is None or known.baseline.run_id is not None:
         return False
-    return not any(word in WORSE_THAN_NORMAL for word, _ in findings(known))
+    return not any(word in WORSE_THAN_NORMAL for word, _ in list_findings(known))
 
 
 def _ground_shifted(
-    session: Session, heads: Sequence[Any], known: Mapping[int, Known]
+    session: Session, heads: Sequence[Any], known: Mapping[int, SensorFacts]
 ) -> Iterator[tuple[int, bool | None]]:
     """Yield of the sensors that are asked whether the ground calibration does not hold; None where that is not known yet.
 
@@ -238,7 +241,7 @@ def _ground_shifted(
     stamps = trends.stamps(session, [head.id for head in asked])
     asked = [head for head in asked if head.id in stamps]
     baselines = {head.id: known[head.id].baseline for head in asked}
-    judged = judgements(session, asked, baselines, stamps, most=MOST_JUDGED)
+    judged = get_drift_verdicts(session, asked, baselines, stamps, most=MOST_JUDGED)
     for head in asked:
         found = judged.get(head.id)
         yield head.id, None if found is None else found.verdict == "GROUND SHIFT"
@@ -250,17 +253,17 @@ def _drifting(session: Session) -> dict[int | None, Alarm]:
     return {row.sensor_id: row for row in found if not (row.shelved_until_utc or "") > utc_now()}
 
 
-def recent_summaries(session: Session, sensor_ids: Collection[int], limit: int) -> dict[int, list[dict[str, Any]]]:
+def list_recent_summaries(session: Session, sensor_ids: Collection[int], limit: int) -> dict[int, list[dict[str, Any]]]:
     """Return of some sensors the summaries of their newest runs that succeeded, oldest first."""
     return trends.recent_summaries(session, sensor_ids, limit)
 
 
-def _worst(known: Known) -> tuple[str, str]:
+def _worst(known: SensorFacts) -> tuple[str, str]:
     """Return the worst finding; of equally bad ones the one that is looked for first."""
-    return min(findings(known), key=lambda finding: STATUS_WORDS.index(finding[0]))
+    return min(list_findings(known), key=lambda finding: STATUS_WORDS.index(finding[0]))
 
 
-def days_since(baseline: Any) -> float | None:
+def count_days_since(baseline: Any) -> float | None:
     """Return the days since a set became baseline."""
     if baseline is None or baseline.baseline_from_utc is None:
         return None
@@ -268,7 +271,7 @@ def days_since(baseline: Any) -> float | None:
     return max(0.0, since.total_seconds() / SECONDS_PER_DAY)
 
 
-def findings(known: Known) -> Iterator[tuple[str, str]]:
+def list_findings(known: SensorFacts) -> Iterator[tuple[str, str]]:
     """Yield every finding on a sensor as a status word and its sentence; there is always one."""
     yield from _onboard_findings(known)
     yield from _run_findings(known.last_run)
@@ -290,7 +293,7 @@ def findings(known: Known) -> Iterator[tuple[str, str]]:
         yield "standby", "There is telemetry and no calibration yet; launch a run."
 
 
-def _onboard_findings(known: Known) -> Iterator[tuple[str, str]]:
+def _onboard_findings(known: SensorFacts) -> Iterator[tuple[str, str]]:
     """Yield what the read-backs say about the baseline."""
     for row in known.onboard:
         if row.onboard_state == "MISMATCH":
@@ -315,7 +318,7 @@ def _run_findings(run: Any) -> Iterator[tuple[str, str]]:
 
 def _result_finding(run_id: int, summary: Mapping[str, Any]) -> tuple[str, str]:
     """Say what a finished calibration means for the sensor; critical is kept for what is on board."""
-    level = level_of_result(summary)
+    level = judge_result(summary)
     status, advice = str(summary.get("status") or "converged"), _first_sentence(summary)
     if level == "normal":
         return level, f"Run {run_id} converged."
@@ -325,7 +328,7 @@ def _result_finding(run_id: int, summary: Mapping[str, Any]) -> tuple[str, str]:
     return "caution" if level == "caution" else "serious", f"Run {run_id} {verb} {status.replace('_', ' ')}: {advice}"
 
 
-def level_of_result(summary: Mapping[str, Any]) -> str:
+def judge_result(summary: Mapping[str, Any]) -> str:
     """Judge a finished run by its summary: the verdict of its page, and no better than caution where it gave advice."""
     status = str(summary.get("status") or "converged")
     level = str(summary.get("level") or LEVEL_OF_STATUS.get(status, "serious"))

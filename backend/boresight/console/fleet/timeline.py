@@ -6,12 +6,12 @@ that is not after T,
     baseline(T) = the newest promotion,      on board(T) = of every set the newest record,
     limits(T) = the newest gate profile,     table(T) = the newest table definition.
 
-`as_of` asks for these rows; `events` lists all of them. That the first is the fold of the second is a test.
+`get_state_at` asks for these rows; `events` lists all of them. That the first is the fold of the second is a test.
 
 T is the time at which a thing was recorded here: what people could know at T, and acted upon. Where a record says that
 its event happened earlier (`happened_utc`), an answer for a time between the two also names it under `learned_later`.
 
-An event of a sensor's history in words: what happened, to which set, who did it and in whose words.
+Timeline events in words: what happened, to which set, and who did it.
 
 One reader a kind of `boresight.console.fleet.queries.KINDS`; a row is told in the same way wherever it is listed.
 """
@@ -39,7 +39,7 @@ METHODS = {"bytes": "compared byte by byte", "crc": "compared by CRC"}
 
 
 @dataclass(frozen=True)
-class Event:
+class TimelineEvent:
     """One line of a sensor's timeline.
 
     Parameters
@@ -84,7 +84,7 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Told:
+class EventText:
     """What a kind's reader makes of a row."""
 
     kind: str
@@ -98,7 +98,7 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Reader:
+class TimelineReader:
     """What the rows of a sensor's events refer to."""
 
     names: Mapping[int, str]
@@ -107,19 +107,19 @@ class Reader:
     first_promotions: Mapping[int, int]
 
     @classmethod
-    def of_sensor(cls, session: Session, sensor_id: int) -> Reader:
+    def of_sensor(cls, session: Session, sensor_id: int) -> TimelineReader:
         """Read the names that a sensor's events speak of."""
         return cls(
             rows.set_names(session, sensor_id),
             rows.printed_names(session),
-            rows.requests_of(session, sensor_id),
+            rows.list_requests(session, sensor_id),
             rows.first_promotions(session, sensor_id),
         )
 
-    def read(self, key: rows.Key, row: Any) -> Event:
+    def read(self, key: rows.Key, row: Any) -> TimelineEvent:
         """Tell the row behind a key."""
         told = READERS[rows.KINDS[key.kind]](self, row)
-        return Event(
+        return TimelineEvent(
             id=key.row_id * len(rows.KINDS) + key.kind,
             at_utc=key.at_utc,
             kind=told.kind,
@@ -139,42 +139,42 @@ class Reader:
         return self.names[set_id]
 
 
-def _definition(reader: Reader, row: TableDefinition) -> Told:  # noqa: ARG001 - every reader is asked alike
+def _definition(reader: TimelineReader, row: TableDefinition) -> EventText:  # noqa: ARG001 - every reader is asked alike
     sentence = f"Table definition {row.number} came into force."
-    return Told("table definition", sentence, None, row.created_by, None, row.reason, row.sha256)
+    return EventText("table definition", sentence, None, row.created_by, None, row.reason, row.sha256)
 
 
-def _profile(reader: Reader, row: GateProfile) -> Told:  # noqa: ARG001 - every reader is asked alike
+def _profile(reader: TimelineReader, row: GateProfile) -> EventText:  # noqa: ARG001 - every reader is asked alike
     sentence = f"Gate profile {row.number} came into force."
-    return Told("gate profile", sentence, None, row.created_by, None, row.reason, row.sha256)
+    return EventText("gate profile", sentence, None, row.created_by, None, row.reason, row.sha256)
 
 
-def _request(reader: Reader, row: Approval) -> Told:
+def _request(reader: TimelineReader, row: Approval) -> EventText:
     name = reader.name(row.parameter_set_id)
     asked = f"rolling back to {name}" if row.kind == "ROLLBACK" else f"making {name} the baseline"
-    told = Told("request", f"Request {row.id} asked for {asked}; it is {row.state}.", row.parameter_set_id)
+    told = EventText("request", f"Request {row.id} asked for {asked}; it is {row.state}.", row.parameter_set_id)
     return replace(told, person=row.submitted_by, said=row.reason, subject=f"approvals/{row.id}")
 
 
-def _waiver(reader: Reader, row: Waiver) -> Told:
+def _waiver(reader: TimelineReader, row: Waiver) -> EventText:
     sentence = f"The gate {row.gate} was waived for {reader.name(row.parameter_set_id)} until {row.expires_utc[:10]}."
-    return Told("waiver", sentence, row.parameter_set_id, row.made_by, None, f"{row.code}: {row.reason}")
+    return EventText("waiver", sentence, row.parameter_set_id, row.made_by, None, f"{row.code}: {row.reason}")
 
 
-def _signature(reader: Reader, row: Signature) -> Told:
+def _signature(reader: TimelineReader, row: Signature) -> EventText:
     set_id = reader.requests[row.approval_id].parameter_set_id
     did = "approved" if row.decision == "APPROVE" else "refused"
     where = f", at the console of {row.console}" if row.console else ""
-    told = Told(
+    told = EventText(
         "signature", f"Request {row.approval_id} for {reader.name(set_id)} was {did}{where}.", set_id, row.user_id
     )
     said = f"{row.meaning}: {row.comment}" if row.comment else row.meaning
     return replace(told, state=row.decision, said=said, sha256=row.shown_sha256, subject=f"approvals/{row.approval_id}")
 
 
-def _promotion(reader: Reader, row: Promotion) -> Told:
+def _promotion(reader: TimelineReader, row: Promotion) -> EventText:
     name, request = reader.name(row.parameter_set_id), reader.requests.get(row.approval_id or 0)
-    told = Told("promotion", f"{name} became the baseline.", row.parameter_set_id, row.promoted_by, "BASELINE")
+    told = EventText("promotion", f"{name} became the baseline.", row.parameter_set_id, row.promoted_by, "BASELINE")
     if request is None:
         return replace(told, kind="ground calibration", sentence=f"{name} is the baseline that came with the sensor.")
     told = replace(told, said=request.reason, subject=f"approvals/{request.id}", sha256=request.bound.get("set_sha256"))
@@ -183,28 +183,28 @@ def _promotion(reader: Reader, row: Promotion) -> Told:
     return told
 
 
-def _package(reader: Reader, row: Package) -> Told:
+def _package(reader: TimelineReader, row: Package) -> EventText:
     sentence = f"Package {row.id} of {reader.name(row.parameter_set_id)} was built."
-    told = Told("package", sentence, row.parameter_set_id, row.created_by, None, None, row.sha256)
+    told = EventText("package", sentence, row.parameter_set_id, row.created_by, None, None, row.sha256)
     return replace(told, subject=f"packages/{row.id}")
 
 
-def _uplink(reader: Reader, row: Uplink) -> Told:
+def _uplink(reader: TimelineReader, row: Uplink) -> EventText:
     name, evidence = reader.name(row.parameter_set_id), row.evidence or {}
     said = evidence.get("sentence") if row.method else None
-    sentence = f"{name} was recorded as {row.onboard_state} on board, {how_known(row)}. {said or ''}".rstrip()
-    told = Told("read-back" if row.method else "uplink", sentence, row.parameter_set_id, row.recorded_by)
+    sentence = f"{name} was recorded as {row.onboard_state} on board, {describe_source(row)}. {said or ''}".rstrip()
+    told = EventText("read-back" if row.method else "uplink", sentence, row.parameter_set_id, row.recorded_by)
     return replace(told, state=row.onboard_state, said=row.source, sha256=evidence.get("shown_sha256"))
 
 
-def how_known(row: Uplink) -> str:
+def describe_source(row: Uplink) -> str:
     """Say what a record rests on: a comparison, a signature, or somebody's word."""
     if row.method is not None:
         return METHODS[row.method]
     return "signed" if row.printed_name else "by statement"
 
 
-READERS: Mapping[str, Callable[[Reader, Any], Told]] = {
+READERS: Mapping[str, Callable[[TimelineReader, Any], EventText]] = {
     "table definition": _definition,
     "gate profile": _profile,
     "request": _request,
@@ -274,7 +274,7 @@ class AsOf:
         return f"{ground}, on board {board}{'; ' + mismatched if mismatched else ''}"
 
 
-def as_of(session: Session, sensor_id: int, time: str | None = None) -> AsOf:
+def get_state_at(session: Session, sensor_id: int, time: str | None = None) -> AsOf:
     """Say what was baseline and what was on board at a time, and who said so.
 
     Parameters
@@ -310,7 +310,7 @@ def as_of(session: Session, sensor_id: int, time: str | None = None) -> AsOf:
 
 
 @dataclass(frozen=True)
-class Board:
+class SensorSituation:
     """Ground and board of one sensor as numbers and states: what orders a fleet, without what each line says.
 
     Parameters
@@ -327,11 +327,13 @@ class Board:
     on_board: Sequence[tuple[int, str]]
 
 
-def boards(session: Session) -> list[Board]:
+def read_situations(session: Session) -> list[SensorSituation]:
     """Return ground and board of every sensor now, by name, in three queries for the whole fleet."""
     baselines, recorded = sensor_rows.baseline_heads(session), uplink_rows.newest_states(session)
     return [
-        Board(head.id, head.name, baselines[head.id].id if head.id in baselines else None, recorded.get(head.id, ()))
+        SensorSituation(
+            head.id, head.name, baselines[head.id].id if head.id in baselines else None, recorded.get(head.id, ())
+        )
         for head in sensor_rows.sensor_heads(session)
     ]
 
@@ -352,7 +354,7 @@ def events(
     until: str | None = None,
     before_id: int | None = None,
     limit: int | None = None,
-) -> list[Event]:
+) -> list[TimelineEvent]:
     """Return what happened to a sensor, newest first; the next page starts before the last one's id.
 
     Raises
@@ -370,14 +372,14 @@ def events(
         before=None if before_id is None else _key(session, sensor_id, before_id),
         limit=limit,
     )
-    reader = Reader.of_sensor(session, sensor_id)
+    reader = TimelineReader.of_sensor(session, sensor_id)
     return [reader.read(key, row) for key, row in sensor_rows.rows_at(session, sensor_id, found).items()]
 
 
 def _key(session: Session, sensor_id: int, event_id: int) -> sensor_rows.Key:
     """Return where an event stands."""
     row_id, kind = divmod(event_id, len(sensor_rows.KINDS))
-    if (key := sensor_rows.key_of(session, sensor_id, kind, row_id)) is None:
+    if (key := sensor_rows.get_key(session, sensor_id, kind, row_id)) is None:
         raise RefusedInputError("This sensor has no event to go on from; begin again without a cursor.")
     return key
 

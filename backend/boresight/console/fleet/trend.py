@@ -34,7 +34,7 @@ BEFORE_TRENDS = "its summary has no covariance: it is from an older version; clo
 
 
 @dataclass(frozen=True)
-class Point:
+class TrendPoint:
     """One calibration, at the time of its data.
 
     Parameters
@@ -85,7 +85,7 @@ class Point:
         """One sigma of each estimated parameter, SI."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
-    def overlaps(self, other: Point) -> bool:
+    def overlaps(self, other: TrendPoint) -> bool:
         """Whether both have data of one time, or the same data."""
         same = self.telemetry_set_id == other.telemetry_set_id
         return same or (
@@ -94,7 +94,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Period:
+class BaselinePeriod:
     """A set was the baseline from a time, until another."""
 
     set_id: int
@@ -107,7 +107,7 @@ class Period:
 
 
 @dataclass(frozen=True)
-class Mark:
+class OnBoardRecord:
     """Something was recorded on board."""
 
     at_utc: str
@@ -123,23 +123,23 @@ class Trend:
     sensor: Sensor
     baseline: ParameterSet | None
     camera_model: str
-    points: Sequence[Point]
-    others: Sequence[Point]
-    periods: Sequence[Period]
-    marks: Sequence[Mark]
+    points: Sequence[TrendPoint]
+    others: Sequence[TrendPoint]
+    periods: Sequence[BaselinePeriod]
+    marks: Sequence[OnBoardRecord]
     telemetry: Mapping[int, TelemetrySet]
 
     @property
-    def independent(self) -> list[Point]:
+    def independent(self) -> list[TrendPoint]:
         """The calibrations that count, by the time of their data."""
         return [point for point in self.points if not point.left_out]
 
-    def of_run(self, run_id: int | None) -> Point | None:
+    def of_run(self, run_id: int | None) -> TrendPoint | None:
         """Return the calibration of a run."""
         return next((point for point in (*self.points, *self.others) if point.run_id == run_id), None)
 
 
-def trend_of(session: Session, sensor_id: int) -> Trend:
+def read_trend(session: Session, sensor_id: int) -> Trend:
     """Gather a sensor over the mission.
 
     Raises
@@ -147,17 +147,21 @@ def trend_of(session: Session, sensor_id: int) -> Trend:
     NotFoundError
         When there is no such sensor.
     """
-    return trends_of(session, [get_sensor(session, sensor_id)])[sensor_id]
+    return read_trends(session, [get_sensor(session, sensor_id)])[sensor_id]
 
 
-def trends_of(session: Session, sensors: Sequence[Sensor]) -> dict[int, Trend]:
+def read_trends(session: Session, sensors: Sequence[Sensor]) -> dict[int, Trend]:
     """Gather some sensors over the mission, in as many queries as for one."""
     ids = [sensor.id for sensor in sensors]
     finished, telemetry = rows.finished(session, ids), rows.telemetry(session, ids)
     promoted, records = rows.baselines_over_time(session, ids), rows.records(session, ids)
     return {
         sensor.id: _trend(
-            sensor, promoted[sensor.id], finished[sensor.id], telemetry[sensor.id], _marks(records[sensor.id])
+            sensor,
+            promoted[sensor.id],
+            finished[sensor.id],
+            telemetry[sensor.id],
+            _list_onboard_records(records[sensor.id]),
         )
         for sensor in sensors
     }
@@ -168,7 +172,7 @@ def _trend(
     promoted: Sequence[tuple[Promotion, ParameterSet]],
     finished: Sequence[Any],
     telemetry: Mapping[int, TelemetrySet],
-    marks: Sequence[Mark],
+    marks: Sequence[OnBoardRecord],
 ) -> Trend:
     """Judge which calibrations of a sensor count, and put them in order."""
     baseline = promoted[-1][1] if promoted else None
@@ -191,12 +195,12 @@ def _trend(
     )
 
 
-def _marks(records: Sequence[tuple[Uplink, ParameterSet]]) -> list[Mark]:
+def _list_onboard_records(records: Sequence[tuple[Uplink, ParameterSet]]) -> list[OnBoardRecord]:
     """Say what was recorded on board."""
-    return [Mark(record.recorded_utc, record.onboard_state, row.id, row.name) for record, row in records]
+    return [OnBoardRecord(record.recorded_utc, record.onboard_state, row.id, row.name) for record, row in records]
 
 
-def span_of(row: TelemetrySet) -> tuple[str, str, bool]:
+def get_time_span(row: TelemetrySet) -> tuple[str, str, bool]:
     """Return first and last time of a telemetry set, and whether they are its own and not the upload's."""
     time = row.quality.get("time")
     if not time:
@@ -205,12 +209,12 @@ def span_of(row: TelemetrySet) -> tuple[str, str, bool]:
     return begins, ends, True
 
 
-def _point(run: Any, data: TelemetrySet) -> Point:
+def _point(run: Any, data: TelemetrySet) -> TrendPoint:
     """Read a run's entry."""
-    begins, ends, timed = span_of(data)
+    begins, ends, timed = get_time_span(data)
     entry, summary = run.summary.get("trend") or {}, run.summary
     warmth = data.quality.get("temperature_c")
-    return Point(
+    return TrendPoint(
         run_id=run.id,
         label=run.label,
         method=run.method,
@@ -238,11 +242,11 @@ def middle(begins_utc: str, ends_utc: str) -> str:
     return utc_text(begins + timedelta(seconds=(ends - begins).total_seconds() / 2))
 
 
-def _place(point: Point) -> tuple[str, int]:
+def _place(point: TrendPoint) -> tuple[str, int]:
     return point.at_utc, point.run_id
 
 
-def _comparable(point: Point, sensor: Sensor, baseline: ParameterSet | None) -> Point:
+def _comparable(point: TrendPoint, sensor: Sensor, baseline: ParameterSet | None) -> TrendPoint:
     """Leave out what was estimated with other numbers held fixed than the baseline has."""
     if point.left_out or baseline is None:
         return point
@@ -254,15 +258,15 @@ def _comparable(point: Point, sensor: Sensor, baseline: ParameterSet | None) -> 
     return replace(point, left_out=f"it has {', '.join(odd)} free or held otherwise than the baseline has")
 
 
-def _same(point: Point, held: Mapping[str, float], typical: Mapping[str, float], name: str) -> bool:
+def _same(point: TrendPoint, held: Mapping[str, float], typical: Mapping[str, float], name: str) -> bool:
     """Whether a parameter that only one of the two estimated has the same value in both."""
     value = point.parameters.get(name)
     return name not in point.names and value is not None and abs(value - held[name]) <= SAME_VALUE * typical[name]
 
 
-def _counted_once(points: Sequence[Point]) -> Iterator[Point]:
+def _counted_once(points: Sequence[TrendPoint]) -> Iterator[TrendPoint]:
     """Yield the calibrations, all but one of those whose data overlap left out."""
-    counted: list[Point] = []
+    counted: list[TrendPoint] = []
     for point in sorted(points, key=lambda one: (one.ends_utc, one.method == "batch", one.run_id), reverse=True):
         twin = next((other for other in counted if point.overlaps(other)), None)
         if not point.left_out and twin is not None:
@@ -273,12 +277,12 @@ def _counted_once(points: Sequence[Point]) -> Iterator[Point]:
         yield point
 
 
-def _periods(promoted: Sequence[tuple[str, ParameterSet]]) -> Iterator[Period]:
+def _periods(promoted: Sequence[tuple[str, ParameterSet]]) -> Iterator[BaselinePeriod]:
     """Yield the baselines with their times."""
     ends = [*(at_utc for at_utc, _ in promoted[1:]), None] if promoted else []
     for (at_utc, row), to_utc in zip(promoted, ends, strict=True):
         document = row.document
-        yield Period(
+        yield BaselinePeriod(
             row.id,
             row.name,
             at_utc,

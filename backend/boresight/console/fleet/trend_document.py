@@ -23,9 +23,9 @@ from typing import Any
 
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.fleet import drift as drifts
-from boresight.console.fleet.drift import GROUND_SHIFTED, Drift, judge
-from boresight.console.fleet.status import OLD_DAYS, days_since
-from boresight.console.fleet.trend import Period, Point, Trend, span_of, trend_of
+from boresight.console.fleet.drift import GROUND_SHIFTED, DriftResult, judge_drift
+from boresight.console.fleet.status import OLD_DAYS, count_days_since
+from boresight.console.fleet.trend import BaselinePeriod, Trend, TrendPoint, get_time_span, read_trend
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.db.sessions import Session
@@ -55,7 +55,7 @@ class Advice:
 
 
 @dataclass(frozen=True)
-class AtHand:
+class UnseenTelemetry:
     """The telemetry that the baseline has not seen.
 
     Parameters
@@ -78,17 +78,19 @@ class AtHand:
         return sum(row.stars for row in self.sets)
 
 
-def advise(trend: Trend, drift: Drift | None = None) -> Advice:
+def advise(trend: Trend, drift: DriftResult | None = None) -> Advice:
     """Say whether to recalibrate a sensor now: the first of the rules above that fits."""
-    drift = drift or judge(trend)
+    drift = drift or judge_drift(trend)
     if trend.baseline is None:
         return Advice("MORE DATA NEEDED", "There is no baseline; register the sensor again.")
-    data, age_d = at_hand(trend), days_since(trend.baseline)
+    data, age_d = find_unseen_telemetry(trend), count_days_since(trend.baseline)
     answer, sentence = next(_rules(drift, data, trend.baseline, age_d))
     return Advice(answer, sentence, tuple(_reasons(drift, data, trend.baseline, age_d)))
 
 
-def _rules(drift: Drift, data: AtHand, baseline: ParameterSet, age_d: float | None) -> Iterator[tuple[str, str]]:
+def _rules(
+    drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, age_d: float | None
+) -> Iterator[tuple[str, str]]:
     """Yield the answers that fit, the gravest first; there is always one."""
     name, ratio = baseline.name, data.ratio
     if drift.verdict == "DRIFT":
@@ -114,7 +116,7 @@ def _rules(drift: Drift, data: AtHand, baseline: ParameterSet, age_d: float | No
     yield "NOT YET", f"{name} holds, and newer data would not sharpen it much."
 
 
-def at_hand(trend: Trend) -> AtHand:
+def find_unseen_telemetry(trend: Trend) -> UnseenTelemetry:
     """Return the telemetry that the baseline has not seen, and what it would be good for."""
     own = trend.of_run(trend.baseline.run_id) if trend.baseline else None
     sets = [
@@ -122,23 +124,23 @@ def at_hand(trend: Trend) -> AtHand:
         for row in trend.telemetry.values()
         if row.purpose == "calibration" and row.archived_utc is None and _is_newer(row, own, trend.baseline)
     ]
-    sets.sort(key=span_of)
+    sets.sort(key=get_time_span)
     tried = {point.telemetry_set_id for point in trend.points if point.names}
     untried = [row for row in sets if row.id not in tried]
-    return AtHand(sets, untried, _ratio(trend, own, sum(row.stars for row in sets)))
+    return UnseenTelemetry(sets, untried, _ratio(trend, own, sum(row.stars for row in sets)))
 
 
-def _is_newer(row: TelemetrySet, own: Point | None, baseline: ParameterSet | None) -> bool:
+def _is_newer(row: TelemetrySet, own: TrendPoint | None, baseline: ParameterSet | None) -> bool:
     """Whether a set's data begin after those of the baseline end."""
     if baseline is None or baseline.run_id is None:
         return True
-    begins_utc, _, timed = span_of(row)
+    begins_utc, _, timed = get_time_span(row)
     if own is None or not (timed and own.timed):
         return row.uploaded_utc > baseline.created_utc
     return begins_utc > own.ends_utc
 
 
-def _ratio(trend: Trend, own: Point | None, stars: int) -> float | None:
+def _ratio(trend: Trend, own: TrendPoint | None, stars: int) -> float | None:
     """Foretell the sigma with so many stars over the baseline's, the largest of all parameters."""
     if trend.baseline is None or not trend.independent or not stars:
         return None
@@ -148,7 +150,7 @@ def _ratio(trend: Trend, own: Point | None, stars: int) -> float | None:
     return max(shared) * (like.stars / stars) ** 0.5 if shared and like.stars else None
 
 
-def _reasons(drift: Drift, data: AtHand, baseline: ParameterSet, age_d: float | None) -> Sequence[str]:
+def _reasons(drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, age_d: float | None) -> Sequence[str]:
     """Return what the answer rests on."""
     said = [drift.sentence]
     if data.sets:
@@ -173,12 +175,12 @@ def trend_document(session: Session, sensor_id: int) -> dict[str, Any]:
     NotFoundError
         When there is no such sensor.
     """
-    trend = trend_of(session, sensor_id)
-    found = judge(trend)
-    return document_of(trend, found, advise(trend, found))
+    trend = read_trend(session, sensor_id)
+    found = judge_drift(trend)
+    return write_trend_document(trend, found, advise(trend, found))
 
 
-def document_of(trend: Trend, found: Drift, advice: Advice) -> dict[str, Any]:
+def write_trend_document(trend: Trend, found: DriftResult, advice: Advice) -> dict[str, Any]:
     """Write a trend."""
     baseline = trend.baseline
     return {
@@ -201,7 +203,7 @@ def document_of(trend: Trend, found: Drift, advice: Advice) -> dict[str, Any]:
     }
 
 
-def _point(point: Point) -> dict[str, Any]:
+def _point(point: TrendPoint) -> dict[str, Any]:
     """Write a calibration."""
     return {
         "run_id": point.run_id,
@@ -225,7 +227,7 @@ def _point(point: Point) -> dict[str, Any]:
     }
 
 
-def _period(period: Period) -> dict[str, Any]:
+def _period(period: BaselinePeriod) -> dict[str, Any]:
     """Write a baseline's time."""
     return {
         "parameter_set_id": period.set_id,

@@ -1,4 +1,4 @@
-"""The event feed of one server: what changed, told to every listener, with nothing lost and nobody held up.
+"""Broadcasting the event feed of one server to every subscriber: no event is lost and a slow subscriber delays nobody.
 
 One thread follows the rows, at once when it is nudged and every half second otherwise, so changes made by other processes
 (the command line, another server on the same store) are told too, after half a second at most. Progress comes from the worker
@@ -10,7 +10,7 @@ of bytes. Between two tellings lies a pause that grows with the number of listen
 costs many listeners more patience instead of the server more than part of one processor. What waits for a listener is bounded;
 who reads too slowly is told so and let go, and comes back with their place.
 
-What the event feed tells, and the places in it.
+The events of the feed, and the event cursor: how far a subscriber has read.
 
 What is told of runs and of the audit log are rows: `run_events` and `audit`, both numbered in the order of their
 commits. Progress is not a row; its events are numbered as they pass, from the milliseconds of the server's start on, so
@@ -39,18 +39,18 @@ from boresight.console.runs import run_events
 from boresight.console.runs.tables import RunEvent
 from boresight.platform.actors import Actor
 from boresight.platform.audit import queries as audit
-from boresight.platform.db.marks import Mark, Marks
-from boresight.platform.db.sessions import Engine, Session, reading, utc_now
-from boresight.platform.jobs.rounds import Rounds
-from boresight.platform.web.paging import row_number
+from boresight.platform.db.data_version import DataVersion, DataVersionReader
+from boresight.platform.db.sessions import Engine, Session, open_reading, utc_now
+from boresight.platform.jobs.periodic_thread import PeriodicThread
+from boresight.platform.web.paging import parse_row_id
 
 PAGE = 500
 LINE_LENGTH = 400  # of a log line that is told; the log has it whole
 
 
 @dataclass(frozen=True)
-class Place:
-    """How far somebody has been told: the newest run event, audit record and progress."""
+class EventCursor:
+    """How far a subscriber has read: the newest run event, audit record and progress."""
 
     run_event: int
     record: int
@@ -60,18 +60,18 @@ class Place:
         """Write the place as an event id."""
         return f"{self.run_event}.{self.record}.{self.progress}"
 
-    def covers(self, other: Place) -> bool:
+    def covers(self, other: EventCursor) -> bool:
         """Whether everything before another place is before this one too."""
         return self.run_event >= other.run_event and self.record >= other.record and self.progress >= other.progress
 
     @classmethod
-    def parse(cls, text: str) -> Place | None:
+    def parse(cls, text: str) -> EventCursor | None:
         """Read an event id; None when it is none of ours."""
-        numbers = [number for part in text.split(".") if (number := row_number(part)) is not None]
+        numbers = [number for part in text.split(".") if (number := parse_row_id(part)) is not None]
         return cls(*numbers) if len(numbers) in {2, 3} and len(numbers) == text.count(".") + 1 else None
 
     @classmethod
-    def now(cls, session: Session, progress: int = 0) -> Place:
+    def now(cls, session: Session, progress: int = 0) -> EventCursor:
         """Return the place after everything stored, and after this progress."""
         return cls(run_events.newest_event_id(session), audit.newest_id(session), progress)
 
@@ -100,14 +100,14 @@ class Event:
     number: int
     history: dict[str, Any] | None = None
 
-    def is_after(self, place: Place) -> bool:
+    def is_after(self, cursor: EventCursor) -> bool:
         """Whether somebody at a place has not been told this yet."""
-        told: int = getattr(place, PART_OF_KIND[self.kind])
+        told: int = getattr(cursor, PART_OF_KIND[self.kind])
         return self.number > told
 
-    def move(self, place: Place) -> Place:
+    def move(self, cursor: EventCursor) -> EventCursor:
         """Return the place of somebody who has now been told this."""
-        return replace(place, **{PART_OF_KIND[self.kind]: self.number})
+        return replace(cursor, **{PART_OF_KIND[self.kind]: self.number})
 
     @cached_property
     def text(self) -> str:
@@ -119,13 +119,13 @@ class Event:
         """The same for those who follow the run."""
         return orjson.dumps(self.data | {"history": self.history}).decode()
 
-    def wire(self, place: Place, *, with_history: bool = False) -> bytes:
+    def wire(self, cursor: EventCursor, *, with_history: bool = False) -> bytes:
         """Write it as a server-sent event, its id the place after it."""
         text = self.text_with_history if with_history and self.history is not None else self.text
-        return f"event: {self.kind}\ndata: {text}\nid: {place}\n\n".encode()
+        return f"event: {self.kind}\ndata: {text}\nid: {cursor}\n\n".encode()
 
 
-class Ring:
+class RecentProgress:
     """The newest progress events, numbered.
 
     Parameters
@@ -152,14 +152,14 @@ class Ring:
         return [event for event in self._kept if event.number > number]
 
 
-def events_after(session: Session, place: Place) -> list[Event]:
+def events_after(session: Session, cursor: EventCursor) -> list[Event]:
     """Return the rows after a place as events, those of either kind in their order, at most a page of each."""
-    lines = [_line(row) for row in run_events.events_after(session, place.run_event, PAGE)]
-    records = [_told(row) for row in audit.heads_after(session, place.record, PAGE)]
+    lines = [_make_run_event(row) for row in run_events.events_after(session, cursor.run_event, PAGE)]
+    records = [_make_record_event(row) for row in audit.heads_after(session, cursor.record, PAGE)]
     return list(heapq.merge(lines, records, key=lambda event: str(event.data["at_utc"])))
 
 
-def _line(row: RunEvent) -> Event:
+def _make_run_event(row: RunEvent) -> Event:
     """Tell a line of a run's log: a change of state as such, any other as a line."""
     told = {"run_id": row.run_id, "attempt": row.attempt, "at_utc": row.at_utc, "message": row.message[:LINE_LENGTH]}
     if row.kind == "state":
@@ -167,7 +167,7 @@ def _line(row: RunEvent) -> Event:
     return Event("log", told | {"kind": row.kind}, row.id)
 
 
-def _told(row: Mapping[str, Any]) -> Event:
+def _make_record_event(row: Mapping[str, Any]) -> Event:
     """Tell an audit record as an event; what it changed is left to the log itself."""
     return Event("audit", dict(row), row["id"])
 
@@ -180,11 +180,11 @@ PAUSE_A_LISTENER_S = 1e-4
 
 
 @dataclass(frozen=True)
-class Told:
+class DeliveredEvent:
     """An event with the place of the feed after it."""
 
     event: Event
-    place: Place
+    place: EventCursor
 
     @cached_property
     def wire(self) -> bytes:
@@ -192,10 +192,10 @@ class Told:
         return self.event.wire(self.place)
 
 
-class Telling:
-    """What is told at once; written once for all who hear everything."""
+class EventBatch:
+    """Events sent together, serialised once for all subscribers of the whole feed."""
 
-    def __init__(self, told: Sequence[Told]) -> None:
+    def __init__(self, told: Sequence[DeliveredEvent]) -> None:
         self.told = told
 
     @cached_property
@@ -204,18 +204,18 @@ class Telling:
         return b"".join(one.wire for one in self.told)
 
 
-class Listener:
-    """What waits for one listener; filled and emptied on the event loop. None ends the stream."""
+class Subscriber:
+    """The queue of one subscriber, used on the event loop only; None ends the stream."""
 
     def __init__(self, actor: Actor) -> None:
         self.actor = actor
         self.dropped = False
         self.doubted = False  # whether the credential under which it listens may have ended
-        self._waiting: list[Telling | None] = []
+        self._waiting: list[EventBatch | None] = []
         self._events = 0
         self._something = asyncio.Event()
 
-    def put(self, telling: Telling | None) -> None:
+    def put(self, telling: EventBatch | None) -> None:
         """Let something wait, and let go of a listener that is too far behind."""
         if self.dropped:
             return
@@ -231,7 +231,7 @@ class Listener:
         self.doubted = True
         self._something.set()
 
-    async def next(self, timeout_s: float) -> Sequence[Telling | None]:
+    async def next(self, timeout_s: float) -> Sequence[EventBatch | None]:
         """Wait for something and return all that waits; nothing when none came in time."""
         if not self._waiting:
             try:
@@ -248,26 +248,26 @@ class Broadcast:
 
     def __init__(self, database: Engine) -> None:
         self._database = database
-        self._listeners: set[Listener] = set()
+        self._listeners: set[Subscriber] = set()
         self._lock = threading.Lock()
-        self._ring = Ring(KEPT)
-        self._found = Place(0, 0, self._ring.newest)  # how far events were found
+        self._ring = RecentProgress(KEPT)
+        self._found = EventCursor(0, 0, self._ring.newest)  # how far events were found
         self.place = self._found  # how far they were told
-        self._pending: list[Told] = []
+        self._pending: list[DeliveredEvent] = []
         self._told_s = 0.0
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._marks = Marks(database)
-        self._mark: Mark | None = None
+        self._marks = DataVersionReader(database)
+        self._mark: DataVersion | None = None
         self._ended_utc = utc_now()  # the newest end of a log-in that was noticed
         self._revoked: tuple[str | None, str | None] = (None, None)  # when a key was last revoked, a person disabled
-        self._rounds = Rounds("event feed", [self._follow], lambda: LOOK_EVERY_S, LOOK_AFTER_S)
+        self._rounds = PeriodicThread("event feed", [self._follow], lambda: LOOK_EVERY_S, LOOK_AFTER_S)
         self._is_closed = False
 
     def start(self) -> None:
         """Begin to follow the rows, from where they end now."""
         self._is_closed = False
-        with reading(self._database) as session:
-            self.place = self._found = Place.now(session, self._ring.newest)
+        with open_reading(self._database) as session:
+            self.place = self._found = EventCursor.now(session, self._ring.newest)
             self._revoked = login_sessions.newest_revocation(session)
         self._ended_utc = utc_now()
         self._rounds.start()
@@ -308,10 +308,10 @@ class Broadcast:
             return self._ring.after(number)
 
     @contextmanager
-    def listening(self, actor: Actor) -> Iterator[Listener]:
+    def listening(self, actor: Actor) -> Iterator[Subscriber]:
         """Hear everything after `place` from now on, as who acts; to be called on the event loop."""
         self._loop = asyncio.get_running_loop()
-        listener = Listener(actor)
+        listener = Subscriber(actor)
         self._listeners.add(listener)
         if self._is_closed:
             listener.put(None)
@@ -327,7 +327,7 @@ class Broadcast:
         if found:
             self._find_endings()
         while found and not self._is_closed:
-            with reading(self._database) as session:
+            with open_reading(self._database) as session:
                 events = events_after(session, self._found)
             found = len(events) >= PAGE  # otherwise neither kind has more
             with self._lock:
@@ -336,7 +336,7 @@ class Broadcast:
 
     def _find_endings(self) -> None:
         """Have the streams ask again whose log-in has ended, and all of them after a key was revoked or a person disabled."""
-        with reading(self._database) as session:
+        with open_reading(self._database) as session:
             ended = login_sessions.ended_since(session, self._ended_utc)
             revoked = login_sessions.newest_revocation(session)
         if ended:
@@ -356,7 +356,7 @@ class Broadcast:
         told = []
         for event in events:
             self._found = event.move(self._found)
-            told.append(Told(event, self._found))
+            told.append(DeliveredEvent(event, self._found))
         if told and not self._on_the_loop(self._take, told):
             self.place = self._found  # nobody has listened yet
 
@@ -367,7 +367,7 @@ class Broadcast:
         self._loop.call_soon_threadsafe(act, *given)
         return True
 
-    def _take(self, told: Sequence[Told]) -> None:
+    def _take(self, told: Sequence[DeliveredEvent]) -> None:
         """Tell events now, or together with what comes before the pause is over."""
         if not self._pending:
             pause_s = PAUSE_A_LISTENER_S * len(self._listeners)
@@ -378,7 +378,7 @@ class Broadcast:
         """Tell everybody what waits; what was due may have been told when the feed was closed."""
         if not self._pending:
             return
-        telling, self._pending = Telling(self._pending), []
+        telling, self._pending = EventBatch(self._pending), []
         self.place = telling.told[-1].place
         for listener in self._listeners:
             listener.put(telling)

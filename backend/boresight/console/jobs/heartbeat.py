@@ -1,4 +1,4 @@
-"""The server's heartbeat: what happens because time passes, and nobody asks for it.
+"""The heartbeat: what becomes due by time alone, such as expiry and overdue alarms.
 
 Every few seconds it looks for requests for approval and proposed changes whose time is over, in a reading transaction
 that holds nobody up, and writes only when there are any.
@@ -10,11 +10,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from boresight.console.alarms import watch as clock
+from boresight.console.alarms import rules as clock
 from boresight.console.approvals import proposals
 from boresight.console.approvals import service as approvals
-from boresight.platform.db.sessions import Engine, reading, writing
-from boresight.platform.jobs.rounds import Rounds
+from boresight.platform.db.sessions import Engine, open_reading, open_writing
+from boresight.platform.jobs.periodic_thread import PeriodicThread
 
 BEAT_S = 5.0
 
@@ -37,7 +37,7 @@ class Heartbeat:
         self._tell = tell
         self._seen_file = seen_file
         self._looked_back = False
-        self._rounds = Rounds("heartbeat", [self.beat], lambda: BEAT_S)
+        self._rounds = PeriodicThread("heartbeat", [self.beat], lambda: BEAT_S)
 
     def start(self) -> None:
         """Begin to beat; the first beat is at once, for what became due while no server ran."""
@@ -50,12 +50,12 @@ class Heartbeat:
     def look_at_clock(self) -> None:
         """Raise an alarm where the clock jumped, and let it be over once somebody has acknowledged it."""
         seen_s = None if self._looked_back else self._seen_s()
-        with reading(self._database) as session:
+        with open_reading(self._database) as session:
             held, acknowledged = clock.is_up(session, clock.CLOCK), clock.is_acknowledged(session)
         found = None if held else clock.condition_now(seen_s)
         if found is not None or acknowledged:
-            with writing(self._database) as session:
-                clock.watch_installation(session, {clock.CLOCK: found})
+            with open_writing(self._database) as session:
+                clock.update_installation_alarms(session, {clock.CLOCK: found})
             self._tell()
         if found is not None or held:
             clock.OURS.agree()  # the alarm holds what would expire from now on
@@ -74,12 +74,12 @@ class Heartbeat:
     def beat(self) -> None:
         """Let everything expire whose time is over, unless the clock that says so jumped."""
         self.look_at_clock()
-        with reading(self._database) as session:
+        with open_reading(self._database) as session:
             if clock.is_held(session):
                 return
-            waiting = approvals.any_due(session) or proposals.any_due(session)
+            waiting = approvals.is_any_request_due(session) or proposals.any_due(session)
         if waiting:
-            with writing(self._database) as session:
-                approvals.expire_due(session)
+            with open_writing(self._database) as session:
+                approvals.expire_due_requests(session)
                 proposals.expire_due(session)
             self._tell()

@@ -13,12 +13,12 @@ from fastapi.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import StreamingResponse
 
-from boresight.console.access.credentials import still_known
+from boresight.console.access.credentials import is_still_valid
 from boresight.console.access.dependencies import Who
-from boresight.console.jobs.broadcast import Broadcast, Event, Listener, Place, Telling, events_after
+from boresight.console.jobs.broadcast import Broadcast, Event, EventBatch, EventCursor, Subscriber, events_after
 from boresight.console.operation import operations
 from boresight.platform.actors import Actor
-from boresight.platform.db.sessions import Engine, reading
+from boresight.platform.db.sessions import Engine, open_reading
 
 router = operations("/events", tags=["events"])
 
@@ -47,12 +47,12 @@ class _Wish:
         """Whether it is what is written once for all."""
         return self.run is None and self.history is None
 
-    def written(self, event: Event, place: Place) -> bytes:
+    def written(self, event: Event, cursor: EventCursor) -> bytes:
         """Write an event, with the new points of its course for who draws it; nothing where it is not wished for."""
         about = event.data.get("run_id") == self.run or event.data.get("object") == f"runs/{self.run}"
         if self.run is not None and not about:
             return b""
-        return event.wire(place, with_history=event.data.get("run_id") == self.history)
+        return event.wire(cursor, with_history=event.data.get("run_id") == self.history)
 
 
 @router.get("", summary="Follow what happens", response_class=EventStream)
@@ -80,39 +80,39 @@ async def _stream(request: Request, actor: Actor, wish: _Wish, last_event_id: st
     """Write a stream: where it begins, what was missed, then what happens."""
     broadcast: Broadcast = request.app.state.broadcast
     with broadcast.listening(actor) as listener:
-        brought, newest, told = Place.parse(last_event_id or ""), broadcast.progress, broadcast.place
-        place = brought or told
-        yield f": connected\nid: {place}\nretry: {RETRY_MS}\n\n".encode()
+        brought, newest, told = EventCursor.parse(last_event_id or ""), broadcast.progress, broadcast.place
+        cursor = brought or told
+        yield f": connected\nid: {cursor}\nretry: {RETRY_MS}\n\n".encode()
         if brought is not None:
-            async for event in _past(request.app.state.engine, broadcast, place):
-                place = event.move(place)
-                yield wish.written(event, place)
-            if place.progress < newest or place.progress > broadcast.progress:
-                place = replace(place, progress=newest)
-                yield _said("missed", place)
-        async for piece in _live(request, listener, _Live(place, wish, told)):
+            async for event in _past(request.app.state.engine, broadcast, cursor):
+                cursor = event.move(cursor)
+                yield wish.written(event, cursor)
+            if cursor.progress < newest or cursor.progress > broadcast.progress:
+                cursor = replace(cursor, progress=newest)
+                yield _said("missed", cursor)
+        async for piece in _live(request, listener, _Live(cursor, wish, told)):
             yield piece
 
 
-def _said(word: str, place: Place) -> bytes:
+def _said(word: str, cursor: EventCursor) -> bytes:
     """Write a word to the listener alone."""
-    return f"event: {word}\ndata: {orjson.dumps({'id': str(place)}).decode()}\nid: {place}\n\n".encode()
+    return f"event: {word}\ndata: {orjson.dumps({'id': str(cursor)}).decode()}\nid: {cursor}\n\n".encode()
 
 
-async def _past(database: Engine, broadcast: Broadcast, place: Place) -> AsyncIterator[Event]:
+async def _past(database: Engine, broadcast: Broadcast, cursor: EventCursor) -> AsyncIterator[Event]:
     """Return the rows after a place, page by page, and the progress after it, none where some is kept no more."""
-    while events := await run_in_threadpool(_missed, database, place):
+    while events := await run_in_threadpool(_missed, database, cursor):
         for event in events:
-            place = event.move(place)
+            cursor = event.move(cursor)
             yield event
-    for event in broadcast.progress_after(place.progress) or ():
+    for event in broadcast.progress_after(cursor.progress) or ():
         yield event
 
 
-def _missed(database: Engine, place: Place) -> Iterable[Event]:
+def _missed(database: Engine, cursor: EventCursor) -> Iterable[Event]:
     """Return a page of the rows after a place."""
-    with reading(database) as session:
-        return events_after(session, place)
+    with open_reading(database) as session:
+        return events_after(session, cursor)
 
 
 class _Live:
@@ -129,19 +129,19 @@ class _Live:
         How far the feed had told when the listener began to hear.
     """
 
-    def __init__(self, place: Place, wish: _Wish, told: Place) -> None:
-        self.place = place
+    def __init__(self, cursor: EventCursor, wish: _Wish, told: EventCursor) -> None:
+        self.place = cursor
         self._wish = wish
-        self._is_level = told.covers(place)
+        self._is_level = told.covers(cursor)
 
-    def written(self, telling: Telling) -> bytes:
+    def written(self, telling: EventBatch) -> bytes:
         """Write a telling."""
         if self._is_level and self._wish.is_everything:
             self.place = telling.told[-1].place
             return telling.wire
         return b"".join(self._each(telling))
 
-    def _each(self, telling: Telling) -> Iterable[bytes]:
+    def _each(self, telling: EventBatch) -> Iterable[bytes]:
         """Write each event that was not heard yet."""
         for one in telling.told:
             if self._is_level:
@@ -154,7 +154,7 @@ class _Live:
             self._is_level = self._is_level or one.place.covers(self.place)
 
 
-async def _live(request: Request, listener: Listener, live: _Live) -> AsyncIterator[bytes]:
+async def _live(request: Request, listener: Subscriber, live: _Live) -> AsyncIterator[bytes]:
     """Tell what happens from here on, until the server stops, the listener is too slow, or the log-in ends."""
     asked_s = said_s = time.monotonic()
     while True:
@@ -170,12 +170,12 @@ async def _live(request: Request, listener: Listener, live: _Live) -> AsyncItera
             said_s = time.monotonic()
         if listener.doubted or time.monotonic() - asked_s > ASK_AGAIN_S:
             listener.doubted = False
-            if not await run_in_threadpool(still_known, request):
+            if not await run_in_threadpool(is_still_valid, request):
                 yield _said("logged-out", live.place)
                 return
             asked_s = time.monotonic()
 
 
-def _piece(live: _Live, found: Sequence[Telling | None]) -> bytes:
+def _piece(live: _Live, found: Sequence[EventBatch | None]) -> bytes:
     """Write all that was told before an end."""
     return b"".join(live.written(telling) for telling in found if telling is not None)

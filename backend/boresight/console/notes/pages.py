@@ -15,16 +15,16 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.console.access.dependencies import Who, csrf
 from boresight.console.notes import service as notes
 from boresight.console.notes.tables import Note
-from boresight.console.pages.rendering import Refusal, attempt, redirect, render
+from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, render
 from boresight.platform.actors import Actor
-from boresight.platform.db.sessions import Session, reading
+from boresight.platform.db.sessions import Session, open_reading
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
 WORDS = {"runs": "run", "sensors": "sensor", "parameter-sets": "parameter set"}
 
 
-def address_of(kind: str, subject_id: int) -> str:
+def get_notes_address(kind: str, subject_id: int) -> str:
     """Return where the notes of a thing are shown."""
     part = "?part=notes" if kind == "runs" else ""
     return f"/{kind}/{subject_id}{part}#notes"
@@ -37,10 +37,10 @@ def notes_page(request: Request, actor: Who, kind: str, subject_id: int) -> HTML
 
 
 def _page(
-    request: Request, actor: Actor, kind: str, subject_id: int, typed: str = "", refusal: Refusal | None = None
+    request: Request, actor: Actor, kind: str, subject_id: int, typed: str = "", refusal: ShownRefusal | None = None
 ) -> HTMLResponse:
     """Render the notes, with what a refused form left behind."""
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         return render(
             request,
             "notes/notes.html",
@@ -49,7 +49,7 @@ def _page(
             kind=kind,
             subject_id=subject_id,
             subject=f"{WORDS.get(kind, kind)} {subject_id}",
-            address=address_of(kind, subject_id),
+            address=get_notes_address(kind, subject_id),
             typed=typed,
             refusal=refusal.sentence if refusal else "",
         )
@@ -60,7 +60,7 @@ async def add(request: Request, actor: Who, kind: str, subject_id: int, text: An
     """Add a note."""
     outcome = await attempt(request, partial(_add, actor, kind, subject_id, text))
     if outcome.value is not None:
-        return redirect(address_of(kind, subject_id), flash="Your note is kept.")
+        return redirect(get_notes_address(kind, subject_id), flash="Your note is kept.")
     return await run_in_threadpool(_page, request, actor, kind, subject_id, text, outcome.refusal)
 
 

@@ -13,7 +13,7 @@ from boresight.errors import NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_person, require_role
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 
 LONGEST_NOTE = 4000
 WRITERS = ("analyst", "operator", "approver", "administrator")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base, one_of
+from boresight.platform.db.declared import STRICT, Base, allow_only
 
 NOTE_SUBJECTS = ("runs", "sensors", "parameter-sets")
 
@@ -15,7 +15,7 @@ class Note(Base):
 
     __tablename__ = "notes"
     __table_args__ = (
-        one_of("subject_kind", NOTE_SUBJECTS),
+        allow_only("subject_kind", NOTE_SUBJECTS),
         sa.Index("ix_notes_subject", "subject_kind", "subject_id"),
         STRICT,
     )

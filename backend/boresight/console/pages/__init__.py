@@ -28,7 +28,7 @@ def routers(module: ModuleType) -> Iterator[APIRouter]:
     yield from (value for value in vars(module).values() if isinstance(value, APIRouter))
 
 
-def join(routes: APIRouter) -> None:
+def include_pages(routes: APIRouter) -> None:
     """Join the routers of every module of pages to the routes of a server."""
     first = [Depends(check_numbers), Depends(know_fleet)]
     for page in modules():

@@ -25,7 +25,7 @@ TICKS = 5
 
 
 @dataclass(frozen=True)
-class Bar:
+class ChartBar:
     """One bar or cell, with what its tooltip says."""
 
     x: float
@@ -38,7 +38,7 @@ class Bar:
 
 
 @dataclass(frozen=True)
-class Tick:
+class AxisTick:
     """A mark on an axis."""
 
     at: float
@@ -71,9 +71,9 @@ class Drawing:
     title: str
     x_title: str
     y_title: str
-    bars: Sequence[Bar]
-    x_ticks: Sequence[Tick]
-    y_ticks: Sequence[Tick]
+    bars: Sequence[ChartBar]
+    x_ticks: Sequence[AxisTick]
+    y_ticks: Sequence[AxisTick]
     width: float
     height: float
     right: float
@@ -129,7 +129,7 @@ def histogram(
         height = plot_height * count / largest
         label = f"{left:.4g} to {right:.4g}"
         x, width = x_of(left) + 0.5, max(x_of(right) - x_of(left) - 1.0, 0.5)
-        bars.append(Bar(x, TOP + plot_height - height, width, height, count, 1.0, f"{label}: {count}"))
+        bars.append(ChartBar(x, TOP + plot_height - height, width, height, count, 1.0, f"{label}: {count}"))
         rows.append((label, count))
     return Drawing(
         name=name,
@@ -137,9 +137,9 @@ def histogram(
         x_title=x_title,
         y_title=y_title,
         bars=bars,
-        x_ticks=[Tick(x_of(value), f"{value:g}") for value in round_steps(low, high, 8)],
+        x_ticks=[AxisTick(x_of(value), f"{value:g}") for value in round_steps(low, high, 8)],
         y_ticks=[
-            Tick(TOP + plot_height * (1.0 - value / largest), f"{value:,.0f}".replace(",", "\u202f"))
+            AxisTick(TOP + plot_height * (1.0 - value / largest), f"{value:,.0f}".replace(",", "\u202f"))
             for value in round_steps(0.0, largest, 3)
             if value == round(value)
         ],
@@ -166,7 +166,7 @@ def detector_map(coverage: Mapping[str, Any]) -> Drawing:
         for j, count in enumerate(line):
             label = f"rows {row_edges[i]:.0f} to {row_edges[i + 1]:.0f}, columns {col_edges[j]:.0f} to {col_edges[j + 1]:.0f}"
             bars.append(
-                Bar(
+                ChartBar(
                     x=LEFT + (col_edges[j] - col_edges[0]) * scale + 0.5,
                     y=TOP + (row_edges[i] - row_edges[0]) * scale + 0.5,
                     width=(col_edges[j + 1] - col_edges[j]) * scale - 1.0,
@@ -184,10 +184,12 @@ def detector_map(coverage: Mapping[str, Any]) -> Drawing:
         y_title="row (px)",
         bars=bars,
         x_ticks=[
-            Tick(LEFT + (v - col_edges[0]) * scale, f"{v:g}") for v in round_steps(max(col_edges[0], 0), col_edges[-1])
+            AxisTick(LEFT + (v - col_edges[0]) * scale, f"{v:g}")
+            for v in round_steps(max(col_edges[0], 0), col_edges[-1])
         ],
         y_ticks=[
-            Tick(TOP + (v - row_edges[0]) * scale, f"{v:g}") for v in round_steps(max(row_edges[0], 0), row_edges[-1])
+            AxisTick(TOP + (v - row_edges[0]) * scale, f"{v:g}")
+            for v in round_steps(max(row_edges[0], 0), row_edges[-1])
         ],
         width=WIDTH,
         height=bottom + BOTTOM,
@@ -207,7 +209,7 @@ def number_bars(distribution: Mapping[str, Any], **words: str) -> Drawing:
     drawing = histogram(edges, [seen.get(value, 0) for value in numbers], **words)  # type: ignore[arg-type]
     rows = [(str(value), seen.get(value, 0)) for value in numbers]
     bars = [
-        Bar(b.x, b.y, b.width, b.height, b.count, b.opacity, f"{label}: {b.count}")
+        ChartBar(b.x, b.y, b.width, b.height, b.count, b.opacity, f"{label}: {b.count}")
         for b, (label, _) in zip(drawing.bars, rows, strict=True)
     ]
     return Drawing(**{**drawing.__dict__, "bars": bars, "rows": rows})

@@ -105,7 +105,7 @@ FILTERS = (
 )
 
 
-__all__ = ["LEVELS", "LEVEL_OF_STATE", "level_of", "worst"]
+__all__ = ["LEVELS", "LEVEL_OF_STATE", "get_level", "worst"]
 
 LEVEL_OF_STATE = {
     # runs
@@ -148,11 +148,11 @@ LEVEL_OF_STATE = {
 }
 
 
-def level_of(state: str) -> str:
+def get_level(state: str) -> str:
     """Return the level of a state word; a level stands for itself in any case, an unheard-of word is `off`."""
     return state.lower() if state.lower() in LEVELS else (LEVEL_OF_STATE | LEVEL_OF_STATUS).get(state, "off")
 
 
 def worst(states: Iterable[str]) -> str:
     """Return the worst level of several state words; `off` when there are none."""
-    return max((level_of(state) for state in states), key=LEVELS.index, default="off")
+    return max((get_level(state) for state in states), key=LEVELS.index, default="off")

@@ -5,10 +5,10 @@ The values come from `request.state` (who is logged in), the settings, and one s
 take the last of them from another that does the same. A page that reports a failure must not fail for the same cause:
 where the store cannot be read, the frame says so and goes on.
 
-How the fleet stands, for the top bar of every page: as its worst sensor does, that sensor named.
+The fleet status in the top bar of every page: that of its worst sensor, which is named.
 
-It takes a look at every sensor, so it is remembered while nothing is committed (`platform.db.marks`), and no longer than `HELD_S`,
-for
+It takes a look at every sensor, so it is remembered while nothing is committed (`platform.db.data_version`), and no longer than
+`HELD_S`, for
 baselines age by the clock; who asked before the look began is given it too, whatever was committed since. Of a fleet of more than
 `LARGE` sensors it is remembered `REST` times as long as the look took, whatever is committed: so the top bar of thousands of
 sensors takes a fixed share of one processor, and most pages wait for none of it. One page looks for all that ask meanwhile.
@@ -31,18 +31,18 @@ from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
 
 from boresight.console import lists
-from boresight.console.access.credentials import who_acts
+from boresight.console.access.credentials import get_actor
 from boresight.console.alarms import service as alarms
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import status as fleet
-from boresight.console.jobs.upkeep import Light
+from boresight.console.jobs.maintenance import ChainStatus
 from boresight.console.pages.formats import LEVELS, day_of_year
 from boresight.errors import PasswordDueError, UnauthenticatedError
 from boresight.platform.actors import Actor
-from boresight.platform.db.marks import Mark, Marks
-from boresight.platform.db.sessions import Engine, Session, reading
-from boresight.platform.web.keeping import has_gaps, tell_older
-from boresight.platform.web.sheets import NAME_GAP, TOKEN_GAP
+from boresight.platform.db.data_version import DataVersion, DataVersionReader
+from boresight.platform.db.sessions import Engine, Session, open_reading
+from boresight.platform.web.compressed_pages import NAME_GAP, TOKEN_GAP
+from boresight.platform.web.response_cache_store import has_gaps, mark_outdated
 
 HELD_S = 30.0
 LARGE, REST = 200, 5.0
@@ -51,7 +51,7 @@ WORD_OF_LEVEL = {level: level.upper() for level in LEVELS} | {"off": "NO DATA"}
 
 
 @dataclass(frozen=True)
-class Standing:
+class FleetStatus:
     """A consolidated status: colour and shape, a word, and why."""
 
     level: str
@@ -59,31 +59,31 @@ class Standing:
     sentence: str
 
 
-def worst_standing(standings: Sequence[fleet.Standing]) -> Standing:
+def find_worst_status(standings: Sequence[fleet.SensorStatus]) -> FleetStatus:
     """Return how a fleet stands."""
     if not standings:
-        return Standing("off", "NO SENSORS", "No sensors yet: register one.")
+        return FleetStatus("off", "NO SENSORS", "No sensors yet: register one.")
     worst = max(standings, key=lambda one: LEVELS.index(one.status))
     alike = sum(one.status == worst.status for one in standings)
     more = f" {alike - 1} more alike." if alike > 1 else ""
-    return Standing(worst.status, WORD_OF_LEVEL[worst.status], f"{worst.name}: {worst.sentence}{more}")
+    return FleetStatus(worst.status, WORD_OF_LEVEL[worst.status], f"{worst.name}: {worst.sentence}{more}")
 
 
-def fleet_standing(session: Session) -> tuple[Standing, int, int]:
+def read_fleet_status(session: Session) -> tuple[FleetStatus, int, int]:
     """Return how the fleet stands, how many requests wait for a signature, and how many alarms to be acknowledged."""
     waiting = lists.count(session, "approvals", {"state": "OPEN"})
-    return worst_standing(fleet.standings(session)), waiting, alarms.unacknowledged(session)
+    return find_worst_status(fleet.list_sensor_statuses(session)), waiting, alarms.unacknowledged(session)
 
 
 @dataclass(frozen=True)
-class Look:
-    """What `fleet_standing` found, and whether that was before the newest commit."""
+class FleetReading:
+    """What `read_fleet_status` found, and whether that was before the newest commit."""
 
-    found: tuple[Standing, int, int]
+    found: tuple[FleetStatus, int, int]
     is_older: bool = False
 
 
-class FleetMemory:
+class FleetStatusCache:
     """What the top bar says, read anew only after a commit, and of a large fleet less often; by one thread for all that ask.
 
     Parameters
@@ -94,17 +94,19 @@ class FleetMemory:
         Tells whether anything was committed.
     """
 
-    def __init__(self, engine: Engine, marks: Marks) -> None:
+    def __init__(self, engine: Engine, marks: DataVersionReader) -> None:
         self._engine, self._marks = engine, marks
         self._looking = threading.Lock()
-        self._known: tuple[Mark, float, float, tuple[Standing, int, int]] | None = None  # when its look began and ended
+        self._known: tuple[DataVersion, float, float, tuple[FleetStatus, int, int]] | None = (
+            None  # when its look began and ended
+        )
         self._resting_until_s = 0.0
 
-    def known_now(self, asked_s: float) -> Look | None:
+    def known_now(self, asked_s: float) -> FleetReading | None:
         """Return what `standing` would without a look at the fleet; None where it takes one, or to tell takes a thread."""
         return self._remembered(self._marks.look(), asked_s) if self._marks.at_once else None
 
-    def _remembered(self, mark: Mark | None, asked_s: float) -> Look | None:
+    def _remembered(self, mark: DataVersion | None, asked_s: float) -> FleetReading | None:
         """Return what the last look found, where that holds for who asked at a time of the monotonic clock."""
         now_s = time.monotonic()
         if self._known is None:
@@ -113,11 +115,11 @@ class FleetMemory:
         if now_s - ended_s >= HELD_S:
             return None
         if mark == of_mark or now_s < self._resting_until_s:
-            return Look(found)
-        return Look(found, is_older=True) if began_s > asked_s else None
+            return FleetReading(found)
+        return FleetReading(found, is_older=True) if began_s > asked_s else None
 
-    def standing(self, asked_s: float) -> Look:
-        """Return what `fleet_standing` does, from a look that began after it was asked for or that no commit came after.
+    def standing(self, asked_s: float) -> FleetReading:
+        """Return what `read_fleet_status` does, from a look that began after it was asked for or that no commit came after.
 
         Of a large fleet the look may be older.
         """
@@ -126,24 +128,24 @@ class FleetMemory:
             mark = self._marks.look()
             if (remembered := self._remembered(mark, asked_s)) is not None:
                 return remembered
-            with reading(self._engine) as session:
-                found = fleet_standing(session)
+            with open_reading(self._engine) as session:
+                found = read_fleet_status(session)
                 is_large = sensors.count(session) > LARGE
             ended_s = time.monotonic()
             took_s = ended_s - now_s
             self._known = None if mark is None else (mark, now_s, ended_s, found)
             self._resting_until_s = ended_s + min(HELD_S, REST * took_s) if is_large else 0.0
-            return Look(found)
+            return FleetReading(found)
 
 
 log = logging.getLogger(__name__)
 
 FLASH_COOKIE = "boresight_flash"
-UNREAD = Standing("off", "UNKNOWN", "The store could not be read.")
+UNREAD = FleetStatus("off", "UNKNOWN", "The store could not be read.")
 
 
 @dataclass(frozen=True)
-class Destination:
+class NavigationLine:
     """One line of the navigation; `key` opens it after `g`, and no `roles` means everybody."""
 
     path: str
@@ -153,20 +155,20 @@ class Destination:
 
 
 NAVIGATION = (
-    Destination("/", "Overview", "o"),
-    Destination("/sensors", "Sensors", "s"),
-    Destination("/telemetry", "Telemetry", "t"),
-    Destination("/runs", "Runs", "r"),
-    Destination("/campaigns", "Campaigns", "n"),
-    Destination("/compare", "Compare", "c"),
-    Destination("/parameter-sets", "Parameter sets", "p"),
-    Destination("/approvals", "Approvals", "a"),
-    Destination("/uplink", "Uplink", "u"),
-    Destination("/alarms", "Alarms", "l"),
-    Destination("/audit", "Audit", "h"),
-    Destination("/webhooks", "Webhooks", "w"),
-    Destination("/users", "Users and keys", "k"),
-    Destination("/administration", "Administration", "m"),
+    NavigationLine("/", "Overview", "o"),
+    NavigationLine("/sensors", "Sensors", "s"),
+    NavigationLine("/telemetry", "Telemetry", "t"),
+    NavigationLine("/runs", "Runs", "r"),
+    NavigationLine("/campaigns", "Campaigns", "n"),
+    NavigationLine("/compare", "Compare", "c"),
+    NavigationLine("/parameter-sets", "Parameter sets", "p"),
+    NavigationLine("/approvals", "Approvals", "a"),
+    NavigationLine("/uplink", "Uplink", "u"),
+    NavigationLine("/alarms", "Alarms", "l"),
+    NavigationLine("/audit", "Audit", "h"),
+    NavigationLine("/webhooks", "Webhooks", "w"),
+    NavigationLine("/users", "Users and keys", "k"),
+    NavigationLine("/administration", "Administration", "m"),
 )
 
 # What keys do within a page; `keys.js` acts on them. None signs, promotes, rolls back, cancels or deletes.
@@ -187,7 +189,7 @@ KEYS = (
 
 
 @dataclass(frozen=True)
-class Frame:
+class PageFrame:
     """The values that `frame.html` prints."""
 
     mode: str
@@ -195,13 +197,13 @@ class Frame:
     csrf_token: str
     path: str
     now: str
-    fleet: Standing
+    fleet: FleetStatus
     approvals_waiting: int | None
     alarms_unacknowledged: int | None
-    light: Light
+    light: ChainStatus
     four_eyes: bool
     flash: tuple[str, str] | None
-    navigation: tuple[Destination, ...]
+    navigation: tuple[NavigationLine, ...]
     keys: tuple[tuple[tuple[str, ...], str], ...] = KEYS
 
 
@@ -214,47 +216,47 @@ def _read_flash(request: Request) -> tuple[str, str] | None:
     return (level, str(sentence)) if level in LEVELS else None
 
 
-def _fleet(request: Request, actor: Actor | None) -> tuple[Standing, int | None, int | None]:
+def _fleet(request: Request, actor: Actor | None) -> tuple[FleetStatus, int | None, int | None]:
     """Read the fleet's standing, how many requests wait and how many alarms; nobody logged in learns any of it."""
     if actor is None:
         return UNREAD, None, None
-    known: tuple[Standing, int, int] | None = getattr(request.state, "fleet", None)
+    known: tuple[FleetStatus, int, int] | None = getattr(request.state, "fleet", None)
     if known is not None:
         return known
     try:
-        memory: FleetMemory = request.app.state.fleet
+        memory: FleetStatusCache = request.app.state.fleet
         return _taken(request, memory.standing(request.state.came_s))
     except Exception:
         log.exception("The frame could not read the store")
         return UNREAD, None, None
 
 
-def _taken(request: Request, look: Look) -> tuple[Standing, int, int]:
+def _taken(request: Request, look: FleetReading) -> tuple[FleetStatus, int, int]:
     """Take what was found, and say where something was committed since."""
     if look.is_older:
-        tell_older(request)
+        mark_outdated(request)
     return look.found
 
 
 async def know_fleet(request: Request) -> None:
     """Read what the frame shows of the store, for a request by somebody who is logged in."""
-    memory: FleetMemory = request.app.state.fleet
+    memory: FleetStatusCache = request.app.state.fleet
     with suppress(UnauthenticatedError, PasswordDueError):
-        actor = await who_acts(request)
+        actor = await get_actor(request)
         known = memory.known_now(request.state.came_s)
         request.state.fleet = (
             await run_in_threadpool(_fleet, request, actor) if known is None else _taken(request, known)
         )
 
 
-def frame_of(request: Request, *, is_answer: bool = True) -> Frame:
+def make_page_frame(request: Request, *, is_answer: bool = True) -> PageFrame:
     """Gather the frame's values for a request; `is_answer` where the page is what was asked for, and no refusal."""
     actor: Any = getattr(request.state, "actor", None)
     fleet, waiting, alarms = _fleet(request, actor)
     flash, token = _read_flash(request), getattr(request.state, "csrf_token", "")
     if is_answer and flash is None and has_gaps(request):  # whoever writes the page is not told more than the roles
         actor, token = Actor(None, NAME_GAP, NAME_GAP, actor.roles, ""), TOKEN_GAP
-    return Frame(
+    return PageFrame(
         mode=request.app.state.settings.mode,
         actor=actor,
         csrf_token=token,

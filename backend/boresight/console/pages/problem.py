@@ -15,8 +15,8 @@ from boresight.console.access import users
 from boresight.console.access.credentials import current_actor
 from boresight.console.pages.rendering import TEMPLATES, redirect, render
 from boresight.errors import PasswordDueError, SessionEndedError, UnauthenticatedError
-from boresight.platform.db.sessions import reading
-from boresight.platform.web.problems import problem_of
+from boresight.platform.db.sessions import open_reading
+from boresight.platform.web.problems import make_problem
 
 log = logging.getLogger(__name__)
 
@@ -60,7 +60,7 @@ def problem_page(request: Request, error: Exception) -> Response:
         return redirect(f"/login?next={quote(_way_back(request), safe='')}{ended}")
     with suppress(Exception):  # an address that does not exist asked nobody who acts; a broken store cannot say
         current_actor(request)
-    problem = problem_of(error)
+    problem = make_problem(error)
     return render(
         request,
         "shared/problem.html",
@@ -78,7 +78,7 @@ def _who_grants(request: Request, status: int) -> str:
     if status != FORBIDDEN or getattr(request.state, "actor", None) is None:
         return ""
     try:
-        with reading(request.app.state.engine) as session:
+        with open_reading(request.app.state.engine) as session:
             names = users.administrators(session)
     except Exception:
         log.exception("A refusal could not name the administrators")
@@ -89,7 +89,7 @@ def _who_grants(request: Request, status: int) -> str:
 
 def bare_problem_page(request: Request, error: Exception) -> Response:
     """Answer an error where even the frame around a page cannot be made: its sentence and the request id, alone."""
-    problem = problem_of(error)
+    problem = make_problem(error)
     page = TEMPLATES.get_template("shared/bare_problem.html").render(
         problem=problem,
         advice=ADVICE.get(problem.status, ADVICE_OF_ANY),

@@ -4,14 +4,14 @@
 a page answers with `redirect(location, flash="...")`; the line travels in a short-lived cookie and is shown once on the
 next page. Undefined names are errors, and everything is escaped.
 
-Making a change on a person's behalf and getting a refusal back as a value, to be shown where the person is.
+Form actions: a refusal comes back as a value and is shown on the same page.
 
-The transaction is the request's own (`boresight.console.access.dependencies.write_session`): a refusal passes through it first, so
-nothing of a refused change is kept, and only then becomes words on the page.
+The transaction is the request's own (`boresight.console.access.dependencies.open_write_session`): a refusal passes through it
+first, so nothing of a refused change is kept, and only then becomes words on the page.
 
 What a form sent: its texts, and the version that its page showed.
 
-The numbers in a page's address: one greater than any row's is the number of nothing, and the store is not asked.
+Row numbers in page addresses: a number too large for the store's keys is answered 404 without a query.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from starlette.datastructures import FormData
 
 import boresight
-from boresight.console.access.dependencies import check_own, write_session
-from boresight.console.fleet.timeline import how_known
+from boresight.console.access.dependencies import check_own, open_write_session
+from boresight.console.fleet.timeline import describe_source
 from boresight.console.pages import formats
-from boresight.console.pages.formats import LEVELS, level_of, worst
-from boresight.console.pages.frame import FLASH_COOKIE, frame_of
+from boresight.console.pages.formats import LEVELS, get_level, worst
+from boresight.console.pages.frame import FLASH_COOKIE, make_page_frame
 from boresight.errors import BoresightError, Fault, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor
-from boresight.platform.web.keeping import GAPS
-from boresight.platform.web.paging import row_number
-from boresight.platform.web.problems import problem_of
+from boresight.platform.web.paging import parse_row_id
+from boresight.platform.web.problems import make_problem
+from boresight.platform.web.response_cache_store import GAPS
 from boresight.resources import folder
 
 T = TypeVar("T")
-_transaction = asynccontextmanager(write_session)
+_transaction = asynccontextmanager(open_write_session)
 
 
 @dataclass(frozen=True)
-class Refusal:
+class ShownRefusal:
     """Why a change was not made: the sentence, the places it names, and how HTTP says it.
 
     `render` takes status and headers from here for every page that shows a refusal.
@@ -62,9 +62,9 @@ class Refusal:
     headers: Mapping[str, str]
 
     @classmethod
-    def of(cls, error: BoresightError) -> Refusal:
+    def of(cls, error: BoresightError) -> ShownRefusal:
         """Turn a refusal that was raised into one to show."""
-        problem = problem_of(error)
+        problem = make_problem(error)
         return cls(error, str(error), tuple(getattr(error, "faults", ())), problem.status, problem.headers or {})
 
     @property
@@ -74,11 +74,11 @@ class Refusal:
 
 
 @dataclass(frozen=True)
-class Outcome(Generic[T]):
+class AttemptResult(Generic[T]):
     """What came of an attempt: the value, or the refusal."""
 
     value: T | None
-    refusal: Refusal | None
+    refusal: ShownRefusal | None
 
     @property
     def made(self) -> T:
@@ -90,7 +90,7 @@ class Outcome(Generic[T]):
 
 async def attempt(
     request: Request, change: Callable[..., T], prepare: Callable[[], Awaitable[Sequence[object]]] | None = None
-) -> Outcome[T]:
+) -> AttemptResult[T]:
     """Make a change in the request's writing transaction.
 
     Parameters
@@ -108,11 +108,11 @@ async def attempt(
     try:
         prepared = () if prepare is None else await prepare()
         async with _transaction(request) as session:
-            return Outcome(await run_in_threadpool(change, session, *prepared), None)
+            return AttemptResult(await run_in_threadpool(change, session, *prepared), None)
     except NotFoundError:
         raise
     except BoresightError as error:
-        return Outcome(None, Refusal.of(error))
+        return AttemptResult(None, ShownRefusal.of(error))
 
 
 def proof_of_own(request: Request, actor: Actor, password: str) -> Callable[[], Awaitable[Sequence[object]]]:
@@ -138,7 +138,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {function.__name__: function for function in formats.FILTERS}
-    environment.filters |= {"level_of": level_of, "worst": worst, "how_known": how_known}
+    environment.filters |= {"level_of": get_level, "worst": worst, "how_known": describe_source}
     environment.globals |= {"LEVELS": LEVELS, "version": boresight.__version__}
     return environment
 
@@ -152,7 +152,7 @@ def render(
     *,
     status_code: int = 200,
     headers: Mapping[str, str] | None = None,
-    refused: Refusal | None = None,
+    refused: ShownRefusal | None = None,
     follows_from: Hashable = None,
     **values: Any,
 ) -> HTMLResponse:
@@ -173,7 +173,7 @@ def render(
     """
     if refused is not None:
         status_code, headers = refused.status, refused.headers
-    frame = frame_of(request, is_answer=status_code == HTTPStatus.OK)
+    frame = make_page_frame(request, is_answer=status_code == HTTPStatus.OK)
     given = (template, replace(frame, now=""), follows_from)  # the clock in the page goes by itself
     written: OrderedDict[Hashable, str] = request.app.state.written
     shared = follows_from is not None and request.scope["state"].get(GAPS)
@@ -199,7 +199,7 @@ def redirect(location: str, *, flash: str = "", level: str = "normal") -> Redire
     return response
 
 
-def redirect_refused(location: str, refusal: Refusal) -> RedirectResponse:
+def redirect_refused(location: str, refusal: ShownRefusal) -> RedirectResponse:
     """Show why a form was refused as a line on the page that it stands on.
 
     What the server itself lacks is raised again, so that the answer says so by its status, and when to come back.
@@ -209,14 +209,14 @@ def redirect_refused(location: str, refusal: Refusal) -> RedirectResponse:
     return redirect(location, flash=refusal.sentence, level="serious")
 
 
-def texts_of(form: FormData) -> dict[str, str]:
+def get_texts(form: FormData) -> dict[str, str]:
     """Return the texts of a form, without its files."""
     return {name: value for name, value in form.items() if isinstance(value, str)}
 
 
 async def read_texts(request: Request) -> dict[str, str]:
     """Read the texts of the form that a request carries."""
-    return texts_of(await request.form())
+    return get_texts(await request.form())
 
 
 def seen_version(form: Mapping[str, str]) -> int:
@@ -227,7 +227,7 @@ def seen_version(form: Mapping[str, str]) -> int:
     RefusedInputError
         When the form does not carry it.
     """
-    version = row_number(form.get("version", ""))
+    version = parse_row_id(form.get("version", ""))
     if version is None:
         raise RefusedInputError("The form does not say which version you saw; reload the page and do it again.")
     return version

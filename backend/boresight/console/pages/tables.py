@@ -2,7 +2,7 @@
 
 `?state=FAILED&sort=-rms&columns=run,state,rms&before=812&runs=7,9` is a whole view: the runs that failed, the greatest
 RMS first, three columns, the page after run 812, two of them chosen. A page declares a `Table`; `read_view` reads the
-address against it, nonsense being left out as an empty choice of the form is; `list_table.html` draws it; `csv_of` gives
+address against it, nonsense being left out as an empty choice of the form is; `list_table.html` draws it; `write_csv` gives
 the same view, every page of it, as a file in SI. It all works without scripts.
 """
 
@@ -20,7 +20,7 @@ from fastapi.responses import Response
 
 from boresight.console import lists
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.paging import row_number
+from boresight.platform.web.paging import parse_row_id
 
 LONGEST_FILTER = 200
 MOST_CHOSEN = 200
@@ -28,7 +28,7 @@ Accepts = Callable[[str], bool]
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """One column.
 
     Parameters
@@ -68,7 +68,7 @@ class Table:
 
     name: str
     title: str
-    columns: tuple[Column, ...]
+    columns: tuple[TableColumn, ...]
     filters: Mapping[str, Accepts]
     sort: str
     kind: str = ""
@@ -84,7 +84,7 @@ class Table:
 
 def is_number(text: str) -> bool:
     """Accept a row's number."""
-    return row_number(text) is not None
+    return parse_row_id(text) is not None
 
 
 def is_text(text: str) -> bool:
@@ -92,19 +92,19 @@ def is_text(text: str) -> bool:
     return bool(text.strip()) and "\0" not in text
 
 
-def one_of(words: Iterable[str]) -> Accepts:
+def accept_one(words: Iterable[str]) -> Accepts:
     """Accept one of these words."""
     return frozenset(words).__contains__
 
 
 @dataclass(frozen=True)
-class View:
+class TableView:
     """What of a table is looked at."""
 
     table: Table
     where: Mapping[str, str] = field(default_factory=dict)
     sort: str = ""
-    columns: tuple[Column, ...] = ()
+    columns: tuple[TableColumn, ...] = ()
     before: int | None = None
     chosen: tuple[int, ...] = ()
 
@@ -138,12 +138,12 @@ class View:
         """The address without filters, from the first page on."""
         return self.address(before=None, **dict.fromkeys(self.table.filters))
 
-    def pressed(self, column: Column) -> str:
+    def pressed(self, column: TableColumn) -> str:
         """Return the order that a press on a column's title gives: its own first, then that turned round."""
         name = column.sort.removeprefix("-")
         return (name if self.sort.startswith("-") else f"-{name}") if self.direction(column) else column.sort
 
-    def direction(self, column: Column) -> str:
+    def direction(self, column: TableColumn) -> str:
         """Say how the list is sorted by a column, as `aria-sort` does; empty where it is not."""
         if not column.sort or self.sort.removeprefix("-") != column.sort.removeprefix("-"):
             return ""
@@ -151,26 +151,26 @@ class View:
 
 
 @dataclass(frozen=True)
-class Page:
+class TablePage:
     """The rows that are shown, and the last of them where more follow."""
 
     rows: Sequence[Any]
     last: int | None
 
 
-def read_view(request: Request, table: Table) -> View:
+def read_view(request: Request, table: Table) -> TableView:
     """Read the address; what is no filter, column or order of the table is left out."""
     asked = request.query_params
     given = {name: asked.get(name, "").strip()[:LONGEST_FILTER] for name in table.filters}
     orders = {column.sort.removeprefix("-") for column in table.columns if column.sort}
     sort, before = asked.get("sort", ""), asked.get("before", "")
-    return View(
+    return TableView(
         table,
         {name: text for name, text in given.items() if text and table.filters[name](text)},
         sort if sort.removeprefix("-") in orders else table.sort,
         _columns(table, _several(request, "columns")),
-        row_number(before),
-        tuple(number for text in _several(request, table.chosen) if (number := row_number(text)))[:MOST_CHOSEN],
+        parse_row_id(before),
+        tuple(number for text in _several(request, table.chosen) if (number := parse_row_id(text)))[:MOST_CHOSEN],
     )
 
 
@@ -179,28 +179,28 @@ def _several(request: Request, name: str) -> list[str]:
     return [text for value in request.query_params.getlist(name) for text in value.split(",") if text]
 
 
-def _columns(table: Table, picked: Sequence[str]) -> tuple[Column, ...]:
+def _columns(table: Table, picked: Sequence[str]) -> tuple[TableColumn, ...]:
     """Return the columns picked, those that name the row among them; all usual ones where none was."""
     if not any(column.name in picked for column in table.columns):
         return tuple(column for column in table.columns if not column.optional)
     return tuple(column for column in table.columns if column.head or column.name in picked)
 
 
-def page_of(session: Session, view: View, **where: Any) -> Page:
+def read_page(session: Session, view: TableView, **where: Any) -> TablePage:
     """Read the rows of a view; `where` narrows it by more, or by other values, than the address says; None by nothing."""
     narrowed = {name: value for name, value in ({**view.where} | where).items() if value is not None}
     rows = view.table.rows_a_page
-    found = lists.page_of(session, view.table.name, narrowed, view.sort, before_id=view.before, limit=rows + 1)
-    return Page(found[:rows], found[rows - 1].id if len(found) > rows else None)
+    found = lists.read_page(session, view.table.name, narrowed, view.sort, before_id=view.before, limit=rows + 1)
+    return TablePage(found[:rows], found[rows - 1].id if len(found) > rows else None)
 
 
-def all_of(session: Session, view: View, **where: Any) -> Iterable[Any]:
+def read_all(session: Session, view: TableView, **where: Any) -> Iterable[Any]:
     """Yield every row that fits a view, from its first page on."""
     narrowed = {name: value for name, value in ({**view.where} | where).items() if value is not None}
-    return lists.all_of(session, view.table.name, narrowed, view.sort)
+    return lists.read_all(session, view.table.name, narrowed, view.sort)
 
 
-def csv_of(view: View, fields: Mapping[str, Sequence[str]], rows: Iterable[Mapping[str, Any]]) -> Response:
+def write_csv(view: TableView, fields: Mapping[str, Sequence[str]], rows: Iterable[Mapping[str, Any]]) -> Response:
     """Give a view as CSV.
 
     Parameters

@@ -22,60 +22,60 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import transitions
-from boresight.console.access.credentials import who_acts
+from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf
 from boresight.console.approvals import gates, promotions, submissions
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals.measured import measured
-from boresight.console.approvals.pages.gates import panel_of
+from boresight.console.approvals.gate_assessment import assess_before_submission
+from boresight.console.approvals.pages.gates import make_gates_panel
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet import service as sensors
-from boresight.console.fleet.pages.sensors import choices_of
-from boresight.console.pages.rendering import Refusal, attempt, read_texts, redirect, render, seen_version
+from boresight.console.fleet.pages.sensors import list_sensor_choices
+from boresight.console.pages.rendering import ShownRefusal, attempt, read_texts, redirect, render, seen_version
 from boresight.console.pages.tables import (
-    Column,
     Table,
-    View,
-    all_of,
-    csv_of,
+    TableColumn,
+    TableView,
+    accept_one,
     is_number,
     is_text,
-    one_of,
-    page_of,
+    read_all,
+    read_page,
     read_view,
+    write_csv,
 )
 from boresight.console.parameter_sets import service
-from boresight.console.parameter_sets.service import conversion_of
+from boresight.console.parameter_sets.service import convert_parameter_set
 from boresight.console.parameter_sets.tables import GROUND_STATES, ONBOARD_STATES, ParameterSet
 from boresight.console.runs import service as runs
-from boresight.console.runs.pages.list import Names, read_names
+from boresight.console.runs.pages.list import RunNames, read_names
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.uplinks import service as uplinks
 from boresight.errors import RefusedInputError
 from boresight.figures.tables.parameter_table import set_rows
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.keeping import same_for_roles
+from boresight.platform.web.response_cache_store import same_for_roles
 
 READ_AT_ONCE = 500
 SETS = Table(
     "parameter-sets",
     "Parameter sets",
     (
-        Column("set", "Set, of sensor", "-set", "named", head=True),
-        Column("ground", "Ground", "ground"),
-        Column("board", "On board", "board"),
-        Column("gates", "Gates", "", "verdict-words"),
-        Column("run", "From run", "-run"),
-        Column("hash", "SHA-256"),
-        Column("by", "Made by", "by", "named"),
-        Column("baseline", "Baseline since", "-baseline"),
+        TableColumn("set", "Set, of sensor", "-set", "named", head=True),
+        TableColumn("ground", "Ground", "ground"),
+        TableColumn("board", "On board", "board"),
+        TableColumn("gates", "Gates", "", "verdict-words"),
+        TableColumn("run", "From run", "-run"),
+        TableColumn("hash", "SHA-256"),
+        TableColumn("by", "Made by", "by", "named"),
+        TableColumn("baseline", "Baseline since", "-baseline"),
     ),
     {
         "sensor": is_number,
         "sensor_name": is_text,
-        "state": one_of(GROUND_STATES),
-        "board": one_of(ONBOARD_STATES),
+        "state": accept_one(GROUND_STATES),
+        "board": accept_one(ONBOARD_STATES),
         "q": is_text,
     },
     "-set",
@@ -92,14 +92,14 @@ CSV_FIELDS = {
     "baseline": ("baseline_from_utc", "baseline_to_utc"),
 }
 
-router = APIRouter(dependencies=[Depends(who_acts)])
+router = APIRouter(dependencies=[Depends(get_actor)])
 
 
 @router.get("/parameter-sets", response_class=HTMLResponse, dependencies=[Depends(same_for_roles)])
 def parameter_sets_page(request: Request, session: Reading) -> HTMLResponse:
     """Show a page of sets."""
     view = read_view(request, SETS)
-    found = page_of(session, view)
+    found = read_page(session, view)
     return render(
         request,
         "parameter_sets/parameter_sets.html",
@@ -107,7 +107,7 @@ def parameter_sets_page(request: Request, session: Reading) -> HTMLResponse:
         sets=found.rows,
         last=found.last,
         names=read_names(session, sensors_of=found.rows),
-        choices=choices_of(session, view),
+        choices=list_sensor_choices(session, view),
         states=GROUND_STATES,
         on_board=ONBOARD_STATES,
         verdicts=gates.verdicts(session, {row.id for row in found.rows}),
@@ -118,18 +118,18 @@ def parameter_sets_page(request: Request, session: Reading) -> HTMLResponse:
 def parameter_sets_csv(request: Request, session: Reading) -> Response:
     """Give every set of a view as CSV."""
     view = read_view(request, SETS)
-    return csv_of(view, CSV_FIELDS, _csv_rows(session, view, read_names(session, sensors_of=None)))
+    return write_csv(view, CSV_FIELDS, _csv_rows(session, view, read_names(session, sensors_of=None)))
 
 
-def _csv_rows(session: Session, view: View, names: Names) -> Iterator[dict[str, Any]]:
+def _csv_rows(session: Session, view: TableView, names: RunNames) -> Iterator[dict[str, Any]]:
     """Lay out the sets of a view for a program; the verdicts of many are read at once."""
-    rows = iter(all_of(session, view))
+    rows = iter(read_all(session, view))
     while some := list(islice(rows, READ_AT_ONCE)):
         verdicts = gates.verdicts(session, {row.id for row in some})
         yield from (_csv_row(row, names) | {"verdict": verdicts.get(row.id)} for row in some)
 
 
-def _csv_row(row: ParameterSet, names: Names) -> dict[str, Any]:
+def _csv_row(row: ParameterSet, names: RunNames) -> dict[str, Any]:
     """Lay out a set for a program."""
     return {
         "number": row.id,
@@ -147,7 +147,7 @@ def _csv_row(row: ParameterSet, names: Names) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Converted:
+class ConvertedSet:
     """A set in another model: its document, or why there is none."""
 
     model: str
@@ -155,54 +155,54 @@ class Converted:
     refusal: str | None
 
 
-def conversions_of(session: Session, row: ParameterSet) -> list[Converted]:
+def list_conversions(session: Session, row: ParameterSet) -> list[ConvertedSet]:
     """Try every other camera model on a set."""
     return [_tried(session, row.id, model) for model in sorted(CAMERA_MODELS) if model != row.document["camera_model"]]
 
 
-def _tried(session: Session, set_id: int, model: str) -> Converted:
+def _tried(session: Session, set_id: int, model: str) -> ConvertedSet:
     try:
-        return Converted(model, conversion_of(session, set_id, model), None)
+        return ConvertedSet(model, convert_parameter_set(session, set_id, model), None)
     except RefusedInputError as error:
-        return Converted(model, None, str(error))
+        return ConvertedSet(model, None, str(error))
 
 
 parameter_set_router = APIRouter(dependencies=[Depends(csrf)])
 
 
 @dataclass(frozen=True)
-class Action:
+class SetAction:
     """A transition: whether the set's state has it, and why this person cannot make it."""
 
     offered: bool
     blocked: str | None
 
 
-def actions_of(row: ParameterSet, actor: Actor, request: Approval | None) -> dict[str, Action]:
+def list_set_actions(row: ParameterSet, actor: Actor, request: Approval | None) -> dict[str, SetAction]:
     """Say which transitions a set's state has, and why the actor may not make one."""
     submitter = request is not None and request.submitted_by == actor.user_id
     submitted = row.ground_state in {"SUBMITTED", "APPROVED"}
     submittable, was_baseline = row.ground_state in submissions.SUBMITTABLE, row.baseline_from_utc is not None
     return {
-        "roll_back": Action(
+        "roll_back": SetAction(
             submittable and was_baseline,
             None
             if actor.roles.intersection({"analyst", "operator"})
             else "Only an analyst or an operator may ask for a roll-back; ask an administrator for the role.",
         ),
-        "submit": Action(
+        "submit": SetAction(
             submittable and not was_baseline,
             None
             if "analyst" in actor.roles
             else "Only an analyst may submit a set; ask an administrator for the role.",
         ),
-        "withdraw": Action(
+        "withdraw": SetAction(
             submitted,
             None
             if submitter or "administrator" in actor.roles
             else "Only who submitted the set, or an administrator, may withdraw it.",
         ),
-        "promote": Action(
+        "promote": SetAction(
             submitted,
             _why_not_promote(row, actor),
         ),
@@ -219,7 +219,7 @@ def _why_not_promote(row: ParameterSet, actor: Actor) -> str | None:
 
 
 @dataclass(frozen=True)
-class Node:
+class LineageNode:
     """One station of a set's lineage."""
 
     kind: str
@@ -228,38 +228,39 @@ class Node:
     state: str | None = None
 
 
-def lineage_of(session: Session, row: ParameterSet, requests: Sequence[Approval]) -> list[Node]:
+def list_lineage(session: Session, row: ParameterSet, requests: Sequence[Approval]) -> list[LineageNode]:
     """Return the way of a set from telemetry to the spacecraft, as far as it has come."""
     nodes = []
     if row.run_id is not None:
         run = runs.get_run(session, row.run_id)
         data = telemetry_sets.get_telemetry_set(session, run.telemetry_set_id)
         nodes = [
-            Node("Telemetry", data.name, f"/telemetry/{data.id}"),
-            Node("Run", f"#{run.id} {run.label}".rstrip(), f"/runs/{run.id}", run.state),
+            LineageNode("Telemetry", data.name, f"/telemetry/{data.id}"),
+            LineageNode("Run", f"#{run.id} {run.label}".rstrip(), f"/runs/{run.id}", run.state),
         ]
     else:
-        nodes = [Node("Ground calibration", "declared with the sensor", f"/sensors/{row.sensor_id}")]
-    nodes.append(Node("Set", row.name, None, row.ground_state))
+        nodes = [LineageNode("Ground calibration", "declared with the sensor", f"/sensors/{row.sensor_id}")]
+    nodes.append(LineageNode("Set", row.name, None, row.ground_state))
     nodes += [
-        Node("Approval", f"request {known.id}", f"/approvals/{known.id}", known.state) for known in reversed(requests)
+        LineageNode("Approval", f"request {known.id}", f"/approvals/{known.id}", known.state)
+        for known in reversed(requests)
     ]
     nodes.append(
-        Node(
+        LineageNode(
             "On board", "no uplink recorded" if row.onboard_state == "NOT SENT" else "recorded", None, row.onboard_state
         )
     )
     return nodes
 
 
-def incumbent_of(session: Session, row: ParameterSet, requests: Sequence[Approval]) -> ParameterSet | None:
+def find_incumbent(session: Session, row: ParameterSet, requests: Sequence[Approval]) -> ParameterSet | None:
     """Return what a set is measured against: the baseline of now, or for a promoted set the one that it replaced."""
     if row.baseline_from_utc is None:
-        return service.baseline_of(session, row.sensor_id)
-    return bound_incumbent(session, row, next((known for known in requests if known.state == "APPROVED"), None))
+        return service.get_baseline(session, row.sensor_id)
+    return find_bound_incumbent(session, row, next((known for known in requests if known.state == "APPROVED"), None))
 
 
-def bound_incumbent(session: Session, row: ParameterSet, request: Approval | None) -> ParameterSet | None:
+def find_bound_incumbent(session: Session, row: ParameterSet, request: Approval | None) -> ParameterSet | None:
     """Return the set that was baseline when a request was made; None where the request names none."""
     sha256 = request.bound.get("incumbent_sha256") if request is not None else None
     return None if sha256 is None else service.other_with_document(session, row, sha256)
@@ -272,13 +273,19 @@ def parameter_set_page(request: Request, session: Reading, actor: Who, set_id: i
 
 
 def _page(
-    request: Request, session: Session, actor: Actor, set_id: int, *, refusal: Refusal | None = None, reason: str = ""
+    request: Request,
+    session: Session,
+    actor: Actor,
+    set_id: int,
+    *,
+    refusal: ShownRefusal | None = None,
+    reason: str = "",
 ) -> HTMLResponse:
     """Render a set, with the refusal of a transition and the reason that was typed."""
     row = transitions.get_parameter_set(session, set_id)
     requests = approvals.list_approvals(session, parameter_set_id=set_id)
     sensor = sensors.get_sensor(session, row.sensor_id)
-    incumbent = incumbent_of(session, row, requests)
+    incumbent = find_incumbent(session, row, requests)
     return render(
         request,
         "parameter_sets/parameter_set.html",
@@ -289,12 +296,12 @@ def _page(
         incumbent=incumbent,
         rows=set_rows(row.document, incumbent.document if incumbent else None, sensor.document),
         requests=requests,
-        signatures=[signature for known in requests for signature in approvals.signatures_of(session, known.id)],
+        signatures=[signature for known in requests for signature in approvals.list_signatures(session, known.id)],
         uplinks=uplinks.list_uplinks(session, parameter_set_id=set_id),
-        conversions=conversions_of(session, row),
-        panel=panel_of(session, actor, row),
-        lineage=lineage_of(session, row, requests),
-        actions=actions_of(row, actor, requests[0] if requests else None),
+        conversions=list_conversions(session, row),
+        panel=make_gates_panel(session, actor, row),
+        lineage=list_lineage(session, row, requests),
+        actions=list_set_actions(row, actor, requests[0] if requests else None),
         refusal=refusal,
         reason=reason,
     )
@@ -318,7 +325,7 @@ async def _asked(
     """Open a request, and show it or why it was refused."""
     form = await read_texts(request)
     reason, state = form.get("reason", ""), request.app.state
-    assessed = await run_in_threadpool(measured, actor, set_id, state.sight, state.engine)
+    assessed = await run_in_threadpool(assess_before_submission, actor, set_id, state.sight, state.engine)
 
     def change(session: Session) -> Approval:
         asked = (state.blobs, set_id, reason, seen_version(form), assessed)

@@ -9,17 +9,17 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
 from boresight.console import transitions
-from boresight.console.access.dependencies import Blobs, Held, Reading, SeenVersion, Who, Writing
+from boresight.console.access.dependencies import Blobs, PasswordChecked, Reading, SeenVersion, Who, Writing
 from boresight.console.approvals import promotions, submissions
 from boresight.console.approvals import schemas as approval_schemas
-from boresight.console.approvals.measured import Measured
+from boresight.console.approvals.gate_assessment import AssessedBefore
 from boresight.console.approvals.routes import with_signatures
 from boresight.console.operation import Beside, json_response, operations
 from boresight.console.parameter_sets import schemas, service
 from boresight.console.parameter_sets import service as conversions
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.platform.web.keeping import SAME_FOR_ALL
 from boresight.platform.web.paging import Id, Listing, Page, Paged
+from boresight.platform.web.response_cache_store import SAME_FOR_ALL
 
 router = operations("/parameter-sets", tags=["parameter sets"])
 
@@ -96,7 +96,7 @@ def convert_parameter_set(
     ] = None,
 ) -> Response:
     """Write this set in another camera model: values, covariance and misfit, or the reason why it cannot be. Nothing is kept."""
-    return json_response(conversions.conversion_of(session, parameter_set_id, to, allow_px))
+    return json_response(conversions.convert_parameter_set(session, parameter_set_id, to, allow_px))
 
 
 @router.post(
@@ -110,8 +110,8 @@ def submit_parameter_set(
     submission: Submission,
     actor: Who,
     seen: SeenVersion,
-    measured: Measured,
-    policy: Held,
+    measured: AssessedBefore,
+    policy: PasswordChecked,
     session: Writing,
     blobs: Blobs,
 ) -> Beside:
@@ -131,8 +131,8 @@ def roll_back_parameter_set(
     back: RollBack,
     actor: Who,
     seen: SeenVersion,
-    measured: Measured,
-    policy: Held,
+    measured: AssessedBefore,
+    policy: PasswordChecked,
     session: Writing,
     blobs: Blobs,
 ) -> Beside:
@@ -152,7 +152,7 @@ def withdraw_parameter_set(
 
 @router.post("/{parameter_set_id}:promote", summary="Make it the baseline", response_model=schemas.ParameterSet)
 def promote_parameter_set(
-    parameter_set_id: Id, actor: Who, seen: SeenVersion, policy: Held, session: Writing
+    parameter_set_id: Id, actor: Who, seen: SeenVersion, policy: PasswordChecked, session: Writing
 ) -> ParameterSet:
     """Make an approved set the sensor's baseline; the one before is superseded in the same transaction."""
     return promotions.promote(session, actor, parameter_set_id, seen, policy=policy)

@@ -18,7 +18,7 @@ Promotion: an approved set becomes its sensor's baseline, the one before is supe
 
 A parameter set in another camera model: computed when asked for, kept nowhere.
 
-The set that is in force for a run's sensor now, to be drawn beside what the run found.
+The incumbent's parameters, drawn beside the result of a run.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from boresight.console.parameter_sets import queries as rows
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.runs.calibration_document import read_result
 from boresight.console.runs.tables import Run
-from boresight.console.transitions import get_parameter_set, get_sensor, subject_of
+from boresight.console.transitions import get_parameter_set, get_sensor, name_subject
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.telemetry.sensors import Sensor as SensorDescription
 from boresight.telemetry.sensors import parse_sensor
@@ -173,7 +173,7 @@ def _add(
         sensor_id=sensor.id,
         number=number,
         run_id=run_id,
-        sha256=sha256_of(body),
+        sha256=compute_sha256(body),
         document=body,
         ground_state=ground_state,
         created_utc=utc_now(),
@@ -182,7 +182,7 @@ def _add(
     session.add(row)
     session.flush()
     after = {"name": row.name, "ground_state": ground_state, "sha256": row.sha256, "run_id": run_id}
-    audit.append(session, actor, "created", subject_of(row), None, after)
+    audit.append(session, actor, "created", name_subject(row), None, after)
     return row
 
 
@@ -208,7 +208,7 @@ def other_with_document(session: Session, row: ParameterSet, sha256: str) -> Par
     return rows.other_with_document(session, row, sha256)
 
 
-def heads_of(session: Session, set_ids: Collection[int]) -> dict[int, Any]:
+def read_heads(session: Session, set_ids: Collection[int]) -> dict[int, Any]:
     """Return name and sensor_id of some sets, by id."""
     return rows.heads(session, set_ids)
 
@@ -218,12 +218,12 @@ def runs_with_sets(session: Session, run_ids: Collection[int]) -> set[int]:
     return rows.runs_with_sets(session, run_ids)
 
 
-def baseline_of(session: Session, sensor_id: int) -> ParameterSet | None:
+def get_baseline(session: Session, sensor_id: int) -> ParameterSet | None:
     """Return the sensor's baseline."""
     return rows.baseline(session, sensor_id)
 
 
-def conversion_of(
+def convert_parameter_set(
     session: Session, parameter_set_id: int, target: str, allowed_px: float | None = None
 ) -> dict[str, Any]:
     """Write a set in another camera model; parameters and document as in `calibration.conversion.converted`.
@@ -240,9 +240,9 @@ def conversion_of(
     return converted(row.document, sensor, row.name, target, allowed_px)
 
 
-def baseline_beside(session: Session, run: Run) -> dict[str, float | None]:
+def get_incumbent_parameters(session: Session, run: Run) -> dict[str, float | None]:
     """Return the baseline's parameters in SI; none where the run started from them or there is no baseline."""
-    baseline = baseline_of(session, run.sensor_id)
+    baseline = get_baseline(session, run.sensor_id)
     if baseline is None:
         return {}
     parameters: Mapping[str, float | None] = baseline.document.get("parameters") or {}

@@ -7,7 +7,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base, one_of, only_one
+from boresight.platform.db.declared import STRICT, Base, allow_only, only_one
 from boresight.platform.db.documents import JsonText
 
 GROUND_STATES = ("CANDIDATE", "SUBMITTED", "APPROVED", "BASELINE", "SUPERSEDED", "REJECTED", "WITHDRAWN", "EXPIRED")
@@ -19,8 +19,8 @@ class ParameterSet(Base):
 
     __tablename__ = "parameter_sets"
     __table_args__ = (
-        one_of("ground_state", GROUND_STATES),
-        one_of("onboard_state", ONBOARD_STATES),
+        allow_only("ground_state", GROUND_STATES),
+        allow_only("onboard_state", ONBOARD_STATES),
         sa.UniqueConstraint("sensor_id", "number"),
         only_one("uq_parameter_sets_one_baseline", "sensor_id", "ground_state = 'BASELINE'"),
         only_one("uq_parameter_sets_one_active", "sensor_id", "onboard_state = 'ACTIVE'"),

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.marks import Recent
+from boresight.platform.db.data_version import SizeLimitedCache
 
 Document = dict[str, Any]
 Values = dict[str, float | None]
@@ -22,7 +22,7 @@ FINAL = ("sensor", "method", "camera_model", "parameters", "sigma", "covariance"
 MOST_REMEMBERED = 4096
 
 #: What was found of a result, by its address: the bytes of an address never change.
-_looked_at: Recent[bool] = Recent(MOST_REMEMBERED)
+_looked_at: SizeLimitedCache[bool] = SizeLimitedCache(MOST_REMEMBERED)
 
 
 class _Part(BaseModel):
@@ -195,10 +195,10 @@ def read_result(blobs: BlobStore, sha256: str, run_id: int | None = None) -> Doc
 
 def _is_final(document: Any) -> bool:
     """Whether a document has every member of an ended calibration, each of its type."""
-    return _fault_of(document) is None
+    return _find_fault(document) is None
 
 
-def _fault_of(document: Any) -> str | None:
+def _find_fault(document: Any) -> str | None:
     """Say what keeps a document from being an ended calibration: the first member that is missing or of another type."""
     try:
         Calibration.model_validate(document)
@@ -218,7 +218,7 @@ def refuse_incomplete(document: Any, name: str) -> None:
     RefusedInputError
         Names the first member that is missing or of another type.
     """
-    if (fault := _fault_of(document)) is not None:
+    if (fault := _find_fault(document)) is not None:
         raise RefusedInputError(
             f"{name} is no whole calibration ({fault}): give the file that `boresight calibrate --json` wrote, as it was written."
         )

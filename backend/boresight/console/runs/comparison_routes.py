@@ -12,7 +12,7 @@ from boresight.console.access.dependencies import Blobs, Drawings, Reading
 from boresight.console.operation import json_response, operations
 from boresight.console.runs import comparisons, schemas
 from boresight.console.runs.comparisons import Comparison
-from boresight.console.runs.figure_routes import label_of, source_of
+from boresight.console.runs.figure_routes import get_figure_source, make_label
 from boresight.figures import figure_json
 from boresight.figures.charts import radial as radial_contrast
 from boresight.platform.blobs.folder import BlobStore
@@ -55,7 +55,7 @@ def draw_radial_contrast(
 ) -> Response:
     """Draw how far each run places stars along the radius from where the reference places them, as Plotly JSON."""
     runs = comparisons.read_runs(session, comparisons.read_run_ids([asked]))
-    labels, sources = [label_of(session, run) for run in runs], [source_of(session, run) for run in runs]
+    labels, sources = [make_label(session, run) for run in runs], [get_figure_source(session, run) for run in runs]
 
     def draw() -> bytes:
         found = _compared(session, blobs, asked, reference)

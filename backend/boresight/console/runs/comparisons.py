@@ -47,7 +47,7 @@ ASSUMPTION = (
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedRun:
     """One run of a comparison with its result; an empty result where the run has none."""
 
     run: Run
@@ -83,7 +83,7 @@ class Comparison:
         A contrast a run; None for the reference and for runs without a result.
     """
 
-    compared: Sequence[Compared]
+    compared: Sequence[ComparedRun]
     reference: int
     names: tuple[str, ...]
     shared: Sequence[SharedData]
@@ -150,7 +150,7 @@ def read_runs(session: Session, run_ids: Sequence[int]) -> list[Run]:
     return [found[run_id] for run_id in run_ids]
 
 
-def read_compared(session: Session, blobs: BlobStore, run_ids: Sequence[int]) -> list[Compared]:
+def read_compared(session: Session, blobs: BlobStore, run_ids: Sequence[int]) -> list[ComparedRun]:
     """Read the runs and their results.
 
     Raises
@@ -160,7 +160,7 @@ def read_compared(session: Session, blobs: BlobStore, run_ids: Sequence[int]) ->
     UnlikeModelsError
         When their camera models are unlike; names them, and says what to do instead.
     """
-    found = [Compared(run, runs.result(session, blobs, run.id) or {}) for run in read_runs(session, run_ids)]
+    found = [ComparedRun(run, runs.result(session, blobs, run.id) or {}) for run in read_runs(session, run_ids)]
     models = {one.camera_model: one.run.id for one in reversed(found)}
     if len(models) > 1:
         (first, first_id), (second, second_id) = sorted(models.items(), key=lambda item: run_ids.index(item[1]))[:2]

@@ -26,11 +26,11 @@ from typing import Any
 from boresight.calibration.evaluation.forecast import MOST_FRAMES, MOST_STARS, forecast
 from boresight.calibration.options import CalibrationSettings
 from boresight.console.runs.queries import recent_runs
-from boresight.console.runs.requests import Order
+from boresight.console.runs.requests import RunRequest
 from boresight.errors import BoresightError, CorruptFileError
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.blobs.working_tables import table_path
-from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.read.frames import read_sample
@@ -40,7 +40,7 @@ KEPT = 500
 
 
 @dataclass(frozen=True)
-class Sight:
+class ForecastSources:
     """What a dry run may look at besides the rows: stored tables and the star catalogue.
 
     Parameters
@@ -63,7 +63,7 @@ class Sight:
         self, table_sha256: str, sensor_document: Mapping[str, Any], settings: CalibrationSettings
     ) -> dict[str, Any]:
         """Foretell a run; see `calibration.evaluation.forecast`. Without a forecast `at` is None and `sentence` says why."""
-        key = sha256_of([table_sha256, dict(sensor_document), settings.document()])
+        key = compute_sha256([table_sha256, dict(sensor_document), settings.document()])
         with self._lock:
             if key in self._made:
                 self._made.move_to_end(key)
@@ -119,7 +119,7 @@ RUNS_TIMED = 20
 
 
 @dataclass(frozen=True)
-class Pace:
+class RunSpeed:
     """How fast runs of a method are.
 
     Parameters
@@ -139,38 +139,38 @@ class Pace:
 
 
 @dataclass(frozen=True)
-class Timed:
+class TimedRun:
     """What a finished run was and how long its computing took, without its wait for frames."""
 
     stars: int
     seconds: float
 
 
-def timed_runs(session: Session, method: str) -> list[Timed]:
+def list_timed_runs(session: Session, method: str) -> list[TimedRun]:
     """Return what the newest runs of a method took, newest first: of those that waited for no frames where there are any."""
     timed = [run for run in recent_runs(session, method, RUNS_TIMED) if run[1].get("seconds") and run[1].get("stars")]
     unthrottled = [run for run in timed if not _downlink_s(run[0], frames=1)]
-    return [Timed(summary["stars"], _computed_s(settings, summary)) for settings, summary in unthrottled or timed]
+    return [TimedRun(summary["stars"], _computed_s(settings, summary)) for settings, summary in unthrottled or timed]
 
 
-def pace_of(session: Session, method: str) -> Pace:
+def estimate_run_speed(session: Session, method: str) -> RunSpeed:
     """Return the pace of the newest runs of a method; a careful guess before there is one."""
-    paces = [run.seconds / run.stars for run in timed_runs(session, method)]
+    paces = [run.seconds / run.stars for run in list_timed_runs(session, method)]
     if not paces:
         guess = FIRST_GUESS_S_PER_STAR
-        return Pace(guess, guess / GUESS_SPREAD, guess * GUESS_SPREAD, 0)
+        return RunSpeed(guess, guess / GUESS_SPREAD, guess * GUESS_SPREAD, 0)
     if len(paces) == 1:
-        return Pace(paces[0], paces[0] / 2, paces[0] * 2, 1)
+        return RunSpeed(paces[0], paces[0] / 2, paces[0] * 2, 1)
     tenths = quantiles(paces, n=10, method="inclusive")
-    return Pace(median(paces), tenths[0], tenths[-1], len(paces))
+    return RunSpeed(median(paces), tenths[0], tenths[-1], len(paces))
 
 
-def seconds_per_star(session: Session, method: str) -> float:
+def estimate_seconds_per_star(session: Session, method: str) -> float:
     """Return the median pace of the newest runs of a method."""
-    return pace_of(session, method).s_per_star
+    return estimate_run_speed(session, method).s_per_star
 
 
-def predicted_s(settings: Mapping[str, Any], frames: int, stars: int, pace_s_per_star: float) -> float:
+def predict_duration_s(settings: Mapping[str, Any], frames: int, stars: int, pace_s_per_star: float) -> float:
     """Return how long a run will take, seconds."""
     return START_S + stars * pace_s_per_star + _downlink_s(settings, frames)
 
@@ -187,12 +187,12 @@ def _computed_s(settings: Mapping[str, Any], summary: Mapping[str, Any]) -> floa
     return max(float(summary["seconds"]) - waited, START_S) if waited else float(summary["seconds"])
 
 
-def pairs_of(stars: int, exposures: int) -> int:
+def count_pairs(stars: int, exposures: int) -> int:
     """Return the number of arcs of `stars` spread over `exposures`."""
     return max(0, 2 * stars - 3 * exposures)
 
 
-def dry_run(session: Session, order: Order, sight: Sight | None = None) -> dict[str, Any]:
+def dry_run(session: Session, order: RunRequest, sight: ForecastSources | None = None) -> dict[str, Any]:
     """Say what a run would be.
 
     Parameters
@@ -202,18 +202,18 @@ def dry_run(session: Session, order: Order, sight: Sight | None = None) -> dict[
 
     Returns
     -------
-    `sensor`, `telemetry_set`, `validation_set`, `settings`, `frames`, `exposures`, `stars`, `pairs`, `free`; `predicted_s` with
-    `predicted_range_s`, between which four of five past runs' paces lie, and `paced_by`, how many these were; `forecast`, see
+    `sensor`, `telemetry_set`, `validation_set`, `settings`, `frames`, `exposures`, `stars`, `pairs`, `free`; `predict_duration_s`
+    with `predicted_range_s`, between which four of five past runs' paces lie, and `paced_by`, how many these were; `forecast`, see
     `calibration.evaluation.forecast`; `warnings`, sentences.
     """
     telemetry, settings = order.telemetry, order.settings
     free = list(settings.free or parse_sensor(order.sensor.document).free)
     quality = telemetry.quality
     exposures = quality.get("usable_exposures", telemetry.frames)
-    pairs = pairs_of(quality.get("usable", telemetry.stars), exposures)
-    pace = pace_of(session, settings.method)
+    pairs = count_pairs(quality.get("usable", telemetry.stars), exposures)
+    pace = estimate_run_speed(session, settings.method)
     seconds = [
-        round(predicted_s(settings.document(), telemetry.frames, telemetry.stars, one), 3)
+        round(predict_duration_s(settings.document(), telemetry.frames, telemetry.stars, one), 3)
         for one in (pace.s_per_star, pace.low, pace.high)
     ]
     forecast = None
@@ -237,16 +237,18 @@ def dry_run(session: Session, order: Order, sight: Sight | None = None) -> dict[
     }
 
 
-def expected_s(session: Session, orders: Sequence[Order]) -> float:
+def expected_s(session: Session, orders: Sequence[RunRequest]) -> float:
     """Return how long runs of one method will take together, seconds of computing."""
     if not orders:
         return 0.0
-    pace = pace_of(session, orders[0].settings.method).s_per_star
+    pace = estimate_run_speed(session, orders[0].settings.method).s_per_star
     settings = orders[0].settings.document()
-    return round(sum(predicted_s(settings, order.telemetry.frames, order.telemetry.stars, pace) for order in orders), 3)
+    return round(
+        sum(predict_duration_s(settings, order.telemetry.frames, order.telemetry.stars, pace) for order in orders), 3
+    )
 
 
-def _warnings(order: Order, free: Sequence[str], pairs: int) -> list[str]:
+def _warnings(order: RunRequest, free: Sequence[str], pairs: int) -> list[str]:
     """Gather what an analyst should know before queueing."""
     warnings = [str(sentence) for sentence in order.telemetry.quality.get("warnings") or ()]
     if pairs < 10 * len(free):

@@ -18,7 +18,7 @@ from starlette.responses import Response
 from boresight.console.access.dependencies import Blobs, Drawings, Reading
 from boresight.console.fleet import service as sensors
 from boresight.console.operation import operations
-from boresight.console.parameter_sets.service import baseline_beside
+from boresight.console.parameter_sets.service import get_incumbent_parameters
 from boresight.console.runs import comparisons, schemas
 from boresight.console.runs import service as runs
 from boresight.console.runs.routes import result_so_far
@@ -115,7 +115,7 @@ def get_figure(
     """Read a figure as Plotly JSON, of one run or of several over one another."""
     figure, ids = _figure(name), [run_id, *_others(compare, run_id)]
     asked = comparisons.read_runs(session, ids)
-    labels, sources = [label_of(session, run) for run in asked], [source_of(session, run) for run in asked]
+    labels, sources = [make_label(session, run) for run in asked], [get_figure_source(session, run) for run in asked]
 
     def draw() -> bytes:
         results = [_beside_baseline(session, blobs, run) for run in asked]
@@ -125,17 +125,17 @@ def get_figure(
     return drawings.answer(request, known, draw)
 
 
-def source_of(session: Session, run: Run) -> str | None:
+def get_figure_source(session: Session, run: Run) -> str | None:
     """Return what a run's figures are drawn from, as text; None while it may change."""
     if run.result_sha256 is None:
         return None
-    moving = [sensors.get_sensor(session, run.sensor_id).truth, baseline_beside(session, run)]
+    moving = [sensors.get_sensor(session, run.sensor_id).truth, get_incumbent_parameters(session, run)]
     return run.result_sha256 + orjson.dumps(moving, option=orjson.OPT_SORT_KEYS).decode()
 
 
 def _beside_baseline(session: Session, blobs: BlobStore, run: Run) -> dict[str, Any]:
     """Read a result, with the parameters that are in force now where the run did not start from them."""
-    baseline = baseline_beside(session, run)
+    baseline = get_incumbent_parameters(session, run)
     return {**result_so_far(session, blobs, run.id), **({"baseline": baseline} if baseline else {})}
 
 
@@ -167,7 +167,7 @@ def _others(text: str, run_id: Id) -> list[int]:
     return [number for number in comparisons.read_run_ids([text]) if number != run_id]
 
 
-def label_of(session: Session, run: Run) -> str:
+def make_label(session: Session, run: Run) -> str:
     """Name a run in a legend."""
     return f"Run {run.id} · {run.label or sensors.get_sensor(session, run.sensor_id).name}"
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from boresight.calibration.frames.frame_states import states_of
+from boresight.calibration.frames.frame_states import read_run_states
 from boresight.calibration.frames.frame_view import frame_view
-from boresight.calibration.matching.detections import limit_of
+from boresight.calibration.matching.detections import compute_magnitude_limit
 from boresight.calibration.options import CalibrationSettings
 from boresight.console.runs.service import get_run, result
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
@@ -54,7 +54,7 @@ class FrameLine:
     deviation: float | None
 
 
-def index_of(session: Session, blobs: BlobStore, run: Run) -> FrameIndex:
+def get_frame_index(session: Session, blobs: BlobStore, run: Run) -> FrameIndex:
     """Find the frames of a run's calibration set.
 
     Raises
@@ -80,16 +80,16 @@ def list_frames(
         When there is no such run, or its telemetry is missing.
     """
     run = get_run(session, run_id)
-    index, worst = index_of(session, blobs, run), worst_of(_result_of(session, blobs, run))
+    index, worst = get_frame_index(session, blobs, run), list_worst_frames(_read_result(session, blobs, run))
     if order == "worst":
         return [
-            _line(index, place, index.place_of(frame), worst)
+            _line(index, place, index.find_place(frame), worst)
             for place, frame in list(enumerate(worst, start=1))[after : after + limit]
         ]
     return [_line(index, place + 1, place, worst) for place in range(after, min(after + limit, len(index)))]
 
 
-def worst_of(document: Mapping[str, Any]) -> dict[int, tuple[float, float | None]]:
+def list_worst_frames(document: Mapping[str, Any]) -> dict[int, tuple[float, float | None]]:
     """Chi-square a degree of freedom, and deviate, of the frames a result keeps, the worst first.
 
     Results from before `worst_frames` was kept have their innovations, of every frame or of a thousand evenly spaced.
@@ -137,9 +137,9 @@ def get_frame(
         When the stored table is damaged.
     """
     run = get_run(session, run_id)
-    index = index_of(session, blobs, run)
-    place = index.place_of(frame)
-    document = _result_of(session, blobs, run)
+    index = get_frame_index(session, blobs, run)
+    place = index.find_place(frame)
+    document = _read_result(session, blobs, run)
     sensor = _with_limit(parse_sensor(run.sensor_document), index, catalogue)
 
     def read(neighbours: int) -> tuple[Telemetry, slice]:
@@ -148,7 +148,7 @@ def get_frame(
             first, first + int(index.first_row[place + 1] - index.first_row[place])
         )
 
-    states = states_of(document, sensor, CalibrationSettings.parse(run.settings))
+    states = read_run_states(document, sensor, CalibrationSettings.parse(run.settings))
     around: Sequence[int | None] = [None, *index.frame[max(place - 1, 0) : place + 2].tolist(), None]
     here = around.index(frame)
     return {
@@ -166,7 +166,7 @@ def get_frame(
     }
 
 
-def _result_of(session: Session, blobs: BlobStore, run: Run) -> Mapping[str, Any]:
+def _read_result(session: Session, blobs: BlobStore, run: Run) -> Mapping[str, Any]:
     """The run's calibration, complete or so far; empty where there is none, or where it does not count."""
     if run.state in TERMINAL_RUN_STATES and run.result_sha256 is None:
         return {}
@@ -177,4 +177,6 @@ def _with_limit(sensor: Sensor, index: FrameIndex, catalogue: Catalogue) -> Sens
     """The sensor with the magnitude limit that the whole set was matched with."""
     if sensor.magnitude_limit is not None:
         return sensor
-    return replace(sensor, magnitude_limit=limit_of(sensor, catalogue, index.named_stars, index.typical_stars))
+    return replace(
+        sensor, magnitude_limit=compute_magnitude_limit(sensor, catalogue, index.named_stars, index.typical_stars)
+    )

@@ -21,7 +21,7 @@ from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.platform.web.words import normal_name, refuse_control_characters
+from boresight.platform.web.text_validation import normal_name, refuse_control_characters
 
 
 def newest_of_name(session: Session, name: str) -> Preset | None:
@@ -40,7 +40,7 @@ SENTENCE_LENGTH = 300
 
 
 @dataclass(frozen=True)
-class Offer:
+class OfferedPreset:
     """A preset as it is chosen.
 
     Parameters
@@ -61,8 +61,8 @@ class Offer:
     settings: Mapping[str, Any]
 
 
-def _own(key: str, name: str, sentence: str, **chosen: Any) -> Offer:
-    return Offer(key, name, sentence, CalibrationSettings.parse(chosen).document())
+def _own(key: str, name: str, sentence: str, **chosen: Any) -> OfferedPreset:
+    return OfferedPreset(key, name, sentence, CalibrationSettings.parse(chosen).document())
 
 
 BUILT_IN = (
@@ -110,21 +110,21 @@ BUILT_IN = (
 _BY_KEY = {offer.key: offer for offer in BUILT_IN}
 
 
-def offers(session: Session) -> list[Offer]:
+def list_offers(session: Session) -> list[OfferedPreset]:
     """Return what can be chosen: Boresight's own, then the newest version of each of the mission's, by name."""
-    return [*BUILT_IN, *map(offer_of, newest_in_use(session))]
+    return [*BUILT_IN, *map(make_offer, newest_in_use(session))]
 
 
-def offer_of(row: Preset) -> Offer:
+def make_offer(row: Preset) -> OfferedPreset:
     """Return a saved version as it is chosen; settings that came after it was saved are at their defaults."""
-    return Offer(str(row.id), f"{row.name}, version {row.number}", row.sentence, _whole(row.document))
+    return OfferedPreset(str(row.id), f"{row.name}, version {row.number}", row.sentence, _whole(row.document))
 
 
 def _whole(document: Mapping[str, Any]) -> dict[str, Any]:
     return CalibrationSettings.parse(document).document()
 
 
-def get_offer(session: Session, key: str) -> Offer:
+def get_offer(session: Session, key: str) -> OfferedPreset:
     """Return the preset that an address names, archived or not.
 
     Raises
@@ -135,7 +135,7 @@ def get_offer(session: Session, key: str) -> Offer:
     if key in _BY_KEY:
         return _BY_KEY[key]
     if key.isdecimal() and len(key) < 10:
-        return offer_of(get_preset(session, int(key)))
+        return make_offer(get_preset(session, int(key)))
     raise NotFoundError(f"There is no preset {key!r}; choose one of the list.")
 
 

@@ -14,7 +14,7 @@ asked to stop never ends as anything but CANCELLED. An event of kind `lost` is w
 many of them as allowed end the run: FAILED when its worker processes died, LOST when only its servers were seen to go.
 The end is put on record in the transaction that writes it; what passes before it is not.
 
-What is to be computed: the runs that nobody holds with what decides how long each takes, and all that a claimed one needs.
+Queries on queued runs: what decides how long each takes, and what a claimed run needs.
 
 Reading many runs: pages of the list, counts, and what past runs tell about the next.
 """
@@ -37,7 +37,7 @@ from boresight.platform.db.sessions import Session, utc_after, utc_now
 
 
 @dataclass(frozen=True)
-class Waiting:
+class WaitingRun:
     """A run that nobody holds, with what decides how long it will take."""
 
     run_id: int
@@ -49,7 +49,7 @@ class Waiting:
 
 
 @dataclass(frozen=True)
-class Claimed:
+class ClaimedRun:
     """A run that is now ours: all that its computation needs."""
 
     run_id: int
@@ -60,7 +60,7 @@ class Claimed:
     validation_sha256: str | None
 
 
-def waiting_runs(session: Session, limit: int) -> list[Waiting]:
+def waiting_runs(session: Session, limit: int) -> list[WaitingRun]:
     """Return the QUEUED runs, oldest first."""
     query = (
         sa.select(Run.id, Run.attempt, Run.method, Run.settings, TelemetrySet.frames, TelemetrySet.stars)
@@ -69,10 +69,10 @@ def waiting_runs(session: Session, limit: int) -> list[Waiting]:
         .order_by(Run.id)
         .limit(limit)
     )
-    return [Waiting(*row) for row in session.execute(query)]
+    return [WaitingRun(*row) for row in session.execute(query)]
 
 
-def claimed_runs(session: Session, run_ids: Sequence[int]) -> list[Claimed]:
+def claimed_runs(session: Session, run_ids: Sequence[int]) -> list[ClaimedRun]:
     """Read what the computation of claimed runs needs, in the order of their ids."""
     validation = aliased(TelemetrySet)
     query = (
@@ -89,11 +89,11 @@ def claimed_runs(session: Session, run_ids: Sequence[int]) -> list[Claimed]:
         .where(Run.id.in_(run_ids))
         .order_by(Run.id)
     )
-    return [Claimed(*row) for row in session.execute(query)]
+    return [ClaimedRun(*row) for row in session.execute(query)]
 
 
-HELD = ("RUNNING", "CANCELLING")
-Held = tuple[int, int]  # (run id, attempt)
+HOLDING_STATES = ("RUNNING", "CANCELLING")
+HeldRun = tuple[int, int]  # (run id, attempt)
 
 
 def add_run(session: Session, **values: Any) -> Run:
@@ -133,7 +133,7 @@ def request_cancel(session: Session, run_id: int, reason: str) -> Run | None:
 
 def claim(
     session: Session, owner: str, lease_s: float, limit: int, run_ids: Collection[int] | None = None
-) -> list[Claimed]:
+) -> list[ClaimedRun]:
     """Take up to `limit` QUEUED runs, oldest first, each under its next attempt number.
 
     With `run_ids` only of these; those that are not QUEUED any more are somebody else's.
@@ -161,21 +161,21 @@ def claim(
     return claimed_runs(session, [run_id for run_id, _ in held])
 
 
-def _fenced(held: Held) -> sa.Update:
+def _fenced(held: HeldRun) -> sa.Update:
     """Begin a write-back that matches only while this attempt still holds the run."""
     run_id, attempt = held
     return (
         sa.update(Run)
-        .where(Run.id == run_id, Run.attempt == attempt, Run.state.in_(HELD))
+        .where(Run.id == run_id, Run.attempt == attempt, Run.state.in_(HOLDING_STATES))
         .execution_options(synchronize_session=False, **seals.BULK)
     )
 
 
-def renew(session: Session, owner: str, lease_s: float, run_ids: Collection[int]) -> dict[Held, str]:
+def renew(session: Session, owner: str, lease_s: float, run_ids: Collection[int]) -> dict[HeldRun, str]:
     """Renew the leases of our runs; return the state of each that is still ours, by id and attempt."""
     rows = session.execute(
         sa.update(Run)
-        .where(Run.id.in_(run_ids), Run.owner == owner, Run.state.in_(HELD))
+        .where(Run.id.in_(run_ids), Run.owner == owner, Run.state.in_(HOLDING_STATES))
         .values(lease_until_utc=utc_after(lease_s))
         .returning(Run.id, Run.attempt, Run.state)
         .execution_options(synchronize_session=False, **seals.BULK)
@@ -183,7 +183,7 @@ def renew(session: Session, owner: str, lease_s: float, run_ids: Collection[int]
     return {(run_id, attempt): state for run_id, attempt, state in rows}
 
 
-def states_of(session: Session, run_ids: Collection[int]) -> dict[Held, str]:
+def read_states(session: Session, run_ids: Collection[int]) -> dict[HeldRun, str]:
     """Return the state of runs by id and attempt."""
     rows = session.execute(sa.select(Run.id, Run.attempt, Run.state).where(Run.id.in_(run_ids)))
     return {(run_id, attempt): state for run_id, attempt, state in rows}
@@ -195,7 +195,7 @@ def record_progress(session: Session, run_id: int, attempt: int, progress: Mappi
 
 
 @dataclass(frozen=True)
-class End:
+class RunEnd:
     """How an attempt ended: the terminal state asked for and why, its result with the bytes of it, lines for the log.
 
     `corrupt_sha256` is the address of a stored file that the attempt found corrupt.
@@ -223,11 +223,11 @@ def finish(
     result_bytes: int = 0,
 ) -> str | None:
     """Write one run's end, once; see `finish_all`."""
-    end = End(run_id, attempt, state, reason, result_sha256, summary, result_bytes)
+    end = RunEnd(run_id, attempt, state, reason, result_sha256, summary, result_bytes)
     return finish_all(session, [end]).get((run_id, attempt))
 
 
-def finish_all(session: Session, ends: Sequence[End]) -> dict[Held, str]:
+def finish_all(session: Session, ends: Sequence[RunEnd]) -> dict[HeldRun, str]:
     """Write how runs ended, each once, however many in a few statements.
 
     Returns
@@ -254,19 +254,21 @@ def finish_all(session: Session, ends: Sequence[End]) -> dict[Held, str]:
     return {(end.run_id, end.attempt): end.state for end in written}
 
 
-def _held(session: Session, run_ids: Collection[int]) -> dict[Held, tuple[str, str | None]]:
+def _held(session: Session, run_ids: Collection[int]) -> dict[HeldRun, tuple[str, str | None]]:
     """Return state and reason of those runs that an attempt holds. It stays so until the commit: there is one writer at a time."""
-    query = sa.select(Run.id, Run.attempt, Run.state, Run.reason).where(Run.id.in_(run_ids), Run.state.in_(HELD))
+    query = sa.select(Run.id, Run.attempt, Run.state, Run.reason).where(
+        Run.id.in_(run_ids), Run.state.in_(HOLDING_STATES)
+    )
     return {(run_id, attempt): (state, reason) for run_id, attempt, state, reason in session.execute(query)}
 
 
-def _as_asked(end: End, found: tuple[str, str | None]) -> End:
+def _as_asked(end: RunEnd, found: tuple[str, str | None]) -> RunEnd:
     """Return an end as CANCELLED where its run was asked to stop."""
     state, reason = found
-    return End(end.run_id, end.attempt, "CANCELLED", reason, log=end.log) if state == "CANCELLING" else end
+    return RunEnd(end.run_id, end.attempt, "CANCELLED", reason, log=end.log) if state == "CANCELLING" else end
 
 
-def _write_ends(session: Session, ends: Sequence[End], now: str, **also: Any) -> None:
+def _write_ends(session: Session, ends: Sequence[RunEnd], now: str, **also: Any) -> None:
     """Write ends into their rows, fenced; progress is kept where there is no result.
 
     Raises
@@ -277,7 +279,7 @@ def _write_ends(session: Session, ends: Sequence[End], now: str, **also: Any) ->
     if not ends:
         return
     runs, names = cast("sa.Table", Run.__table__), ("state", "reason", "result_sha256", "summary")
-    is_held = sa.or_(*(runs.c.state == state for state in HELD))  # an IN would not go with many rows at once
+    is_held = sa.or_(*(runs.c.state == state for state in HOLDING_STATES))  # an IN would not go with many rows at once
     fenced = (runs.c.id == sa.bindparam("held"), runs.c.attempt == sa.bindparam("under"), is_held)
     fixed = {"ended_utc": now, "lease_until_utc": None} | also
     write = sa.update(runs).where(*fenced).values({**fixed, **{name: sa.bindparam(f"new_{name}") for name in names}})
@@ -289,7 +291,7 @@ def _write_ends(session: Session, ends: Sequence[End], now: str, **also: Any) ->
         raise RuntimeError(f"Expected {len(rows)} runs to end / Received another number")
 
 
-def _register_results(session: Session, ends: Sequence[End], now: str) -> None:
+def _register_results(session: Session, ends: Sequence[RunEnd], now: str) -> None:
     """Name the results' bytes, which the workers have put already; a worker may be on another machine."""
     sizes = {end.result_sha256: end.result_bytes for end in ends if end.result_sha256 is not None}
     known = set(session.scalars(sa.select(Blob.sha256).where(Blob.sha256.in_(sizes))))
@@ -330,9 +332,9 @@ def give_up_attempt(
     return "QUEUED" if _put_back(session, (run_id, attempt), cause, is_lost=True) else None
 
 
-def _put_back(session: Session, held: Held, cause: str, *, is_lost: bool) -> bool:
+def _put_back(session: Session, held: HeldRun, cause: str, *, is_lost: bool) -> bool:
     """Queue a run again under a line of its log; one that was asked to stop ends instead."""
-    if states_of(session, [held[0]]).get(held) == "CANCELLING":
+    if read_states(session, [held[0]]).get(held) == "CANCELLING":
         return finish(session, *held, "CANCELLED") is not None
     write = _fenced(held).values(state="QUEUED", owner=None, lease_until_utc=None, progress=sa.null())
     if not _matched(session, write):
@@ -342,9 +344,11 @@ def _put_back(session: Session, held: Held, cause: str, *, is_lost: bool) -> boo
     return True
 
 
-def give_up_expired(session: Session, max_attempts: int) -> list[Held]:
+def give_up_expired(session: Session, max_attempts: int) -> list[HeldRun]:
     """Give up every attempt whose lease has lapsed: its server is gone. Return them."""
-    query = sa.select(Run.id, Run.attempt, Run.owner).where(Run.state.in_(HELD), Run.lease_until_utc < utc_now())
+    query = sa.select(Run.id, Run.attempt, Run.owner).where(
+        Run.state.in_(HOLDING_STATES), Run.lease_until_utc < utc_now()
+    )
     lapsed = session.execute(query.with_for_update(skip_locked=True)).all()
     for run_id, attempt, owner in lapsed:
         cause = f"its server {owner} was not heard of any more"
@@ -395,6 +399,6 @@ def recent_runs(session: Session, method: str, limit: int) -> list[tuple[dict[st
     return [(settings, summary) for settings, summary in newest if summary]
 
 
-def sensors_of(session: Session, run_ids: Collection[int]) -> list[int]:
+def list_sensors(session: Session, run_ids: Collection[int]) -> list[int]:
     """Return the sensors that some runs are of, each once."""
     return list(session.scalars(sa.select(Run.sensor_id).where(Run.id.in_(run_ids)).distinct().order_by(Run.sensor_id)))

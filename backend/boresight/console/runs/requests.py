@@ -1,4 +1,4 @@
-"""What a run is asked to do, held against what there is: a sensor, its telemetry, settings that fit both."""
+"""Run requests, checked against the sensor, its telemetry and the settings that fit both."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 
 LABEL_LENGTH = 200
 
 
 @dataclass(frozen=True)
-class Order:
+class RunRequest:
     """What a run is asked to do, checked."""
 
     sensor: Sensor
@@ -48,14 +48,14 @@ class Order:
         }
 
 
-def ordered(
+def check_run_request(
     session: Session,
     sensor_id: int,
     telemetry_set_id: int,
     settings: Mapping[str, Any],
     validation_set_id: int | None = None,
     label: str = "",
-) -> Order:
+) -> RunRequest:
     """Check the choices of a run against one another.
 
     Raises
@@ -70,8 +70,8 @@ def ordered(
     sensor = session.get(Sensor, sensor_id)
     if sensor is None:
         raise NotFoundError(f"There is no sensor {sensor_id}; choose one of the list.")
-    telemetry = _set_of(session, sensor, telemetry_set_id)
-    validation = None if validation_set_id is None else _set_of(session, sensor, validation_set_id)
+    telemetry = _get_set(session, sensor, telemetry_set_id)
+    validation = None if validation_set_id is None else _get_set(session, sensor, validation_set_id)
     if validation is not None and validation.id == telemetry.id:
         raise RefusedInputError(f"{telemetry.name} cannot validate a calibration made from itself; choose another set.")
     refuse_label(label)
@@ -79,7 +79,7 @@ def ordered(
     known = CAMERA_MODELS[sensor.document["camera_model"]].parameter_names
     if strange := [name for name in parsed.free or () if name not in known]:
         raise RefusedInputError(f"{sensor.name} has no parameter {', '.join(strange)}; choose from {', '.join(known)}.")
-    return Order(sensor, telemetry, validation, parsed, label.strip())
+    return RunRequest(sensor, telemetry, validation, parsed, label.strip())
 
 
 def refuse_label(label: str) -> None:
@@ -89,7 +89,7 @@ def refuse_label(label: str) -> None:
     refuse_control_characters(label=label)
 
 
-def _set_of(session: Session, sensor: Sensor, set_id: int) -> TelemetrySet:
+def _get_set(session: Session, sensor: Sensor, set_id: int) -> TelemetrySet:
     """Return a telemetry set that this sensor's runs may use."""
     found = session.get(TelemetrySet, set_id)
     if found is None:

@@ -18,12 +18,12 @@ from starlette.responses import Response
 from boresight.console import schemas as console_schemas
 from boresight.console.access.dependencies import (
     Blobs,
-    Held,
-    OnlyAsked,
+    DryRunSight,
+    IsDryRun,
+    PasswordChecked,
     Reading,
     SeenTag,
     ServerSettings,
-    Sighted,
     Stars,
     Who,
     Writing,
@@ -33,13 +33,13 @@ from boresight.console.runs import frames, presets, schemas
 from boresight.console.runs import service as runs
 from boresight.console.runs.calibration_document import Calibration
 from boresight.console.runs.frames import FrameLine
-from boresight.console.runs.presets import BUILT_IN, Offer
+from boresight.console.runs.presets import BUILT_IN, OfferedPreset
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Preset, Run, RunEvent
 from boresight.figures.report import render_report
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.keeping import SAME_FOR_ALL, whole_tag
 from boresight.platform.web.paging import GREATEST_ID, Id, Listing, Page, Paged
+from boresight.platform.web.response_cache_store import SAME_FOR_ALL, cover_with_tag
 
 router = operations("/runs", tags=["runs"])
 
@@ -103,7 +103,7 @@ def list_runs(
     response_model=schemas.Run,
     responses={200: {"model": schemas.DryRun, "description": "The dry run of `validate_only`."}},
 )
-def launch_run(order: Launch, actor: Who, session: Writing, asked: OnlyAsked, sight: Sighted) -> Run | Answer:
+def launch_run(order: Launch, actor: Who, session: Writing, asked: IsDryRun, sight: DryRunSight) -> Run | Answer:
     """Queue a calibration; `Location` is where to follow it. With `validate_only` only say what it would be and would know."""
     made = runs.launch(
         session,
@@ -123,7 +123,7 @@ def launch_run(order: Launch, actor: Who, session: Writing, asked: OnlyAsked, si
 def get_run(run_id: Id, session: Reading, request: Request) -> Run:
     """Read a run: its state, its progress, and when it has ended its summary."""
     row = runs.get_run(session, run_id)
-    whole_tag(request, holds=row.state in TERMINAL_RUN_STATES)  # while it runs its progress moves under one tag
+    cover_with_tag(request, holds=row.state in TERMINAL_RUN_STATES)  # while it runs its progress moves under one tag
     return row
 
 
@@ -149,7 +149,7 @@ def get_run_log(run_id: Id, session: Reading, page: Paged) -> Listing[RunEvent]:
 
 
 @router.get("/{run_id}/report", summary="Read the report", response_class=HTMLResponse)
-def get_run_report(run_id: Id, session: Reading, blobs: Blobs, policy: Held) -> HTMLResponse:
+def get_run_report(run_id: Id, session: Reading, blobs: Blobs, policy: PasswordChecked) -> HTMLResponse:
     """Read the report of a run that has ended: one HTML file that needs nothing else, figures included."""
     report = render_report(runs.final_result(session, blobs, run_id), four_eyes=policy.four_eyes)
     headers = {"Content-Disposition": f'attachment; filename="run-{run_id}-report.html"'}
@@ -180,7 +180,7 @@ class NewPreset(BaseModel):
     settings: console_schemas.Settings = Field(default_factory=dict)
 
 
-def _own(offer: Offer) -> Beside:
+def _own(offer: OfferedPreset) -> Beside:
     """Return one of Boresight's own."""
     return Beside(offer, **dict.fromkeys(("id", "number", "created_utc", "created_by", "archived_utc")))
 

@@ -3,7 +3,7 @@
 What a run needs is fixed when it is launched: the sensor as it is then, the telemetry by content address, every setting
 by value. So a run can be computed again anywhere and gives the same result, whatever is edited meanwhile.
 
-The runs before and after one, for whoever reads them in turn.
+The runs before and after a run.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries as run_lists
 from boresight.console.runs import run_events
 from boresight.console.runs.calibration_document import read_result
-from boresight.console.runs.dry_runs import Sight, dry_run
-from boresight.console.runs.requests import ordered
+from boresight.console.runs.dry_runs import ForecastSources, dry_run
+from boresight.console.runs.requests import check_run_request
 from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 
 
 def launch(  # noqa: PLR0913 - who launches what, and four choices by name
@@ -37,7 +37,7 @@ def launch(  # noqa: PLR0913 - who launches what, and four choices by name
     validation_set_id: int | None = None,
     label: str = "",
     validate_only: bool = False,
-    sight: Sight | None = None,
+    sight: ForecastSources | None = None,
 ) -> Run | dict[str, Any]:
     """Queue a calibration, or only say what it would be.
 
@@ -64,11 +64,11 @@ def launch(  # noqa: PLR0913 - who launches what, and four choices by name
     """
     require_role(actor, "analyst")
     require_scope(actor, "runs")
-    order = ordered(session, sensor_id, telemetry_set_id, settings, validation_set_id, label)
+    run_request = check_run_request(session, sensor_id, telemetry_set_id, settings, validation_set_id, label)
     if validate_only:
-        return dry_run(session, order, sight)
-    run = run_lists.add_run(session, **order.columns(), launched_by=actor.user_id)
-    audit.append(session, actor, "launched", f"runs/{run.id}", None, order.on_record())
+        return dry_run(session, run_request, sight)
+    run = run_lists.add_run(session, **run_request.columns(), launched_by=actor.user_id)
+    audit.append(session, actor, "launched", f"runs/{run.id}", None, run_request.on_record())
     return run
 
 
@@ -229,6 +229,6 @@ def log_lines(session: Session, run_id: int, *, after_id: int = 0, limit: int | 
     return run_events.events_of_run(session, run_id, after_id, limit)
 
 
-def neighbours(session: Session, run_id: int) -> tuple[int | None, int | None]:
+def find_adjacent_runs(session: Session, run_id: int) -> tuple[int | None, int | None]:
     """Return the numbers of the runs before and after one, None at an end of the list."""
     return run_lists.neighbours(session, run_id)

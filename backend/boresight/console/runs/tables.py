@@ -10,7 +10,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base, one_of
+from boresight.platform.db.declared import STRICT, Base, allow_only
 from boresight.platform.db.documents import JsonText
 
 RUN_STATES = ("QUEUED", "RUNNING", "CANCELLING", "SUCCEEDED", "FAILED", "CANCELLED", "LOST")
@@ -22,7 +22,7 @@ class Run(Base):
 
     __tablename__ = "runs"
     __table_args__ = (
-        one_of("state", RUN_STATES),
+        allow_only("state", RUN_STATES),
         sa.Index("ix_runs_state_id", "state", "id"),
         sa.Index("ix_runs_state_method_id", "state", "method", "id"),
         sa.Index("ix_runs_sensor_state_id", "sensor_id", "state", "id", "ended_utc"),

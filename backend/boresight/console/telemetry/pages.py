@@ -24,33 +24,33 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import CSRF_FIELD, Reading, Who, csrf
 from boresight.console.fleet import service as sensors
-from boresight.console.fleet.pages.sensors import choices_of
+from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.pages.drawings import Drawing, detector_map, histogram, number_bars
-from boresight.console.pages.rendering import Outcome, Refusal, attempt, redirect, render
+from boresight.console.pages.rendering import AttemptResult, ShownRefusal, attempt, redirect, render
 from boresight.console.pages.tables import (
-    Column,
     Table,
-    View,
-    all_of,
-    csv_of,
+    TableColumn,
+    TableView,
+    accept_one,
     is_number,
     is_text,
-    one_of,
-    page_of,
+    read_all,
+    read_page,
     read_view,
+    write_csv,
 )
 from boresight.console.runs import service as runs
-from boresight.console.runs.pages.list import Names, line_of, read_names
+from boresight.console.runs.pages.list import RunNames, make_run_line, read_names
 from boresight.console.telemetry import service as telemetry_sets
-from boresight.console.telemetry.service import PURPOSES, Prepared
+from boresight.console.telemetry.service import PURPOSES, PreparedUpload
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.telemetry.uploads import Upload, Uploaded
 from boresight.errors import BoresightError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role
 from boresight.platform.blobs.tables import Blob
-from boresight.platform.db.sessions import Session, reading
-from boresight.platform.web.keeping import Roles
-from boresight.platform.web.paging import row_number
+from boresight.platform.db.sessions import Session, open_reading
+from boresight.platform.web.paging import parse_row_id
+from boresight.platform.web.response_cache_store import Roles
 
 SCRIPTED = "x-boresight-upload"  # the header of an upload whose progress a script shows
 
@@ -61,17 +61,23 @@ SETS = Table(
     "telemetry",
     "Telemetry sets",
     (
-        Column("quality", "Quality"),
-        Column("set", "Set", "set", "name", head=True),
-        Column("sensor", "Sensor", "sensor", "nowrap"),
-        Column("frames", "Frames", "-frames", "num"),
-        Column("stars", "Stars", "-stars", "num"),
-        Column("unmatched", "Unmatched", "-unmatched", "num", "Detections without a star number"),
-        Column("begins", "Begins, span", "", "tight"),
-        Column("temperature", "Temperature", "", "num", "Least and greatest of the set", "°C", optional=True),
-        Column("uploaded", "Uploaded", "-uploaded", "tight"),
+        TableColumn("quality", "Quality"),
+        TableColumn("set", "Set", "set", "name", head=True),
+        TableColumn("sensor", "Sensor", "sensor", "nowrap"),
+        TableColumn("frames", "Frames", "-frames", "num"),
+        TableColumn("stars", "Stars", "-stars", "num"),
+        TableColumn("unmatched", "Unmatched", "-unmatched", "num", "Detections without a star number"),
+        TableColumn("begins", "Begins, span", "", "tight"),
+        TableColumn("temperature", "Temperature", "", "num", "Least and greatest of the set", "°C", optional=True),
+        TableColumn("uploaded", "Uploaded", "-uploaded", "tight"),
     ),
-    {"sensor": is_number, "sensor_name": is_text, "purpose": one_of(PURPOSES), "archived": one_of({"1"}), "q": is_text},
+    {
+        "sensor": is_number,
+        "sensor_name": is_text,
+        "purpose": accept_one(PURPOSES),
+        "archived": accept_one({"1"}),
+        "q": is_text,
+    },
     "-uploaded",
     kind="dense",
 )
@@ -89,23 +95,25 @@ CSV_FIELDS = {
 
 
 @dataclass(frozen=True)
-class Shown:
+class TelemetryContext:
     """What the upload form left behind: what was chosen and why it was refused."""
 
     sensor: int | None = None
     find: str = ""
     purpose: str = PURPOSES[0]
-    refusal: Refusal | None = None
+    refusal: ShownRefusal | None = None
 
 
-def _in_use(view: View) -> dict[str, Any]:
+def _in_use(view: TableView) -> dict[str, Any]:
     """Narrow a view to sets that are not archived, where it does not show these too."""
     return {"archived": None, "in_use": None if view.where.get("archived") else 1}
 
 
-def _page(request: Request, session: Session, roles: frozenset[str], view: View, shown: Shown) -> HTMLResponse:
+def _page(
+    request: Request, session: Session, roles: frozenset[str], view: TableView, shown: TelemetryContext
+) -> HTMLResponse:
     """Render the list and the form."""
-    found = page_of(session, view, **_in_use(view))
+    found = read_page(session, view, **_in_use(view))
     return render(
         request,
         "telemetry/telemetry.html",
@@ -113,7 +121,7 @@ def _page(request: Request, session: Session, roles: frozenset[str], view: View,
         view=view,
         sets=found.rows,
         last=found.last,
-        choices=choices_of(session, view, find=shown.find, keep=[shown.sensor] if shown.sensor else []),
+        choices=list_sensor_choices(session, view, find=shown.find, keep=[shown.sensor] if shown.sensor else []),
         names=read_names(session, sensors_of=found.rows),
         purposes=PURPOSES,
         may_upload="analyst" in roles,
@@ -128,18 +136,18 @@ def telemetry_page(request: Request, session: Reading, roles: Roles) -> HTMLResp
     view = read_view(request, SETS)
     sensor = view.where.get("sensor")
     find = request.query_params.get("find", "")
-    return _page(request, session, roles, view, Shown(row_number(sensor or ""), find))
+    return _page(request, session, roles, view, TelemetryContext(parse_row_id(sensor or ""), find))
 
 
 @router.get("/telemetry.csv")
 def telemetry_csv(request: Request, session: Reading, actor: Who) -> Response:  # noqa: ARG001 - who is known may read
     """Give every set of a view as CSV."""
     view, names = read_view(request, SETS), read_names(session, sensors_of=None)
-    rows = (_csv_row(row, names) for row in all_of(session, view, **_in_use(view)))
-    return csv_of(view, CSV_FIELDS, rows)
+    rows = (_csv_row(row, names) for row in read_all(session, view, **_in_use(view)))
+    return write_csv(view, CSV_FIELDS, rows)
 
 
-def _csv_row(row: TelemetrySet, names: Names) -> dict[str, Any]:
+def _csv_row(row: TelemetrySet, names: RunNames) -> dict[str, Any]:
     """Lay out a set for a program."""
     time, temperature = (row.quality.get(name) or {} for name in ("time", "temperature_c"))
     return {
@@ -188,25 +196,25 @@ def _require_meant(request: Request, upload: Upload) -> None:
         raise ForbiddenError("This form is of another log-in; reload the page and choose the file again.")
 
 
-async def _attempt(request: Request, actor: Actor, upload: Upload) -> Outcome[TelemetrySet]:
+async def _attempt(request: Request, actor: Actor, upload: Upload) -> AttemptResult[TelemetrySet]:
     """Read and check the file, then store it in a transaction."""
     try:
         async with contextmanager_in_threadpool(_prepared(request, actor, upload)) as ready:
             return await attempt(request, partial(_store, request, actor, upload, ready))
     except BoresightError as error:
-        return Outcome(None, Refusal.of(error))
+        return AttemptResult(None, ShownRefusal.of(error))
 
 
 @contextmanager
-def _prepared(request: Request, actor: Actor, upload: Upload) -> Iterator[Prepared]:
+def _prepared(request: Request, actor: Actor, upload: Upload) -> Iterator[PreparedUpload]:
     """Read and check the file without the database."""
     require_role(actor, "analyst")
-    if row_number(upload.fields.get("sensor_id", "")) is None:
+    if parse_row_id(upload.fields.get("sensor_id", "")) is None:
         raise RefusedInputError("Choose the sensor that the telemetry is of.")
     if upload.path is None or not upload.file_name:
         raise RefusedInputError("No file was chosen: choose a CSV, JSON Lines or Parquet file.")
     state = request.app.state
-    with reading(state.engine) as session:
+    with open_reading(state.engine) as session:
         document = sensors.get_sensor(session, upload.number("sensor_id")).document
     limits = state.settings.telemetry_limits
     with telemetry_sets.prepared(document, state.catalogue(), upload.path, upload.file_name, limits) as ready:
@@ -214,19 +222,19 @@ def _prepared(request: Request, actor: Actor, upload: Upload) -> Iterator[Prepar
         yield ready
 
 
-def _store(request: Request, actor: Actor, upload: Upload, ready: Prepared, session: Session) -> TelemetrySet:
+def _store(request: Request, actor: Actor, upload: Upload, ready: PreparedUpload, session: Session) -> TelemetrySet:
     """Store the checked file."""
     purpose = upload.fields.get("purpose", PURPOSES[0])
     blobs = request.app.state.blobs
     return telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), ready, purpose)
 
 
-def _again(request: Request, actor: Actor, upload: Upload, refusal: Refusal | None) -> HTMLResponse:
+def _again(request: Request, actor: Actor, upload: Upload, refusal: ShownRefusal | None) -> HTMLResponse:
     """Render the page after a refusal, with what was chosen."""
     sensor, purpose = upload.fields.get("sensor_id", ""), upload.fields.get("purpose", "")
     known = purpose if purpose in PURPOSES else PURPOSES[0]
-    shown = Shown(row_number(sensor), purpose=known, refusal=refusal)
-    with reading(request.app.state.engine) as session:
+    shown = TelemetryContext(parse_row_id(sensor), purpose=known, refusal=refusal)
+    with open_reading(request.app.state.engine) as session:
         return _page(request, session, actor.roles, read_view(request, SETS), shown)
 
 
@@ -235,7 +243,7 @@ RUNS_SHOWN = 100
 telemetry_set_router = APIRouter(dependencies=[Depends(csrf)])
 
 
-def drawings_of(quality: Mapping[str, Any]) -> list[Drawing]:
+def make_drawings(quality: Mapping[str, Any]) -> list[Drawing]:
     """Lay out the figures of a quality report; what it has no data for is left out."""
     found = [detector_map(quality["detector_coverage"])]
     radial = quality["radial_coverage"]
@@ -293,10 +301,10 @@ def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: i
         "telemetry/telemetry_set.html",
         row=row,
         quality=row.quality,
-        drawings=drawings_of(row.quality),
+        drawings=make_drawings(row.quality),
         names=names,
         size_bytes=blob.size_bytes if blob else None,
-        runs=[line_of(run, names) for run in used_by],
+        runs=[make_run_line(run, names) for run in used_by],
         uses=uses,
         is_analyst="analyst" in actor.roles,
     )
@@ -312,7 +320,7 @@ def figure_csv(session: Reading, actor: Who, set_id: int, name: str) -> Response
         When the report has no such figure.
     """
     row = telemetry_sets.get_telemetry_set(session, set_id)
-    drawing = next((it for it in drawings_of(row.quality) if it.name == name), None)
+    drawing = next((it for it in make_drawings(row.quality) if it.name == name), None)
     if drawing is None:
         raise NotFoundError(f"The quality report of telemetry set {set_id} has no figure {name}.")
     text = io.StringIO()

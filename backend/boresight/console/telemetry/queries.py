@@ -25,7 +25,7 @@ def oldest_set(session: Session, sensor_id: int, purpose: str, *, archived: bool
     return session.scalar(query if archived else query.where(TelemetrySet.archived_utc.is_(None)))
 
 
-def heads_of(session: Session, sensor_ids: Collection[int], newest: int, set_ids: Collection[int]) -> list[Any]:
+def read_heads(session: Session, sensor_ids: Collection[int], newest: int, set_ids: Collection[int]) -> list[Any]:
     """Return id, sensor_id, purpose, name and frames of sensors' sets in use, newest first.
 
     Parameters

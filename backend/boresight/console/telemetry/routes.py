@@ -12,10 +12,10 @@ from starlette.responses import Response
 from boresight.console.access.dependencies import (
     Blobs,
     Database,
+    DryRunSight,
     Reading,
     SeenTag,
     ServerSettings,
-    Sighted,
     Who,
     Writing,
 )
@@ -26,11 +26,11 @@ from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.telemetry.uploads import Uploaded
 from boresight.platform.actors import require_role
-from boresight.platform.db.sessions import reading
-from boresight.platform.web.keeping import SAME_FOR_ALL, whole_tag
+from boresight.platform.db.sessions import open_reading
 from boresight.platform.web.media import StoredFile
 from boresight.platform.web.paging import Id, Listing, Page, Paged
-from boresight.platform.web.ready import knows
+from boresight.platform.web.response_cache import matches_tag
+from boresight.platform.web.response_cache_store import SAME_FOR_ALL, cover_with_tag
 
 router = operations("/telemetry-sets", tags=["telemetry sets"])
 
@@ -53,11 +53,11 @@ FORM = {
 
 
 def _prepare(
-    actor: Who, upload: Uploaded, sight: Sighted, settings: ServerSettings, engine: Database
-) -> Iterator[telemetry_sets.Prepared]:
+    actor: Who, upload: Uploaded, sight: DryRunSight, settings: ServerSettings, engine: Database
+) -> Iterator[telemetry_sets.PreparedUpload]:
     """Read and check the file before the transaction: a large one takes seconds, and there is one writer."""
     require_role(actor, "analyst")
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         document = sensors.get_sensor(session, upload.number("sensor_id")).document
     limits = settings.telemetry_limits
     with telemetry_sets.prepared(document, sight.catalogue(), upload.file(), upload.file_name, limits) as ready:
@@ -65,7 +65,7 @@ def _prepare(
         yield ready
 
 
-Ready = Annotated[telemetry_sets.Prepared, Depends(_prepare, scope="function")]
+Ready = Annotated[telemetry_sets.PreparedUpload, Depends(_prepare, scope="function")]
 
 
 @router.get("", summary="List telemetry sets", response_model=Page[schemas.TelemetrySet], dependencies=[SAME_FOR_ALL])
@@ -112,7 +112,7 @@ def upload_telemetry_set(actor: Who, upload: Uploaded, ready: Ready, session: Wr
 )
 def get_telemetry_set(telemetry_set_id: Id, session: Reading, request: Request) -> TelemetrySet:
     """Read a telemetry set with its quality report."""
-    whole_tag(request)
+    cover_with_tag(request)
     return telemetry_sets.get_telemetry_set(session, telemetry_set_id)
 
 
@@ -121,7 +121,7 @@ def get_telemetry_file(telemetry_set_id: Id, session: Reading, blobs: Blobs, req
     """Download the bytes as they were uploaded; their address is the tag, so a copy never goes out of date."""
     row = telemetry_sets.get_telemetry_set(session, telemetry_set_id)
     headers = {"ETag": f'"{row.original_sha256}"'}
-    if knows(request.headers.get("if-none-match", "").encode(), headers["ETag"].encode()):
+    if matches_tag(request.headers.get("if-none-match", "").encode(), headers["ETag"].encode()):
         return Response(status_code=304, headers=headers)
     return StoredFile(blobs.path(row.original_sha256), filename=row.name, headers=headers)
 

@@ -25,7 +25,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.blobs import files
 from boresight.platform.blobs.folder import BlobStore, register_blob
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.platform.web.words import normal_name
+from boresight.platform.web.text_validation import normal_name
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.quality.report import QualityParts
 from boresight.telemetry.read.chunks import read_chunks
@@ -39,7 +39,7 @@ PARQUET = "application/vnd.apache.parquet"
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedUpload:
     """An uploaded file that was read, found usable and turned into the table that is worked on; nothing is stored yet.
 
     Parameters
@@ -73,7 +73,7 @@ def prepared(
     path: Path,
     file_name: str,
     limits: Limits = LIMITS,
-) -> Iterator[Prepared]:
+) -> Iterator[PreparedUpload]:
     """Read and check an uploaded file, without the database.
 
     Parameters
@@ -98,7 +98,7 @@ def prepared(
     with tempfile.TemporaryDirectory() as folder:
         table = Path(folder) / "table"
         quality = _checked(path, name, sensor, catalogue, table, limits)
-        yield Prepared(
+        yield PreparedUpload(
             original=path,
             table=table,
             name=name,
@@ -152,7 +152,7 @@ def add_telemetry_set(
         return store_prepared(session, actor, blobs, sensor_id, upload, purpose)
 
 
-def _put_both(session: Session, blobs: BlobStore, upload: Prepared) -> tuple[str, str]:
+def _put_both(session: Session, blobs: BlobStore, upload: PreparedUpload) -> tuple[str, str]:
     """Put the file and its table, or neither: a disk that is full after the first keeps nothing of the upload."""
     original = blobs.put(upload.original)
     try:
@@ -168,7 +168,7 @@ def store_prepared(
     actor: Actor,
     blobs: BlobStore,
     sensor_id: int,
-    upload: Prepared,
+    upload: PreparedUpload,
     purpose: str = "calibration",
 ) -> TelemetrySet:
     """Store what was prepared; the same bytes again are the set that is there.
@@ -259,12 +259,14 @@ def get_telemetry_set(session: Session, set_id: int) -> TelemetrySet:
     return row
 
 
-def names_of(session: Session, set_ids: Collection[int] | None = None) -> dict[int, str]:
+def get_set_names(session: Session, set_ids: Collection[int] | None = None) -> dict[int, str]:
     """Return the names of these sets by their numbers; of all sets where None is given."""
     return rows.names(session, set_ids)
 
 
-def sets_of(session: Session, sensor_ids: Collection[int], *, newest: int, keep: Collection[int] = ()) -> Sequence[Any]:
+def list_set_heads(
+    session: Session, sensor_ids: Collection[int], *, newest: int, keep: Collection[int] = ()
+) -> Sequence[Any]:
     """Return id, sensor_id, purpose, name and frames of the sets in use of some sensors, newest first.
 
     Parameters
@@ -274,7 +276,7 @@ def sets_of(session: Session, sensor_ids: Collection[int], *, newest: int, keep:
     keep
         Numbers of sets that are among them however old they are.
     """
-    return rows.heads_of(session, sensor_ids, newest, keep)
+    return rows.read_heads(session, sensor_ids, newest, keep)
 
 
 def list_telemetry_sets(

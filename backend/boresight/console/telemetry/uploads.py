@@ -20,12 +20,12 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
-from boresight.console.access.credentials import who_acts
+from boresight.console.access.credentials import get_actor
 from boresight.console.operation import FORM_CONTENT
 from boresight.disks import storage_error
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor
-from boresight.platform.web.paging import row_number
+from boresight.platform.web.paging import parse_row_id
 
 HOW = "Send multipart/form-data with the fields sensor_id, purpose and file."
 LONGEST_FIELD_BYTES = 4096
@@ -66,7 +66,7 @@ class Upload:
             When it is missing or none.
         """
         text = self.fields.get(name, "")
-        number = row_number(text)
+        number = parse_row_id(text)
         if number is None:
             raise RefusedInputError(f"The field {name} must be a number, not {text[:40]!r}. {HOW}")
         return number
@@ -112,7 +112,7 @@ class _OnDisk(UploadFile):
 
 async def uploaded(
     request: Request,
-    actor: Annotated[Actor, Depends(who_acts)],  # noqa: ARG001 - nothing is read for nobody
+    actor: Annotated[Actor, Depends(get_actor)],  # noqa: ARG001 - nothing is read for nobody
 ) -> AsyncIterator[Upload]:
     """Stream the request's file to the disk and remove it before the answer is sent."""
     folder = request.app.state.settings.data_folder / "uploads"

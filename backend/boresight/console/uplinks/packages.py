@@ -62,7 +62,7 @@ def four_eyes(session: Session, row: ParameterSet, policy: Policy) -> dict[str, 
 
     `kept` is what happened, not what is asked now: None of a ground calibration, which nobody signed.
     """
-    approval = approval_rows.latest_of(session, row.id, "APPROVED")
+    approval = approval_rows.find_latest(session, row.id, "APPROVED")
     second = None if approval is None else second_persons(session, approval, Policy())
     kept = None if approval is None or second is None else len(second) >= approval.needed
     if not policy.four_eyes:
@@ -115,7 +115,7 @@ def _gates(session: Session, row: ParameterSet) -> dict[str, Any] | None:
     The verdict is the signed one: the report with the waivers that the request binds, though they expired since. Of a set that
     nobody signed it is the one that stands now. `document` is the report without waivers, as `sha256` has it.
     """
-    approval = approval_rows.latest_of(session, row.id, "APPROVED")
+    approval = approval_rows.find_latest(session, row.id, "APPROVED")
     bound = {} if approval is None else approval.bound
     report = newest_report(session, row.id, bound.get("gate_report_sha256"))
     if report is None:
@@ -135,7 +135,7 @@ def _gates(session: Session, row: ParameterSet) -> dict[str, Any] | None:
 
 def _approval(session: Session, row: ParameterSet) -> dict[str, Any] | None:
     """Return the request by which a set was approved, with its signatures; None for a ground calibration."""
-    approval: Approval | None = approval_rows.latest_of(session, row.id, "APPROVED")
+    approval: Approval | None = approval_rows.find_latest(session, row.id, "APPROVED")
     if approval is None:
         return None
     return {
@@ -219,10 +219,10 @@ def build(
 
 def _refuse_unsigned(session: Session, actor: Actor, row: ParameterSet) -> None:
     """Refuse an approved set that is not any more what was signed; a baseline stays what it became."""
-    approval = approval_rows.latest_of(session, row.id, "APPROVED") if row.ground_state == "APPROVED" else None
+    approval = approval_rows.find_latest(session, row.id, "APPROVED") if row.ground_state == "APPROVED" else None
     if approval is not None:
         staleness.refuse_expired(session, approval, row)
-        staleness.refuse_moved(session, actor, approval, row)
+        staleness.refuse_changed_evidence(session, actor, approval, row)
 
 
 def _refuse_other_versions(

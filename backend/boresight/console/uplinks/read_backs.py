@@ -24,7 +24,7 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.transitions import require_seen
 from boresight.console.uplinks import packages
 from boresight.console.uplinks import queries as rows
-from boresight.console.uplinks.service import Basis, add_entry, refuse_shown_mismatch, set_for_entry
+from boresight.console.uplinks.service import EntryBasis, add_entry, get_set_for_entry, refuse_shown_mismatch
 from boresight.console.uplinks.table_definitions import parsed
 from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
 from boresight.errors import ConflictError, RefusedInputError
@@ -42,7 +42,7 @@ HEXADECIMAL = re.compile(r"(?:0[xX])?([0-9a-fA-F]{1,16})")
 
 
 @dataclass(frozen=True)
-class Reference:
+class SentTable:
     """The table that a read-back is held against.
 
     Parameters
@@ -74,7 +74,7 @@ class Reference:
         return named
 
 
-def reference_of(session: Session, blobs: BlobStore, parameter_set: ParameterSet) -> Reference:
+def get_sent_table(session: Session, blobs: BlobStore, parameter_set: ParameterSet) -> SentTable:
     """Return the table that was sent of a set.
 
     Raises
@@ -85,7 +85,7 @@ def reference_of(session: Session, blobs: BlobStore, parameter_set: ParameterSet
         When the bytes of the package are missing or were altered on the disk.
     """
     sent = rows.newest_record(session, parameter_set.id, "SENT")
-    package = _package_of(session, sent)
+    package = _get_sent_package(session, sent)
     row = None if package is None else session.get(TableDefinition, package.table_definition_id or 0)
     if row is None:
         at_utc = utc_now() if sent is None else sent.recorded_utc
@@ -98,17 +98,17 @@ def reference_of(session: Session, blobs: BlobStore, parameter_set: ParameterSet
         )
     definition = parsed(session, row)
     if package is not None and package.table_definition_id == row.id:
-        return Reference(row, definition, _carried(session, blobs, package), package)
-    return Reference(row, definition, tables.encode(definition, parameter_set.document["parameters"]), None)
+        return SentTable(row, definition, _read_table(session, blobs, package), package)
+    return SentTable(row, definition, tables.encode(definition, parameter_set.document["parameters"]), None)
 
 
-def _carried(session: Session, blobs: BlobStore, package: Package) -> bytes:
+def _read_table(session: Session, blobs: BlobStore, package: Package) -> bytes:
     """Return the table inside a package: the very bytes that were sent."""
     with zipfile.ZipFile(io.BytesIO(packages.read(session, blobs, package.id))) as packed:
         return packed.read(TABLE_FILE)
 
 
-def _package_of(session: Session, sent: Uplink | None) -> Package | None:
+def _get_sent_package(session: Session, sent: Uplink | None) -> Package | None:
     """Return the package that a record says was sent."""
     named = ((sent.evidence if sent else None) or {}).get("package")
     return None if named is None else session.get(Package, named["id"])
@@ -154,17 +154,17 @@ def read_back(
     ConflictError
         When nothing of this set was loaded, or only a dump can take its mismatch back.
     """
-    row = set_for_entry(session, actor, parameter_set_id, source, seen_version)
+    row = get_set_for_entry(session, actor, parameter_set_id, source, seen_version)
     require_seen(session, row, seen_version)
     _refuse_unreadable(session, row, read)
-    reference = reference_of(session, blobs, row)
+    reference = get_sent_table(session, blobs, row)
     if isinstance(read, str):
         matches, found = _by_crc(reference, read)
     else:
         matches, found = _by_bytes(session, blobs, row, reference, read)
     evidence = {**reference.document(), **found, **happened_on(happened)}
     held = "ACTIVE" if row.onboard_state == "ACTIVE" else "VERIFIED"
-    basis = Basis(evidence, method="crc" if isinstance(read, str) else "bytes")
+    basis = EntryBasis(evidence, method="crc" if isinstance(read, str) else "bytes")
     return add_entry(session, actor, row, held if matches else "MISMATCH", source, basis)
 
 
@@ -193,7 +193,7 @@ def _refuse_unreadable(session: Session, row: ParameterSet, read: bytes | str) -
         refuse_shown_mismatch(session, row)
 
 
-def _by_crc(reference: Reference, told: str) -> tuple[bool, dict[str, Any]]:
+def _by_crc(reference: SentTable, told: str) -> tuple[bool, dict[str, Any]]:
     """Hold a typed CRC against the one that was sent."""
     checksum, expected = reference.definition.crc, reference.crc
     if checksum is None or expected is None:
@@ -212,7 +212,7 @@ def _by_crc(reference: Reference, told: str) -> tuple[bool, dict[str, Any]]:
 
 
 def _by_bytes(
-    session: Session, blobs: BlobStore, row: ParameterSet, reference: Reference, dump: bytes
+    session: Session, blobs: BlobStore, row: ParameterSet, reference: SentTable, dump: bytes
 ) -> tuple[bool, dict[str, Any]]:
     """Hold a dump against the bytes that were sent; the dump is kept, and the evidence is its document."""
     definition = reference.definition
@@ -221,13 +221,15 @@ def _by_bytes(
     sha256 = register_blob(session, blobs, blobs.put(dump), "application/octet-stream").sha256
     kept: Mapping[str, Any] = {"sha256": sha256, "bytes": len(dump), "header_bytes": len(dump) - len(image)}
     found = {**comparison.document(), "dump": kept}
-    if not comparison.matches and (other := _twin(session, row, definition, image)) is not None:
+    if not comparison.matches and (other := _find_identical_set(session, row, definition, image)) is not None:
         found["same_as"] = other
         found["sentence"] += f" The dump is {other}, byte for byte."
     return comparison.matches, found
 
 
-def _twin(session: Session, row: ParameterSet, definition: tables.TableDefinition, image: bytes) -> str | None:
+def _find_identical_set(
+    session: Session, row: ParameterSet, definition: tables.TableDefinition, image: bytes
+) -> str | None:
     """Return the name of another set of the sensor that a dump is the table of: most often the one before."""
     for other in rows.other_sets(session, row):
         try:

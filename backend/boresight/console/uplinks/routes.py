@@ -23,8 +23,16 @@ from starlette.datastructures import UploadFile
 from starlette.requests import Request
 
 from boresight.console import schemas as console_schemas
-from boresight.console.access.credentials import who_acts
-from boresight.console.access.dependencies import Blobs, Held, Reading, SeenVersion, Who, Writing, own_password
+from boresight.console.access.credentials import get_actor
+from boresight.console.access.dependencies import (
+    Blobs,
+    PasswordChecked,
+    Reading,
+    SeenVersion,
+    Who,
+    Writing,
+    own_password,
+)
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals.tables import GateProfile
 from boresight.console.change_proposals import service as second_person
@@ -120,7 +128,7 @@ def get_uplink(uplink_id: Id, session: Reading) -> Uplink:
 @router.get("/{uplink_id}/dump", summary="Download the dump", response_class=StoredFile)
 def get_uplink_dump(uplink_id: Id, session: Reading, blobs: Blobs) -> StoredFile:
     """Download the bytes that a read-back compared, as they were uploaded."""
-    sha256 = uplinks.dump_of(session, uplink_id)
+    sha256 = uplinks.get_dump_digest(session, uplink_id)
     return StoredFile(blobs.path(sha256), filename=f"uplink-{uplink_id}-dump.bin", headers={"ETag": f'"{sha256}"'})
 
 
@@ -162,7 +170,7 @@ class ReadBack:
 
 async def read_form(
     request: Request,
-    actor: Annotated[Actor, Depends(who_acts)],  # noqa: ARG001 - nothing is read for nobody
+    actor: Annotated[Actor, Depends(get_actor)],  # noqa: ARG001 - nothing is read for nobody
 ) -> ReadBack:
     """Read the form; what is no file is a text, and a field that is left out is an empty one."""
     async with request.form(max_files=1, max_fields=MOST_FIELDS) as form:
@@ -250,7 +258,12 @@ class Export(BaseModel):
     responses=refusals(412),
 )
 def export_parameter_set(
-    parameter_set_id: Id, actor: Who, policy: Held, session: Writing, blobs: Blobs, export: Export | None = None
+    parameter_set_id: Id,
+    actor: Who,
+    policy: PasswordChecked,
+    session: Writing,
+    blobs: Blobs,
+    export: Export | None = None,
 ) -> Package:
     """Build the package of an approved set or the baseline; built again of the same, it is the one that exists."""
     said = {} if export is None else export.model_dump()
@@ -327,7 +340,12 @@ def list_table_definitions(sensor_id: Id, session: Reading, page: Paged) -> Answ
     responses=PROPOSED,
 )
 def set_table_definition(
-    sensor_id: Id, definition: NewTableDefinition, actor: Who, seen: SeenVersion, policy: Held, session: Writing
+    sensor_id: Id,
+    definition: NewTableDefinition,
+    actor: Who,
+    seen: SeenVersion,
+    policy: PasswordChecked,
+    session: Writing,
 ) -> GateProfile | TableDefinition | Answer:
     """Put another layout into force. The sensor's undecided requests become STALE, for they would be other bytes.
 

@@ -25,25 +25,25 @@ from typing import Any
 from boresight.console import list_queries as lists
 from boresight.console.access import users
 from boresight.console.access.passwords import PasswordProof
-from boresight.console.alarms.watch import watch
+from boresight.console.alarms.rules import update_alarms
 from boresight.console.fleet.timeline import happened_on
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
-from boresight.console.transitions import get_parameter_set, require_seen, subject_of
+from boresight.console.transitions import get_parameter_set, name_subject, require_seen
 from boresight.console.uplinks import queries as rows
 from boresight.console.uplinks.table_definitions import definition_in_force
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_person, require_role, require_scope, require_user
 from boresight.platform.audit import log as audit
-from boresight.platform.db.documents import sha256_of
+from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.db.times import read_time
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 
 
 @dataclass(frozen=True)
-class Basis:
+class EntryBasis:
     """What an entry rests on; nothing but its source makes it a statement.
 
     Parameters
@@ -62,10 +62,10 @@ class Basis:
     meaning: str | None = None
 
 
-STATEMENT = Basis()
+STATEMENT = EntryBasis()
 
 
-def set_for_entry(
+def get_set_for_entry(
     session: Session, actor: Actor, parameter_set_id: int, source: str, seen_version: int | None
 ) -> ParameterSet:
     """Return the set that an operator makes an entry for.
@@ -91,7 +91,7 @@ def set_for_entry(
     return row
 
 
-def shown_mismatch(session: Session, row: ParameterSet) -> bool:
+def has_shown_mismatch(session: Session, row: ParameterSet) -> bool:
     """Say whether a dump of what was last sent differed, and no dump has agreed since.
 
     What was recorded in between, by statement or by CRC, changes nothing of it: of all that was recorded since the set was
@@ -110,14 +110,14 @@ def refuse_shown_mismatch(session: Session, row: ParameterSet) -> None:
     ConflictError
         When a mismatch stands.
     """
-    if shown_mismatch(session, row):
+    if has_shown_mismatch(session, row):
         raise ConflictError(
             f"A dump of {row.name} showed the mismatch; upload a dump that matches, or send the table again."
         )
 
 
 def add_entry(
-    session: Session, actor: Actor, row: ParameterSet, onboard_state: str, source: str, basis: Basis = STATEMENT
+    session: Session, actor: Actor, row: ParameterSet, onboard_state: str, source: str, basis: EntryBasis = STATEMENT
 ) -> Uplink:
     """Add the entry and show its state on the set, with one audit record."""
     uplink = Uplink(
@@ -139,8 +139,8 @@ def add_entry(
     told = {"method": basis.method, "meaning": basis.meaning, "found": basis.evidence.get("sentence")}
     after = {"onboard_state": onboard_state, "version": row.version, "record": f"uplinks/{uplink.id}"}
     after |= {name: value for name, value in told.items() if value is not None}
-    audit.append(session, actor, f"recorded {onboard_state} for", subject_of(row), before, after, source.strip())
-    watch(session, [row.sensor_id])
+    audit.append(session, actor, f"recorded {onboard_state} for", name_subject(row), before, after, source.strip())
+    update_alarms(session, [row.sensor_id])
     return uplink
 
 
@@ -194,13 +194,13 @@ def record(
         When the state is VERIFIED or ACTIVE, or does not follow the one recorded, or a dump showed otherwise than LOADED, or
         what is to be sent is not the baseline, or its package was built for a table definition that is no longer in force.
     """
-    row = set_for_entry(session, actor, parameter_set_id, source, seen_version)
+    row = get_set_for_entry(session, actor, parameter_set_id, source, seen_version)
     _refuse_statement(actor, row, onboard_state)
     _refuse_step(row, onboard_state)
     if onboard_state == "LOADED":
         refuse_shown_mismatch(session, row)
     evidence = _package(session, row, package_id, onboard_state) | happened_on(happened)
-    return add_entry(session, actor, row, onboard_state, source, Basis(evidence))
+    return add_entry(session, actor, row, onboard_state, source, EntryBasis(evidence))
 
 
 def activate(
@@ -241,7 +241,7 @@ def activate(
         raise ForbiddenError("An administrator cannot sign; an operator who is no administrator must.")
     if users.must_change_password(session, actor):
         raise ForbiddenError("Somebody else set your password; set your own first, then sign.")
-    row = set_for_entry(session, actor, parameter_set_id, source, seen_version)
+    row = get_set_for_entry(session, actor, parameter_set_id, source, seen_version)
     require_seen(session, row, seen_version)
     _refuse_step(row, "ACTIVE")
     _refuse_unread(session, row)
@@ -251,7 +251,7 @@ def activate(
     evidence = happened_on(happened) | {"shown_sha256": shown_sha256(session, row)}
     users.require_password(session, actor, proof)
     _retire_active(session, actor, row, source.strip())
-    signed = Basis(evidence, printed_name=actor.printed_name, meaning=meaning.strip())
+    signed = EntryBasis(evidence, printed_name=actor.printed_name, meaning=meaning.strip())
     return add_entry(session, actor, row, "ACTIVE", source, signed)
 
 
@@ -259,13 +259,13 @@ def shown_sha256(session: Session, row: ParameterSet) -> str:
     """Return the hash of what a signature that a set is active stands for: the set, and the record that verified it."""
     newest = lists.newest(session, Uplink, set=row.id, limit=1)
     verified = [{"record": it.id, "state": it.onboard_state, "method": it.method} for it in newest]
-    return sha256_of({"parameter_set": row.name, "set_sha256": row.sha256, "verified": verified})
+    return compute_sha256({"parameter_set": row.name, "set_sha256": row.sha256, "verified": verified})
 
 
 def next_statements(session: Session, row: ParameterSet) -> list[str]:
     """Return the states that can be recorded next of a set by statement."""
     told = [state for state in NEXT[row.onboard_state] if state in STATED]
-    return [state for state in told if state != "LOADED"] if shown_mismatch(session, row) else told
+    return [state for state in told if state != "LOADED"] if has_shown_mismatch(session, row) else told
 
 
 def _refuse_statement(actor: Actor, row: ParameterSet, onboard_state: str) -> None:
@@ -338,7 +338,7 @@ def get_uplink(session: Session, uplink_id: int) -> Uplink:
     return row
 
 
-def dump_of(session: Session, uplink_id: int) -> str:
+def get_dump_digest(session: Session, uplink_id: int) -> str:
     """Return the SHA-256 of the dump that a record rests on.
 
     Raises
@@ -391,6 +391,6 @@ def onboard_at(session: Session, sensor_id: int, time: str) -> Sequence[tuple[Pa
     return rows.records_until(session, sensor_id, read_time(time))
 
 
-def promotions_of(session: Session, sensor_id: int) -> Sequence[Promotion]:
+def list_promotions(session: Session, sensor_id: int) -> Sequence[Promotion]:
     """Return every promotion of a sensor, newest first."""
     return set_rows.promotions(session, sensor_id)

@@ -20,9 +20,9 @@ from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import PreconditionRequiredError, RefusedInputError, StaleError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
-from boresight.platform.db.documents import canonical, sha256_of
+from boresight.platform.db.documents import canonical, compute_sha256
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.telemetry.sensors import parse_sensor
 from boresight.uplink import table_definition
 
@@ -170,7 +170,7 @@ def checked(
     parse_for(session, sensor_id, document)
     if not reason.strip():
         raise RefusedInputError("Give the reason why the table on board is another one.")
-    if current is not None and current.sha256 == sha256_of(dict(document)):
+    if current is not None and current.sha256 == compute_sha256(dict(document)):
         raise RefusedInputError(f"This is definition {current.number}, which is in force: change something.")
     return dict(document)
 
@@ -196,7 +196,7 @@ def put_into_force(
         sensor_id=sensor_id,
         number=1 if current is None else current.number + 1,
         document=dict(document),
-        sha256=sha256_of(dict(document)),
+        sha256=compute_sha256(dict(document)),
         reason=reason.strip(),
         created_utc=utc_now(),
         created_by=actor.user_id if proposal is None else proposal.proposed_by,

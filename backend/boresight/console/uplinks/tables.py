@@ -8,7 +8,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
 from boresight.console.parameter_sets.tables import ONBOARD_STATES
-from boresight.platform.db.declared import STRICT, Base, one_of
+from boresight.platform.db.declared import STRICT, Base, allow_only
 from boresight.platform.db.documents import JsonText
 
 
@@ -16,7 +16,7 @@ class Uplink(Base):
     """What was exported or recorded as loaded on board, entry by entry; never edited."""
 
     __tablename__ = "uplinks"
-    __table_args__ = (one_of("onboard_state", ONBOARD_STATES), STRICT)
+    __table_args__ = (allow_only("onboard_state", ONBOARD_STATES), STRICT)
     id: Mapped[int] = mapped_column(primary_key=True)
     parameter_set_id: Mapped[int] = mapped_column(sa.ForeignKey("parameter_sets.id"), index=True)
     onboard_state: Mapped[str] = mapped_column(sa.Text)

@@ -12,13 +12,13 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import Reading, Who, csrf
-from boresight.console.pages.rendering import Refusal, attempt, redirect, redirect_refused, render
+from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, redirect_refused, render
 from boresight.console.webhooks import service as webhooks
-from boresight.console.webhooks.secrets import state_of
+from boresight.console.webhooks.secrets import get_state
 from boresight.errors import BoresightError
 from boresight.platform.actors import Actor
-from boresight.platform.db.sessions import Session, reading
-from boresight.platform.web.paging import row_number
+from boresight.platform.db.sessions import Session, open_reading
+from boresight.platform.web.paging import parse_row_id
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
@@ -26,10 +26,10 @@ ROWS_A_PAGE = 50
 
 
 @dataclass(frozen=True)
-class Shown:
+class WebhooksContext:
     """What a form left behind: its refusal, what was typed, a secret that is shown once."""
 
-    refusal: Refusal | None = None
+    refusal: ShownRefusal | None = None
     typed: Mapping[str, str] = field(default_factory=dict)
     secret: str = ""
 
@@ -37,10 +37,10 @@ class Shown:
 @router.get("/webhooks", response_class=HTMLResponse)
 def webhooks_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show every webhook, and the form for another."""
-    return _page(request, session, actor, Shown())
+    return _page(request, session, actor, WebhooksContext())
 
 
-def _page(request: Request, session: Session, actor: Actor, shown: Shown) -> HTMLResponse:
+def _page(request: Request, session: Session, actor: Actor, shown: WebhooksContext) -> HTMLResponse:
     """Render the list, or to whom it is not shown who may see it."""
     may = "administrator" in actor.roles
     return render(
@@ -49,14 +49,14 @@ def _page(request: Request, session: Session, actor: Actor, shown: Shown) -> HTM
         refused=shown.refusal,
         may=may,
         hooks=webhooks.list_webhooks(session, actor) if may else [],
-        state_of=partial(state_of, box=request.app.state.secret_box),
+        state_of=partial(get_state, box=request.app.state.secret_box),
         shown=shown,
     )
 
 
-def _again(request: Request, actor: Actor, shown: Shown) -> HTMLResponse:
+def _again(request: Request, actor: Actor, shown: WebhooksContext) -> HTMLResponse:
     """Render the list after a form was refused, or with a secret."""
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         return _page(request, session, actor, shown)
 
 
@@ -74,10 +74,12 @@ async def create(
     try:
         await run_in_threadpool(webhooks.judge_address, actor, url, state.deliveries.targets)
     except BoresightError as error:
-        return await run_in_threadpool(_again, request, actor, Shown(Refusal.of(error), typed))
+        return await run_in_threadpool(_again, request, actor, WebhooksContext(ShownRefusal.of(error), typed))
     change = partial(webhooks.create_webhook, actor=actor, box=state.secret_box, label=label, url=url, actions=wanted)
     outcome = await attempt(request, change)
-    shown = Shown(outcome.refusal, typed) if outcome.value is None else Shown(secret=outcome.value[1])
+    shown = (
+        WebhooksContext(outcome.refusal, typed) if outcome.value is None else WebhooksContext(secret=outcome.value[1])
+    )
     return await run_in_threadpool(_again, request, actor, shown)
 
 
@@ -91,14 +93,14 @@ def _webhook_page(
     request: Request, session: Session, actor: Actor, webhook_id: int, before: str = "", secret: str = ""
 ) -> HTMLResponse:
     """Render a webhook, with a secret that was made just now."""
-    before_id = row_number(before)
+    before_id = parse_row_id(before)
     hook = webhooks.get_webhook(session, actor, webhook_id)
     found = webhooks.list_deliveries(session, actor, webhook_id, before_id=before_id, limit=ROWS_A_PAGE + 1)
     return render(
         request,
         "webhooks/webhook.html",
         hook=hook,
-        state=state_of(hook, request.app.state.secret_box),
+        state=get_state(hook, request.app.state.secret_box),
         secret=secret,
         deliveries=found[:ROWS_A_PAGE],
         next_before=found[ROWS_A_PAGE - 1].id if len(found) > ROWS_A_PAGE else None,
@@ -127,7 +129,7 @@ async def renew_secret(
 
 def _renewed(request: Request, actor: Actor, webhook_id: int, secret: str) -> HTMLResponse:
     """Render a webhook with its new secret."""
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         return _webhook_page(request, session, actor, webhook_id, secret=secret)
 
 

@@ -8,11 +8,11 @@ from fastapi import Depends
 from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.console.access.dependencies import Reading, Who, Writing, of_server
-from boresight.console.jobs.deliveries import Deliveries
+from boresight.console.jobs.webhook_sender import WebhookSender
 from boresight.console.operation import Answer, Beside, operations
 from boresight.console.webhooks import schemas
 from boresight.console.webhooks import service as webhooks
-from boresight.console.webhooks.secrets import state_of
+from boresight.console.webhooks.secrets import get_state
 from boresight.console.webhooks.tables import Webhook, WebhookDelivery
 from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.web.paging import Id, Listing, Page, Paged
@@ -46,7 +46,7 @@ class Renewal(BaseModel):
     )
 
 
-def _judge(wanted: WantedWebhook, actor: Who, deliveries: Annotated[Deliveries, of_server("deliveries")]) -> None:
+def _judge(wanted: WantedWebhook, actor: Who, deliveries: Annotated[WebhookSender, of_server("deliveries")]) -> None:
     """Look up where the address leads before the writing transaction: that takes time, and there is one writer."""
     webhooks.judge_address(actor, wanted.url, deliveries.targets)
 
@@ -56,7 +56,7 @@ Box = Annotated[SecretBox, of_server("secret_box")]
 
 def _shown(row: Webhook, box: SecretBox, **more: str) -> Beside:
     """Return a webhook without its secret."""
-    return Beside(row, state=state_of(row, box), former_secret_until_utc=row.previous_until_utc, **more)
+    return Beside(row, state=get_state(row, box), former_secret_until_utc=row.previous_until_utc, **more)
 
 
 def _with_secret(row: Webhook, secret: str, box: SecretBox) -> Answer:

@@ -18,7 +18,7 @@ from boresight.console.webhooks.tables import Webhook
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit
 from boresight.platform.db.secret_box import SecretBox, is_sealed
-from boresight.platform.db.sessions import Engine, Session, reading, writing
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 
 PREFIX = "whsec_"
 KEY_BYTES = 32
@@ -29,7 +29,7 @@ def new_secret() -> str:
     return PREFIX + base64.b64encode(secrets.token_bytes(KEY_BYTES)).decode()
 
 
-def key_of(secret: str) -> bytes:
+def decode_key(secret: str) -> bytes:
     """Return the key that a secret stands for: the bytes behind the prefix.
 
     Raises
@@ -50,7 +50,7 @@ def _standard(secret: str) -> str:
 
 
 @dataclass(frozen=True)
-class Kept:
+class SecretStorage:
     """How the secrets of an installation are kept, after a look at all of them.
 
     Parameters
@@ -76,12 +76,12 @@ class Kept:
         )
 
 
-def encrypt_all(engine: Engine, box: SecretBox) -> Kept:
+def encrypt_all(engine: Engine, box: SecretBox) -> SecretStorage:
     """Encrypt every secret that is stored plain, and say which cannot be read here."""
-    with reading(engine) as session:
+    with open_reading(engine) as session:
         if not any(not is_sealed(row.secret) for row in rows.webhooks(session)):
             return _kept(session, box, 0)
-    with writing(engine) as session:
+    with open_writing(engine) as session:
         rows.overwrite_what_is_deleted(session)
         plain = [row for row in rows.webhooks(session) if not is_sealed(row.secret)]
         for row in plain:
@@ -93,9 +93,9 @@ def encrypt_all(engine: Engine, box: SecretBox) -> Kept:
     return kept
 
 
-def _kept(session: Session, box: SecretBox, encrypted: int) -> Kept:
+def _kept(session: Session, box: SecretBox, encrypted: int) -> SecretStorage:
     found = rows.webhooks(session)
-    return Kept(encrypted, [row.label for row in found if box.open(row.secret) is None])
+    return SecretStorage(encrypted, [row.label for row in found if box.open(row.secret) is None])
 
 
 def encrypt_anew(session: Session, box: SecretBox) -> int:
@@ -115,7 +115,7 @@ def readable_ids(session: Session, box: SecretBox) -> list[int]:
     return [row.id for row in rows.webhooks(session, enabled_only=True) if box.open(row.secret) is not None]
 
 
-def state_of(row: Webhook, box: SecretBox) -> str:
+def get_state(row: Webhook, box: SecretBox) -> str:
     """Return DISABLED, PAUSED where the secret cannot be read here, or ENABLED."""
     if row.disabled_utc is not None:
         return "DISABLED"

@@ -7,7 +7,7 @@ by its `webhook-id`. `webhook_messages` says how a message is signed, `webhook_s
 
 Failed attempts are repeated after 5 s, and then after four times as long each time; the eighth that fails is the last,
 some two hours after the first. A person can have any message sent again. What is sent goes out at the server's own
-door (`boresight.console.jobs.deliveries`); here is only what is to be sent and what came of it.
+door (`boresight.console.jobs.webhook_sender`); here is only what is to be sent and what came of it.
 
 What a webhook's message says and how it is signed.
 
@@ -32,23 +32,23 @@ from dataclasses import dataclass, field
 
 from boresight.console import list_queries as lists
 from boresight.console.webhooks import queries as rows
-from boresight.console.webhooks.secrets import key_of, new_secret, readable_ids
+from boresight.console.webhooks.secrets import decode_key, new_secret, readable_ids
 from boresight.console.webhooks.tables import Webhook, WebhookDelivery
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, refuse_key, require_role
 from boresight.platform.audit import log as audit
-from boresight.platform.audit.kept_heads import KeptHead
+from boresight.platform.audit.external_head import ExternalHead
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.db.sessions import Session, utc_after, utc_now
-from boresight.platform.web.targets import Targets, parsed, refuse_address
-from boresight.platform.web.words import refuse_control_characters
+from boresight.platform.web.targets import WebhookTargets, parsed, refuse_address
+from boresight.platform.web.text_validation import refuse_control_characters
 
 
 def signature(secrets: Sequence[str], message_id: str, timestamp: int, body: str) -> str:
     """Return the `webhook-signature` of a message sent at a second of Unix time, by each secret that holds."""
     signed = f"{message_id}.{timestamp}.{body}".encode()
-    digests = (hmac.new(key_of(secret), signed, hashlib.sha256).digest() for secret in secrets)
+    digests = (hmac.new(decode_key(secret), signed, hashlib.sha256).digest() for secret in secrets)
     return " ".join(f"v1,{base64.b64encode(digest).decode()}" for digest in digests)
 
 
@@ -57,15 +57,15 @@ def message_id(delivery_id: int) -> str:
     return f"msg_{delivery_id}"
 
 
-def kind_of(record: AuditRecord) -> str:
+def name_kind(record: AuditRecord) -> str:
     """Name the kind of an audit record: `parameter-sets.promoted`."""
     return f"{record.object.partition('/')[0]}.{'-'.join(record.action.split())}"
 
 
-def told(record: AuditRecord) -> dict[str, object]:
+def make_message(record: AuditRecord) -> dict[str, object]:
     """Tell an audit record to programs."""
     return {
-        "type": kind_of(record),
+        "type": name_kind(record),
         "at_utc": record.at_utc,
         "object": record.object,
         "action": record.action,
@@ -87,7 +87,7 @@ HEAD = "audit.head"
 
 
 @dataclass(frozen=True)
-class Message:
+class WebhookMessage:
     """A message under way: where to, signed with which secrets, and what."""
 
     delivery_id: int
@@ -97,7 +97,7 @@ class Message:
     secrets: tuple[str, ...] = field(repr=False)
 
 
-def judge_address(actor: Actor, url: str, targets: Targets) -> None:
+def judge_address(actor: Actor, url: str, targets: WebhookTargets) -> None:
     """Refuse an address that messages may not go to; this looks names up, so it comes before the writing transaction.
 
     Raises
@@ -283,8 +283,8 @@ def queue_new(session: Session) -> int:
     made = 0
     for webhook in rows.webhooks(session, enabled_only=True):
         for record in rows.records_after(session, webhook.told_audit_id, RECORDS_A_TURN):
-            if _wants(webhook, kind_of(record)):
-                _queue(session, webhook, record.id, told(record))
+            if _wants(webhook, name_kind(record)):
+                _queue(session, webhook, record.id, make_message(record))
                 made += 1
             webhook.told_audit_id = record.id
     return made
@@ -295,14 +295,14 @@ def is_any_due(session: Session, box: SecretBox) -> bool:
     return rows.is_any_untold(session) or bool(rows.due(session, utc_now(), 1, among=readable_ids(session, box)))
 
 
-def is_head_told(session: Session, head: KeptHead | None) -> bool:
+def is_head_told(session: Session, head: ExternalHead | None) -> bool:
     """Whether every webhook that asked for heads of the audit log by name was told of this one."""
     return head is None or all(
         rows.is_told(session, webhook.id, HEAD, head.hash) for webhook in _asked_for_heads(session)
     )
 
 
-def tell_head(session: Session, head: KeptHead) -> int:
+def tell_head(session: Session, head: ExternalHead) -> int:
     """Queue a message with a head of the audit log for whoever asked for it by name; returns how many."""
     asked = [webhook for webhook in _asked_for_heads(session) if not rows.is_told(session, webhook.id, HEAD, head.hash)]
     content = {
@@ -322,7 +322,7 @@ def _asked_for_heads(session: Session) -> list[Webhook]:
     return [webhook for webhook in rows.webhooks(session, enabled_only=True) if HEAD in webhook.actions]
 
 
-def take_due(session: Session, limit: int, box: SecretBox) -> list[Message]:
+def take_due(session: Session, limit: int, box: SecretBox) -> list[WebhookMessage]:
     """Take messages that are due; they are not due again before their lease is over, whoever else looks.
 
     Those whose webhook's secret cannot be read here are left to a server that can read it.
@@ -334,7 +334,7 @@ def take_due(session: Session, limit: int, box: SecretBox) -> list[Message]:
         former = webhook.previous_secret if (webhook.previous_until_utc or "") > now_utc else None
         opened = (box.open(stored) for stored in (webhook.secret, former))
         secrets = tuple(secret for secret in opened if secret is not None)
-        taken.append(Message(delivery.id, webhook.id, webhook.url, delivery.body, secrets))
+        taken.append(WebhookMessage(delivery.id, webhook.id, webhook.url, delivery.body, secrets))
     return taken
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base, one_of
+from boresight.platform.db.declared import STRICT, Base, allow_only
 from boresight.platform.db.documents import JsonText
 
 DELIVERY_STATES = ("PENDING", "DELIVERED", "FAILED")
@@ -35,7 +35,7 @@ class WebhookDelivery(Base):
 
     __tablename__ = "webhook_deliveries"
     __table_args__ = (
-        one_of("state", DELIVERY_STATES),
+        allow_only("state", DELIVERY_STATES),
         sa.Index("ix_webhook_deliveries_state_due_utc", "state", "due_utc"),
         STRICT,
     )

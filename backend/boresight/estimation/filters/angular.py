@@ -44,7 +44,7 @@ class AllPairs:
         self._star_start = star_start
         self._phi, self._G = np.empty((exposures, pairs)), np.empty((exposures, pairs, 4))
         self._L = np.empty((exposures, 2 * most, 2 * most))
-        kernels.weigh_pairs(star_start, s_i, sigma_rad, self._phi, self._G, self._L)
+        kernels.factor_pairs(star_start, s_i, sigma_rad, self._phi, self._G, self._L)
         return int(2 * star_start[-1] - 3 * exposures)
 
     def rows(self, s: FloatArray, D: FloatArray) -> tuple[FloatArray, FloatArray]:

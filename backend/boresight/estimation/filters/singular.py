@@ -32,7 +32,7 @@ class SingularValues:
         self._L = np.empty((exposures, 3 * most, 3 * most))
         self._pivot = np.empty((exposures, 3 * most), np.int64)
         self._sizes = np.empty((exposures, 2), np.int64)
-        kernels.weigh_values(
+        kernels.factor_values(
             star_start, s_i, sigma_rad, self._model, self._chosen, APART, DETERMINED,
             self._rows, self._z, self._L, self._pivot, self._sizes,
         )  # fmt: skip

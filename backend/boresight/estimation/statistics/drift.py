@@ -67,7 +67,7 @@ class Epoch:
 
 
 @dataclass(frozen=True)
-class Test:
+class ChiSquareTest:
     """A sum of squares held against its chi-square distribution.
 
     Parameters
@@ -92,7 +92,7 @@ class Test:
 
 
 @dataclass(frozen=True)
-class Line:
+class RegressionLine:
     """A weighted regression of estimates on time, and on temperature where it could be.
 
     Parameters
@@ -118,9 +118,9 @@ class Line:
         return max(1.0, self.scatter / self.scatter_dof)
 
 
-def chi_square_test(statistic: float, dof: int, alpha: float) -> Test:
+def chi_square_test(statistic: float, dof: int, alpha: float) -> ChiSquareTest:
     """Hold a sum of squares against its distribution."""
-    return Test(statistic, dof, float(chdtri(dof, alpha)), float(chdtrc(dof, statistic)))
+    return ChiSquareTest(statistic, dof, float(chdtri(dof, alpha)), float(chdtrc(dof, statistic)))
 
 
 def mahalanobis(difference: FloatArray, covariance: FloatArray) -> float | None:
@@ -135,13 +135,13 @@ def mahalanobis(difference: FloatArray, covariance: FloatArray) -> float | None:
     return float(np.sum(np.linalg.solve(L, difference / scale) ** 2))
 
 
-def baseline_test(newest: Epoch, baseline: Epoch, alpha: float = FALSE_ALARM_RATE) -> Test | None:
+def baseline_test(newest: Epoch, baseline: Epoch, alpha: float = FALSE_ALARM_RATE) -> ChiSquareTest | None:
     """Test whether the baseline still holds; None where a covariance cannot be used."""
     statistic = mahalanobis(newest.value - baseline.value, newest.covariance + baseline.covariance)
     return None if statistic is None else chi_square_test(statistic, len(newest.value), alpha)
 
 
-def slope_test(line: Line, alpha: float = FALSE_ALARM_RATE) -> Test | None:
+def slope_test(line: RegressionLine, alpha: float = FALSE_ALARM_RATE) -> ChiSquareTest | None:
     """Test whether the estimates move with time; None where the slope is not determined."""
     statistic = mahalanobis(line.slope_per_d, line.slope_covariance)
     return None if statistic is None else chi_square_test(statistic, len(line.slope_per_d), alpha)
@@ -156,7 +156,7 @@ def power(difference: FloatArray, covariance: FloatArray, alpha: float = FALSE_A
     return float(1.0 - chndtr(float(chdtri(dof, alpha)), dof, noncentrality))
 
 
-def fit_line(epochs: Sequence[Epoch]) -> Line | None:
+def fit_line(epochs: Sequence[Epoch]) -> RegressionLine | None:
     """Fit the estimates by a line in time; None where there are too few, or all of one time, or a covariance is none."""
     if len(epochs) < FEWEST_FOR_A_LINE:
         return None
@@ -197,7 +197,7 @@ def _whitened(epochs: Sequence[Epoch], columns: FloatArray, scale: FloatArray) -
     return np.concatenate(design), np.concatenate(values)
 
 
-def _solved(X: FloatArray, y: FloatArray, units: FloatArray, scale: FloatArray) -> Line | None:
+def _solved(X: FloatArray, y: FloatArray, units: FloatArray, scale: FloatArray) -> RegressionLine | None:
     """Solve the stacked problem X b = y and give the blocks their units back."""
     Q, R = np.linalg.qr(X)
     if np.abs(np.diag(R)).min() <= 1e-12 * np.abs(np.diag(R)).max():
@@ -208,7 +208,7 @@ def _solved(X: FloatArray, y: FloatArray, units: FloatArray, scale: FloatArray) 
     C = half @ half.T * max(1.0, scatter / dof)
     blocks = [_block(b, C, n, unit, scale) for n, unit in enumerate(units)]
     slope, thermal = blocks[1], blocks[2] if len(blocks) > 2 else (None, None)
-    return Line(slope[0], slope[1], thermal[0], thermal[1], scatter, dof)
+    return RegressionLine(slope[0], slope[1], thermal[0], thermal[1], scatter, dof)
 
 
 def _block(b: FloatArray, C: FloatArray, n: int, unit: float, scale: FloatArray) -> tuple[FloatArray, FloatArray]:

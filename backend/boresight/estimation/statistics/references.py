@@ -27,7 +27,7 @@ from boresight import kernels
 from boresight.arrays import FloatArray, IntArray
 from boresight.cameras import CameraModel
 from boresight.estimation import angular, singular_values
-from boresight.estimation.arcs import ArcSet, angular_sigma, weigh
+from boresight.estimation.arcs import ArcSet, angular_sigma, whiten
 from boresight.estimation.batch import normal_equations
 from boresight.estimation.filters.angular import AllPairs
 from boresight.estimation.filters.singular import SingularValues
@@ -115,11 +115,11 @@ def judged(view: View, runs: Sequence[SeenFrames], selection: Selection) -> tupl
         reference.weigh(run.star_start, run.s_i, run.sigma_rad)
         unwhitened, (_, H) = reference.both(run.s, run.D)
         A += H.T @ H
-        smallest.append(_smallest_of(unwhitened, run.frame_start))
+        smallest.append(_compute_smallest(unwhitened, run.frame_start))
     return np.concatenate(smallest), A
 
 
-def _smallest_of(H: FloatArray, frame_start: IntArray) -> FloatArray:
+def _compute_smallest(H: FloatArray, frame_start: IntArray) -> FloatArray:
     """Smallest singular values (n_frames,) of the rows (n_exposures, n_rows, n_free) of each frame."""
     smallest, counts, n_free = np.zeros(len(frame_start) - 1), np.diff(frame_start), H.shape[2]
     for count in np.unique(counts):
@@ -181,7 +181,7 @@ class Content:
 def information_content(view: View, arcs: ArcSet, values: tuple[int, ...] = CHOSEN.values) -> Content:
     """Set every reference beside the bound, at the state of the view."""
     bound = centroid_rows(view.camera, view.x, arcs, view.free, view.scale).information
-    weighed, _ = weigh(arcs, angular_sigma(view.camera, view.x, arcs))
+    weighed, _ = whiten(arcs, angular_sigma(view.camera, view.x, arcs))
     full = [normal_equations(weighed, view.x, view.free, view.scale).A, whitened_information(view, weighed, None)]
     weighted = [weighted_information(view, weighed, None)]
     for model in STAR_MODELS:

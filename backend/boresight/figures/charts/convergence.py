@@ -31,8 +31,8 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.course import Course, course_of, free_names, settled_step
-from boresight.figures.following import follow_column, follow_parameters
+from boresight.figures.history import History, free_names, read_history, settled_step
+from boresight.figures.live_traces import follow_column, follow_parameters
 from boresight.figures.style import theme
 from boresight.figures.style.axes import offer_log, share_cursor
 from boresight.figures.style.thinning import keep_extremes
@@ -44,15 +44,15 @@ MOST_MARKED = 3  # runs whose settling is marked; more lines than that hide the 
 Place = tuple[int, int]
 
 
-def draw_judges(
-    figure: go.Figure, places: tuple[Place, Place], courses: Sequence[Course | None], traces: Sequence[Trace]
+def draw_panels(
+    figure: go.Figure, places: tuple[Place, Place], courses: Sequence[History | None], traces: Sequence[Trace]
 ) -> None:
     """Add both panels, in the rows and columns (from 1) of `places`; a course that is None is another axis's."""
-    for course, style in zip(courses, theme.run_styles(traces), strict=True):
-        if course is not None:
-            judged = course.series("cost") if course.axis == "iteration" else innovations(course)
-            _draw(figure, places[0], course, judged, style, POINT_BUDGET // len(traces))
-            _draw(figure, places[1], course, step_norm(course), style, POINT_BUDGET // len(traces))
+    for history, style in zip(courses, theme.run_styles(traces), strict=True):
+        if history is not None:
+            judged = history.series("cost") if history.axis == "iteration" else innovations(history)
+            _draw(figure, places[0], history, judged, style, POINT_BUDGET // len(traces))
+            _draw(figure, places[1], history, step_norm(history), style, POINT_BUDGET // len(traces))
     cost, step = ({"row": row, "col": col} for row, col in places)
     figure.update_yaxes(title={"text": "step (σ)", "standoff": 4}, type="log", exponentformat="power", **step)
     names = [_axis_name(figure, *places[1])]
@@ -65,10 +65,10 @@ def draw_judges(
     offer_log(figure, names)
 
 
-def _draw(figure: go.Figure, place: Place, course: Course, y: FloatArray, style: theme.RunStyle, limit: int) -> None:
+def _draw(figure: go.Figure, place: Place, history: History, y: FloatArray, style: theme.RunStyle, limit: int) -> None:
     kept = keep_extremes([y], limit)
     settings = {"hovertemplate": f"%{{y:.4g}}<extra>{style.label}</extra>", "showlegend": False}
-    figure.add_trace(theme.line(style, course.x[kept], y[kept], **settings), row=place[0], col=place[1])
+    figure.add_trace(theme.line(style, history.x[kept], y[kept], **settings), row=place[0], col=place[1])
 
 
 def _axis_name(figure: go.Figure, row: int, column: int) -> str:
@@ -76,33 +76,33 @@ def _axis_name(figure: go.Figure, row: int, column: int) -> str:
     return str(next(iter(figure.select_yaxes(row=row, col=column))).plotly_name)
 
 
-def innovations(course: Course) -> FloatArray:
+def innovations(history: History) -> FloatArray:
     """Average the normalised innovation squared over the frames so far, per degree of freedom."""
-    nis, dof = (np.nancumsum(course.series(key)) for key in ("nis", "nis_dof"))
+    nis, dof = (np.nancumsum(history.series(key)) for key in ("nis", "nis_dof"))
     return np.where(dof > 0, nis / np.maximum(dof, 1), np.nan)
 
 
-def step_norm(course: Course) -> FloatArray:
+def step_norm(history: History) -> FloatArray:
     """Return the root mean square step in sigmas, (n_steps,); the first, which has none before it, is NaN."""
-    free = [course.names.index(name) for name in course.free]
-    sigma = course.sigma[-1:, free] if course.axis == "iteration" else course.sigma[1:, free]
-    steps = np.diff(course.value[:, free], axis=0)
+    free = [history.names.index(name) for name in history.free]
+    sigma = history.sigma[-1:, free] if history.axis == "iteration" else history.sigma[1:, free]
+    steps = np.diff(history.value[:, free], axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         norm = np.sqrt(np.mean((steps / sigma) ** 2, axis=1))
     norm[~(norm > 0)] = np.nan  # a log axis has no place for nothing
     return np.concatenate([[np.nan], norm])
 
 
-def mark_settled(figure: go.Figure, courses: Sequence[Course | None], traces: Sequence[Trace], n_panels: int) -> None:
+def mark_settled(figure: go.Figure, courses: Sequence[History | None], traces: Sequence[Trace], n_panels: int) -> None:
     """Draw a vertical line in every panel where a run had settled, and name it in the legend."""
     if len(traces) > MOST_MARKED:
         return
     shapes: list[dict[str, Any]] = []
-    for trace, course, style in zip(traces, courses, theme.run_styles(traces), strict=True):
+    for trace, history, style in zip(traces, courses, theme.run_styles(traces), strict=True):
         first = settled_step(trace.result)
-        if course is None or first is None or not first < len(course.x):
+        if history is None or first is None or not first < len(history.x):
             continue
-        x = float(course.x[first])
+        x = float(history.x[first])
         line = {"color": style.colour, "dash": "dot", "width": 1.2}
         shapes += [
             {"type": "line", "x0": x, "x1": x, "y0": 0, "y1": 1, "line": line, "xref": f"x{n}", "yref": f"y{n} domain"}
@@ -131,7 +131,7 @@ REFERENCES = {
 
 
 @dataclass(frozen=True)
-class Panel:
+class ConvergencePanel:
     """One parameter's subplot: its unit, where it starts from, and what its window must hold."""
 
     name: str
@@ -148,7 +148,7 @@ class Panel:
 
 def draw(traces: Sequence[Trace]) -> go.Figure:
     """Draw every free parameter's change with its 3-sigma band."""
-    courses = [course_of(trace.result) for trace in traces]
+    courses = [read_history(trace.result) for trace in traces]
     found = [course for course in courses if course is not None]
     if not found:
         return theme.missing(TITLE, "No frame or iteration has been recorded yet: the curves appear as the run moves.")
@@ -162,15 +162,15 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     )
     span = _span([course for course in found if course.axis == axis])
     limit = CONVERGENCE_POINT_BUDGET // (len(panels) * len(found))
-    for course, style in zip(courses, theme.run_styles(traces), strict=True):
-        if course is not None:
-            _draw_run(figure, panels, course if course.axis == axis else _level(course, span), style, limit)
+    for history, style in zip(courses, theme.run_styles(traces), strict=True):
+        if history is not None:
+            _draw_run(figure, panels, history if history.axis == axis else _level(history, span), style, limit)
     for panel in panels:
         _draw_references(figure, panel, traces, span)
         _frame_panel(figure, panel)
     _dress(figure, traces, axis, n_rows, n_panels)
     along = [course if course and course.axis == axis else None for course in courses]
-    draw_judges(figure, (_place(n_panels - 2, columns), _place(n_panels - 1, columns)), along, traces)
+    draw_panels(figure, (_place(n_panels - 2, columns), _place(n_panels - 1, columns)), along, traces)
     follow_parameters(figure, panels, traces)
     follow_column(figure, _place(len(panels), columns), "nis_per_dof", traces)
     mark_settled(figure, along, traces, n_panels)
@@ -209,12 +209,12 @@ def _headline(traces: Sequence[Trace]) -> str:
     return f"Change since the initial parameters, band ±3σ{state}"
 
 
-def _panels(traces: Sequence[Trace], courses: Sequence[Course]) -> list[Panel]:
+def _panels(traces: Sequence[Trace], courses: Sequence[History]) -> list[ConvergencePanel]:
     """Lay out one panel a parameter that any run estimates."""
     names = list(dict.fromkeys(name for trace in traces for name in free_names(trace.result)))
     names = [name for name in names if any(name in course.names for course in courses)]
     return [
-        Panel(
+        ConvergencePanel(
             name,
             quantity(name, traces[0].result),
             _origin(name, traces, courses),
@@ -225,7 +225,7 @@ def _panels(traces: Sequence[Trace], courses: Sequence[Course]) -> list[Panel]:
     ]
 
 
-def _origin(name: str, traces: Sequence[Trace], courses: Sequence[Course]) -> float:
+def _origin(name: str, traces: Sequence[Trace], courses: Sequence[History]) -> float:
     """Choose what changes are counted from: the first run's initial value, or its first estimate."""
     for trace in traces:
         if (initial := (trace.result.get("initial") or {}).get(name)) is not None:
@@ -233,27 +233,29 @@ def _origin(name: str, traces: Sequence[Trace], courses: Sequence[Course]) -> fl
     return next(float(c.value[0, c.names.index(name)]) for c in courses if name in c.names)
 
 
-def _span(courses: Sequence[Course]) -> tuple[float, float]:
+def _span(courses: Sequence[History]) -> tuple[float, float]:
     return min(float(c.x.min()) for c in courses), max(float(c.x.max()) for c in courses)
 
 
-def _level(course: Course, span: tuple[float, float]) -> Course:
+def _level(history: History, span: tuple[float, float]) -> History:
     """Stretch a batch run's last estimate over the frames of the sequential runs beside it."""
-    value, sigma = (np.tile(last, (2, 1)) for last in (course.value[-1], course.sigma[-1]))
-    return replace(course, axis="frame", x=np.array(span), value=value, sigma=sigma, record={})
+    value, sigma = (np.tile(last, (2, 1)) for last in (history.value[-1], history.sigma[-1]))
+    return replace(history, axis="frame", x=np.array(span), value=value, sigma=sigma, record={})
 
 
-def _draw_run(figure: go.Figure, panels: list[Panel], course: Course, style: theme.RunStyle, limit: int) -> None:
+def _draw_run(
+    figure: go.Figure, panels: list[ConvergencePanel], history: History, style: theme.RunStyle, limit: int
+) -> None:
     """Add one run's curve and band to every panel it has a parameter for."""
     shown = False
     for panel in panels:
-        if panel.name not in course.free:
+        if panel.name not in history.free:
             continue
-        column = course.names.index(panel.name)
-        value = panel.change(course.value[:, column])
-        reach = 3 * course.sigma[:, column] * panel.item.change_factor
+        column = history.names.index(panel.name)
+        value = panel.change(history.value[:, column])
+        reach = 3 * history.sigma[:, column] * panel.item.change_factor
         kept = keep_extremes([value, reach], max(limit, 40))
-        x, value, reach = course.x[kept], value[kept], reach[kept]
+        x, value, reach = history.x[kept], value[kept], reach[kept]
         place = {"row": panel.row + 1, "col": panel.column + 1}
         figure.add_trace(theme.band(style, x, value - reach, value + reach), **place)
         hover = f"%{{y:+.5g}} ±%{{customdata:.3g}} {panel.item.change_unit}<extra>{style.label}</extra>"
@@ -273,7 +275,9 @@ def _seen(value: FloatArray, reach: FloatArray) -> list[float]:
     return [float(settled.min()), float(settled.max()), float(value[-1]) - half, float(value[-1]) + half]
 
 
-def _draw_references(figure: go.Figure, panel: Panel, traces: Sequence[Trace], span: tuple[float, float]) -> None:
+def _draw_references(
+    figure: go.Figure, panel: ConvergencePanel, traces: Sequence[Trace], span: tuple[float, float]
+) -> None:
     """Add the initial level, the baseline's where it is another, and the true one where a simulation knows it."""
     levels: dict[tuple[str, float], tuple[str, str]] = {}
     for trace in traces:
@@ -295,7 +299,7 @@ def _named(values: Mapping[str, float | None] | None, name: str) -> float | None
     return None if not values else values.get(name)
 
 
-def _frame_panel(figure: go.Figure, panel: Panel) -> None:
+def _frame_panel(figure: go.Figure, panel: ConvergencePanel) -> None:
     low, high = (min(panel.seen), max(panel.seen)) if panel.seen else (-1.0, 1.0)
     margin = 0.08 * (high - low) or 1.0
     title = {"text": change_label(panel.item), "standoff": 4}
@@ -304,15 +308,15 @@ def _frame_panel(figure: go.Figure, panel: Panel) -> None:
 
 def table(result: Result) -> Table:
     """List every step: parameters and sigmas in SI."""
-    course = course_of(result)
-    if course is None:
+    history = read_history(result)
+    if history is None:
         return {}
-    columns: Table = {course.axis: [int(step) for step in course.x]}
-    if course.axis == "frame" and course.record.get("time_utc"):
-        columns["time_utc"] = list(course.record["time_utc"])
-    for i, name in enumerate(course.names):
-        columns[name] = theme.plain(course.value[:, i])
-        columns[f"sigma_{name}"] = theme.plain(course.sigma[:, i])
+    columns: Table = {history.axis: [int(step) for step in history.x]}
+    if history.axis == "frame" and history.record.get("time_utc"):
+        columns["time_utc"] = list(history.record["time_utc"])
+    for i, name in enumerate(history.names):
+        columns[name] = theme.plain(history.value[:, i])
+        columns[f"sigma_{name}"] = theme.plain(history.sigma[:, i])
     return columns
 
 

@@ -14,7 +14,7 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.charts.radial import arcsec_per_px, column, reached_px, window_of
+from boresight.figures.charts.radial import arcsec_per_px, column, compute_window, reached_px
 from boresight.figures.style import theme
 from boresight.figures.style.axes import hatch, share_cursor
 from boresight.figures.style.thinning import keep_extremes
@@ -39,7 +39,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     seen += _draw_old(figure, drawn[0][0].result["radial"])
     theme.dress(figure, title=_headline(drawn[0][0].result["radial"]), height_px=400)
     radials = [trace.result["radial"] for trace, _ in drawn]
-    _dress(figure, radials, window_of(seen))
+    _dress(figure, radials, compute_window(seen))
     return share_cursor(figure, "radius_px")
 
 

@@ -32,7 +32,7 @@ COMPARED = ("model_4", "sigma_2")
 FARTHEST_BELOW = 300.0
 
 
-def view_of(result: Result) -> Result:
+def read_frame_judgement(result: Result) -> Result:
     """Read the judgement of single frames; empty where there is none."""
     return result.get(KEY) or {}
 
@@ -40,14 +40,16 @@ def view_of(result: Result) -> Result:
 def absent(title: str, traces: Sequence[Trace]) -> go.Figure:
     """Draw nothing, and say why the first run has nothing."""
     result = traces[0].result
-    sentence = view_of(result).get("sentence") or (NOT_YET if result.get("status") in {None, "running"} else NEVER)
+    sentence = read_frame_judgement(result).get("sentence") or (
+        NOT_YET if result.get("status") in {None, "running"} else NEVER
+    )
     return theme.missing(title, str(sentence))
 
 
 def draw(traces: Sequence[Trace]) -> go.Figure:
     """Draw every model and value of one run, or Model 4 and one value of several."""
     styled = zip(traces, theme.run_styles(traces), strict=True)
-    drawn = [(trace, style, view_of(trace.result)) for trace, style in styled if _measured(trace.result)]
+    drawn = [(trace, style, read_frame_judgement(trace.result)) for trace, style in styled if _measured(trace.result)]
     if not drawn:
         return absent(TITLE, traces)
     figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.09)
@@ -80,7 +82,7 @@ def _window(drawn: Sequence[Part], names: Sequence[str]) -> list[float] | None:
 
 def _measured(result: Result) -> bool:
     """Tell whether any frame determines all parameters under any choice."""
-    curves = view_of(result).get("minimum_singular_value") or {}
+    curves = read_frame_judgement(result).get("minimum_singular_value") or {}
     return any(value is not None for curve in curves.values() for value in curve)
 
 
@@ -124,7 +126,7 @@ def _spacing(drawn: Sequence[Part]) -> str:
 
 def table(result: Result) -> Table:
     """List one frame a row: the minimum singular value under each choice, per typical sigma."""
-    view = view_of(result)
+    view = read_frame_judgement(result)
     if not view.get("frame"):
         return {}
     curves: dict[str, FloatArray] = {name: column(values) for name, values in view["minimum_singular_value"].items()}

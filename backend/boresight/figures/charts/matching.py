@@ -31,7 +31,7 @@ NO_CYCLES = "This run matched its stars without cycles."
 def draw(traces: Sequence[Trace]) -> go.Figure:
     """Draw matched stars, changed matches and RMS by cycle, a bar a run."""
     styled = zip(traces, theme.run_styles(traces), strict=True)
-    drawn = [(style, cycles) for trace, style in styled if (cycles := cycles_of(trace.result))]
+    drawn = [(style, cycles) for trace, style in styled if (cycles := read_cycles(trace.result))]
     if not drawn:
         return theme.missing(TITLE, why_no_matching(traces[0].result) or NO_CYCLES)
     figure = make_subplots(1, len(PANELS), horizontal_spacing=0.1)
@@ -49,7 +49,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     return figure
 
 
-def cycles_of(result: Result) -> list[Result]:
+def read_cycles(result: Result) -> list[Result]:
     """Read the cycles of a run, first first; none where nothing was matched again."""
     return list((result.get("matching") or {}).get("cycles") or ())
 
@@ -85,14 +85,14 @@ def _headline(traces: Sequence[Trace]) -> str:
     if len(traces) > 1:
         return f"Matching cycles of {len(traces)} runs"
     matching = traces[0].result["matching"]
-    n_cycles = len(cycles_of(traces[0].result))
+    n_cycles = len(read_cycles(traces[0].result))
     said = f"{n_cycles} cycle{'s' * (n_cycles != 1)}"
     return f"The matches rested after {said}" if matching.get("rested") else f"The matches had not rested after {said}"
 
 
 def table(result: Result) -> Table:
     """List one cycle a row: stars matched, matches changed, RMS in rad."""
-    cycles = cycles_of(result)
+    cycles = read_cycles(result)
     keys = ("cycle", "matched", "changed", "rms_arc_rad")
     return {key: [cycle.get(key) for cycle in cycles] for key in keys} if cycles else {}
 

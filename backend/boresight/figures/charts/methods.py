@@ -26,12 +26,12 @@ import plotly.graph_objects as go
 from boresight.arrays import FloatArray
 from boresight.estimation.statistics.consistency import ChiSquare, chi_square, nees
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.course import Course, course_of, settled_step
+from boresight.figures.history import History, read_history, settled_step
 from boresight.figures.style import theme
 from boresight.figures.style.axes import share_cursor
 from boresight.figures.style.thinning import keep_extremes
 from boresight.verdicts.numbers import number
-from boresight.verdicts.verdict import part_of, why_absent
+from boresight.verdicts.verdict import read_part, why_absent
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class MethodScores:
 
 def method_scores(result: Result) -> MethodScores:
     """Sum a calibration JSON up, finished or not."""
-    settled, axis = _settled(result), (course_of(result) or _NOTHING).axis
+    settled, axis = _settled(result), (read_history(result) or _NOTHING).axis
     chi2 = result.get("chi2") or {}
     return MethodScores(
         claimed=_claimed(result),
@@ -82,18 +82,18 @@ def method_scores(result: Result) -> MethodScores:
     )
 
 
-_NOTHING = Course("", np.empty(0), (), (), np.empty((0, 0)), np.empty((0, 0)), {})
+_NOTHING = History("", np.empty(0), (), (), np.empty((0, 0)), np.empty((0, 0)), {})
 
 
-def bound_of(result: Result) -> dict[str, float]:
+def read_bound(result: Result) -> dict[str, float]:
     """Read the bound's sigma of each free parameter, SI; empty where it is not known."""
-    bound = (part_of(result, "efficiency") or {}).get("cramer_rao_sigma") or {}
+    bound = (read_part(result, "efficiency") or {}).get("cramer_rao_sigma") or {}
     if not bound or not all(isinstance(sigma, int | float) and sigma > 0 for sigma in bound.values()):
         return {}
     return {name: float(sigma) for name, sigma in bound.items()}
 
 
-def errors_of(result: Result) -> dict[str, float]:
+def compute_errors(result: Result) -> dict[str, float]:
     """Estimate minus truth of each parameter that both know, SI."""
     truth, estimate = result.get("truth") or {}, result.get("parameters") or {}
     return {
@@ -105,7 +105,7 @@ def errors_of(result: Result) -> dict[str, float]:
 
 def _claimed(result: Result) -> float | None:
     """Geometric mean of claimed sigma over bound."""
-    ratios = list(((part_of(result, "efficiency") or {}).get("ratio") or {}).values())
+    ratios = list(((read_part(result, "efficiency") or {}).get("ratio") or {}).values())
     if not ratios or not all(isinstance(ratio, int | float) and ratio > 0 for ratio in ratios):
         return None
     return float(np.exp(np.mean(np.log(ratios))))
@@ -113,7 +113,7 @@ def _claimed(result: Result) -> float | None:
 
 def _true_error(result: Result) -> float | None:
     """Root mean square of true error over bound."""
-    bound, errors = bound_of(result), errors_of(result)
+    bound, errors = read_bound(result), compute_errors(result)
     if not bound or not set(bound) <= set(errors):
         return None
     return float(np.sqrt(np.mean([(errors[name] / sigma) ** 2 for name, sigma in bound.items()])))
@@ -121,7 +121,7 @@ def _true_error(result: Result) -> float | None:
 
 def _honesty(result: Result) -> ChiSquare | None:
     """NEES of the free parameters."""
-    covariance, errors = result.get("covariance") or {}, errors_of(result)
+    covariance, errors = result.get("covariance") or {}, compute_errors(result)
     names = covariance.get("names") or []
     P = np.array(covariance.get("matrix") or [], dtype=np.float64)
     if not names or P.shape != (len(names), len(names)) or not set(names) <= set(errors):
@@ -144,13 +144,13 @@ def _ms_per_frame(result: Result) -> float | None:
 
 def _settled(result: Result) -> int | None:
     """Frames or iterations after which every free parameter stays near its end; None while the run is on its way."""
-    course, first = course_of(result), settled_step(result)
-    if course is None or first is None:
+    history, first = read_history(result), settled_step(result)
+    if history is None or first is None:
         return None
-    if course.axis == "iteration":
-        return int(course.x[first])
-    frames = int(result.get("frames") or len(course.x))  # a long history keeps updates spaced evenly
-    return 1 + round(first * (frames - 1) / max(len(course.x) - 1, 1))
+    if history.axis == "iteration":
+        return int(history.x[first])
+    frames = int(result.get("frames") or len(history.x))  # a long history keeps updates spaced evenly
+    return 1 + round(first * (frames - 1) / max(len(history.x) - 1, 1))
 
 
 TITLE = "Error against the bound"
@@ -158,10 +158,10 @@ POINT_BUDGET = 8000  # of all runs together
 
 
 @dataclass(frozen=True)
-class _Approach:
+class _Convergence:
     """A run's way to the bound: claimed and true error (n_steps,) in its sigmas, NaN where not known."""
 
-    course: Course
+    course: History
     claimed: FloatArray
     true: FloatArray
 
@@ -194,28 +194,28 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     return share_cursor(figure, axis)
 
 
-def _approach(result: Result) -> _Approach | None:
+def _approach(result: Result) -> _Convergence | None:
     """Read how a run came to the bound, or None where the bound or the way is not known."""
-    bound, course = bound_of(result), course_of(result)
-    if not bound or course is None or not set(bound) <= set(course.names):
+    bound, history = read_bound(result), read_history(result)
+    if not bound or history is None or not set(bound) <= set(history.names):
         return None
-    places = [course.names.index(name) for name in bound]
+    places = [history.names.index(name) for name in bound]
     b = np.array(list(bound.values()))
     truth = result.get("truth") or {}
     true = np.array([np.nan if truth.get(name) is None else float(truth[name]) for name in bound])
     with np.errstate(invalid="ignore", divide="ignore"):
-        claimed = np.exp(np.mean(np.log(course.sigma[:, places] / b), axis=1))
-        error = np.sqrt(np.mean(((course.value[:, places] - true) / b) ** 2, axis=1))
-    return _Approach(course, np.asarray(claimed), np.asarray(error))
+        claimed = np.exp(np.mean(np.log(history.sigma[:, places] / b), axis=1))
+        error = np.sqrt(np.mean(((history.value[:, places] - true) / b) ** 2, axis=1))
+    return _Convergence(history, np.asarray(claimed), np.asarray(error))
 
 
-def _level(way: _Approach) -> _Approach:
+def _level(way: _Convergence) -> _Convergence:
     """Keep the end of a batch, to be drawn over the frames of the filters beside it."""
-    return _Approach(way.course, way.claimed[[-1, -1]], way.true[[-1, -1]])
+    return _Convergence(way.course, way.claimed[[-1, -1]], way.true[[-1, -1]])
 
 
 def _draw_run(
-    figure: go.Figure, trace: Trace, style: theme.RunStyle, way: _Approach, span: FloatArray, limit: int
+    figure: go.Figure, trace: Trace, style: theme.RunStyle, way: _Convergence, span: FloatArray, limit: int
 ) -> None:
     """Add a run's two curves."""
     x = way.course.x if len(way.claimed) == len(way.course.x) else span

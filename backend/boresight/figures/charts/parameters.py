@@ -11,7 +11,7 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.course import free_names
+from boresight.figures.history import free_names
 from boresight.figures.style import theme
 from boresight.verdicts.quantities import quantity
 

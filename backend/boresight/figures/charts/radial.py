@@ -46,12 +46,12 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
         seen += _draw_run(figure, trace.result["radial"], style)
     theme.dress(figure, title=_headline(drawn[0][0]), height_px=460)
     radials = [trace.result["radial"] for trace, _ in drawn]
-    _hatch_extrapolation(figure, radials, window_of(seen))
-    _scale(figure, window_of(seen), arcsec_per_px(radials))
+    _hatch_extrapolation(figure, radials, compute_window(seen))
+    _scale(figure, compute_window(seen), arcsec_per_px(radials))
     return share_cursor(figure, "radius_px")
 
 
-def window_of(seen: Sequence[float]) -> list[float]:
+def compute_window(seen: Sequence[float]) -> list[float]:
     """Return the span of an axis that holds some values, with a margin."""
     margin = 0.08 * (max(seen) - min(seen)) or 0.1
     return [min(seen) - margin, max(seen) + margin]

@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.charts.frame_observability import absent, view_of
+from boresight.figures.charts.frame_observability import absent, read_frame_judgement
 from boresight.figures.style import theme
 from boresight.figures.trust_parts import Part, column
 from boresight.verdicts.quantities import quantity
@@ -35,7 +35,7 @@ SENTENCE_WIDTH = 62
 def draw(traces: Sequence[Trace]) -> go.Figure:
     """Draw one bar a reference and run, and all there is as the level one."""
     styled = zip(traces, theme.run_styles(traces), strict=True)
-    drawn = [(trace, style, view_of(trace.result)) for trace, style in styled]
+    drawn = [(trace, style, read_frame_judgement(trace.result)) for trace, style in styled]
     drawn = [one for one in drawn if one[2].get("information")]
     if not drawn:
         return absent(TITLE, traces)
@@ -89,14 +89,14 @@ def _least(entry: Result, result: Result) -> str:
 
 def table(result: Result) -> Table:
     """List one reference a row: its share of the information, and the parameter it serves worst."""
-    information = view_of(result).get("information")
+    information = read_frame_judgement(result).get("information")
     if not information:
         return {}
     return {
         "reference": [entry["reference"] for entry in information],
-        "share_of_information": theme.plain(_shares(view_of(result))),
-        "sigma_over_bound": theme.plain(1 / np.sqrt(_shares(view_of(result)))),
-        "least_share": theme.plain(_shares(view_of(result), "least_share")),
+        "share_of_information": theme.plain(_shares(read_frame_judgement(result))),
+        "sigma_over_bound": theme.plain(1 / np.sqrt(_shares(read_frame_judgement(result)))),
+        "least_share": theme.plain(_shares(read_frame_judgement(result), "least_share")),
         "least_parameter": [entry.get("least") for entry in information],
     }
 

@@ -28,14 +28,14 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.cameras import CAMERA_MODELS
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.course import Course, course_of
-from boresight.figures.following import follow_errors
+from boresight.figures.history import History, read_history
+from boresight.figures.live_traces import follow_errors
 from boresight.figures.rms_tail import tail_start
 from boresight.figures.style import theme
 from boresight.figures.style.axes import share_cursor
 from boresight.figures.style.thinning import keep_extremes
 from boresight.figures.trust_parts import absent, column, parts
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 TITLE = "Tail and aggregate RMS"
 URAD_PER_RAD = 1e6
@@ -59,7 +59,7 @@ class _Panel:
 
 def draw(traces: Sequence[Trace]) -> go.Figure:
     """Draw RMS arc error over frames, or over iterations when every run is a batch."""
-    courses = [course_of(trace.result) for trace in traces]
+    courses = [read_history(trace.result) for trace in traces]
     found = [course for course in courses if course is not None and _has_curve(course)]
     if not found:
         return theme.missing(TITLE, "No RMS arc error has been recorded yet: the curves appear as the run moves.")
@@ -69,31 +69,31 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     starts = [span[0]] if axis == "iteration" else [span[0], _tail_start(traces, courses)]
     panels = [_Panel(i + 1, start, span[1], POINT_BUDGET // (6 * len(found))) for i, start in enumerate(starts)]
     figure = make_subplots(1, len(panels), column_widths=[0.4, 0.6][: len(panels)] if len(panels) > 1 else None)
-    for trace, course, style in zip(traces, courses, theme.run_styles(traces), strict=True):
+    for trace, history, style in zip(traces, courses, theme.run_styles(traces), strict=True):
         for panel in panels:
-            if course is not None and course.axis == axis:
-                _draw_run(figure, panel, course, style, len(traces) <= MOST_BANDS and trace.result.get("pairs"))
-            if len(traces) == 1 or course is None or course.axis != axis:
+            if history is not None and history.axis == axis:
+                _draw_run(figure, panel, history, style, len(traces) <= MOST_BANDS and trace.result.get("pairs"))
+            if len(traces) == 1 or history is None or history.axis != axis:
                 _draw_levels(figure, panel, trace.result, style, single=len(traces) == 1)
     return follow_errors(_dress(figure, panels, traces, axis), URAD_PER_RAD, traces)
 
 
-def _tail_start(traces: Sequence[Trace], courses: Sequence[Course | None]) -> float:
+def _tail_start(traces: Sequence[Trace], courses: Sequence[History | None]) -> float:
     """Return where the last of the sequential runs has its tail begin."""
     pairs = zip(traces, courses, strict=True)
     return max(tail_start(trace.result, course) for trace, course in pairs if course and course.axis == "frame")
 
 
-def _has_curve(course: Course) -> bool:
-    return any(np.isfinite(course.series(key)).any() for key in CURVES[course.axis])
+def _has_curve(history: History) -> bool:
+    return any(np.isfinite(history.series(key)).any() for key in CURVES[history.axis])
 
 
-def _draw_run(figure: go.Figure, panel: _Panel, course: Course, style: theme.RunStyle, pairs: float | None) -> None:
+def _draw_run(figure: go.Figure, panel: _Panel, history: History, style: theme.RunStyle, pairs: float | None) -> None:
     """Add the curves of one run; tail in the run's dash, aggregate dotted in the same colour; bands where `pairs` is known."""
-    for key, word in CURVES[course.axis].items():
-        y = course.series(key) * URAD_PER_RAD
-        shown = np.isfinite(y) & (course.x >= panel.start)
-        x, y = course.x[shown], y[shown]
+    for key, word in CURVES[history.axis].items():
+        y = history.series(key) * URAD_PER_RAD
+        shown = np.isfinite(y) & (history.x >= panel.start)
+        x, y = history.x[shown], y[shown]
         if not len(x):
             continue
         kept = keep_extremes([y], panel.limit)
@@ -108,7 +108,7 @@ def _draw_run(figure: go.Figure, panel: _Panel, course: Course, style: theme.Run
             "legendgroup": name,
             "showlegend": panel.column == 1,
             "hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>",
-            "mode": "lines" if course.axis == "frame" else "lines+markers",
+            "mode": "lines" if history.axis == "frame" else "lines+markers",
         }
         figure.add_trace(
             theme.line(curve, x[kept], y[kept], **settings),
@@ -167,11 +167,11 @@ def _headline(traces: Sequence[Trace]) -> str:
 
 def table(result: Result) -> Table:
     """List the RMS arc errors in rad by frame or iteration."""
-    course = course_of(result)
-    if course is None:
+    history = read_history(result)
+    if history is None:
         return {}
-    steps: Table = {course.axis: [int(step) for step in course.x]}
-    return steps | {key: theme.plain(course.series(key)) for key in CURVES[course.axis]}
+    steps: Table = {history.axis: [int(step) for step in history.x]}
+    return steps | {key: theme.plain(history.series(key)) for key in CURVES[history.axis]}
 
 
 RMS = Figure(
@@ -196,16 +196,16 @@ MOST_BINS, LEAST_IN_BIN = 40, 20
 
 
 @dataclass(frozen=True)
-class Spread:
+class AxisResiduals:
     """Residuals of a run by axis: (n,) px each in the order of `AXES`, and the frame of each."""
 
     by_axis: dict[str, FloatArray]
     frame: FloatArray
 
 
-def spread_of(result: Result) -> Spread | None:
+def compute_axis_residuals(result: Result) -> AxisResiduals | None:
     """Turn a result's residuals to its axes; None where it has none."""
-    seen = part_of(result, PART)
+    seen = read_part(result, PART)
     if not seen:
         return None
     d_row, d_col = column(seen.get("d_row_px")), column(seen.get("d_col_px"))
@@ -218,7 +218,7 @@ def spread_of(result: Result) -> Spread | None:
         np.divide(along, radius, out=np.zeros(len(row)), where=radius > 0) for along in (row - row_0, col - col_0)
     )
     turned = (d_row, d_col, cosine * d_row + sine * d_col, cosine * d_col - sine * d_row)
-    return Spread(dict(zip(AXES, turned, strict=True)), frame)
+    return AxisResiduals(dict(zip(AXES, turned, strict=True)), frame)
 
 
 def _centre(result: Result, row: FloatArray, col: FloatArray) -> tuple[float, float]:
@@ -231,7 +231,11 @@ def _centre(result: Result, row: FloatArray, col: FloatArray) -> tuple[float, fl
 
 def draw_rms_axes(traces: Sequence[Trace]) -> go.Figure:
     """Draw every run's RMS by axis with 3-sigma bars, and how it runs over the frames."""
-    drawn = [(trace, style, found) for trace, style, _ in parts(traces, PART) if (found := spread_of(trace.result))]
+    drawn = [
+        (trace, style, found)
+        for trace, style, _ in parts(traces, PART)
+        if (found := compute_axis_residuals(trace.result))
+    ]
     if not drawn:
         return absent(RMS_AXES_TITLE, traces, PART)
     figure = make_subplots(1, 2, column_widths=[0.35, 0.65], horizontal_spacing=0.08)
@@ -257,7 +261,7 @@ def rms_with_sigma(values: FloatArray) -> tuple[float, float]:
     return rms, rms / float(np.sqrt(2 * len(known)))
 
 
-def _points(found: Spread, style: theme.RunStyle) -> go.Scatter:
+def _points(found: AxisResiduals, style: theme.RunStyle) -> go.Scatter:
     levels = np.array([rms_with_sigma(values) for values in found.by_axis.values()])
     return go.Scatter(
         x=list(found.by_axis),
@@ -279,7 +283,9 @@ def _points(found: Spread, style: theme.RunStyle) -> go.Scatter:
     )
 
 
-def _rms_axes_draw_run(figure: go.Figure, found: Spread, axis: str, style: theme.RunStyle, *, banded: bool) -> None:
+def _rms_axes_draw_run(
+    figure: go.Figure, found: AxisResiduals, axis: str, style: theme.RunStyle, *, banded: bool
+) -> None:
     """Add how one axis runs over the frames."""
     own = theme.RunStyle(style.label, style.colour, RUNNING[axis])
     frame, level, sigma = running(found, axis)
@@ -291,7 +297,7 @@ def _rms_axes_draw_run(figure: go.Figure, found: Spread, axis: str, style: theme
     figure.add_trace(theme.line(own, frame, level, meta=theme.of_run(own.label, axis), **options), **place)
 
 
-def running(found: Spread, axis: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+def running(found: AxisResiduals, axis: str) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the mean frame, the RMS and its sigma of bins of one size, (n_bins,) each."""
     order = np.argsort(found.frame, kind="stable")
     bins = np.array_split(order, max(1, min(MOST_BINS, len(order) // LEAST_IN_BIN)))
@@ -299,7 +305,7 @@ def running(found: Spread, axis: str) -> tuple[FloatArray, FloatArray, FloatArra
     return np.array([found.frame[places].mean() for places in bins]), levels[:, 0], levels[:, 1]
 
 
-def _rms_axes_headline(found: Spread) -> str:
+def _rms_axes_headline(found: AxisResiduals) -> str:
     (along, sigma), (across, other) = (rms_with_sigma(found.by_axis[axis]) for axis in AXES[2:])
     apart = abs(along - across) > 3 * float(np.hypot(sigma, other))
     words = "differ by more than 3σ" if apart else "agree within 3σ"
@@ -308,7 +314,7 @@ def _rms_axes_headline(found: Spread) -> str:
 
 def table_rms_axes(result: Result) -> Table:
     """List one axis a row: its RMS in px, the RMS's sigma, and how many residuals it rests on."""
-    found = spread_of(result)
+    found = compute_axis_residuals(result)
     if found is None:
         return {}
     levels = np.array([rms_with_sigma(values) for values in found.by_axis.values()])

@@ -33,7 +33,7 @@ WARMTH = theme.RUN_COLOURS[1]
 
 def draw(trend: Document, model: str | None = None) -> go.Figure:
     """Draw a sensor over the mission, of its baseline's camera model or of another."""
-    points = points_of(trend, model)
+    points = list_points(trend, model)
     names = _names(trend, points)
     if not names:
         return theme.missing(TITLE, "No calibration has succeeded yet: launch a run, and its result stands here.")
@@ -59,7 +59,7 @@ def draw(trend: Document, model: str | None = None) -> go.Figure:
     return figure
 
 
-def points_of(trend: Document, model: str | None) -> Points:
+def list_points(trend: Document, model: str | None) -> Points:
     """Return the calibrations of a camera model, the baseline's where none is named."""
     if model is None or model == trend["camera_model"]:
         return list(trend["points"])
@@ -200,7 +200,7 @@ def _x(at_utc: str) -> str:
 
 def table(trend: Document, model: str | None = None) -> Table:
     """List the calibrations by the time of their data: every estimate with its sigma, SI."""
-    points = points_of(trend, model)
+    points = list_points(trend, model)
     columns = ("run_id", "label", "method", "telemetry", "begins_utc", "at_utc", "ends_utc", "temperature_c", "stars")
     found: Table = {column.removesuffix("_id"): [point[column] for point in points] for column in columns}
     found |= {"counted": ["yes" if point["counted"] else "no" for point in points]}

@@ -45,7 +45,7 @@ def as_band(figure: go.Figure, traces: Sequence[Trace]) -> go.Figure:
     return figure
 
 
-def span_of(curves: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def find_span(curves: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the places (n,) of all curves, the lowest and the highest value there.
 
     Parameters
@@ -65,7 +65,7 @@ def span_of(curves: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray
 def _draw(figure: go.Figure, place: Place, found: Sequence[Any], *, named: bool, runs: int) -> None:
     """Add one band, in the grey of what is no run."""
     curves = [(np.asarray(one.x, dtype=np.float64), np.asarray(one.y, dtype=np.float64)) for one in found]
-    x, low, high = span_of(curves)
+    x, low, high = find_span(curves)
     if not len(x):
         return
     kept = keep_extremes([low, high], POINT_BUDGET)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from boresight.figures.chart import Result
 from boresight.verdicts.numbers import count, fixed
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def star_rows(result: Result) -> list[StarRow]:
             suspect=bool(row.get("suspect")),
             flags=", ".join(map(str, row.get("flags") or ())),
         )
-        for row in part_of(result, "stars") or ()
+        for row in read_part(result, "stars") or ()
     ]
 
 

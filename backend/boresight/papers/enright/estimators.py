@@ -26,7 +26,7 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.evaluation.evaluate import evaluate_parameters
-from boresight.calibration.matching.flight import ARC_SIGMAS, flight_tolerance
+from boresight.calibration.matching.flight_check import ARC_SIGMAS, compute_flight_tolerance
 from boresight.calibration.matching.rematch import ground_covariance
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, build_problem
@@ -226,7 +226,7 @@ def _information(known: Problem, truth: FloatArray) -> FloatArray:
 
 def _plain_condition(known: Problem, truth: FloatArray) -> float:
     """Condition number of the scaled Jacobian of the arcs at the truth, not whitened (E Eq 23), by central differences."""
-    arcs = known.weighed(truth).whole()
+    arcs = known.whitened(truth).whole()
     steps = np.diag(STEP_SIGMA * known.sensor.typical_sigma)
     H = np.stack([(arc_errors(arcs, truth + step) - arc_errors(arcs, truth - step)) for step in steps], axis=-1)
     return float(np.linalg.cond(H))
@@ -304,7 +304,7 @@ def _evaluation(trial: Trial, data: _Data, telemetry: Telemetry, found: Record) 
 def _at_tolerance(data: _Data, found: Record, factor: float) -> Record:
     """Availability and matched stars of the calibration set with another tolerance of the flight software."""
     settings, x = ESTIMATORS["batch"].settings, _state(data.sensor, found["parameters"])
-    settings = replace(settings, flight_tolerance_urad=factor * flight_tolerance(data.sensor, settings) * 1e6)
+    settings = replace(settings, flight_tolerance_urad=factor * compute_flight_tolerance(data.sensor, settings) * 1e6)
     seen = evaluate_parameters(data.calibration, data.sensor, data.catalogue, data.sensor.initial, x, settings)
     kept = ("availability", "matched_star_ratio", "flight_tolerance_rad")
     return {"arc_sigmas": factor * ARC_SIGMAS, **{key: seen[key] for key in kept}}

@@ -211,7 +211,7 @@ def run_trial(trial: Trial, catalogue_folder: Path | None) -> list[Record]:
     for group, limit in enumerate(printed.GROUPS):
         seeds = np.random.SeedSequence([trial.index, group]).spawn(2)
         rng = np.random.default_rng(seeds[0])
-        fields, judged = (fields_of(limit, n, rng, catalogue_folder) for n in (trial.frames, trial.judges))
+        fields, judged = (draw_fields(limit, n, rng, catalogue_folder) for n in (trial.frames, trial.judges))
         for noise_px in NOISES_PX:
             noise = np.random.default_rng(seeds[1])
             arcs, judges = noisy(fields, noise_px, noise), Judges.of(judged, noise_px, noise)
@@ -220,7 +220,7 @@ def run_trial(trial: Trial, catalogue_folder: Path | None) -> list[Record]:
     return records
 
 
-def fields_of(limit: float, n_fields: int, rng: np.random.Generator, catalogue_folder: Path | None) -> StarFields:
+def draw_fields(limit: float, n_fields: int, rng: np.random.Generator, catalogue_folder: Path | None) -> StarFields:
     """Draw star fields of a group."""
     s_i = directions(_catalogue(catalogue_folder).brighter_than(limit))
     return random_fields(wu_sensor(), WU_TRUTH, s_i, n_fields, rng, galactic_latitude_deg=GALACTIC_LATITUDE_DEG)
@@ -250,7 +250,7 @@ def noisy(fields: StarFields, sigma_px: float, rng: np.random.Generator) -> ArcS
         phi=np.empty(0),
         band=np.empty((0, 5)),
     )
-    return arcsets.weigh(arcs, arcsets.angular_sigma(PINHOLE_RADIAL, WU_START, arcs))[0]
+    return arcsets.whiten(arcs, arcsets.angular_sigma(PINHOLE_RADIAL, WU_START, arcs))[0]
 
 
 def _judged(head: Record, arcs: ArcSet, judges: Judges) -> list[Record]:

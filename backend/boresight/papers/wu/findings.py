@@ -6,7 +6,7 @@ import numpy as np
 
 from boresight.papers.wu import printed
 from boresight.papers.wu.estimators import GALACTIC_LATITUDE_DEG, NOISES_PX, START_SIGMA
-from boresight.papers.wu.pooled import Pooled, criterion, mean_of, spread
+from boresight.papers.wu.pooled import Pooled, compute_mean, criterion, spread
 from boresight.papers.wu.tables import MODEL_COLUMNS
 from boresight.simulation.sensors import WU_COLUMNS, WU_PIXEL_PITCH_M, WU_TRUTH
 
@@ -28,7 +28,7 @@ def _finding(title: str, text: str, *sentences: str) -> Finding:
 def _noise(pooled: Pooled) -> Finding:
     at = {noise: spread(pooled.of("truth", noise_px=noise), criterion("B", "mean")).mean for noise in NOISES_PX}
     implied = NOISES_PX[0] * PRINTED_B / at[NOISES_PX[0]]
-    ours = mean_of(pooled.of("svd-4-23"), "B")
+    ours = compute_mean(pooled.of("svd-4-23"), "B")
     return _finding(
         "The centroid noise is 0.2 px, not 0.5 px",
         "4.1: “normally-distributed noise (with a standard deviation of 0.5 pixel)”; Table 4: criterion B from 10.608″ to 10.854″.",
@@ -42,7 +42,7 @@ def _noise(pooled: Pooled) -> Finding:
 def _of_groups(pooled: Pooled) -> str:
     """How far criterion B at 0.2 px lies from the printed in each group of Table 4, with its stars."""
     printed_b = printed.TABLE_4["B", "mean"][1::2]
-    found = [mean_of(pooled.of("svd-4-23", "full", NOISES_PX[0], limit), "B") for limit in printed.GROUPS]
+    found = [compute_mean(pooled.of("svd-4-23", "full", NOISES_PX[0], limit), "B") for limit in printed.GROUPS]
     stars = [np.mean([record["stars"] for record in pooled.of("angular", limit=limit)]) for limit in printed.GROUPS]
     said = [
         f"{count:.0f} stars {100 * (ours / theirs - 1):+.1f}"
@@ -54,8 +54,8 @@ def _of_groups(pooled: Pooled) -> str:
 def _first_value(pooled: Pooled) -> Finding:
     pairs = zip(pooled.of("svd-4-123"), pooled.of("svd-4-23"), strict=True)
     apart = max(float(np.abs((np.array(a["error"]) - b["error"]) / START_SIGMA).max()) for a, b in pairs)
-    full = {key: mean_of(pooled.of(f"svd-4-{key}"), "A") for key in ("123", "23", "12", "13")}
-    diagonal = {key: mean_of(pooled.of(f"svd-4-{key}", "diagonal"), "A") for key in ("123", "23")}
+    full = {key: compute_mean(pooled.of(f"svd-4-{key}"), "A") for key in ("123", "23", "12", "13")}
+    diagonal = {key: compute_mean(pooled.of(f"svd-4-{key}", "diagonal"), "A") for key in ("123", "23")}
     return _finding(
         "The first singular value adds nothing",
         "4.1, Test 2: “there may be some information in σ1 and σ3 that could help”, and {1,2,3} is recommended beside {2,3}.",
@@ -70,7 +70,7 @@ def _first_value(pooled: Pooled) -> Finding:
 def _models(pooled: Pooled) -> Finding:
     said = {}
     for weights in ("full", "diagonal"):
-        found = [mean_of(pooled.of(key, weights), "A") for key in MODEL_COLUMNS.values()]
+        found = [compute_mean(pooled.of(key, weights), "A") for key in MODEL_COLUMNS.values()]
         said[weights] = ", ".join(f"{value:.3f}″" for value in found)
     return _finding(
         "With its covariance every model is as good as Model 4",
@@ -99,8 +99,8 @@ def _consistency(pooled: Pooled) -> Finding:
 def _baseline(pooled: Pooled) -> Finding:
     found, apart = [], 0.0
     for limit, stars in printed.GROUPS.items():
-        svd, angular = (mean_of(pooled.of(key, limit=limit), "A") for key in ("svd-4-23", "angular"))
-        b = [mean_of(pooled.of(key, limit=limit), "B") for key in ("svd-4-23", "angular")]
+        svd, angular = (compute_mean(pooled.of(key, limit=limit), "A") for key in ("svd-4-23", "angular"))
+        b = [compute_mean(pooled.of(key, limit=limit), "B") for key in ("svd-4-23", "angular")]
         apart = max(apart, abs(b[0] - b[1]))
         found.append(f"{svd:.3f}″ and {angular:.3f}″ at {stars:g} stars")
     return _finding(
@@ -112,7 +112,7 @@ def _baseline(pooled: Pooled) -> Finding:
 
 def _errors(pooled: Pooled) -> Finding:
     at = {
-        (weights, noise): mean_of(pooled.of("svd-4-23", weights, noise), "A")
+        (weights, noise): compute_mean(pooled.of("svd-4-23", weights, noise), "A")
         for weights in ("full", "diagonal")
         for noise in NOISES_PX
     }

@@ -60,6 +60,6 @@ def criterion(name: str, which: str) -> Callable[[Record], float]:
     return lambda record: float(record[name][place])
 
 
-def mean_of(records: Sequence[Record], name: str, which: str = "mean") -> float:
+def compute_mean(records: Sequence[Record], name: str, which: str = "mean") -> float:
     """Mean of a criterion over the sets, arcseconds."""
     return spread(records, criterion(name, which)).mean

@@ -15,7 +15,7 @@ from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.papers.documents import Cell, Conclusion, Row, Table, judge
 from boresight.papers.wu import printed
 from boresight.papers.wu.estimators import NOISES_PX, Record
-from boresight.papers.wu.pooled import Pooled, criterion, mean_of, spread
+from boresight.papers.wu.pooled import Pooled, compute_mean, criterion, spread
 from boresight.simulation.sensors import WU_TRUTH
 
 NAMES = tuple(printed.TABLE_2)
@@ -125,7 +125,7 @@ def _cell(
 
 
 def _model_4_is_best(pooled: Pooled, weights: str, noise_px: float, which: str) -> Conclusion:  # noqa: ARG001 - same for both rows
-    found = [mean_of(pooled.of(key, weights, noise_px), "A") for key in MODEL_COLUMNS.values()]
+    found = [compute_mean(pooled.of(key, weights, noise_px), "A") for key in MODEL_COLUMNS.values()]
     said = ", ".join(f"{value:.3f}″" for value in found)
     cause = NO_R if weights == "full" else NO_Q
     return Conclusion(found[3] < (1 - SAME_A) * min(found[:3]), f"criterion A of Models 1 to 4: {said}.", *cause)
@@ -146,14 +146,14 @@ def table_3(pooled: Pooled) -> Table:
 
 
 def _three_best(pooled: Pooled, weights: str, noise_px: float, which: str) -> Conclusion:  # noqa: ARG001 - one signature
-    found = {column: mean_of(pooled.of(key, weights, noise_px), "A") for column, key in SUBSET_COLUMNS.items()}
+    found = {column: compute_mean(pooled.of(key, weights, noise_px), "A") for column, key in SUBSET_COLUMNS.items()}
     best = sorted(found, key=lambda column: found[column])[:3]
     said = ", ".join(f"{column} {found[column]:.3f}″" for column in best)
     return Conclusion(set(best) == {"{1,2,3}", "{2,3}", "{2}"}, f"the three best are {said}.", *SIGMA_1)
 
 
 def _unstable(pooled: Pooled, weights: str, noise_px: float, which: str) -> Conclusion:
-    two, both = (mean_of(pooled.of(f"svd-4-{key}", weights, noise_px), "A", which) for key in ("2", "23"))
+    two, both = (compute_mean(pooled.of(f"svd-4-{key}", weights, noise_px), "A", which) for key in ("2", "23"))
     return Conclusion(two > both, f"{{2}} {two:.3f}″, {{2,3}} {both:.3f}″.", *NO_Q)
 
 
@@ -186,7 +186,7 @@ def _compared(pooled: Pooled, quantity: str, which: str, variant: tuple[str, flo
         found = [pooled.of(key, *variant, limit) for key in ("angular", "svd-4-23")]
         for name, records, value in zip(("AD", "SVD"), found, theirs[2 * group :], strict=False):
             cells.append(_cell(records, f"group {group + 1} {name}", value, (quantity, which), CAUSE[variant]))
-        ratios.append(mean_of(found[1], quantity, which) / mean_of(found[0], quantity, which))
+        ratios.append(compute_mean(found[1], quantity, which) / compute_mean(found[0], quantity, which))
     holds = {
         ("A", "mean"): max(ratios) <= 1 + SAME_A,
         ("A", "deviation"): max(ratios) < 1,

@@ -28,7 +28,7 @@ from boresight.estimation.filters.history import start
 from boresight.estimation.singular_values import Selection
 from boresight.papers.documents import Cell, Conclusion, Row, Table, judge, table_document
 from boresight.papers.wu import printed
-from boresight.papers.wu.estimators import FREE, START_SIGMA, Estimator, fields_of, gain_filter, noisy
+from boresight.papers.wu.estimators import FREE, START_SIGMA, Estimator, draw_fields, gain_filter, noisy
 from boresight.simulation.fields import StarFields
 from boresight.simulation.sensors import WU_IMPLIED_SIGMA_PX, WU_TRUTH
 
@@ -110,7 +110,7 @@ def _spread(row: FloatArray) -> dict[str, float]:
 
 def _field(limit: float, catalogue_folder: Path | None) -> ArcSet:
     rng = np.random.default_rng(SEED)
-    drawn = fields_of(limit, DRAWN, rng, catalogue_folder)
+    drawn = draw_fields(limit, DRAWN, rng, catalogue_folder)
     return noisy(_like(drawn, printed.GROUPS[limit]), WU_IMPLIED_SIGMA_PX, rng)
 
 

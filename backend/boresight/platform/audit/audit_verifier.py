@@ -36,7 +36,7 @@ def canonical(document: Any) -> str:
     return json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
-def hash_of(previous_hash: str, record: Dict[str, Any]) -> str:  # noqa: UP006 - Python 3.8
+def compute_hash(previous_hash: str, record: Dict[str, Any]) -> str:  # noqa: UP006 - Python 3.8
     """Return the hash that chains a record to the one before."""
     hashed = {
         name: value
@@ -92,7 +92,7 @@ def _follows(record: Dict[str, Any], previous: str, last_id: int) -> bool:  # no
         return False
     if number != last_id + 1 and record.get("roles") is not None:
         return False
-    return record.get("previous_hash") == previous and record.get("hash") == hash_of(previous, record)
+    return record.get("previous_hash") == previous and record.get("hash") == compute_hash(previous, record)
 
 
 def _end(count: int, head: str, more: bool, met: bool) -> Tuple[bool, str]:  # noqa: UP006 - Python 3.8

@@ -44,7 +44,7 @@ PENDING = "audit records that wait for the commit"
 WRITTEN = "audit records were written"
 
 
-def hash_of(previous_hash: str, raw: Mapping[str, Any]) -> str:
+def compute_hash(previous_hash: str, raw: Mapping[str, Any]) -> str:
     """Return the hash that chains a record to the one before.
 
     Parameters
@@ -65,7 +65,7 @@ def follows(last_id: int, previous_hash: str, raw: Mapping[str, Any]) -> bool:
     """Whether a record, its columns as they are stored, is the next after one with this number and this hash."""
     skipped = raw["roles"] is None and raw["id"] > last_id  # of before there were seals
     numbered = raw["id"] == last_id + 1 or skipped
-    return numbered and raw["previous_hash"] == previous_hash and raw["hash"] == hash_of(previous_hash, raw)
+    return numbered and raw["previous_hash"] == previous_hash and raw["hash"] == compute_hash(previous_hash, raw)
 
 
 def spelled(raw: Mapping[str, Any]) -> str:
@@ -108,7 +108,7 @@ def write_out(session: Session) -> None:
     last_id, previous = newest(session)
     for record_id, record in enumerate(records, start=last_id + 1):
         record.id, record.previous_hash = record_id, previous
-        record.hash = previous = hash_of(previous, _raw(record))
+        record.hash = previous = compute_hash(previous, _raw(record))
         session.add(record)
     session.flush()
     session.info[WRITTEN] = True

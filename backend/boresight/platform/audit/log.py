@@ -18,9 +18,9 @@ from boresight.errors import NotFoundError
 from boresight.platform.actors import Actor
 from boresight.platform.audit import chain, verification
 from boresight.platform.audit import queries as rows
-from boresight.platform.audit.kept_heads import KeptHead
+from boresight.platform.audit.external_head import ExternalHead
 from boresight.platform.audit.tables import AuditRecord
-from boresight.platform.audit.verification import Findings, Misfit
+from boresight.platform.audit.verification import RowMismatch, VerificationFindings
 from boresight.platform.blobs import files
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.lists import newest_rows
@@ -110,13 +110,13 @@ def append(
     )
 
 
-def newest_head(session: Session) -> KeptHead | None:
+def newest_head(session: Session) -> ExternalHead | None:
     """Return number, hash and time of the newest record, to be kept elsewhere; None where there is none."""
     newest = next(iter(newest_rows(session, rows.RECORDS, limit=1)), None)
-    return None if newest is None else KeptHead(newest.id, newest.hash, newest.at_utc)
+    return None if newest is None else ExternalHead(newest.id, newest.hash, newest.at_utc)
 
 
-def holds(session: Session, kept: KeptHead) -> bool:
+def holds(session: Session, kept: ExternalHead) -> bool:
     """Whether the record that a kept head is of is there, as it was."""
     record = rows.record(session, kept.id)
     return record is not None and record.hash == kept.hash
@@ -209,7 +209,7 @@ def verify(
     expected_head: str | None = None,
     blobs: BlobStore | None = None,
     *,
-    kept: KeptHead | None = None,
+    kept: ExternalHead | None = None,
     head_file: Path | None = None,
     again: bool = True,
 ) -> ChainReport:
@@ -250,7 +250,7 @@ def verify(
     )
 
 
-def _sentence(found: Findings, kept: KeptHead | None, looked_at: int | None, bad: Sequence[str]) -> str:
+def _sentence(found: VerificationFindings, kept: ExternalHead | None, looked_at: int | None, bad: Sequence[str]) -> str:
     """Say in words what was found, the worst of it."""
     count = found.records
     if found.broken_id is not None:
@@ -294,7 +294,7 @@ def _absence(file: Path, *, is_lost: bool) -> str:
     )
 
 
-def _where(misfit: Misfit) -> str:
+def _where(misfit: RowMismatch) -> str:
     """Say what tells a misfit."""
     if misfit.record_id is not None:
         return f"record {misfit.record_id} sealed it otherwise: "

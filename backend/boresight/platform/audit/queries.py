@@ -39,7 +39,7 @@ def last_change(session: Session, subject: str) -> AuditRecord | None:
     return session.scalar(query.order_by(AuditRecord.id.desc()).limit(1))
 
 
-def newest_of(
+def find_newest(
     session: Session, subject: str, actions: Sequence[str], *, not_by: int | None = None
 ) -> AuditRecord | None:
     """Return the newest record of one of these actions on an object, of all or of those that a person did not do."""

@@ -139,7 +139,7 @@ def take(session: Session) -> dict[str, str | None]:
         digests |= {f"{model.__tablename__}/{row_id}": None for row_id in ids}
         for some in portions(sorted(ids)):
             digests |= {
-                f"{model.__tablename__}/{row_id}": digest for row_id, digest in digests_of(session, model, some)
+                f"{model.__tablename__}/{row_id}": digest for row_id, digest in iterate_digests(session, model, some)
             }
     return digests
 
@@ -150,7 +150,7 @@ def portions(ids: Sequence[int]) -> Iterator[Sequence[int]]:
         yield ids[start : start + ROWS_AT_A_TIME]
 
 
-def digests_of(session: Session, model: type[Base], ids: Sequence[int] | None = None) -> Iterator[tuple[int, str]]:
+def iterate_digests(session: Session, model: type[Base], ids: Sequence[int] | None = None) -> Iterator[tuple[int, str]]:
     """Yield key and digest of a sealed table's rows, all or some, in the order of their keys, without holding them all."""
     names = lasting(model)
     table = model.__table__
@@ -194,7 +194,7 @@ MOST_STORES = 64
 
 
 @dataclass(frozen=True)
-class Journal:
+class AppendOnlyTable:
     """What of a table the chain's hash covers, and what the other one."""
 
     model: type[RunEvent | WebhookDelivery]
@@ -206,24 +206,24 @@ class Journal:
         """The table's name."""
         return self.model.__tablename__
 
-    def hash_of(self, previous: str, row: Mapping[str, Any]) -> str:
+    def compute_hash(self, previous: str, row: Mapping[str, Any]) -> str:
         """Return the hash of a row after the one before."""
         return _hash(previous, {name: row[name] for name in self.lasting})
 
-    def outcome_hash_of(self, row: Mapping[str, Any]) -> str:
+    def compute_outcome_hash(self, row: Mapping[str, Any]) -> str:
         """Return the hash of the other columns."""
         return _hash(row["hash"] or "", {name: row[name] for name in self.others})
 
 
-JOURNALS: Mapping[str, Journal] = {
+JOURNALS: Mapping[str, AppendOnlyTable] = {
     journal.name: journal
     for journal in (
-        Journal(
+        AppendOnlyTable(
             RunEvent,
             ("id", "run_id", "attempt", "at_utc", "kind", "message"),
             ("state", "cause", "level", "numbers"),
         ),
-        Journal(
+        AppendOnlyTable(
             WebhookDelivery,
             ("id", "webhook_id", "audit_id", "body", "created_utc"),
             ("state", "attempts", "attempted_utc", "status", "outcome"),
@@ -238,7 +238,7 @@ def _hash(previous: str, row: Mapping[str, Any]) -> str:
     return hashlib.sha256(f"{previous}{canonical(kept)}".encode()).hexdigest()
 
 
-def newest(session: Session, journal: Journal) -> tuple[int, str]:
+def newest(session: Session, journal: AppendOnlyTable) -> tuple[int, str]:
     """Return number and hash of the newest row; 0 and `FIRST_HASH` where there is none."""
     table = journal.model.__table__
     query = sa.select(table.c.id, table.c.hash).order_by(table.c.id.desc()).limit(1)
@@ -254,9 +254,9 @@ def chained(
     last_id, previous = newest(session, journal)
     made = []
     for row_id, row in enumerate(rows, start=last_id + 1):
-        previous = journal.hash_of(previous, {**row, "id": row_id})
+        previous = journal.compute_hash(previous, {**row, "id": row_id})
         numbered = {**row, "id": row_id, "hash": previous}
-        made.append({**numbered, "outcome_hash": journal.outcome_hash_of(numbered)})
+        made.append({**numbered, "outcome_hash": journal.compute_outcome_hash(numbered)})
     return made
 
 
@@ -270,10 +270,10 @@ def chain_new(session: Session, context: Any, instances: Any) -> None:  # noqa: 
             row.id, row.hash, row.outcome_hash = made["id"], made["hash"], made["outcome_hash"]
     for row in session.dirty:
         if (its := _journal(row)) is not None:
-            row.outcome_hash = its.outcome_hash_of({name: _value(row, name) for name in (*its.others, "hash")})
+            row.outcome_hash = its.compute_outcome_hash({name: _value(row, name) for name in (*its.others, "hash")})
 
 
-def _journal(row: Base) -> Journal | None:
+def _journal(row: Base) -> AppendOnlyTable | None:
     return JOURNALS.get(type(row).__tablename__)
 
 
@@ -306,7 +306,7 @@ def _store(session: Session) -> str:
     return session.get_bind().engine.url.render_as_string()
 
 
-def rows_of(session: Session, journal: Journal) -> Iterator[dict[str, Any]]:
+def iterate_rows(session: Session, journal: AppendOnlyTable) -> Iterator[dict[str, Any]]:
     """Yield every row in order, without holding them all."""
     columns = [*journal.lasting, *journal.others, "hash", "outcome_hash"]
     table = journal.model.__table__

@@ -12,7 +12,7 @@ each record and each row is read once::
 
 Then every journal is walked along its own chain, and meets what the records carry of it; at last the triggers are looked at.
 
-The triggers that guard the rows, held against those that the migrations make.
+Comparing the database's triggers with those that the migrations make.
 
 Which there are to be is asked of the migrations themselves, run once a process on an empty database in memory, so no second list
 can go out of date. SQLite keeps the words of a trigger as they were given, and they must be the same. PostgreSQL has the same by
@@ -35,7 +35,7 @@ import sqlalchemy as sa
 from boresight.platform.audit import chain
 from boresight.platform.audit import queries as audit
 from boresight.platform.audit import seals as journals
-from boresight.platform.audit.seals import Journal
+from boresight.platform.audit.seals import AppendOnlyTable
 from boresight.platform.db.sessions import Session, upgrade_tables
 
 REMOVAL, TRUNCATION = "_no_removal", "_no_truncation"
@@ -61,7 +61,9 @@ class Trigger:
     body: str = ""
 
 
-def strange_guards(connection: sa.Connection, migrated: Callable[[sa.Connection], None]) -> list[tuple[str, str]]:
+def find_changed_triggers(
+    connection: sa.Connection, migrated: Callable[[sa.Connection], None]
+) -> list[tuple[str, str]]:
     """Return the triggers that are not as the migrations make them, each with what was done: removed, inserted or changed.
 
     Parameters
@@ -137,7 +139,7 @@ Seal = tuple[int, str, int]  # key of a row, its digest, the record that it is i
 
 
 @dataclass(frozen=True)
-class Misfit:
+class RowMismatch:
     """A row that is not as the chain has it.
 
     Parameters
@@ -156,7 +158,7 @@ class Misfit:
 
 
 @dataclass
-class Findings:
+class VerificationFindings:
     """What a walk along the chain and through the tables found.
 
     Parameters
@@ -186,8 +188,8 @@ class Findings:
     unmet: list[str] = field(default_factory=list)
     rows: int = 0
     misfits: int = 0
-    misfit: Misfit | None = None
-    guards: list[Misfit] = field(default_factory=list)
+    misfit: RowMismatch | None = None
+    guards: list[RowMismatch] = field(default_factory=list)
 
     @property
     def ok(self) -> bool:
@@ -195,9 +197,9 @@ class Findings:
         return self.broken_id is None and self.misfit is None and not self.unmet and not self.guards
 
 
-def verify(session: Session, *expected_heads: str | None) -> Findings:
+def verify(session: Session, *expected_heads: str | None) -> VerificationFindings:
     """Walk along the whole chain, then through every sealed table."""
-    found = Findings(
+    found = VerificationFindings(
         unmet=[head for head in dict.fromkeys(expected_heads) if head is not None and head != chain.FIRST_HASH]
     )
     with closing(sqlite3.connect("")) as scratch:  # a file without a name, in memory while it is small
@@ -210,12 +212,12 @@ def verify(session: Session, *expected_heads: str | None) -> Findings:
         for journal in journals.JOURNALS.values() if found.broken_id is None else ():
             for misfit in _gaps(session, scratch, found, journal):
                 _count(found, misfit)
-    strange = strange_guards(session.connection(), upgrade_tables)
-    found.guards = [Misfit(f"the trigger {name}", what, None) for name, what in strange]
+    strange = find_changed_triggers(session.connection(), upgrade_tables)
+    found.guards = [RowMismatch(f"the trigger {name}", what, None) for name, what in strange]
     return found
 
 
-def _walk(session: Session, scratch: sqlite3.Connection, found: Findings) -> None:
+def _walk(session: Session, scratch: sqlite3.Connection, found: VerificationFindings) -> None:
     """Check every record against the one before, and gather the seals."""
     with closing(audit.walk(session)) as records:
         for record in records:
@@ -236,58 +238,62 @@ def _seals_in(text: str, record_id: int) -> Iterator[tuple[str, int, str | None,
         yield name, int(row_id), digest, record_id
 
 
-def _misfits(session: Session, scratch: sqlite3.Connection, found: Findings, name: str) -> Iterator[Misfit]:
+def _misfits(
+    session: Session, scratch: sqlite3.Connection, found: VerificationFindings, name: str
+) -> Iterator[RowMismatch]:
     """Meet a table's rows with their seals, both in the order of their keys."""
     sealed: Iterable[Seal] = scratch.execute(GET, (name,))
     waiting = iter(sealed)
     seal = next(waiting, None)
     orphans = journals.orphans(session, journals.SEALED[name])
-    for row_id, digest in journals.digests_of(session, journals.SEALED[name]):
+    for row_id, digest in journals.iterate_digests(session, journals.SEALED[name]):
         found.rows += 1
         while seal is not None and seal[0] < row_id:
-            yield Misfit(f"{name}/{seal[0]}", "removed", seal[2])
+            yield RowMismatch(f"{name}/{seal[0]}", "removed", seal[2])
             seal = next(waiting, None)
         if seal is None or seal[0] > row_id:
-            yield Misfit(f"{name}/{row_id}", "inserted", None)
+            yield RowMismatch(f"{name}/{row_id}", "inserted", None)
             continue
         if seal[1] != digest:
-            yield Misfit(f"{name}/{row_id}", "changed", seal[2])
+            yield RowMismatch(f"{name}/{row_id}", "changed", seal[2])
         elif row_id in orphans:
-            yield Misfit(f"{name}/{row_id}", PARTED, seal[2])
+            yield RowMismatch(f"{name}/{row_id}", PARTED, seal[2])
         seal = next(waiting, None)
     while seal is not None:
-        yield Misfit(f"{name}/{seal[0]}", "removed", seal[2])
+        yield RowMismatch(f"{name}/{seal[0]}", "removed", seal[2])
         seal = next(waiting, None)
 
 
-def _gaps(session: Session, scratch: sqlite3.Connection, found: Findings, journal: Journal) -> Iterator[Misfit]:
+def _gaps(
+    session: Session, scratch: sqlite3.Connection, found: VerificationFindings, journal: AppendOnlyTable
+) -> Iterator[RowMismatch]:
     """Walk along a journal, and meet the hashes that the records carry of it."""
     carried = {row_id: (digest, record) for row_id, digest, record in scratch.execute(GET, (journal.name,))}
     previous, last_id = journals.FIRST_HASH, 0
-    for row in journals.rows_of(session, journal):
+    for row in journals.iterate_rows(session, journal):
         found.rows += 1
         digest, _ = carried.pop(row["id"], (row["hash"], 0))
-        moved = row["outcome_hash"] != journal.outcome_hash_of(row)
+        moved = row["outcome_hash"] != journal.compute_outcome_hash(row)
         if row["hash"] is None:
-            yield Misfit(f"{journal.name}/{row['id']}", "inserted", None)
+            yield RowMismatch(f"{journal.name}/{row['id']}", "inserted", None)
             continue
-        if row["hash"] != journal.hash_of(previous, row):
+        if row["hash"] != journal.compute_hash(previous, row):
             row_id, what = (last_id + 1, "removed") if row["id"] > last_id + 1 else (row["id"], "changed")
-            yield Misfit(f"{journal.name}/{row_id}", what, _covering(scratch, journal, row_id))
+            yield RowMismatch(f"{journal.name}/{row_id}", what, _covering(scratch, journal, row_id))
         elif row["hash"] != digest or moved:
-            yield Misfit(f"{journal.name}/{row['id']}", "changed", _covering(scratch, journal, row["id"]))
+            yield RowMismatch(f"{journal.name}/{row['id']}", "changed", _covering(scratch, journal, row["id"]))
         previous, last_id = row["hash"], row["id"]
     for row_id, (_, record) in sorted(carried.items()):
-        yield Misfit(f"{journal.name}/{row_id}", "removed", record)
+        yield RowMismatch(f"{journal.name}/{row_id}", "removed", record)
 
 
-def _covering(scratch: sqlite3.Connection, journal: Journal, row_id: int) -> int | None:
+def _covering(scratch: sqlite3.Connection, journal: AppendOnlyTable, row_id: int) -> int | None:
     """Return the first record that carries a hash into which a row went; None where none does yet."""
     found = scratch.execute(COVERING, (journal.name, row_id)).fetchone()
     return None if found is None else int(found[0])
 
 
-def _count(found: Findings, misfit: Misfit) -> None:
+def _count(found: VerificationFindings, misfit: RowMismatch) -> None:
     """Count a misfit, and keep the one with the oldest record."""
     found.misfits += 1
     kept = found.misfit
@@ -295,5 +301,5 @@ def _count(found: Findings, misfit: Misfit) -> None:
         found.misfit = misfit
 
 
-def _age(misfit: Misfit) -> tuple[bool, int]:
+def _age(misfit: RowMismatch) -> tuple[bool, int]:
     return misfit.record_id is None, misfit.record_id or 0

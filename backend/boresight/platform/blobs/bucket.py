@@ -30,7 +30,7 @@ from obstore.store import ObjectStore, from_url
 from boresight import disks as integrity
 from boresight.errors import CorruptFileError, ForbiddenError, NotFoundError, UnavailableError
 from boresight.platform.blobs.folder import CHUNK_BYTES, BlobStore
-from boresight.platform.blobs.places import BlobPlace
+from boresight.platform.blobs.locations import BlobLocation
 
 KEPT_S = 3600.0  # after it was last asked for
 MARK_S = KEPT_S / 12  # asked for so soon again, a file is not marked again
@@ -42,7 +42,7 @@ LOOKED_FOR = "is-it-there"
 class ObjectBlobStore(BlobStore):
     """The blobs of a bucket; `folder` holds what was fetched or put lately."""
 
-    def __init__(self, place: BlobPlace, store: ObjectStore, looking: ObjectStore | None = None) -> None:
+    def __init__(self, place: BlobLocation, store: ObjectStore, looking: ObjectStore | None = None) -> None:
         super().__init__(place.cache_folder)
         self.kept_at = self.address = place.address
         self.limit_bytes = place.cache_bytes
@@ -63,9 +63,9 @@ class ObjectBlobStore(BlobStore):
         """Put a complete file into the bucket, and keep it here too."""
         size = written.stat().st_size
         with self._asking(f"There is no bucket for {self.address}; make it, or mend the address in BORESIGHT_BLOBS."):
-            if self._size_of(sha256) != size:
+            if self._get_size(sha256) != size:
                 obstore.put(self._store, _key(sha256), written)
-                if self._size_of(sha256) != size:
+                if self._get_size(sha256) != size:
                     raise UnavailableError(
                         f"The file {sha256[:12]} did not arrive whole in {self.address}; try again, and look at the store."
                     )
@@ -85,7 +85,7 @@ class ObjectBlobStore(BlobStore):
         with self._asking(""), suppress(FileNotFoundError):
             obstore.head(self._looking, LOOKED_FOR)
 
-    def _size_of(self, sha256: str) -> int | None:
+    def _get_size(self, sha256: str) -> int | None:
         """Return the size of an object, None where there is none."""
         try:
             return obstore.head(self._store, _key(sha256))["size"]
@@ -221,7 +221,7 @@ def _files(folder: Path) -> Iterator[tuple[float, int, Path]]:
 
 
 @cache
-def open_object_blobs(place: BlobPlace) -> ObjectBlobStore:
+def open_object_blobs(place: BlobLocation) -> ObjectBlobStore:
     """Open a bucket, once a process: connections are kept."""
     store = from_url(  # an endpoint without TLS is used only where the environment names one
         place.address,

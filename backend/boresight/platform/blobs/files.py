@@ -74,11 +74,11 @@ def bad_files(session: Session, blobs: BlobStore, *, again: bool) -> Iterator[Ba
     while some := registered(session, last):
         for sha256, size in some:
             what = wrong_with(blobs, sha256, size, again=again)
-            yield None if what is None else BadFile(sha256, what, users_of(session, sha256))
+            yield None if what is None else BadFile(sha256, what, list_users(session, sha256))
         last = some[-1][0]
 
 
-def users_of(session: Session, sha256: str) -> tuple[str, ...]:
+def list_users(session: Session, sha256: str) -> tuple[str, ...]:
     """Return the rows that name a file, by their REST addresses."""
     named = (
         f"{table.name.replace('_', '-')}/{row_id}"

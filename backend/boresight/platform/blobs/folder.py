@@ -26,7 +26,7 @@ from boresight import disks as integrity
 from boresight.disks import Opened, refuse_unwritable
 from boresight.errors import CorruptFileError, NotFoundError, StorageError, UnavailableError
 from boresight.platform.blobs.tables import Blob
-from boresight.platform.db.marks import Recent
+from boresight.platform.db.data_version import SizeLimitedCache
 from boresight.platform.db.sessions import Session, utc_now
 
 CHUNK_BYTES = 1 << 20
@@ -41,7 +41,7 @@ class BlobStore:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.tell_corrupt: Callable[[str], None] = lambda _sha256: None
-        self._parsed: Recent[Any] = Recent(PARSED_BYTES)
+        self._parsed: SizeLimitedCache[Any] = SizeLimitedCache(PARSED_BYTES)
         self._opened: Opened | None = None
 
     def put(self, content: bytes | Path) -> str:
@@ -131,12 +131,12 @@ class BlobStore:
 
     def _keep(self, written: Path, sha256: str) -> None:
         """Give a complete file its address, in the place of a corrupt one too, and make the name itself survive a power cut."""
-        place = self._place(sha256)
-        if place.exists() and integrity.is_intact(place, sha256):
+        location = self._place(sha256)
+        if location.exists() and integrity.is_intact(location, sha256):
             return
-        place.parent.mkdir(parents=True, exist_ok=True)
-        written.replace(place)
-        folder = os.open(place.parent, os.O_RDONLY)
+        location.parent.mkdir(parents=True, exist_ok=True)
+        written.replace(location)
+        folder = os.open(location.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
         finally:
@@ -160,19 +160,19 @@ class BlobStore:
 
     def _located(self, sha256: str) -> Path:
         """Return the file of an address, whatever is in it."""
-        place = self._place(sha256)
-        if not place.is_file():
+        location = self._place(sha256)
+        if not location.is_file():
             if self._opened is not None:
                 self._opened.refuse_another()
             raise NotFoundError(
                 f"The stored file {sha256[:12]} is missing from {self.folder}; restore it from a backup."
             )
-        return place
+        return location
 
-    def _checked(self, place: Path, sha256: str, *, again: bool = False) -> Path:
+    def _checked(self, location: Path, sha256: str, *, again: bool = False) -> Path:
         """Return a file that has the bytes of its address."""
         try:
-            intact = integrity.is_intact(place, sha256, again=again)
+            intact = integrity.is_intact(location, sha256, again=again)
         except OSError as error:
             raise UnavailableError(
                 f"The stored file {sha256[:12]} in {self.folder} cannot be read ({error.strerror or error}): let the server "
@@ -185,7 +185,7 @@ class BlobStore:
                 f"{self.folder} from a backup.",
                 sha256,
             )
-        return place
+        return location
 
     def check(self, sha256: str, *, again: bool) -> int:
         """Hold the bytes of an address against it; return how many they are.
@@ -217,11 +217,11 @@ class BlobStore:
 
         Refuses as `path`. A file that was altered on the disk is held against its address anew.
         """
-        place = self.path(sha256)
-        written = place.stat()
+        location = self.path(sha256)
+        written = location.stat()
 
         def parse() -> tuple[Any, int]:
-            return orjson.loads(place.read_bytes()), written.st_size
+            return orjson.loads(location.read_bytes()), written.st_size
 
         return self._parsed.get((sha256, written.st_mtime_ns, written.st_size), parse)
 

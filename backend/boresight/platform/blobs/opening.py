@@ -6,10 +6,10 @@ from pathlib import Path
 
 from boresight.errors import RefusedInputError
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.blobs.places import BlobPlace
+from boresight.platform.blobs.locations import BlobLocation
 
 
-def open_blobs(place: BlobPlace, *, make: bool = True) -> BlobStore:
+def open_blobs(place: BlobLocation, *, make: bool = True) -> BlobStore:
     """Open the files at a place; those of an object store are opened once a process.
 
     Parameters

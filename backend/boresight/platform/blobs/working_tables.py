@@ -57,7 +57,7 @@ def _converted(path: Path, sha256: str, folder: Path) -> tuple[Path, str]:
                 parts.write(chunk)
         with unfinished.open("rb+") as file:
             os.fsync(file.fileno())
-        own = integrity.digest_of(unfinished)
+        own = integrity.compute_digest(unfinished)
         return unfinished.rename(folder / f"{sha256}-{own}"), own
     finally:
         unfinished.unlink(missing_ok=True)

@@ -15,7 +15,7 @@ An archive comes from anywhere, so nothing of it is believed before it is counte
 further than the size that it states, all of them must fit on the disk, none may be there that the manifest does not count,
 and a stored file is in it uncompressed, as it was written, so that it cannot be larger than the archive.
 
-Every row of one database, copied to another that is migrated and empty, whichever engine each is on.
+Copying every row of a database to an empty migrated one, on either engine.
 
 Values go over as they are stored, documents as their text: the audit chain hashes that text, so it holds in the copy as
 it did in the original. Tables come in the order of their references, rows in the order of their keys. The copy is made
@@ -41,7 +41,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from boresight.disks import digest_of
+from boresight.disks import compute_digest
 from boresight.errors import ConflictError, CorruptFileError, RefusedInputError
 from boresight.platform.audit import seals as journals
 from boresight.platform.blobs import files
@@ -120,7 +120,7 @@ BLOB = re.compile(r"blobs/([0-9a-f]{64})")
 
 
 @dataclass(frozen=True)
-class Taken:
+class BackupSummary:
     """What a backup holds."""
 
     blobs: int
@@ -132,7 +132,7 @@ class Taken:
 
 
 @dataclass(frozen=True)
-class Manifest:
+class BackupManifest:
     """What a backup says of itself."""
 
     taken_utc: str
@@ -148,7 +148,7 @@ class Manifest:
         return json.dumps({"schema": FORM, **asdict(self)}, indent=2) + "\n"
 
     @classmethod
-    def from_json(cls, text: bytes) -> Manifest:
+    def from_json(cls, text: bytes) -> BackupManifest:
         """Read it.
 
         Raises
@@ -200,14 +200,14 @@ def _is_address(value: object) -> bool:
     return isinstance(value, str) and ADDRESS.fullmatch(value) is not None
 
 
-def _file_of(url: str) -> Path | None:
+def _find_file(url: str) -> Path | None:
     """Return the file of a SQLite database at an address, without opening it; None of another engine."""
     address = sa.make_url(url)
     sqlite = address.get_backend_name() == "sqlite" and address.database
     return Path(str(address.database)).expanduser() if sqlite else None
 
 
-def write_backup(url: str, blobs: BlobStore, head: str, archive: Path, *, keep_going: bool = False) -> Taken:
+def write_backup(url: str, blobs: BlobStore, head: str, archive: Path, *, keep_going: bool = False) -> BackupSummary:
     """Write a backup; the file appears complete or not at all.
 
     The database is copied first. Then every stored file that the copy names or that is in the folder is held against its address,
@@ -249,11 +249,11 @@ def write_backup(url: str, blobs: BlobStore, head: str, archive: Path, *, keep_g
             if not keep_going:
                 _refuse_bad(corrupt, missing, len(registered.keys() | stored))
             left_out, absent = tuple(sorted(corrupt)), tuple(sorted(missing))
-            manifest = Manifest(utc_now(), digest_of(copy), count, blobs.kept_at, left_out, absent, head)
+            manifest = BackupManifest(utc_now(), compute_digest(copy), count, blobs.kept_at, left_out, absent, head)
             backup.writestr(MANIFEST, manifest.to_json())
         written.chmod(0o600)  # it holds password hashes
         written.replace(archive)
-    return Taken(count, archive.stat().st_size, head, left_out, absent, blobs.kept_at)
+    return BackupSummary(count, archive.stat().st_size, head, left_out, absent, blobs.kept_at)
 
 
 def _registered(database: Path) -> dict[str, int]:
@@ -309,7 +309,7 @@ def _pack(backup: zipfile.ZipFile, path: Path, sha256: str) -> bool:
 
 def _copy_database(url: str, copy: Path) -> None:
     """Write one state of a database to a SQLite file."""
-    source = _file_of(url)
+    source = _find_file(url)
     if source is not None:
         with closing(sqlite3.connect(source)) as live, closing(sqlite3.connect(copy)) as target:
             live.backup(target)
@@ -327,7 +327,7 @@ def _copy_rows(source: str, target: str) -> None:
             engine.dispose()  # the last connection folds SQLite's write-ahead log into the file
 
 
-def read_backup(archive: Path, url: str, blobs: BlobStore) -> Taken:
+def read_backup(archive: Path, url: str, blobs: BlobStore) -> BackupSummary:
     """Lay a backup down where nothing is yet; the database appears last, when all else is there.
 
     The database at the address may be on the other engine than that of the backup; of PostgreSQL it must exist, empty.
@@ -339,7 +339,7 @@ def read_backup(archive: Path, url: str, blobs: BlobStore) -> Taken:
     RefusedInputError
         When the file is no backup.
     """
-    database = _file_of(url)
+    database = _find_file(url)
     if database is not None and database.exists():
         raise ConflictError(f"There is a database at {database} already; restore into an empty data folder.")
     with _opened(archive) as backup:
@@ -355,7 +355,9 @@ def read_backup(archive: Path, url: str, blobs: BlobStore) -> Taken:
             )
         _lay_down_database(backup, manifest.database_sha256, database, url)
     size = archive.stat().st_size
-    return Taken(manifest.blobs, size, manifest.audit_head, manifest.left_out, manifest.missing, manifest.blobs_at)
+    return BackupSummary(
+        manifest.blobs, size, manifest.audit_head, manifest.left_out, manifest.missing, manifest.blobs_at
+    )
 
 
 @contextmanager
@@ -410,7 +412,7 @@ def named(addresses: Sequence[str]) -> str:
     return ", ".join(sha256[:12] for sha256 in addresses[:NAMED]) + more
 
 
-def _manifest(backup: zipfile.ZipFile) -> Manifest:
+def _manifest(backup: zipfile.ZipFile) -> BackupManifest:
     """Read what the backup says of itself, once every member is known to be of a kind that Boresight writes."""
     names = backup.namelist()
     for member in backup.infolist():
@@ -428,13 +430,13 @@ def _manifest(backup: zipfile.ZipFile) -> Manifest:
             f"at most {MANIFEST_BYTES / 1e6:.0f} MB are read."
         )
     with backup.open(MANIFEST) as packed_manifest:
-        manifest = Manifest.from_json(packed_manifest.read(MANIFEST_BYTES))
+        manifest = BackupManifest.from_json(packed_manifest.read(MANIFEST_BYTES))
     if DATABASE not in names:
         raise RefusedInputError("This file is no backup of Boresight: it holds no database.")
     return manifest
 
 
-def _members(backup: zipfile.ZipFile, manifest: Manifest) -> list[tuple[str, str]]:
+def _members(backup: zipfile.ZipFile, manifest: BackupManifest) -> list[tuple[str, str]]:
     """Return name and address of the stored files, which must be as many as the manifest counts."""
     names = backup.namelist()
     matches = [(name, match[1]) for name in names if (match := BLOB.fullmatch(name)) is not None]

@@ -27,7 +27,7 @@ class Base(DeclarativeBase):
 STRICT = {"sqlite_strict": True}
 
 
-def one_of(column: str, values: tuple[str, ...]) -> sa.CheckConstraint:
+def allow_only(column: str, values: tuple[str, ...]) -> sa.CheckConstraint:
     """Allow only these words in a column."""
     return sa.CheckConstraint(f"{column} IN ({', '.join(repr(value) for value in values)})", name=column)
 

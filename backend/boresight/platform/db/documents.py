@@ -41,7 +41,7 @@ def read(text: str) -> Any:
     return json.loads(text) if _LONG_INTEGER.search(text) else orjson.loads(text)
 
 
-def sha256_of(document: Any) -> str:
+def compute_sha256(document: Any) -> str:
     """Return the SHA-256, in hexadecimal, of the canonical spelling."""
     return hashlib.sha256(canonical(document).encode()).hexdigest()
 

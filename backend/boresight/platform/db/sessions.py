@@ -1,6 +1,6 @@
 """The database's transactions; the schema is brought up to date here too.
 
-One request or job is one transaction: the door that starts it opens `reading` or `writing`, and everything inside sees
+One request or job is one transaction: the door that starts it opens `open_reading` or `open_writing`, and everything inside sees
 one state of the database. There is one writer at a time in both engines (`BEGIN IMMEDIATE` on SQLite, an advisory lock
 on PostgreSQL), so that a rule proven by reading and then writing inside one transaction holds, whoever else is at work.
 """
@@ -35,22 +35,22 @@ __all__ = [
     "downgrade",
     "head_revision",
     "keep_despite_refusal",
-    "losses",
+    "list_downgrade_losses",
+    "mark_dry_run",
     "migrate",
-    "only_try",
     "open_engine",
-    "opened",
-    "reading",
+    "open_reading",
+    "open_store",
+    "open_writing",
     "upgrade_tables",
     "utc_after",
     "utc_now",
     "utc_text",
-    "writing",
 ]
 
 MIGRATION_WAIT_S = 600  # for another server that starts at the same time and migrates
 KEPT = "kept despite refusal"
-TRIED = "only tried"
+DRY_RUN = "only tried"
 FIRST_WITH_SEALS = "0003"
 
 
@@ -67,7 +67,7 @@ sa.event.listen(Session, "after_rollback", forget)
 
 
 @contextmanager
-def opened(url: str) -> Iterator[Engine]:
+def open_store(url: str) -> Iterator[Engine]:
     """Open the store at an address for one command, its schema brought up to date; it is closed at the end.
 
     Raises
@@ -88,7 +88,7 @@ def opened(url: str) -> Iterator[Engine]:
 
 
 @contextmanager
-def reading(engine: Engine) -> Iterator[Session]:
+def open_reading(engine: Engine) -> Iterator[Session]:
     """Open a transaction that sees one state of the database and changes nothing."""
     options: dict[str, Any] = {}
     if engine.dialect.name == "postgresql":
@@ -98,7 +98,7 @@ def reading(engine: Engine) -> Iterator[Session]:
 
 
 @contextmanager
-def writing(engine: Engine) -> Iterator[Session]:
+def open_writing(engine: Engine) -> Iterator[Session]:
     """Open the one writing transaction; commits at the end, rolls back when an error passes.
 
     A refusal that a service marked with `keep_despite_refusal` is committed and passed on all the same.
@@ -116,16 +116,16 @@ def writing(engine: Engine) -> Iterator[Session]:
 
 def _end(session: Session) -> None:
     """Commit what was written; what was only tried is checked against the schema and rolled back."""
-    if session.info.get(TRIED):
+    if session.info.get(DRY_RUN):
         seal(session)
         session.rollback()
     else:
         session.commit()
 
 
-def only_try(session: Session) -> None:
+def mark_dry_run(session: Session) -> None:
     """Make this transaction a trial: every check is made, and nothing of it is kept at its end."""
-    session.info[TRIED] = True
+    session.info[DRY_RUN] = True
 
 
 def keep_despite_refusal(session: Session) -> None:
@@ -133,7 +133,7 @@ def keep_despite_refusal(session: Session) -> None:
 
     For the refusals whose trace must survive: a request found stale or overdue.
     """
-    if not session.info.get(TRIED):
+    if not session.info.get(DRY_RUN):
         session.info[KEPT] = True
 
 
@@ -214,7 +214,7 @@ def downgrade(engine: Engine, revision: str) -> None:
 
 
 @dataclass(frozen=True)
-class Loss:
+class DowngradeLoss:
     """What a way back would remove: the rows of a table, or what is in a column."""
 
     table: str
@@ -230,11 +230,11 @@ class Loss:
         )
 
 
-class _OnlyTriedError(Exception):
+class _DryRunError(Exception):
     """Ends a trial, so that nothing of it is kept."""
 
 
-def losses(engine: Engine, revision: str) -> list[Loss]:
+def list_downgrade_losses(engine: Engine, revision: str) -> list[DowngradeLoss]:
     """Go back to a revision, see what is gone, and undo it: both engines do so with tables too.
 
     Raises
@@ -242,19 +242,19 @@ def losses(engine: Engine, revision: str) -> list[Loss]:
     RefusedInputError, ConflictError
         As `downgrade`.
     """
-    found: list[Loss] = []
+    found: list[DowngradeLoss] = []
     _refuse_unknown_revision(engine, revision)
-    with suppress(_OnlyTriedError), _changing_schema(engine) as connection:
+    with suppress(_DryRunError), _changing_schema(engine) as connection:
         before = _contents(connection)
         command.downgrade(_config(connection), revision)
         after = _contents(connection)
         for table, columns in before.items():
             rows = columns[""] - after.get(table, {}).get("", 0)
             if rows:
-                found.append(Loss(table, None, rows))
+                found.append(DowngradeLoss(table, None, rows))
             gone = columns.keys() - after.get(table, {}).keys() if table in after else set()
-            found += [Loss(table, column, columns[column]) for column in sorted(gone) if columns[column]]
-        raise _OnlyTriedError
+            found += [DowngradeLoss(table, column, columns[column]) for column in sorted(gone) if columns[column]]
+        raise _DryRunError
     return found
 
 

@@ -1,8 +1,9 @@
 """Connections: how long each may take over what it sends, and how many there may be.
 
 uvicorn reads a request's head for as long as it comes. Here a head has a deadline and a size, whoever does not take an
-answer is let go, and so is who goes on sending after the answer. Bodies have their deadlines in `boresight.platform.web.bodies`,
-for only there one sees whether the server waits for the sender or the sender for the server.
+answer is let go, and so is who goes on sending after the answer. Bodies have their deadlines in
+`boresight.platform.web.request_bodies`, for only there one sees whether the server waits for the sender or the sender for the
+server.
 
 There are fewer connections than the process may open files, so that accepting one never fails. When all are taken,
 a newcomer gets the place of the one that has waited longest among those of whom nobody is known, from the address that
@@ -24,7 +25,7 @@ from typing import Any, cast
 import orjson
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from boresight.platform.web.origins import network_of
+from boresight.platform.web.origins import get_network
 from boresight.platform.web.problems import MEDIA_TYPE
 
 CONNECTION = "connection"  # in the request's state: over which it came
@@ -139,7 +140,7 @@ class Connection(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin to wait for a request."""
         super().connection_made(transport)
-        self.address = network_of(self.client[0]) if self.client else ""
+        self.address = get_network(self.client[0]) if self.client else ""
         self.since_s = self._head_since_s = self.loop.time()
         self._connections.join(self)
 

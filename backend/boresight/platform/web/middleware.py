@@ -12,13 +12,13 @@ Which methods an address takes: all of its routes' together, in the `Allow` of a
 
 The framework names those of the first route that it meets (RFC 9110, 10.2.1 asks for all).
 
-HEAD of every address that can be read: the answer to GET without its body (RFC 9110, 9.3.2).
+HEAD for every GET route: the same headers without the body (RFC 9110, 9.3.2).
 
 The endpoints know GET only. A request with HEAD reaches them as GET, so that headers, tags and lengths are those of GET by
 construction, and its body goes nowhere. An answer in several pieces, a long file or the event stream, which would never end, is
 broken off at the first: its headers are all that was asked for.
 
-Which coding of an answer a request accepts: read once at the border, for everything behind it.
+`Accept-Encoding`, parsed once by the outermost middleware.
 
 RFC 9110, 12.5.3: `Accept-Encoding` lists codings, each with a weight between 0 and 1, which is 1 where none is given. Capitals are
 small letters, a weight of 0 says "not this one", and `*` stands for every coding that is not named. Plain bytes (`identity`) are
@@ -44,7 +44,7 @@ from starlette.responses import Response
 from starlette.routing import BaseRoute, Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from boresight.platform.web.bodies import Body, Pace
+from boresight.platform.web.request_bodies import BodyRate, RequestBody
 
 log = logging.getLogger(__name__)
 
@@ -89,13 +89,13 @@ Observe = Callable[[Scope, int, float], None]
 Refuse = Callable[[Request, Exception], Awaitable[Response]]
 
 
-def request_id_of(headers: Headers) -> str:
+def get_request_id(headers: Headers) -> str:
     """Return the caller's request id when it can stand in a log line, else a new one."""
     given = headers.get(REQUEST_ID, "")
     return given if USABLE_ID.fullmatch(given) else uuid.uuid4().hex
 
 
-class Border:
+class RequestMiddleware:
     """The outermost layer.
 
     Parameters
@@ -122,12 +122,12 @@ class Border:
         upload_limit_mb: float,
         four_eyes: Callable[[], bool],
         *,
-        pace: Pace | None = None,
+        pace: BodyRate | None = None,
         https_only: bool = False,
     ) -> None:
         self.app = app
         self.pairs = (*SECURITY_PAIRS, STRICT_TRANSPORT) if https_only else SECURITY_PAIRS
-        self.pace = pace or Pace()
+        self.pace = pace or BodyRate()
         self.four_eyes = four_eyes
         self.observe = observe
         self.refuse = refuse
@@ -138,7 +138,7 @@ class Border:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        answer = _Answer(scope, send, self.pairs, four_eyes=self.four_eyes())
+        answer = _Response(scope, send, self.pairs, four_eyes=self.four_eyes())
         try:
             await self.app(scope, self._limited(scope, receive), answer.send)
         except Exception as error:  # noqa: BLE001 - whatever it is, it is logged whole and answered without its words
@@ -157,10 +157,10 @@ class Border:
                 f"The file is over the limit of {self.upload_limit_mb:g} MB; split it by frames, or ask to raise it."
             )
         announced = headers.get("content-length", "0")
-        return Body(receive, self.pace, limit, sentence, int(announced) if announced.isdecimal() else 0).receive
+        return RequestBody(receive, self.pace, limit, sentence, int(announced) if announced.isdecimal() else 0).receive
 
 
-class _Answer:
+class _Response:
     """One answer on its way out."""
 
     def __init__(self, scope: Scope, send: Send, pairs: HeaderPairs, *, four_eyes: bool) -> None:
@@ -171,7 +171,7 @@ class _Answer:
         self._pairs = pairs
         self._four_eyes = four_eyes
         self._state: MutableMapping[str, Any] = scope.setdefault("state", {})
-        self._state["request_id"] = request_id_of(Headers(scope=scope))
+        self._state["request_id"] = get_request_id(Headers(scope=scope))
         self._state["came_s"] = time.monotonic()
 
     async def send(self, message: Message) -> None:
@@ -183,7 +183,7 @@ class _Answer:
             given = [*given, *(pair for pair in self._pairs if pair[0] not in names)]
             message["headers"] = [*given, (b"x-request-id", self._state["request_id"].encode())]
             if not self._four_eyes:
-                _say_alone(MutableHeaders(scope=message))
+                _add_isolation_headers(MutableHeaders(scope=message))
         await self._send(message)
 
     async def fail(self, error: Exception, refuse: Refuse) -> None:
@@ -195,7 +195,7 @@ class _Answer:
         await response(self._scope, _nothing, self.send)
 
 
-def _say_alone(headers: MutableHeaders) -> None:
+def _add_isolation_headers(headers: MutableHeaders) -> None:
     """Say in an answer, and in the name of a file, that one person may submit and sign alone here."""
     headers[FOUR_EYES] = "off"
     named = headers.get("content-disposition")
@@ -240,7 +240,7 @@ def with_allow(request: Request, error: Exception) -> Exception:
     return HTTPException(NOT_ALLOWED, sentence, headers={"Allow": takes})
 
 
-class Heads:
+class HeadMiddleware:
     """The layer that answers HEAD."""
 
     def __init__(self, app: ASGIApp) -> None:
@@ -252,7 +252,7 @@ class Heads:
             await self.app(scope, receive, send)
             return
         inner = {**scope, "method": "GET"}  # the server looks at the method in its own when it sends
-        head = _Head(send)
+        head = _HeadResponse(send)
         answering = asyncio.ensure_future(self.app(inner, receive, head.send))
         answering.add_done_callback(lambda _: head.over.set())
         try:
@@ -260,10 +260,10 @@ class Heads:
         finally:
             if "route" in inner:
                 scope["route"] = inner["route"]  # by which it is counted
-            await _end(answering)
+            await _cancel(answering)
 
 
-class _Head:
+class _HeadResponse:
     """The head of one answer on its way out; `over` once there is no need to wait for the rest."""
 
     def __init__(self, send: Send) -> None:
@@ -282,7 +282,7 @@ class _Head:
             self.over.set()
 
 
-async def _end(answering: asyncio.Future[None]) -> None:
+async def _cancel(answering: asyncio.Future[None]) -> None:
     """Break off what still answers; what it failed with is passed on."""
     answering.cancel()
     with suppress(asyncio.CancelledError):
@@ -303,13 +303,13 @@ def takes_gzip(accepted: bytes) -> bool:
     accepted
         The value of `Accept-Encoding`; several of them joined by commas; empty where there is none.
     """
-    weights = dict(_weighed(element) for element in accepted.lower().split(b","))
+    weights = dict(_parse_coding(element) for element in accepted.lower().split(b","))
     named = [weights[name] for name in SPELLINGS if name in weights]
     weight = max(named) if named else weights.get(b"*", 0.0)
     return weight > 0 and weight >= weights.get(b"identity", 0.0)
 
 
-def _weighed(element: bytes) -> tuple[bytes, float]:
+def _parse_coding(element: bytes) -> tuple[bytes, float]:
     """Read a coding and its weight."""
     name, _, parameter = element.partition(b";")
     key, _, value = parameter.partition(b"=")
@@ -322,7 +322,7 @@ def _weighed(element: bytes) -> tuple[bytes, float]:
     return name.strip(), weight if 0 <= weight <= 1 else 0.0
 
 
-class Codings:
+class AcceptEncodingMiddleware:
     """The layer that writes `Accept-Encoding` as what is done about it: `gzip`, or not there at all."""
 
     def __init__(self, app: ASGIApp) -> None:

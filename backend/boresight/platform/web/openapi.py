@@ -170,7 +170,7 @@ def corrected(document: dict[str, Any], cookie_name: str) -> dict[str, Any]:
             scheme["name"] = cookie_name  # by the settings of the server
     for path, methods in document["paths"].items():
         for method, operation in methods.items():
-            _describe_trial(operation)
+            _describe_dry_run(operation)
             for status in _refused(path, method, operation) if path.startswith("/api/") else ():
                 operation["responses"].setdefault(str(status), refusals(status)[status] | {"model": None}).pop(
                     "model", None
@@ -186,7 +186,7 @@ def _parameters(operation: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {parameter["name"]: parameter for parameter in operation.get("parameters", ())}
 
 
-def _describe_trial(operation: dict[str, Any]) -> None:
+def _describe_dry_run(operation: dict[str, Any]) -> None:
     """Say that `If-Match` must be there, which the framework leaves to the 428, and what a trial answers."""
     named, answers = _parameters(operation), operation["responses"]
     if "If-Match" in named and "428" in answers:

@@ -1,6 +1,6 @@
 """Where a request comes from: a page of another site, or this machine itself.
 
-A browser says by `Origin` which site's page made an unsafe request, and by `Sec-Fetch-Site` whether that is ours. Either
+A browser says by `LaunchOrigin` which site's page made an unsafe request, and by `Sec-Fetch-Site` whether that is ours. Either
 one is enough to refuse it, whatever cookie comes along and also where none does: logging somebody in from another site is
 an attack too. Programs send neither. With an API key nothing is refused: no other site can make a browser send that header.
 """
@@ -25,7 +25,7 @@ FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-forwarded-pr
 SENTENCE = "This request was made by a page of another site; make it from Boresight's own pages."
 
 
-class OwnPages:
+class OriginCheck:
     """The layer that refuses what pages of other sites send.
 
     Parameters
@@ -70,7 +70,7 @@ def is_foreign(headers: Headers, public_url: str = "") -> bool:
     origin = _split(origins[0])
     if len(origins) > 1 or origin is None or origin.scheme not in DEFAULT_PORTS:
         return True  # "null" is a page that hides where it is from
-    if public_url and origin.geturl() == _origin_of(public_url):
+    if public_url and origin.geturl() == _parse_origin(public_url):
         return False
     hosts = [headers.get("host", ""), *headers.get("x-forwarded-host", "").split(",")[:1]]
     return not any(_same_authority(origin, host.strip()) for host in hosts if host.strip())
@@ -86,7 +86,7 @@ def _split(address: str) -> SplitResult | None:
     return parts if parts.hostname and port != 0 and not (parts.path or parts.query) else None
 
 
-def _origin_of(address: str) -> str:
+def _parse_origin(address: str) -> str:
     """Return the origin of an address as a browser writes it."""
     parts = urlsplit(address.lower())
     host = f"[{parts.hostname}]" if ":" in (parts.hostname or "") else parts.hostname
@@ -114,7 +114,7 @@ def is_loopback(host: str | None) -> bool:
         return False
 
 
-def network_of(address: str) -> str:
+def get_network(address: str) -> str:
     """Return what an address counts as: itself, or for IPv6 its /64, of which one subscriber has every address."""
     try:
         number = ipaddress.ip_address(address)

@@ -3,9 +3,9 @@
 A cursor says after which row to go on and for which filters it was made, so it stays right while rows are added, and
 using it with other filters is refused rather than answered with nonsense.
 
-The numbers of rows as requests name them: what the store's 64-bit keys can hold.
+Row ids in requests: whole numbers that fit the store's 64-bit keys.
 
-What a parameter in a path may be, for every route of the server.
+Path parameters: the converters of text and numbers that every route uses.
 
 A text has no colon: there a verb begins. Or GET of `/runs/5:cancel` would be taken for the run `5:cancel`, refused as malformed,
 instead of 405 with the methods that there are. A number has at most as many digits as the store's greatest.
@@ -34,7 +34,7 @@ MOST_DIGITS = len(str(GREATEST_ID))
 Id = Annotated[int, Ge(1), Le(GREATEST_ID)]
 
 
-def row_number(text: str) -> int | None:
+def parse_row_id(text: str) -> int | None:
     """Read the number of a row; None where the text is none, or greater than any row's."""
     text = text.strip()
     if not text.isdecimal() or len(text.lstrip("0")) > MOST_DIGITS:
@@ -104,7 +104,7 @@ def _last_id(cursor: str, filters: str) -> int:
     return number
 
 
-async def paging(
+async def get_paging(
     request: Request,
     cursor: Annotated[str | None, Query(description="`next` of the page before.")] = None,
     limit: Annotated[int, Query(ge=1, le=LONGEST, description="Items on a page.")] = USUAL_LENGTH,
@@ -115,16 +115,16 @@ async def paging(
     return Paging(None if cursor is None else _last_id(cursor, filters), limit, filters)
 
 
-Paged = Annotated[Paging, Depends(paging)]
+Paged = Annotated[Paging, Depends(get_paging)]
 
 
-class Text(StringConvertor):
+class TextConvertor(StringConvertor):
     """A text up to the next slash or verb."""
 
     regex = "[^/:]+"
 
 
-class Number(IntegerConvertor):
+class NumberConvertor(IntegerConvertor):
     """A number that a row could have."""
 
     regex = "[0-9]{1,19}"
@@ -132,5 +132,5 @@ class Number(IntegerConvertor):
 
 def register() -> None:
     """Let every path that is compiled from now on take these."""
-    register_url_convertor("str", Text())
-    register_url_convertor("int", Number())
+    register_url_convertor("str", TextConvertor())
+    register_url_convertor("int", NumberConvertor())

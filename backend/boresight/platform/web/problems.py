@@ -1,4 +1,4 @@
-"""Errors as `application/problem+json` (RFC 9457): one table from kind to status, one shape of body.
+"""Errors as `application/problem+json` (RFC 9457): one table from error class to status.
 
 `type` is a stable word for programs, `title` names the kind, `detail` is the sentence for people, `instance` the address
 asked, `request_id` what to quote, and `errors` the places: `row` and `column` for a file, `pointer` for a JSON body.
@@ -73,12 +73,12 @@ class Problem:
         return self.kind.status
 
 
-def problem_of(error: Exception) -> Problem:
+def make_problem(error: Exception) -> Problem:
     """Tell any exception as a problem; one that is not a refusal keeps its words to the server's log."""
     if isinstance(error, RequestValidationError):
         return _malformed(error)
     if isinstance(error, HTTPException):
-        return Problem(_kind_of_status(error.status_code), str(error.detail), headers=error.headers)
+        return Problem(_find_kind(error.status_code), str(error.detail), headers=error.headers)
     if isinstance(error, OSError) and (of_disk := storage_error(error)) is not None:
         error = of_disk
     for kind in type(error).__mro__:
@@ -87,7 +87,7 @@ def problem_of(error: Exception) -> Problem:
     return Problem(UNFORESEEN, "The server failed in a way nobody foresaw; report the request id with what you did.")
 
 
-def _kind_of_status(status: int) -> Kind:
+def _find_kind(status: int) -> Kind:
     """Name a status that the framework chose: no such address, no such method, an unreadable body."""
     return next((kind for kind in KINDS.values() if kind.status == status), Kind(status, HTTPStatus(status).phrase))
 

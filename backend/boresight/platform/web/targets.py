@@ -71,7 +71,7 @@ def addresses_of_this_machine() -> frozenset[Address]:
 
 
 @dataclass(frozen=True)
-class Targets:
+class WebhookTargets:
     """What an installation lets its webhooks reach.
 
     Parameters
@@ -102,7 +102,7 @@ class Targets:
         RefusedInputError
             When the host is not named.
         """
-        if self.hosts and not any(_is_of(plain_host(host), entry) for entry in self.hosts):
+        if self.hosts and not any(_matches(plain_host(host), entry) for entry in self.hosts):
             raise RefusedInputError(
                 f"{host} is not one of the hosts that webhooks may go to, which is not allowed: choose one of "
                 f"{', '.join(self.hosts)}, or have BORESIGHT_WEBHOOK_HOSTS name it."
@@ -180,7 +180,7 @@ def plain_host(host: str) -> str:
         return bare
 
 
-def _is_of(host: str, entry: str) -> bool:
+def _matches(host: str, entry: str) -> bool:
     """Whether a host is the one that an entry of the list names, or below its suffix."""
     return host.endswith(entry[1:]) and host != entry[2:] if entry.startswith("*.") else host == entry
 
@@ -230,7 +230,7 @@ def parsed(url: str) -> tuple[str, int]:
     return parts.hostname, port or (443 if parts.scheme == "https" else 80)
 
 
-def refuse_address(url: str, targets: Targets) -> None:
+def refuse_address(url: str, targets: WebhookTargets) -> None:
     """Refuse an address that cannot be used, or that leads where messages may not go.
 
     A name that leads nowhere now may lead somewhere when there is something to tell, and is judged again then. This looks

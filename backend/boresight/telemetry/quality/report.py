@@ -45,11 +45,11 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray, IntArray
 from boresight.estimation import MINIMUM_STARS
 from boresight.telemetry.quality.detector import OffDetector, detector_coverage, radial_coverage
-from boresight.telemetry.quality.evidence import Evidence, StarNumbers
 from boresight.telemetry.quality.findings import FINDINGS, SEVERITIES, Finding
 from boresight.telemetry.quality.findings.centroids import off_detector_finding
 from boresight.telemetry.quality.findings.times import gaps_finding
-from boresight.telemetry.sampling import Intervals, intervals_of, sampling_of
+from boresight.telemetry.quality.inputs import QualityInputs, StarNumbers
+from boresight.telemetry.sampling import Intervals, compute_intervals, compute_sampling
 from boresight.telemetry.schema import Telemetry, joined
 from boresight.telemetry.sensors import Sensor
 
@@ -73,12 +73,12 @@ def quality_report(telemetry: Telemetry, sensor: Sensor, catalogue: StarNumbers 
     -------
     The document of the module docstring.
     """
-    evidence = Evidence(telemetry, sensor, catalogue)
-    off = evidence.off_detector
-    return document_of(findings_of(evidence), totals_of(evidence), _time(evidence), _unknown_ids(evidence), off)
+    inputs = QualityInputs(telemetry, sensor, catalogue)
+    off = inputs.off_detector
+    return make_document(list_findings(inputs), compute_totals(inputs), _time(inputs), _unknown_ids(inputs), off)
 
 
-def document_of(
+def make_document(
     findings: list[Finding],
     totals: dict[str, Any],
     time: dict[str, Any] | None,
@@ -101,27 +101,27 @@ def document_of(
     }
 
 
-def totals_of(evidence: Evidence) -> dict[str, Any]:
+def compute_totals(inputs: QualityInputs) -> dict[str, Any]:
     """Return what of a report adds up over parts of whole frames, see `quality_parts`."""
-    telemetry, sensor = evidence.telemetry, evidence.sensor
+    telemetry, sensor = inputs.telemetry, inputs.sensor
     return {
-        **_counts(evidence),
+        **_counts(inputs),
         "stars_per_exposure": {
-            "detected": distribution(*np.unique(evidence.exposures.count, return_counts=True)),
-            "usable": distribution(*np.unique(evidence.usable_per_exposure, return_counts=True)),
+            "detected": distribution(*np.unique(inputs.exposures.count, return_counts=True)),
+            "usable": distribution(*np.unique(inputs.usable_per_exposure, return_counts=True)),
         },
-        "detector_coverage": _coverage(evidence),
-        "radial_coverage": radial_coverage(telemetry, sensor, evidence.usable),
+        "detector_coverage": _coverage(inputs),
+        "radial_coverage": radial_coverage(telemetry, sensor, inputs.usable),
         "magnitudes": _magnitudes(telemetry.magnitude),
-        "off_detector": int(np.count_nonzero(~evidence.on_detector)),
+        "off_detector": int(np.count_nonzero(~inputs.on_detector)),
         "temperature_c": _range(telemetry.temperature_c),
         "unknown_columns": list(telemetry.unknown),
     }
 
 
-def findings_of(evidence: Evidence) -> list[Finding]:
+def list_findings(inputs: QualityInputs) -> list[Finding]:
     """Return what was found, the worst first, else in the registry's order."""
-    found = [finding for look in FINDINGS if (finding := look(evidence)) is not None]
+    found = [finding for look in FINDINGS if (finding := look(inputs)) is not None]
     return worst_first(found)
 
 
@@ -130,32 +130,32 @@ def worst_first(findings: list[Finding]) -> list[Finding]:
     return sorted(findings, key=lambda finding: -SEVERITIES.index(finding.severity))
 
 
-def _counts(evidence: Evidence) -> dict[str, Any]:
-    rows, matched = len(evidence.telemetry), int(evidence.matched.sum())
-    full = evidence.usable_per_exposure >= MINIMUM_STARS
+def _counts(inputs: QualityInputs) -> dict[str, Any]:
+    rows, matched = len(inputs.telemetry), int(inputs.matched.sum())
+    full = inputs.usable_per_exposure >= MINIMUM_STARS
     return {
-        "frames": len(np.unique(evidence.telemetry.frame)),
-        "exposures": len(evidence.exposures),
+        "frames": len(np.unique(inputs.telemetry.frame)),
+        "exposures": len(inputs.exposures),
         "stars": rows,
         "matched": matched,
         "unmatched": rows - matched,
         "unmatched_share": (rows - matched) / rows if rows else 0.0,
-        "usable": int(evidence.usable.sum()),
+        "usable": int(inputs.usable.sum()),
         "usable_exposures": int(full.sum()),
-        "usable_frames": len(np.unique(evidence.exposures.frame[full])),
+        "usable_frames": len(np.unique(inputs.exposures.frame[full])),
     }
 
 
-def _time(evidence: Evidence) -> dict[str, Any] | None:
+def _time(inputs: QualityInputs) -> dict[str, Any] | None:
     """Return span, interval and gaps; None when no row has a time."""
-    sampling = sampling_of(evidence)
-    time_utc = evidence.telemetry.time_utc
+    sampling = compute_sampling(inputs)
+    time_utc = inputs.telemetry.time_utc
     if sampling is None or time_utc is None:
         return None
-    timed = time_utc[~evidence.untimed]
+    timed = time_utc[~inputs.untimed]
     after = sampling.entry[sampling.gaps + 1][:MOST_LISTED]
     intervals = (sampling.interval_s, sampling.median_s, sampling.gaps)
-    rows, frames = after + evidence.telemetry.first_row, evidence.telemetry.frame[after]
+    rows, frames = after + inputs.telemetry.first_row, inputs.telemetry.frame[after]
     return time_document(timed.min(), timed.max(), intervals, rows, frames)
 
 
@@ -188,11 +188,11 @@ def distribution(stars: IntArray, exposures: IntArray) -> dict[str, Any]:
     }
 
 
-def _coverage(evidence: Evidence) -> dict[str, Any]:
+def _coverage(inputs: QualityInputs) -> dict[str, Any]:
     """Return the usable stars in cells of the detector, and all detections in the same cells."""
-    every = np.ones(len(evidence.telemetry), dtype=np.bool_)
-    detected = detector_coverage(evidence.telemetry, evidence.sensor, every)["counts"]
-    return detector_coverage(evidence.telemetry, evidence.sensor, evidence.usable) | {"detected": detected}
+    every = np.ones(len(inputs.telemetry), dtype=np.bool_)
+    detected = detector_coverage(inputs.telemetry, inputs.sensor, every)["counts"]
+    return detector_coverage(inputs.telemetry, inputs.sensor, inputs.usable) | {"detected": detected}
 
 
 def _magnitudes(magnitude: FloatArray | None) -> dict[str, Any] | None:
@@ -213,11 +213,11 @@ def _magnitudes(magnitude: FloatArray | None) -> dict[str, Any] | None:
     }
 
 
-def _unknown_ids(evidence: Evidence) -> dict[str, Any] | None:
+def _unknown_ids(inputs: QualityInputs) -> dict[str, Any] | None:
     """Return how many different numbers the catalogue does not have, and the first of them; None if nobody can say."""
-    if evidence.catalogue is None or evidence.telemetry.star_id is None:
+    if inputs.catalogue is None or inputs.telemetry.star_id is None:
         return None
-    ids = np.unique(evidence.telemetry.star_id[evidence.unknown])
+    ids = np.unique(inputs.telemetry.star_id[inputs.unknown])
     return {"count": len(ids), "ids": ids[:MOST_LISTED].tolist()}
 
 
@@ -256,13 +256,13 @@ class QualityParts:
         if self._seen % self._stride == 0:
             self._kept.append(replace(part, unknown={name: cells.slice(0, 0) for name, cells in part.unknown.items()}))
         self._seen += 1
-        evidence = Evidence(part, self._sensor, self._catalogue)
-        self._frames.add(evidence)
-        self._off.absorb(evidence.off_detector)
-        totals = totals_of(evidence)
+        inputs = QualityInputs(part, self._sensor, self._catalogue)
+        self._frames.add(inputs)
+        self._off.absorb(inputs.off_detector)
+        totals = compute_totals(inputs)
         self._totals = totals if self._totals is None else _added(self._totals, totals)
-        if evidence.index is not None and part.star_id is not None:
-            self._unknown_ids = np.union1d(self._unknown_ids, part.star_id[evidence.unknown])
+        if inputs.index is not None and part.star_id is not None:
+            self._unknown_ids = np.union1d(self._unknown_ids, part.star_id[inputs.unknown])
         while sum(map(len, self._kept)) > MOST_ROWS and len(self._kept) > 1:
             self._kept, self._stride = self._kept[::2], 2 * self._stride
 
@@ -277,13 +277,13 @@ class QualityParts:
         if len(self._kept) == self._seen or self._totals is None:
             return quality_report(telemetry, self._sensor, self._catalogue)
         rows = np.concatenate([part.first_row + np.arange(len(part)) for part in self._kept])
-        evidence = Evidence(telemetry, self._sensor, self._catalogue, rows)
-        found = [finding for finding in findings_of(evidence) if finding.code not in {"GAPS", "OFF_DETECTOR"}]
+        inputs = QualityInputs(telemetry, self._sensor, self._catalogue, rows)
+        found = [finding for finding in list_findings(inputs) if finding.code not in {"GAPS", "OFF_DETECTOR"}]
         of_all = (self._frames.gaps(), off_detector_finding(self._off, self._sensor))
         found += [self._of_a_part(telemetry), *(finding for finding in of_all if finding is not None)]
         ids = self._unknown_ids
-        unknown = {"count": len(ids), "ids": ids[:MOST_LISTED].tolist()} if evidence.index is not None else None
-        return document_of(worst_first(found), self._totals, self._frames.document(), unknown, self._off)
+        unknown = {"count": len(ids), "ids": ids[:MOST_LISTED].tolist()} if inputs.index is not None else None
+        return make_document(worst_first(found), self._totals, self._frames.document(), unknown, self._off)
 
     def _of_a_part(self, looked_at: Telemetry) -> Finding:
         """Say of how much of the set the findings are."""
@@ -304,10 +304,10 @@ class _FrameTimes:
         self._frame: list[IntArray] = []
         self._span: list[np.datetime64] = []
 
-    def add(self, evidence: Evidence) -> None:
+    def add(self, inputs: QualityInputs) -> None:
         """Take the first time of every frame of a part."""
-        time_utc, telemetry = evidence.telemetry.time_utc, evidence.telemetry
-        timed = np.flatnonzero(~evidence.untimed)
+        time_utc, telemetry = inputs.telemetry.time_utc, inputs.telemetry
+        timed = np.flatnonzero(~inputs.untimed)
         if time_utc is None or not len(timed):
             return
         entry = timed[np.diff(telemetry.frame[timed], prepend=telemetry.frame[timed[0]] - 1) != 0]
@@ -320,14 +320,14 @@ class _FrameTimes:
         """The finding of gaps between frames."""
         if not self._time:
             return None
-        intervals = intervals_of(np.concatenate(self._time))
+        intervals = compute_intervals(np.concatenate(self._time))
         return gaps_finding(intervals, tuple(np.concatenate(self._row)[intervals[2] + 1][:MOST_LISTED].tolist()))
 
     def document(self) -> dict[str, Any] | None:
         """The `time` of the report."""
         if not self._time:
             return None
-        intervals = intervals_of(np.concatenate(self._time))
+        intervals = compute_intervals(np.concatenate(self._time))
         after = intervals[2][:MOST_LISTED] + 1
         row, frame = (np.concatenate(values)[after] for values in (self._row, self._frame))
         return time_document(self._span[0], self._span[1], intervals, row, frame)

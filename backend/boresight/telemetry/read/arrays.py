@@ -31,7 +31,7 @@ def check_columns(present: Sequence[str], faults: Faults) -> None:
                 faults.add(f"the column is missing: give all of {', '.join(group)}, or none", column=column)
 
 
-def arrays_of(table: pa.Table, faults: Faults) -> Telemetry:
+def make_arrays(table: pa.Table, faults: Faults) -> Telemetry:
     """Turn a table in which every column is there that must be into arrays.
 
     Parameters

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray
 from boresight.errors import Fault, RefusedInputError
 from boresight.telemetry.read.limits import LIMITS
-from boresight.telemetry.schema import Exposures, Telemetry, exposures_of, repeats_within
+from boresight.telemetry.schema import Exposures, Telemetry, find_exposures, repeats_within
 
 MOST_FAULTS = 20
 #: Faults that are met one by one are not looked for beyond so many: each costs some microseconds.
@@ -136,7 +136,7 @@ class Checks:
         """Collect every fault of the next part; nothing is raised here."""
         for faults in (self._order, self._torn, self._others):
             faults.first_row = telemetry.first_row
-        exposures = exposures_of(telemetry)
+        exposures = find_exposures(telemetry)
         _check_order(telemetry, self._last_frame, self._order)
         self._last_frame = int(telemetry.frame[-1])
         _check_torn(telemetry, exposures, self._torn)

@@ -16,14 +16,14 @@ import numpy as np
 import pyarrow as pa
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.read.arrays import arrays_of, check_columns, scale_quaternions
+from boresight.telemetry.read.arrays import check_columns, make_arrays, scale_quaternions
 from boresight.telemetry.read.checks import Checks, Faults
 from boresight.telemetry.read.comma_separated import csv_tables
 from boresight.telemetry.read.formats import Tables, format_at
 from boresight.telemetry.read.json_lines import json_tables
 from boresight.telemetry.read.limits import LIMITS, Limits
 from boresight.telemetry.read.parquet import parquet_tables, rows_of_parquet
-from boresight.telemetry.schema import Telemetry, bytes_of, joined, rows_of
+from boresight.telemetry.schema import Telemetry, count_bytes, joined, select_rows
 
 #: Frames of a chunk: with 24 detections each about 100,000 rows, 15 MB.
 CHUNK_FRAMES = 4096
@@ -60,10 +60,10 @@ def read_chunks(
         the first fault have come out by then, so whoever must not use half a file waits for the end.
     """
     name = name or path.name
-    return chunks_of(open_tables(path, name, limits), name, frames, limits)
+    return iterate_chunks(open_tables(path, name, limits), name, frames, limits)
 
 
-def chunks_of(tables: Tables, name: str, frames: int, limits: Limits = LIMITS) -> Iterator[Telemetry]:
+def iterate_chunks(tables: Tables, name: str, frames: int, limits: Limits = LIMITS) -> Iterator[Telemetry]:
     """Read tables in parts of whole frames, as `read_chunks` reads a file."""
     absent = Faults(name)
     check_columns(tables.columns, absent)
@@ -74,7 +74,7 @@ def chunks_of(tables: Tables, name: str, frames: int, limits: Limits = LIMITS) -
         limits.refuse_rows(name, rows)
         if absent.count or tables.form.found or not table.num_rows:
             continue
-        part = arrays_of(_with_every_column(table, tables.columns), cells)
+        part = make_arrays(_with_every_column(table, tables.columns), cells)
         cells.first_row += table.num_rows
         if not cells.count:
             yield from _sound(waiting.whole_frames(part), checks)
@@ -149,7 +149,7 @@ class _Waiting:
         self._parts.append(part)
         if self._changes >= self._frames:
             yield from self._cut(self._frames)
-        if sum(map(len, self._parts)) > MOST_ROWS or sum(map(bytes_of, self._parts)) > MOST_BYTES:
+        if sum(map(len, self._parts)) > MOST_ROWS or sum(map(count_bytes, self._parts)) > MOST_BYTES:
             self._refuse_endless()
             yield from self._cut(self._changes)
 
@@ -164,8 +164,8 @@ class _Waiting:
         changes = np.flatnonzero(np.diff(every.frame)) + 1
         seams = [0, *changes[frames - 1 :: frames].tolist()]
         for start, end in pairwise(seams):
-            yield rows_of(every, slice(start, end))
-        self._parts = [rows_of(every, slice(seams[-1], len(every)))]
+            yield select_rows(every, slice(start, end))
+        self._parts = [select_rows(every, slice(seams[-1], len(every)))]
         self._changes = len(changes) - (len(seams) - 1) * frames
 
     def _refuse_endless(self) -> None:

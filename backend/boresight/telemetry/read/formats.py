@@ -61,7 +61,7 @@ def format_at(path: Path, name: str) -> str:
     with _opened(path) as file:
         head = file.read(_HEAD_BYTES)
         _refuse_emptiness(name, head, file)
-    return format_of(name, head)
+    return detect_format(name, head)
 
 
 def read_bytes(path: Path, name: str) -> bytes:
@@ -85,13 +85,13 @@ def read_bytes(path: Path, name: str) -> bytes:
     return data
 
 
-def json_of(path: Path, name: str) -> Any:
+def read_json(path: Path, name: str) -> Any:
     """Return what a JSON file holds.
 
     Raises
     ------
     RefusedInputError
-        As `read_bytes` and `text_of` do, and when it is larger than any document.
+        As `read_bytes` and `read_text` do, and when it is larger than any document.
     JSONDecodeError
         When it is not JSON, or holds numbers or nesting that none of our documents has.
     """
@@ -100,7 +100,7 @@ def json_of(path: Path, name: str) -> Any:
             raise RefusedInputError(
                 f"{name} is over {LONGEST_DOCUMENT_BYTES / 1e6:,.0f} MB: this is no document that is read here, check the name."
             )
-    return parse_json(text_of(name, read_bytes(path, name)))
+    return parse_json(read_text(name, read_bytes(path, name)))
 
 
 def parse_json(text: bytes | str) -> Any:
@@ -153,7 +153,7 @@ def _refuse_emptiness(name: str, head: bytes, rest: BinaryIO) -> None:
             raise RefusedInputError(f"{name} holds nothing but blanks: download it again.")
 
 
-def format_of(name: str, data: bytes) -> str:
+def detect_format(name: str, data: bytes) -> str:
     """Return `CSV`, `JSON Lines` or `Parquet`.
 
     A file without one of the known suffixes is what its bytes are; content-addressed files have no suffix.
@@ -177,7 +177,7 @@ def format_of(name: str, data: bytes) -> str:
     return found
 
 
-def text_of(name: str, data: bytes) -> bytes:
+def read_text(name: str, data: bytes) -> bytes:
     """Return the text of a JSON file as UTF-8 with plain line ends, without byte-order mark and closing blank lines.
 
     Raises

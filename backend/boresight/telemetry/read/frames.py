@@ -15,7 +15,7 @@ import numpy as np
 
 from boresight.arrays import IntArray
 from boresight.errors import NotFoundError
-from boresight.telemetry.schema import Telemetry, exposures_of, joined
+from boresight.telemetry.schema import Telemetry, find_exposures, joined
 from boresight.telemetry.working_table import WorkingTable
 
 #: Tables whose list of frames is kept; one of 100,000 frames takes 1.6 MB.
@@ -44,7 +44,7 @@ class FrameIndex:
         """Count the frames."""
         return len(self.frame)
 
-    def place_of(self, frame: int) -> int:
+    def find_place(self, frame: int) -> int:
         """Return the place of a frame number in `frame`.
 
         Raises
@@ -75,7 +75,7 @@ class FrameIndex:
     @cached_property
     def typical_stars(self) -> float:
         """Median number of detections of an exposure."""
-        return float(np.median(np.concatenate([exposures_of(part).count for part in self.table.parts()])))
+        return float(np.median(np.concatenate([find_exposures(part).count for part in self.table.parts()])))
 
 
 @lru_cache(maxsize=TABLES_KEPT)

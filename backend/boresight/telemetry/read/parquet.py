@@ -88,7 +88,7 @@ class Chunk:
     size: int
 
 
-def chunks_of(file: mmap.mmap | bytes) -> list[list[Chunk]]:
+def list_chunks(file: mmap.mmap | bytes) -> list[list[Chunk]]:
     """The columns of every group of rows, as the footer says.
 
     Raises
@@ -124,7 +124,7 @@ def _structs(value: object) -> list[dict[int, object]]:
     return [_fields(item) for item in value]
 
 
-def pages_of(file: mmap.mmap | bytes, start: int, size: int) -> Iterator[Page]:
+def iterate_pages(file: mmap.mmap | bytes, start: int, size: int) -> Iterator[Page]:
     """Yield the pages of a column chunk that lies at these bytes.
 
     Raises
@@ -297,7 +297,7 @@ def parquet_tables(path: Path, name: str, limits: Limits = LIMITS) -> Tables:
     RefusedInputError
         When the file is truncated or damaged, has a column twice or one of lists, or holds more than the limits let pass.
     """
-    layout = layout_of(path, name, limits)
+    layout = read_layout(path, name, limits)
     return rows_of_file(path, name, layout, range(layout.rows), limits)
 
 
@@ -313,7 +313,7 @@ def rows_of_parquet(path: Path, name: str) -> int:
         return int(file.metadata.num_rows)
 
 
-def layout_of(path: Path, name: str, limits: Limits = LIMITS) -> Layout:
+def read_layout(path: Path, name: str, limits: Limits = LIMITS) -> Layout:
     """Look at footer and page headers, and refuse what is beyond the limits.
 
     Raises
@@ -398,7 +398,7 @@ def _look_at_pages(path: Path, name: str, file: arrow_parquet.ParquetFile, texts
     walk = _Walk(name, names, texts, limits, path.stat().st_size, metadata.num_rows, len(groups))
     try:
         with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            chunks = chunks_of(data)
+            chunks = list_chunks(data)
             are_whole = [len(columns) for columns in chunks] == [len(names)] * len(groups)
             for columns, group in zip(chunks, groups, strict=True) if are_whole else ():
                 walk.look_at(data, columns, group.num_rows)
@@ -427,7 +427,7 @@ class _Walk:
         together = 0
         for column, chunk in zip(self.widths, chunks, strict=True):
             largest = {True: 0, False: 0}
-            for page in pages_of(data, chunk.start, chunk.size):
+            for page in iterate_pages(data, chunk.start, chunk.size):
                 self._count(page)
                 largest[page.is_dictionary] = max(largest[page.is_dictionary], page.uncompressed_bytes)
                 if column in self._texts:

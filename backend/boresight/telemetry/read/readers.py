@@ -24,10 +24,10 @@ import pyarrow as pa
 import pyarrow.parquet as arrow_parquet
 from numpy.typing import NDArray
 
-from boresight.telemetry.read.chunks import chunks_of, open_tables, read_chunks
+from boresight.telemetry.read.chunks import iterate_chunks, open_tables, read_chunks
 from boresight.telemetry.read.formats import format_at
 from boresight.telemetry.read.limits import LIMITS, Limits
-from boresight.telemetry.read.parquet import Layout, layout_of, open_parquet, rows_of_file
+from boresight.telemetry.read.parquet import Layout, open_parquet, read_layout, rows_of_file
 from boresight.telemetry.schema import Telemetry, joined
 from boresight.telemetry.writers import write_csv, write_parquet
 
@@ -107,7 +107,7 @@ class Stretch:
         """Read it in parts of so many frames; `first_row` counts in the whole file. Refuses what `chunks.read_chunks` refuses."""
         rows = range(self.begins, self.ends)
         tables = rows_of_file(self.path, self.name, self.layout, rows, self.limits)
-        return chunks_of(tables, self.name, frames, self.limits)
+        return iterate_chunks(tables, self.name, frames, self.limits)
 
 
 def stretches(path: Path, name: str, frames: int, limits: Limits = LIMITS) -> list[Stretch]:
@@ -125,7 +125,7 @@ def stretches(path: Path, name: str, frames: int, limits: Limits = LIMITS) -> li
     """
     if format_at(path, name) != "Parquet":
         return []
-    layout = layout_of(path, name, limits)
+    layout = read_layout(path, name, limits)
     if "frame" not in layout.columns:
         return []
     with open_parquet(path, name) as file:

@@ -76,7 +76,7 @@ _ZIP_MEMBERS = {
 _PARQUET = b"PAR1"
 
 
-def kind_of(head: bytes) -> Kind | None:
+def detect_kind(head: bytes) -> Kind | None:
     """Say what a file is that is not telemetry, by its first bytes; None where no signature is known."""
     if head.startswith(_ZIP):
         members = head[:_FIRST_MEMBERS_BYTES]
@@ -101,7 +101,7 @@ def refuse_other_kinds(name: str, head: bytes) -> None:
     RefusedInputError
         Says what the file is and what to make of it.
     """
-    if (kind := kind_of(head)) is not None:
+    if (kind := detect_kind(head)) is not None:
         raise RefusedInputError(f"{name} is {kind.name}: {kind.remedy}.")
 
 
@@ -113,7 +113,7 @@ def refuse_no_json(name: str, head: bytes) -> None:
     RefusedInputError
         Says what the file is.
     """
-    kind = Kind("a Parquet file", "") if head.startswith(_PARQUET) else kind_of(head)
+    kind = Kind("a Parquet file", "") if head.startswith(_PARQUET) else detect_kind(head)
     if kind is not None:
         raise RefusedInputError(f"{name} is {kind.name}, where a JSON text is expected: give the JSON file.")
 

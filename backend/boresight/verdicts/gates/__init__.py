@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from boresight.verdicts.gates.evidence import Evidence
+from boresight.verdicts.gates.evidence import GateInputs
 from boresight.verdicts.gates.gate import GATES, Gate
-from boresight.verdicts.gates.judgement import judge, measurements_of, summarised, words
+from boresight.verdicts.gates.judgement import judge, read_measurements, summarise, words
 from boresight.verdicts.gates.measurements import Measurement, measure
 from boresight.verdicts.gates.profile import DEFAULT_PROFILE, Profile, Threshold, parse_profile
 
 __all__ = [
     "DEFAULT_PROFILE",
     "GATES",
-    "Evidence",
     "Gate",
+    "GateInputs",
     "Measurement",
     "Profile",
     "Threshold",
     "judge",
     "measure",
-    "measurements_of",
     "parse_profile",
-    "summarised",
+    "read_measurements",
+    "summarise",
     "words",
 ]

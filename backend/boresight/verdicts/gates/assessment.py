@@ -13,8 +13,8 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-from boresight.verdicts.gates.evidence import Document, Evidence
-from boresight.verdicts.gates.held_out import held_out_scores, of_result
+from boresight.verdicts.gates.evidence import Document, GateInputs
+from boresight.verdicts.gates.held_out import compute_validation_scores, of_result
 from boresight.verdicts.gates.judgement import judge
 from boresight.verdicts.gates.measurements import measure
 from boresight.verdicts.gates.profile import Profile
@@ -92,10 +92,10 @@ def assess(
     held_out, why = None, NO_FRAMES
     if frames is not None:
         settings = CalibrationSettings.parse((result.get("inputs") or {}).get("settings") or {})
-        held_out = held_out_scores(frames[0], sensor, frames[1], incumbent, result, settings)
+        held_out = compute_validation_scores(frames[0], sensor, frames[1], incumbent, result, settings)
     elif started_from(result, incumbent):
         held_out = of_result(result)
-    evidence = Evidence(
+    evidence = GateInputs(
         sensor=sensor,
         candidate=result,
         incumbent=incumbent,

@@ -18,7 +18,7 @@ Document = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Evidence:
+class GateInputs:
     """Everything a verdict rests on.
 
     Parameters

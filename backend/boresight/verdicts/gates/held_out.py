@@ -1,7 +1,7 @@
 """Set and incumbent on frames that neither was fitted to: the one comparison that nothing in a fit can flatter.
 
-Both see the same frames (`calibration.matching.sighting`), so every comparison is paired: ratios and differences are resampled
-frame by
+Both see the same frames (`calibration.matching.matched_frames`), so every comparison is paired: ratios and differences are
+resampled frame by
 frame, in blocks (`calibration.evaluation.bootstrap`), and what makes a frame hard for both drops out. The stars are compared by the
 difference a frame and not by the ratio of E Eq 30: an incumbent that matches none has no ratio, though nothing is clearer. The
 change of the availability is
@@ -15,7 +15,7 @@ independent frames as there are blocks:
     change - sqrt((g - g_low)^2 + (l_high - l)^2)    to    change + sqrt((g_high - g)^2 + (l - l_low)^2).
 
 A run's own validation compares with the parameters that it started from. Where these are the incumbent's nothing needs to be
-seen again, `of_result`; elsewhere the frames are matched under both, `held_out_scores`, which takes seconds.
+seen again, `of_result`; elsewhere the frames are matched under both, `compute_validation_scores`, which takes seconds.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.calibration.evaluation import bootstrap
-from boresight.calibration.evaluation.evaluate import evaluate_sightings
-from boresight.calibration.matching.sighting import sightings
+from boresight.calibration.evaluation.evaluate import evaluate_matched_frames
+from boresight.calibration.matching.matched_frames import match_under_states
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.parameter_file import parse_parameters
 from boresight.sky.catalogue import Catalogue
@@ -41,7 +41,7 @@ from boresight.verdicts.gates.measurements import ends
 Score = dict[str, Any]  # value, interval, and of the incumbent where it has one
 
 
-def held_out_scores(
+def compute_validation_scores(
     telemetry: Telemetry,
     sensor: Sensor,
     catalogue: Catalogue,
@@ -74,8 +74,8 @@ def held_out_scores(
         parse_parameters(incumbent, sensor, "The incumbent"),
         parse_parameters(candidate, sensor, "The set"),
     ]
-    before, after = sightings(telemetry, sensor, catalogue, states, settings, cache_folder)
-    evaluation = evaluate_sightings(telemetry, sensor, before, after, settings, _rng())
+    before, after = match_under_states(telemetry, sensor, catalogue, states, settings, cache_folder)
+    evaluation = evaluate_matched_frames(telemetry, sensor, before, after, settings, _rng())
     valid = np.stack([before.view.valid_frames, after.view.valid_frames])
     matched = np.stack([before.view.matched_in_frame, after.view.matched_in_frame])
     return _scores(evaluation, valid, matched)

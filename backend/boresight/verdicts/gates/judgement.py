@@ -47,10 +47,10 @@ def judge(profile: Profile, measurements: Mapping[str, Measurement]) -> dict[str
     """
     nothing = Measurement(None, "This was not measured.")
     answers = [_answer(threshold, measurements.get(threshold.name, nothing)) for threshold in profile.thresholds]
-    return summarised({"schema": SCHEMA, "gates": answers}, (), ())
+    return summarise({"schema": SCHEMA, "gates": answers}, (), ())
 
 
-def summarised(report: Mapping[str, Any], waived: Collection[str], ever_waived: Collection[str]) -> dict[str, Any]:
+def summarise(report: Mapping[str, Any], waived: Collection[str], ever_waived: Collection[str]) -> dict[str, Any]:
     """Return a report as it stands with waivers.
 
     Parameters
@@ -63,7 +63,7 @@ def summarised(report: Mapping[str, Any], waived: Collection[str], ever_waived: 
     answers = [{**answer, "waived": answer["name"] in waived} for answer in report["gates"]]
     counted = [answer for answer in answers if not answer["observe_only"]]
     blocking = [answer["name"] for answer in counted if _blocks(answer)]
-    verdict = worst(answer["status"] for answer in counted if not (_stands(answer) and _passed_by(answer)))
+    verdict = find_worst(answer["status"] for answer in counted if not (_stands(answer) and _passed_by(answer)))
     return {
         **report,
         "verdict": verdict,
@@ -74,7 +74,7 @@ def summarised(report: Mapping[str, Any], waived: Collection[str], ever_waived: 
     }
 
 
-def worst(statuses: Iterable[str]) -> str:
+def find_worst(statuses: Iterable[str]) -> str:
     """Return the worst of some answers; PASS of none."""
     return max(statuses, key=STATUSES.index, default="PASS")
 
@@ -126,7 +126,7 @@ def _answer(threshold: Threshold, measured: Measurement) -> dict[str, Any]:
     }
 
 
-def measurements_of(report: Mapping[str, Any]) -> dict[str, Measurement]:
+def read_measurements(report: Mapping[str, Any]) -> dict[str, Measurement]:
     """Return what was measured, from a report, to be judged by another profile."""
     return {
         answer["name"]: Measurement(

@@ -33,7 +33,7 @@ from boresight.calibration.trust.efficiency import field_arc_sigma
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
 from boresight.uplink import table_definition
-from boresight.verdicts.gates.evidence import Document, Evidence
+from boresight.verdicts.gates.evidence import Document, GateInputs
 
 Ends = tuple[float | None, float | None]
 IS_INCUMBENT = "There is no other set to compare with: this one is the baseline, or the sensor has none."
@@ -96,12 +96,12 @@ def ends(pair: Sequence[float | None] | None) -> Ends | None:
     return None if low is None and high is None else (low, high)
 
 
-def measure(evidence: Evidence) -> dict[str, Measurement]:
+def measure(evidence: GateInputs) -> dict[str, Measurement]:
     """Measure everything that the gates ask, by gate."""
     return {name: _measured(function, evidence) for name, function in MEASURES.items()}
 
 
-def _measured(function: Callable[[Evidence], Measurement], evidence: Evidence) -> Measurement:
+def _measured(function: Callable[[GateInputs], Measurement], evidence: GateInputs) -> Measurement:
     """Measure for one gate; what cannot be had is absent, with the reason."""
     try:
         return _finite(function(evidence))
@@ -120,7 +120,7 @@ def _finite(measured: Measurement) -> Measurement:
     return measured
 
 
-def _score(name: str, evidence: Evidence) -> Measurement:
+def _score(name: str, evidence: GateInputs) -> Measurement:
     """Take a score of the held-out frames."""
     if evidence.held_out is None:
         return absent(evidence.no_held_out)
@@ -135,14 +135,14 @@ def _score(name: str, evidence: Evidence) -> Measurement:
     )
 
 
-def _against(name: str, evidence: Evidence) -> Measurement:
+def _against(name: str, evidence: GateInputs) -> Measurement:
     """Take a score that compares with the incumbent."""
     if evidence.incumbent is None:
         return absent(IS_INCUMBENT)
     return _score(name, evidence)
 
 
-def _rms_in_noise(evidence: Evidence) -> Measurement:
+def _rms_in_noise(evidence: GateInputs) -> Measurement:
     """Take the RMS in multiples of what the stated centroid noise alone would cause in an arc, sqrt(2) sigmas of a pixel."""
     measured = _score("validation-rms", evidence)
     if measured.value is None:
@@ -157,7 +157,7 @@ def _rms_in_noise(evidence: Evidence) -> Measurement:
     )
 
 
-def finite(evidence: Evidence) -> Measurement:
+def finite(evidence: GateInputs) -> Measurement:
     """Ask for a plausible number for every parameter, and for a finite one or none for every sigma."""
     try:
         evidence.x  # noqa: B018 - reading it is the check
@@ -174,7 +174,7 @@ def _is_sigma(value: object) -> bool:
     return isinstance(value, int | float) and bool(np.isfinite(value)) and value >= 0
 
 
-def covariance(evidence: Evidence) -> Measurement:
+def covariance(evidence: GateInputs) -> Measurement:
     """Ask for a symmetric, positive definite covariance whose roots are the sigmas."""
     try:
         P = evidence.covariance_of(evidence.candidate)
@@ -186,7 +186,7 @@ def covariance(evidence: Evidence) -> Measurement:
     return _of_matrix(evidence, P[np.ix_(places, places)], [evidence.names[place] for place in places])
 
 
-def _of_matrix(evidence: Evidence, P: np.ndarray, names: list[str]) -> Measurement:
+def _of_matrix(evidence: GateInputs, P: np.ndarray, names: list[str]) -> Measurement:
     """Judge the covariance of the free parameters (n_free, n_free)."""
     variance = np.diag(P)
     if not np.isfinite(P).all() or (variance <= 0).any():
@@ -205,7 +205,7 @@ def _of_matrix(evidence: Evidence, P: np.ndarray, names: list[str]) -> Measureme
     return answer("PASS", f"Symmetric and positive definite; least eigenvalue of the correlations {least:.2g}.")
 
 
-def sensor(evidence: Evidence) -> Measurement:
+def sensor(evidence: GateInputs) -> Measurement:
     """Ask whether set, run and sensor speak of one camera."""
     candidate, here = evidence.candidate, evidence.sensor
     if candidate.get("sensor") not in (None, here.name):
@@ -230,7 +230,7 @@ def sensor(evidence: Evidence) -> Measurement:
     )
 
 
-def parameter_shift(evidence: Evidence) -> Measurement:
+def parameter_shift(evidence: GateInputs) -> Measurement:
     """Measure the largest shift from the incumbent, in sigmas of the difference."""
     x_0 = evidence.x_incumbent
     if evidence.incumbent is None or x_0 is None:
@@ -247,7 +247,7 @@ def parameter_shift(evidence: Evidence) -> Measurement:
     )
 
 
-def convergence(evidence: Evidence) -> Measurement:
+def convergence(evidence: GateInputs) -> Measurement:
     """Ask whether the estimate came to rest."""
     status = str(evidence.candidate.get("status"))
     return answer(
@@ -255,7 +255,7 @@ def convergence(evidence: Evidence) -> Measurement:
     )
 
 
-def chi_square(evidence: Evidence) -> Measurement:
+def chi_square(evidence: GateInputs) -> Measurement:
     """Measure the residuals against the stated noise."""
     result = evidence.result or {}
     value, test = result.get("chi2_per_dof"), result.get("chi2")
@@ -264,7 +264,7 @@ def chi_square(evidence: Evidence) -> Measurement:
     return _around_one(value, test, "Residuals")
 
 
-def nis(evidence: Evidence) -> Measurement:
+def nis(evidence: GateInputs) -> Measurement:
     """Measure a filter's innovations against what it expected; a batch has residuals in their place."""
     result = evidence.result or {}
     test = result.get("nis")
@@ -284,7 +284,7 @@ def _around_one(value: float, test: Document, what: str) -> Measurement:
     )
 
 
-def arc_uncertainty(evidence: Evidence) -> Measurement:
+def arc_uncertainty(evidence: GateInputs) -> Measurement:
     """Measure what the covariance does to an arc at the worst place of the detector."""
     worst, degrees = _worst_arc(evidence, evidence.candidate, evidence.x)
     incumbent = None
@@ -297,13 +297,13 @@ def arc_uncertainty(evidence: Evidence) -> Measurement:
     )
 
 
-def _worst_arc(evidence: Evidence, document: Document, x: Any) -> tuple[float, float]:
+def _worst_arc(evidence: GateInputs, document: Document, x: Any) -> tuple[float, float]:
     """Largest sigma of an arc over the detector, rad, and the length of the arcs, degrees."""
     sigma, length = field_arc_sigma(evidence.sensor, x, evidence.covariance_of(document))
     return float(np.nanmax(sigma)), float(np.degrees(length))
 
 
-def condition_number(evidence: Evidence) -> Measurement:
+def condition_number(evidence: GateInputs) -> Measurement:
     """Measure how unevenly the data see the parameters."""
     seen = (evidence.result or {}).get("observability")
     if not seen or seen.get("condition_number") is None:
@@ -312,7 +312,7 @@ def condition_number(evidence: Evidence) -> Measurement:
     return Measurement(float(seen["condition_number"]), f"Largest over smallest of {free} singular values.")
 
 
-def weak_directions(evidence: Evidence) -> Measurement:
+def weak_directions(evidence: GateInputs) -> Measurement:
     """Measure how well the weakest direction is known, and name it."""
     seen = (evidence.result or {}).get("observability")
     if not seen or not seen.get("sigma_of_direction"):
@@ -323,7 +323,7 @@ def weak_directions(evidence: Evidence) -> Measurement:
     return Measurement(float(max(spread)), str(seen["weakest"]["sentence"]))
 
 
-def coverage(evidence: Evidence) -> Measurement:
+def coverage(evidence: GateInputs) -> Measurement:
     """Measure in how many regions of the detector there were stars."""
     seen = (evidence.result or {}).get("coverage")
     if not seen:
@@ -337,7 +337,7 @@ def coverage(evidence: Evidence) -> Measurement:
     )
 
 
-def quantisation(evidence: Evidence) -> Measurement:
+def quantisation(evidence: GateInputs) -> Measurement:
     """Measure how far directions move when the table's number format rounds the parameters."""
     if evidence.definition is None:
         return absent(NO_DEFINITION)
@@ -354,7 +354,7 @@ def quantisation(evidence: Evidence) -> Measurement:
     )
 
 
-MEASURES: dict[str, Callable[[Evidence], Measurement]] = {
+MEASURES: dict[str, Callable[[GateInputs], Measurement]] = {
     "finite": finite,
     "covariance": covariance,
     "sensor": sensor,

@@ -8,7 +8,7 @@ Approvals: the inbox, and signing: a decision, what it means, a comment and the 
 
 A second person may sign at another's console, with name and password.
 
-What people do around a request besides signing: open its evidence, say something, ask somebody to decide.
+The discussion of a request: opening evidence, remarks, assignment.
 """
 
 from __future__ import annotations
@@ -23,18 +23,27 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console import transitions
-from boresight.console.access.dependencies import Reading, Who, client_of, csrf
-from boresight.console.access.password_checks import Passwords
+from boresight.console.access.dependencies import Reading, Who, csrf, get_client
+from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import gates, proposals
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals.pages.gates import panel_of
+from boresight.console.approvals.pages.gates import make_gates_panel
 from boresight.console.approvals.tables import Approval, Opening, Signature
 from boresight.console.fleet import service as sensors
-from boresight.console.pages.rendering import Refusal, attempt, read_texts, redirect, render, seen_version
-from boresight.console.pages.tables import Column, Table, all_of, csv_of, is_text, one_of, page_of, read_view
+from boresight.console.pages.rendering import ShownRefusal, attempt, read_texts, redirect, render, seen_version
+from boresight.console.pages.tables import (
+    Table,
+    TableColumn,
+    accept_one,
+    is_text,
+    read_all,
+    read_page,
+    read_view,
+    write_csv,
+)
 from boresight.console.parameter_sets import service as parameter_sets
-from boresight.console.parameter_sets.pages import bound_incumbent
+from boresight.console.parameter_sets.pages import find_bound_incumbent
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import read_names
@@ -42,9 +51,9 @@ from boresight.errors import NotFoundError
 from boresight.figures import FIGURES, WIDE
 from boresight.figures.tables.parameter_table import UNEXPECTED_TYPICAL_SIGMAS, ParameterRow, set_rows
 from boresight.platform.actors import Actor
-from boresight.platform.db.sessions import Session, reading
-from boresight.platform.web.paging import row_number
-from boresight.verdicts.verdict import marks
+from boresight.platform.db.sessions import Session, open_reading
+from boresight.platform.web.paging import parse_row_id
+from boresight.verdicts.verdict import make_verdict_marks
 
 CHANGE_FIGURE = "radial"
 EVIDENCE_FIGURES = ("rms", "arc-uncertainty", "shadow", "two-halves", "observability", "parameters")
@@ -55,7 +64,7 @@ MEANINGS = {
 
 
 @dataclass(frozen=True)
-class Evidence:
+class EvidenceItem:
     """A piece of evidence: its name in the store, what it is called, where it is, and who opened it first when."""
 
     name: str
@@ -64,18 +73,18 @@ class Evidence:
     opened: Sequence[Opening]
 
 
-def evidence_of(
+def list_evidence(
     session: Session, approval: Approval, row: ParameterSet, incumbent: ParameterSet | None
-) -> list[Evidence]:
+) -> list[EvidenceItem]:
     """Return what an approver can open, with who has."""
-    opened = approvals.openings_of(session, approval.id)
+    opened = approvals.list_openings(session, approval.id)
     return [
-        Evidence(name, title, address, [one for one in opened if one.evidence == name])
-        for name, (title, address) in addresses_of(row, incumbent).items()
+        EvidenceItem(name, title, address, [one for one in opened if one.evidence == name])
+        for name, (title, address) in list_evidence_addresses(row, incumbent).items()
     ]
 
 
-def addresses_of(row: ParameterSet, incumbent: ParameterSet | None) -> dict[str, tuple[str, str]]:
+def list_evidence_addresses(row: ParameterSet, incumbent: ParameterSet | None) -> dict[str, tuple[str, str]]:
     """Return where each piece of evidence of a set is to be seen."""
     own = {
         "set": (f"{row.name}: values, identity, lineage", f"/parameter-sets/{row.id}"),
@@ -94,7 +103,7 @@ def addresses_of(row: ParameterSet, incumbent: ParameterSet | None) -> dict[str,
 
 
 @dataclass(frozen=True)
-class Words:
+class TypedText:
     """What was typed into a form of the page, without its password."""
 
     form: str = ""
@@ -105,7 +114,7 @@ class Words:
     text: str = ""
 
 
-def warnings_of(result: Mapping[str, Any] | None, rows: Sequence[ParameterRow], *, is_ground: bool) -> list[str]:
+def list_warnings(result: Mapping[str, Any] | None, rows: Sequence[ParameterRow], *, is_ground: bool) -> list[str]:
     """Gather what an approver should have read before signing."""
     said = [str(sentence) for sentence in (result or {}).get("advice") or ()]
     said += [
@@ -127,14 +136,14 @@ def request_page(
     actor: Actor,
     approval_id: int,
     *,
-    refusal: Refusal | None = None,
-    typed: Words | None = None,
+    refusal: ShownRefusal | None = None,
+    typed: TypedText | None = None,
 ) -> HTMLResponse:
     """Render a request, with a refused form's words in their place."""
     approval = approvals.get_approval(session, approval_id)
     row = transitions.get_parameter_set(session, approval.parameter_set_id)
     sensor = sensors.get_sensor(session, row.sensor_id)
-    incumbent = bound_incumbent(session, row, approval)
+    incumbent = find_bound_incumbent(session, row, approval)
     result = runs.result(session, request.app.state.blobs, row.run_id) if row.run_id is not None else None
     rows = set_rows(row.document, incumbent.document if incumbent else None, sensor.document)
     policy = request.app.state.policy
@@ -150,21 +159,21 @@ def request_page(
         names=read_names(session),
         rows=rows,
         change_figure=FIGURES[CHANGE_FIGURE] if has_figures else None,
-        panel=panel_of(session, actor, row, report_sha256=approval.bound.get("gate_report_sha256")),
-        marks=marks(result) if result else [],
-        warnings=warnings_of(result, rows, is_ground=row.run_id is None),
-        evidence=evidence_of(session, approval, row, incumbent),
+        panel=make_gates_panel(session, actor, row, report_sha256=approval.bound.get("gate_report_sha256")),
+        marks=make_verdict_marks(result) if result else [],
+        warnings=list_warnings(result, rows, is_ground=row.run_id is None),
+        evidence=list_evidence(session, approval, row, incumbent),
         figures=[FIGURES[name] for name in EVIDENCE_FIGURES if has_figures],
         wide=WIDE,
-        remarks=approvals.remarks_of(session, approval_id),
-        signatures=approvals.signatures_of(session, approval_id),
+        remarks=approvals.list_remarks(session, approval_id),
+        signatures=approvals.list_signatures(session, approval_id),
         pending=proposals.open_proposals(session, row.sensor_id) if approval.state in {"OPEN", "APPROVED"} else [],
         signers=approvals.who_may_sign(session, approval_id, policy=policy) if approval.state == "OPEN" else [],
         blocked=approvals.why_not_sign(session, actor, approval_id, policy=policy),
         decisions=_decisions(approval, row),
         meanings=MEANINGS.values(),
         refusal=refusal,
-        typed=typed or Words(),
+        typed=typed or TypedText(),
         may_speak=bool(actor.roles - {"viewer"}),
         may_promote="operator" in actor.roles,
     )
@@ -188,16 +197,16 @@ REQUESTS = Table(
     "approvals",
     "Requests for approval",
     (
-        Column("request", "Request", "-request", "tight", head=True),
-        Column("set", "Set, of sensor", "set", "named"),
-        Column("gates", "Gates", "", "verdict-words"),
-        Column("reason", "Reason", "", "words"),
-        Column("by", "Submitted by", "by", "named"),
-        Column("expires", "Signed, expires", "expires", "tight"),
-        Column("asked", "Asked of", "", "named"),
-        Column("part", "Your part", "", "act"),
+        TableColumn("request", "Request", "-request", "tight", head=True),
+        TableColumn("set", "Set, of sensor", "set", "named"),
+        TableColumn("gates", "Gates", "", "verdict-words"),
+        TableColumn("reason", "Reason", "", "words"),
+        TableColumn("by", "Submitted by", "by", "named"),
+        TableColumn("expires", "Signed, expires", "expires", "tight"),
+        TableColumn("asked", "Asked of", "", "named"),
+        TableColumn("part", "Your part", "", "act"),
     ),
-    {"show": one_of(VIEWS), "q": is_text},
+    {"show": accept_one(VIEWS), "q": is_text},
     "-request",
     kind="approvals",
     rows_a_page=100,
@@ -218,7 +227,7 @@ EFFECTS = {
 
 
 @dataclass(frozen=True)
-class Entry:
+class InboxRow:
     """One row of the inbox: a request, its set, its verdict, and why the reader may not sign it."""
 
     approval: Approval
@@ -234,7 +243,7 @@ def approvals_page(request: Request, session: Reading, actor: Who) -> HTMLRespon
     """Show the inbox: what waits for a signature, for one's own, what one submitted, or everything."""
     view = read_view(request, REQUESTS)
     show = view.where.get("show", "waiting")
-    found = page_of(session, view, **_narrowed(show, actor))
+    found = read_page(session, view, **_narrowed(show, actor))
     entries = _entries(request, session, actor, found.rows)
     return render(
         request,
@@ -253,9 +262,9 @@ def approvals_csv(request: Request, session: Reading, actor: Who) -> Response:
     """Give every request of a view as CSV."""
     view = read_view(request, REQUESTS)
     show = view.where.get("show", "waiting")
-    entries = _entries(request, session, actor, list(all_of(session, view, **_narrowed(show, actor))))
+    entries = _entries(request, session, actor, list(read_all(session, view, **_narrowed(show, actor))))
     shown = (entry for entry in entries if show != "mine" or entry.blocked is None)
-    return csv_of(view, CSV_FIELDS, (_csv_row(entry) for entry in shown))
+    return write_csv(view, CSV_FIELDS, (_csv_row(entry) for entry in shown))
 
 
 def _narrowed(show: str, actor: Actor) -> dict[str, Any]:
@@ -267,7 +276,7 @@ def _narrowed(show: str, actor: Actor) -> dict[str, Any]:
     }
 
 
-def _csv_row(entry: Entry) -> dict[str, Any]:
+def _csv_row(entry: InboxRow) -> dict[str, Any]:
     """Lay out a request for a program."""
     known = entry.approval
     return {
@@ -285,17 +294,17 @@ def _csv_row(entry: Entry) -> dict[str, Any]:
     }
 
 
-def _entries(request: Request, session: Session, actor: Actor, found: Sequence[Approval]) -> list[Entry]:
+def _entries(request: Request, session: Session, actor: Actor, found: Sequence[Approval]) -> list[InboxRow]:
     """Look up what the inbox says of each request."""
     names, policy = read_names(session), request.app.state.policy
     verdicts = gates.verdicts(session, {known.parameter_set_id for known in found})
     return [
-        Entry(
+        InboxRow(
             known,
             transitions.get_parameter_set(session, known.parameter_set_id),
             names.person(known.submitted_by),
             verdicts.get(known.parameter_set_id),
-            sum(one.decision == "APPROVE" for one in approvals.signatures_of(session, known.id)),
+            sum(one.decision == "APPROVE" for one in approvals.list_signatures(session, known.id)),
             approvals.why_not_sign(session, actor, known.id, policy=policy),
         )
         for known in found
@@ -323,16 +332,16 @@ async def sign_over_the_shoulder(request: Request, actor: Who, approval_id: int)
 async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -> Response:
     """Sign as the form says, and show the request, or why it was refused."""
     form = await read_texts(request)
-    typed = Words(kind, *(form.get(name, "") for name in ("decision", "meaning", "comment", "name")))
+    typed = TypedText(kind, *(form.get(name, "") for name in ("decision", "meaning", "comment", "name")))
     words = (typed.decision, typed.meaning.strip() or MEANINGS.get(typed.decision, ""), typed.comment)
     policy = request.app.state.policy
-    checks: Passwords = request.app.state.passwords
+    checks: PasswordWorker = request.app.state.passwords
 
     def refuse(session: Session) -> None:
         approvals.refuse_beside(session, actor, approval_id, *words, seen_version(form))
 
     async def prove() -> tuple[PasswordProof]:
-        password, client = form.get("password", ""), client_of(request)
+        password, client = form.get("password", ""), get_client(request)
         if kind == "sign":
             return (await checks.check_own(actor, password, client),)
         return (await checks.check_beside(actor, typed.name, password, client, refuse),)
@@ -348,9 +357,11 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
     return redirect(f"/approvals/{approval_id}", flash=EFFECTS[outcome.value[1]])
 
 
-def _again(request: Request, actor: Actor, approval_id: int, refusal: Refusal | None, typed: Words) -> HTMLResponse:
+def _again(
+    request: Request, actor: Actor, approval_id: int, refusal: ShownRefusal | None, typed: TypedText
+) -> HTMLResponse:
     """Show a request with why it was not signed."""
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         return request_page(request, session, actor, approval_id, refusal=refusal, typed=typed)
 
 
@@ -359,10 +370,10 @@ async def open_evidence(
     request: Request, actor: Who, approval_id: int, evidence: Annotated[str, Form()] = ""
 ) -> Response:
     """Keep that a piece of evidence was opened, and go there."""
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         row = transitions.get_parameter_set(session, approvals.get_approval(session, approval_id).parameter_set_id)
-        incumbent = parameter_sets.baseline_of(session, row.sensor_id)
-    known = addresses_of(row, incumbent)
+        incumbent = parameter_sets.get_baseline(session, row.sensor_id)
+    known = list_evidence_addresses(row, incumbent)
     if evidence not in known:
         raise NotFoundError(f"There is no evidence {evidence!r} for this request; choose one of its list.")
     opening = partial(approvals.record_opening, actor=actor, approval_id=approval_id, evidence=evidence)
@@ -379,7 +390,7 @@ async def remark(
     """Say something about a request."""
     outcome = await attempt(request, partial(approvals.remark, actor=actor, approval_id=approval_id, text=text))
     if outcome.value is None:
-        typed = Words("remark", text=text)
+        typed = TypedText("remark", text=text)
         page = partial(request_page, request, session, actor, approval_id, refusal=outcome.refusal, typed=typed)
         return await run_in_threadpool(page)
     return redirect(f"/approvals/{approval_id}#discussion", flash="Your remark is kept.")
@@ -391,13 +402,13 @@ async def assign(request: Request, session: Reading, actor: Who, approval_id: in
     form = await read_texts(request)
 
     def change(session: Session) -> Approval:
-        user_id = row_number(form.get("person", ""))
+        user_id = parse_row_id(form.get("person", ""))
         policy = request.app.state.policy
         return approvals.assign(session, actor, approval_id, user_id, seen_version(form), policy=policy)
 
     outcome = await attempt(request, change)
     if outcome.value is None:
-        typed = Words("assign")
+        typed = TypedText("assign")
         page = partial(request_page, request, session, actor, approval_id, refusal=outcome.refusal, typed=typed)
         return await run_in_threadpool(page)
     return redirect(f"/approvals/{approval_id}#discussion", flash="The request shows whom it is asked of.")

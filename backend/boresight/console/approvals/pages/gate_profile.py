@@ -18,17 +18,17 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import Who, csrf
 from boresight.console.approvals import gate_profiles, proposals
-from boresight.console.approvals.gate_profiles import Tried
+from boresight.console.approvals.gate_profiles import TriedProfile
 from boresight.console.approvals.tables import ChangeProposal, GateProfile
 from boresight.console.change_proposals import service as second_person
 from boresight.console.fleet import service as sensors
-from boresight.console.pages.rendering import Refusal, attempt, read_texts, redirect, render
+from boresight.console.pages.rendering import ShownRefusal, attempt, read_texts, redirect, render
 from boresight.console.runs.pages.list import read_names
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, Policy
-from boresight.platform.db.sessions import Session, reading
-from boresight.platform.web.paging import row_number
+from boresight.platform.db.sessions import Session, open_reading
+from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.gates import GATES, Gate
 from boresight.verdicts.gates.profile import THRESHOLDS
 
@@ -39,7 +39,7 @@ GOOD_SIDE = {"below": "at most", "above": "at least", "around": "off by no more 
 
 
 @dataclass(frozen=True)
-class Line:
+class GateLine:
     """A gate in the form: what it asks, and what stands in its fields."""
 
     gate: Gate
@@ -50,25 +50,25 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Shown:
+class GateProfileContext:
     """What a form left behind on the page."""
 
     typed: Mapping[str, Any] | None = None
     reason: str = ""
-    refusal: Refusal | None = None
-    tried: Sequence[Tried] | None = None
+    refusal: ShownRefusal | None = None
+    tried: Sequence[TriedProfile] | None = None
     changes: Sequence[str] = field(default_factory=tuple)
 
 
 @router.get("/sensors/{sensor_id:int}/gates", response_class=HTMLResponse)
 def gate_profile_page(request: Request, actor: Who, sensor_id: int) -> HTMLResponse:
     """Show the limits of a sensor."""
-    return _page(request, actor, sensor_id, Shown())
+    return _page(request, actor, sensor_id, GateProfileContext())
 
 
-def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLResponse:
+def _page(request: Request, actor: Actor, sensor_id: int, shown: GateProfileContext) -> HTMLResponse:
     """Render the limits, with what a form left behind."""
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         versions = gate_profiles.list_profiles(session, sensor_id)
         return render(
             request,
@@ -76,13 +76,13 @@ def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLR
             refused=shown.refusal,
             sensor=sensors.get_sensor(session, sensor_id),
             current=versions[0],
-            lines=lines_of(shown.typed or typed_of(versions[0].document)),
-            versions=[(row, changes_of(row, earlier)) for row, earlier in _with_earlier(versions)],
+            lines=list_gate_lines(shown.typed or write_form(versions[0].document)),
+            versions=[(row, describe_changes(row, earlier)) for row, earlier in _with_earlier(versions)],
             names=read_names(session),
             pending=proposals.open_proposals(session, sensor_id, "gate-profile"),
             confirmed=proposals.confirmed_by_number(session, sensor_id, "gate-profile"),
             second_person=request.app.state.policy.second_person,
-            summary=None if shown.tried is None else summary_of(shown.tried),
+            summary=None if shown.tried is None else describe_effect(shown.tried),
             may_set=None
             if "administrator" in actor.roles
             else "Only an administrator sets limits: who sets them neither "
@@ -91,7 +91,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLR
         )
 
 
-def typed_of(document: Mapping[str, Any]) -> dict[str, Any]:
+def write_form(document: Mapping[str, Any]) -> dict[str, Any]:
     """Write a profile as the form's fields."""
     typed: dict[str, Any] = {}
     for entry in document["gates"]:
@@ -101,10 +101,10 @@ def typed_of(document: Mapping[str, Any]) -> dict[str, Any]:
     return typed
 
 
-def lines_of(typed: Mapping[str, Any]) -> list[Line]:
+def list_gate_lines(typed: Mapping[str, Any]) -> list[GateLine]:
     """Lay the form out, a line a gate."""
     return [
-        Line(
+        GateLine(
             gate,
             GOOD_SIDE[gate.direction],
             typed.get(f"{name}.limit", ""),
@@ -115,7 +115,7 @@ def lines_of(typed: Mapping[str, Any]) -> list[Line]:
     ]
 
 
-def document_of(typed: Mapping[str, Any]) -> dict[str, Any]:
+def read_profile_form(typed: Mapping[str, Any]) -> dict[str, Any]:
     """Read the form's fields as a profile.
 
     Raises
@@ -152,7 +152,7 @@ def _with_earlier(versions: Sequence[GateProfile]) -> list[tuple[GateProfile, Ga
     return list(zip(versions, [*versions[1:], None], strict=True))
 
 
-def changes_of(row: GateProfile, earlier: GateProfile | None) -> list[str]:
+def describe_changes(row: GateProfile, earlier: GateProfile | None) -> list[str]:
     """Say what a version changed."""
     if earlier is None:
         return []
@@ -172,7 +172,7 @@ def _word(value: Any) -> str:
     return {True: "yes", False: "no"}[value] if isinstance(value, bool) else f"{value:.15g}"
 
 
-def summary_of(tried: Sequence[Tried]) -> str:
+def describe_effect(tried: Sequence[TriedProfile]) -> str:
     """Say in a sentence what limits would have done."""
     if not tried:
         return "There is no finished run to try them on."
@@ -194,7 +194,7 @@ async def change(request: Request, actor: Who, sensor_id: int) -> Response:
     policy = request.app.state.policy
     outcome = await attempt(request, partial(_set, actor, sensor_id, typed, policy))
     if outcome.value is None:
-        shown = Shown(typed, typed.get("reason", ""), outcome.refusal)
+        shown = GateProfileContext(typed, typed.get("reason", ""), outcome.refusal)
         return await run_in_threadpool(_page, request, actor, sensor_id, shown)
     if isinstance(outcome.value, ChangeProposal):
         flash = "Proposed: it takes effect when another administrator confirms it."
@@ -207,20 +207,20 @@ def _set(
     actor: Actor, sensor_id: int, typed: Mapping[str, str], policy: Policy, session: Session
 ) -> GateProfile | TableDefinition | ChangeProposal:
     """Put what was typed into force, or propose it."""
-    seen = row_number(typed.get("number", ""))
-    asked = ("gate-profile", sensor_id, document_of(typed), typed.get("reason", ""), seen)
+    seen = parse_row_id(typed.get("number", ""))
+    asked = ("gate-profile", sensor_id, read_profile_form(typed), typed.get("reason", ""), seen)
     return second_person.change(session, actor, *asked, policy=policy)
 
 
 def _try(request: Request, actor: Actor, sensor_id: int, typed: Mapping[str, str]) -> HTMLResponse:
     """Show what the limits that were typed would have blocked."""
-    shown = Shown(typed, typed.get("reason", ""))
+    shown = GateProfileContext(typed, typed.get("reason", ""))
     try:
-        with reading(request.app.state.engine) as session:
-            tried = gate_profiles.dry_run(session, request.app.state.blobs, sensor_id, document_of(typed))
-        shown = Shown(typed, typed.get("reason", ""), tried=tried)
+        with open_reading(request.app.state.engine) as session:
+            tried = gate_profiles.dry_run(session, request.app.state.blobs, sensor_id, read_profile_form(typed))
+        shown = GateProfileContext(typed, typed.get("reason", ""), tried=tried)
     except NotFoundError:
         raise
     except BoresightError as error:
-        shown = Shown(typed, typed.get("reason", ""), Refusal.of(error))
+        shown = GateProfileContext(typed, typed.get("reason", ""), ShownRefusal.of(error))
     return _page(request, actor, sensor_id, shown)

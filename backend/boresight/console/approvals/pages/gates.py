@@ -4,7 +4,7 @@ Assessing sees frames under two sets, which takes seconds: it is done before the
 
 The panel of gates that the pages of a set, of a request and of the gates themselves share.
 
-`panel_of` fills it, the macro `gates_panel` of `approvals/gates_panel.html` prints it. Its forms post to `gate_report`.
+`make_gates_panel` fills it, the macro `gates_panel` of `approvals/gates_panel.html` prints it. Its forms post to `gate_report`.
 """
 
 from __future__ import annotations
@@ -22,15 +22,23 @@ from boresight.console.access import users
 from boresight.console.access.dependencies import Who, csrf
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import gate_profiles, gates
-from boresight.console.approvals.gates import gather
+from boresight.console.approvals.gates import read_gate_inputs
 from boresight.console.approvals.tables import GateReport, Waiver
 from boresight.console.fleet import service as sensors
-from boresight.console.pages.rendering import Refusal, attempt, proof_of_own, read_texts, redirect, render, seen_version
+from boresight.console.pages.rendering import (
+    ShownRefusal,
+    attempt,
+    proof_of_own,
+    read_texts,
+    redirect,
+    render,
+    seen_version,
+)
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role
-from boresight.platform.db.sessions import Session, reading, utc_after, utc_now
-from boresight.platform.web.paging import row_number
+from boresight.platform.db.sessions import Session, open_reading, utc_after, utc_now
+from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.gates.table import GateRow, gate_rows
 
 USUAL_DAYS = 7
@@ -39,7 +47,7 @@ ONLY_ASSESSORS = "A viewer may not assess sets; ask an administrator for a role.
 
 
 @dataclass(frozen=True)
-class Typed:
+class TypedWaiver:
     """What a waiver's form held when it was refused."""
 
     gate: str = ""
@@ -95,7 +103,7 @@ class GatesPanel:
     codes: dict[str, str] = field(default_factory=lambda: gates.CODES)
     least_letters: int = gates.LEAST_LETTERS
     longest_days: int = gates.LONGEST_DAYS
-    typed: Typed = Typed()
+    typed: TypedWaiver = TypedWaiver()
 
     @property
     def blocking(self) -> Sequence[GateRow]:
@@ -103,11 +111,11 @@ class GatesPanel:
         return [row for row in self.rows if row.blocking]
 
 
-def panel_of(
+def make_gates_panel(
     session: Session,
     actor: Actor,
     row: ParameterSet,
-    typed: Typed | None = None,
+    typed: TypedWaiver | None = None,
     report_sha256: str | None = None,
 ) -> GatesPanel:
     """Fill the panel of a set, as an actor sees it.
@@ -137,7 +145,7 @@ def panel_of(
         may_assess=None if actor.roles.intersection(gates.ASSESSORS) else ONLY_ASSESSORS,
         may_waive=None if actor.roles.intersection({"analyst", "approver"}) else ONLY_WAIVERS,
         waivable=[one for one in rows if one.blocking and one.waivable and not moved],
-        typed=typed or Typed(),
+        typed=typed or TypedWaiver(),
     )
 
 
@@ -158,10 +166,10 @@ def gate_report_page(request: Request, actor: Who, set_id: int) -> HTMLResponse:
 
 
 def _page(
-    request: Request, actor: Actor, set_id: int, refusal: Refusal | None = None, typed: Typed | None = None
+    request: Request, actor: Actor, set_id: int, refusal: ShownRefusal | None = None, typed: TypedWaiver | None = None
 ) -> HTMLResponse:
     """Render the gates of a set, with a refusal and what was typed."""
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         row = transitions.get_parameter_set(session, set_id)
         return render(
             request,
@@ -169,7 +177,7 @@ def _page(
             refused=refusal,
             set=row,
             sensor=sensors.get_sensor(session, row.sensor_id),
-            panel=panel_of(session, actor, row, typed),
+            panel=make_gates_panel(session, actor, row, typed),
             refusal=refusal,
         )
 
@@ -182,7 +190,7 @@ async def assess(request: Request, actor: Who, set_id: int) -> Response:
     except NotFoundError:
         raise
     except BoresightError as error:
-        return await run_in_threadpool(_page, request, actor, set_id, Refusal.of(error))
+        return await run_in_threadpool(_page, request, actor, set_id, ShownRefusal.of(error))
 
     def change(session: Session) -> GateReport:
         return gates.record_report(session, actor, examined)
@@ -193,12 +201,12 @@ async def assess(request: Request, actor: Who, set_id: int) -> Response:
     return redirect(f"/parameter-sets/{set_id}/gates", flash=f"Assessed: {outcome.value.verdict}.")
 
 
-def _examine(request: Request, actor: Actor, set_id: int) -> gates.Assessment:
+def _examine(request: Request, actor: Actor, set_id: int) -> gates.GateAssessment:
     """Measure and judge a set outside any transaction."""
     require_role(actor, *gates.ASSESSORS)
     state = request.app.state
-    with reading(state.engine) as session:
-        case = gather(session, set_id)
+    with open_reading(state.engine) as session:
+        case = read_gate_inputs(session, set_id)
     return gates.examine(case, state.blobs, state.catalogue(), state.settings.catalogue_folder)
 
 
@@ -206,7 +214,7 @@ def _examine(request: Request, actor: Actor, set_id: int) -> gates.Assessment:
 async def waive(request: Request, actor: Who, set_id: int) -> Response:
     """Let a set pass in spite of a gate."""
     given = await read_texts(request)
-    typed = Typed(**{name: given.get(name, "") for name in ("gate", "code", "reason", "days")})
+    typed = TypedWaiver(**{name: given.get(name, "") for name in ("gate", "code", "reason", "days")})
     prove = proof_of_own(request, actor, given.get("password", ""))
     outcome = await attempt(request, partial(_waived, actor, set_id, typed, given), prove)
     if outcome.value is None:
@@ -217,10 +225,10 @@ async def waive(request: Request, actor: Who, set_id: int) -> Response:
 
 
 def _waived(
-    actor: Actor, set_id: int, typed: Typed, given: dict[str, str], session: Session, proof: PasswordProof
+    actor: Actor, set_id: int, typed: TypedWaiver, given: dict[str, str], session: Session, proof: PasswordProof
 ) -> Waiver:
     """Waive as the form says."""
-    days = row_number(typed.days)
+    days = parse_row_id(typed.days)
     if days is None or days > gates.LONGEST_DAYS:
         raise RefusedInputError(
             f"{typed.days.strip()[:20]!r} is not a number of days up to {gates.LONGEST_DAYS}; type one, such as 7."

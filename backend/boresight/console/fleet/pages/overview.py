@@ -17,10 +17,10 @@ from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals import proposals
 from boresight.console.approvals import service as approvals
-from boresight.console.audit.pages import line_of
+from boresight.console.audit.pages import make_audit_line
 from boresight.console.change_proposals import service as second_person
 from boresight.console.fleet import status as fleet
-from boresight.console.fleet.status import SensorTile, Standing
+from boresight.console.fleet.status import SensorStatus, SensorTile
 from boresight.console.pages.drawings import Sparkline, sparkline
 from boresight.console.pages.formats import LEVELS
 from boresight.console.pages.rendering import render
@@ -29,10 +29,10 @@ from boresight.console.runs import service as runs
 from boresight.console.runs.tables import TERMINAL_RUN_STATES
 from boresight.platform.actors import Actor, Policy
 from boresight.platform.audit import log as audit
-from boresight.platform.db.marks import Kept
+from boresight.platform.db.data_version import VersionedCache
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.keeping import same_for_one, tell_older
-from boresight.platform.web.ready import HELD_S
+from boresight.platform.web.response_cache import HELD_S
+from boresight.platform.web.response_cache_store import mark_outdated, same_for_one
 
 RECENT_EVENTS = 12
 MOST_ACTIONS = 8
@@ -44,7 +44,7 @@ router = APIRouter()
 
 
 @dataclass(frozen=True)
-class Action:
+class WaitingAction:
     """Something that waits for the person who looks."""
 
     level: str
@@ -54,17 +54,17 @@ class Action:
 
 
 @dataclass(frozen=True)
-class Waiting:
+class WaitingItems:
     """What of one kind waits: how much, and the first of it."""
 
     count: int
-    first: Sequence[Action]
+    first: Sequence[WaitingAction]
 
 
-NOTHING = Waiting(0, ())
+NOTHING = WaitingItems(0, ())
 
 
-def _signatures(session: Session, actor: Actor, policy: Policy) -> Waiting:
+def _signatures(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
     """Find the open requests that this person may sign now."""
     signatory = approvals.signatory(session, actor, policy=policy)
     if signatory is None:
@@ -72,24 +72,24 @@ def _signatures(session: Session, actor: Actor, policy: Policy) -> Waiting:
     return _requests(session, {"open_to": signatory}, "standby", "waits for your signature", "Review")
 
 
-def _requests(session: Session, where: Mapping[str, Any], level: str, words: str, label: str) -> Waiting:
+def _requests(session: Session, where: Mapping[str, Any], level: str, words: str, label: str) -> WaitingItems:
     """Count the requests that a list is narrowed to, and write the newest of them."""
-    newest = lists.page_of(session, "approvals", where, "-request", limit=MOST_ACTIONS)
-    sets = parameter_sets.heads_of(session, [request.parameter_set_id for request in newest])
+    newest = lists.read_page(session, "approvals", where, "-request", limit=MOST_ACTIONS)
+    sets = parameter_sets.read_heads(session, [request.parameter_set_id for request in newest])
     first = [
-        Action(level, f"{sets[request.parameter_set_id].name} {words}.", f"/approvals/{request.id}", label)
+        WaitingAction(level, f"{sets[request.parameter_set_id].name} {words}.", f"/approvals/{request.id}", label)
         for request in newest
     ]
-    return Waiting(lists.count(session, "approvals", where), first)
+    return WaitingItems(lists.count(session, "approvals", where), first)
 
 
-def _proposals(session: Session, actor: Actor) -> Waiting:
+def _proposals(session: Session, actor: Actor) -> WaitingItems:
     """Find the proposed changes that this person may decide on."""
     able = [
         row for row in proposals.open_proposals(session) if second_person.why_not_decide(session, actor, row) is None
     ]
     first = [
-        Action(
+        WaitingAction(
             "standby",
             f"A change of the {proposals.TITLES[row.kind]} waits for a second person.",
             f"/change-proposals/{row.id}",
@@ -97,22 +97,22 @@ def _proposals(session: Session, actor: Actor) -> Waiting:
         )
         for row in able[:MOST_ACTIONS]
     ]
-    return Waiting(len(able), first)
+    return WaitingItems(len(able), first)
 
 
-def _alarms(session: Session, actor: Actor) -> Waiting:
+def _alarms(session: Session, actor: Actor) -> WaitingItems:
     """Find the alarms that wait for whoever may handle them."""
     if not actor.roles.intersection(alarms.HANDLERS):
         return NOTHING
-    newest = alarms.list_alarms(session, alarms.Sought(state="unacknowledged"), limit=MOST_ACTIONS)
+    newest = alarms.list_alarms(session, alarms.AlarmFilter(state="unacknowledged"), limit=MOST_ACTIONS)
     first = []
     for alarm in newest:
         gist = alarm.sentence.split(". ", maxsplit=1)[0].rstrip(".")
-        first.append(Action(alarm.level, f"Alarm {alarm.id}: {gist}.", f"/alarms/{alarm.id}", "Handle"))
-    return Waiting(alarms.unacknowledged(session), first)
+        first.append(WaitingAction(alarm.level, f"Alarm {alarm.id}: {gist}.", f"/alarms/{alarm.id}", "Handle"))
+    return WaitingItems(alarms.unacknowledged(session), first)
 
 
-def _promotions(session: Session, actor: Actor) -> Iterator[Waiting]:
+def _promotions(session: Session, actor: Actor) -> Iterator[WaitingItems]:
     """Yield what an operator may do: promote what is approved, record what became of a new baseline."""
     if "operator" not in actor.roles:
         return
@@ -121,14 +121,14 @@ def _promotions(session: Session, actor: Actor) -> Iterator[Waiting]:
     yield _sets(session, unsent, "is the baseline; nothing is recorded of it on board", "Record")
 
 
-def _sets(session: Session, where: Mapping[str, Any], words: str, label: str) -> Waiting:
+def _sets(session: Session, where: Mapping[str, Any], words: str, label: str) -> WaitingItems:
     """Count the parameter sets that a list is narrowed to, and write the newest of them."""
-    newest = lists.page_of(session, "parameter-sets", where, "-set", limit=MOST_ACTIONS)
-    first = [Action("standby", f"{row.name} {words}.", f"/parameter-sets/{row.id}", label) for row in newest]
-    return Waiting(lists.count(session, "parameter-sets", where), first)
+    newest = lists.read_page(session, "parameter-sets", where, "-set", limit=MOST_ACTIONS)
+    first = [WaitingAction("standby", f"{row.name} {words}.", f"/parameter-sets/{row.id}", label) for row in newest]
+    return WaitingItems(lists.count(session, "parameter-sets", where), first)
 
 
-def _own_requests(session: Session, actor: Actor) -> Iterator[Waiting]:
+def _own_requests(session: Session, actor: Actor) -> Iterator[WaitingItems]:
     """Yield this person's requests that came back."""
     if actor.user_id is None:
         return
@@ -136,38 +136,38 @@ def _own_requests(session: Session, actor: Actor) -> Iterator[Waiting]:
         yield _requests(session, {"state": state, "submitted_by": actor.user_id}, "caution", words, "Read")
 
 
-def _calibrations(session: Session, standings: Sequence[Standing], actor: Actor) -> Waiting:
+def _calibrations(session: Session, standings: Sequence[SensorStatus], actor: Actor) -> WaitingItems:
     """Find what an analyst may do about any sensor: launch a first run, look at a failed one, make a set of a good one."""
     if "analyst" not in actor.roles:
         return NOTHING
     converged = {one.last_run.id for one in standings if _converged(one)}
     unused = converged - parameter_sets.runs_with_sets(session, converged)
     found = [action for one in _shown_first(standings) if (action := _next_step(one, unused)) is not None]
-    return Waiting(len(found), found[:MOST_ACTIONS])
+    return WaitingItems(len(found), found[:MOST_ACTIONS])
 
 
-def _next_step(one: Standing, unused: Collection[int]) -> Action | None:
+def _next_step(one: SensorStatus, unused: Collection[int]) -> WaitingAction | None:
     """Say what a sensor's newest run asks for; `unused` are converged runs that no set was made of."""
     run = one.last_run
     if run is None:
         address = f"/runs/new?sensor={one.sensor_id}"
-        told = Action("standby", f"{one.name} has telemetry and no run yet.", address, "Launch")
+        told = WaitingAction("standby", f"{one.name} has telemetry and no run yet.", address, "Launch")
         return told if one.has_telemetry else None
     if run.state in {"FAILED", "LOST"}:
-        return Action("serious", f"{one.name}: run {run.id} {run.state}.", f"/runs/{run.id}", "Look")
+        return WaitingAction("serious", f"{one.name}: run {run.id} {run.state}.", f"/runs/{run.id}", "Look")
     if run.id in unused:
-        return Action("standby", f"{one.name}: run {run.id} converged; judge it.", f"/runs/{run.id}", "Judge")
+        return WaitingAction("standby", f"{one.name}: run {run.id} converged; judge it.", f"/runs/{run.id}", "Judge")
     return None
 
 
-def _converged(one: Standing) -> bool:
+def _converged(one: SensorStatus) -> bool:
     """Tell whether a sensor's newest run came to rest."""
     run = one.last_run
     return run is not None and run.state == "SUCCEEDED" and (run.summary or {}).get("status") == "converged"
 
 
 @dataclass(frozen=True)
-class Course:
+class RecentCalibrations:
     """How a sensor's calibrations went lately.
 
     Parameters
@@ -186,7 +186,7 @@ class Course:
 
 
 @dataclass(frozen=True)
-class Event:
+class RecentEvent:
     """Something that happened: somebody did it, or a run ended."""
 
     at_utc: str
@@ -198,7 +198,7 @@ class Event:
 
 
 @dataclass(frozen=True, eq=False)
-class Fleet:
+class FleetView:
     """What the overview shows to everybody; read once after a commit, whoever looks.
 
     Parameters
@@ -221,16 +221,16 @@ class Fleet:
         What waits for those of the same roles; found for the first who looks.
     """
 
-    standings: Sequence[Standing]
+    standings: Sequence[SensorStatus]
     tiles: Sequence[SensorTile]
-    courses: Mapping[int, Course]
+    courses: Mapping[int, RecentCalibrations]
     waiting: Mapping[int, int]
     queue: Mapping[str, int]
-    events: Sequence[Event]
+    events: Sequence[RecentEvent]
     open_requests: int = 0
     open_proposals: int = 0
     submitters: Collection[int] = ()
-    by_roles: dict[frozenset[str], tuple[Waiting, Sequence[Waiting]]] = field(default_factory=dict)
+    by_roles: dict[frozenset[str], tuple[WaitingItems, Sequence[WaitingItems]]] = field(default_factory=dict)
 
     @property
     def is_whole(self) -> bool:
@@ -243,61 +243,64 @@ class Fleet:
         return sum(not one.is_judged for one in self.standings)
 
 
-def drawn_of(standings: Sequence[Standing]) -> Sequence[Standing]:
+def choose_drawn_sensors(standings: Sequence[SensorStatus]) -> Sequence[SensorStatus]:
     """Choose the sensors that a page has room for: all by name, or of a large fleet those that stand worst, the worst first."""
     return _shown_first(standings)[:MOST_TILES]
 
 
-def _shown_first(standings: Sequence[Standing]) -> Sequence[Standing]:
+def _shown_first(standings: Sequence[SensorStatus]) -> Sequence[SensorStatus]:
     """Order the sensors as a page shows them."""
     return standings if len(standings) <= MOST_TILES else sorted(standings, key=lambda one: -LEVELS.index(one.status))
 
 
-def _courses(session: Session, tiles: Sequence[SensorTile]) -> dict[int, Course]:
+def _list_recent_calibrations(session: Session, tiles: Sequence[SensorTile]) -> dict[int, RecentCalibrations]:
     """Return how each sensor's calibrations went lately."""
-    summaries = fleet.recent_summaries(session, [tile.sensor.id for tile in tiles], RUNS_IN_A_SPARKLINE)
+    summaries = fleet.list_recent_summaries(session, [tile.sensor.id for tile in tiles], RUNS_IN_A_SPARKLINE)
     drifting = alarms.open_of_sensors(session, "DRIFT", [tile.sensor.id for tile in tiles])
-    return {tile.sensor.id: _course(summaries.get(tile.sensor.id, ()), drifting.get(tile.sensor.id)) for tile in tiles}
+    return {
+        tile.sensor.id: _read_recent_calibrations(summaries.get(tile.sensor.id, ()), drifting.get(tile.sensor.id))
+        for tile in tiles
+    }
 
 
-def _course(summaries: Sequence[Mapping[str, Any]], drift: Alarm | None) -> Course:
+def _read_recent_calibrations(summaries: Sequence[Mapping[str, Any]], drift: Alarm | None) -> RecentCalibrations:
     rms = [it.get("tail_rms_rad") or it.get("rms_final_arc_rad") for it in summaries]
     seen = [it["availability"] for it in summaries if it.get("availability") is not None]
-    return Course(sparkline([value for value in rms if value]), seen[-1] if seen else None, drift)
+    return RecentCalibrations(sparkline([value for value in rms if value]), seen[-1] if seen else None, drift)
 
 
-def _recorded(session: Session) -> Iterator[Event]:
+def _recorded(session: Session) -> Iterator[RecentEvent]:
     """Yield the newest records of the audit log, but for the ends of runs, which tell more by their rows."""
     for record in audit.list_records(session, limit=RECENT_EVENTS):
         if record.action == "ended":
             continue
-        line = line_of(record)
-        yield Event(record.at_utc, record.actor, record.action, record.object, line.address, line.gist)
+        line = make_audit_line(record)
+        yield RecentEvent(record.at_utc, record.actor, record.action, record.object, line.address, line.gist)
 
 
-def _ended_runs(session: Session, names: Mapping[int, str]) -> Iterator[Event]:
+def _ended_runs(session: Session, names: Mapping[int, str]) -> Iterator[RecentEvent]:
     """Yield the ends of the newest runs."""
     for run in runs.list_runs(session, state=TERMINAL_RUN_STATES, limit=RECENT_EVENTS):
         if run.ended_utc:
             gist = " · ".join(filter(None, (names.get(run.sensor_id), run.label, run.reason)))
-            yield Event(run.ended_utc, "Boresight", run.state, f"runs/{run.id}", f"/runs/{run.id}", gist)
+            yield RecentEvent(run.ended_utc, "Boresight", run.state, f"runs/{run.id}", f"/runs/{run.id}", gist)
 
 
-def _events(session: Session, standings: Sequence[Standing]) -> list[Event]:
+def _events(session: Session, standings: Sequence[SensorStatus]) -> list[RecentEvent]:
     """Return what happened last, newest first."""
     names = {one.sensor_id: one.name for one in standings}
     found = [*_recorded(session), *_ended_runs(session, names)]
     return sorted(found, key=lambda event: event.at_utc, reverse=True)[:RECENT_EVENTS]
 
 
-def _fleet(session: Session) -> Fleet:
+def _fleet(session: Session) -> FleetView:
     """Read what everybody is shown."""
-    standings = fleet.standings(session)
-    tiles = fleet.tiles(session, drawn_of(standings), documents=False)
-    return Fleet(
+    standings = fleet.list_sensor_statuses(session)
+    tiles = fleet.list_tiles(session, choose_drawn_sensors(standings), documents=False)
+    return FleetView(
         standings,
         tiles,
-        _courses(session, tiles),
+        _list_recent_calibrations(session, tiles),
         approvals.newest_open(session, [tile.sensor.id for tile in tiles]),
         runs.count_by_state(session),
         _events(session, standings),
@@ -307,7 +310,7 @@ def _fleet(session: Session) -> Fleet:
     )
 
 
-def _ours(session: Session, actor: Actor, desk: Fleet) -> tuple[Waiting, Sequence[Waiting]]:
+def _ours(session: Session, actor: Actor, desk: FleetView) -> tuple[WaitingItems, Sequence[WaitingItems]]:
     """Gather what waits for everybody of the same roles: alarms, and promotions with the calibrations."""
     found = desk.by_roles.get(actor.roles)
     if found is None:
@@ -316,7 +319,7 @@ def _ours(session: Session, actor: Actor, desk: Fleet) -> tuple[Waiting, Sequenc
     return found
 
 
-def _mine(session: Session, actor: Actor, policy: Policy, desk: Fleet) -> tuple[Waiting, Waiting]:
+def _mine(session: Session, actor: Actor, policy: Policy, desk: FleetView) -> tuple[WaitingItems, WaitingItems]:
     """Gather what waits for a person: requests to sign, and everything, these among it.
 
     What cannot be there, as everybody's look at the fleet tells, is not asked for.
@@ -327,10 +330,10 @@ def _mine(session: Session, actor: Actor, policy: Policy, desk: Fleet) -> tuple[
     alarming, (*promotions, calibrations) = _ours(session, actor, desk)
     kinds = [alarming, signatures, decisions, *promotions, *own, calibrations]
     first = [action for kind in kinds for action in kind.first][:MOST_ACTIONS]
-    return signatures, Waiting(sum(kind.count for kind in kinds), first)
+    return signatures, WaitingItems(sum(kind.count for kind in kinds), first)
 
 
-def _counts(standings: Sequence[Standing]) -> dict[str, int]:
+def _counts(standings: Sequence[SensorStatus]) -> dict[str, int]:
     """Count the sensors by level, worst first; every level, so that the strip keeps its shape."""
     return {level: sum(one.status == level for one in standings) for level in reversed(LEVELS)}
 
@@ -338,13 +341,13 @@ def _counts(standings: Sequence[Standing]) -> dict[str, int]:
 @router.get("/", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
 def overview_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show the fleet."""
-    kept: Kept[Fleet] = request.app.state.overview
+    kept: VersionedCache[FleetView] = request.app.state.overview
     ages = time.monotonic() // HELD_S  # what the rows say of time is read anew with these
     desk, is_older = kept.answer_to(
         ages, partial(_fleet, session), request.state.came_s
     )  # before anything else is read
     if is_older:
-        tell_older(request)
+        mark_outdated(request)
     signatures, actions = _mine(session, actor, request.app.state.policy, desk)
     workers = request.app.state.workers.state() if request.app.state.workers else None
     return render(

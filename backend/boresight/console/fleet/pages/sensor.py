@@ -39,14 +39,14 @@ from boresight.console.fleet import timeline
 from boresight.console.fleet.pages.sensors import read_document
 from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.timeline import AsOf as timeline_AsOf
-from boresight.console.fleet.trend import trend_of
+from boresight.console.fleet.trend import read_trend
 from boresight.console.fleet.trend_document import advise, trend_document
 from boresight.console.notes import service as notes
-from boresight.console.pages.rendering import Refusal, attempt, redirect, render
+from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, render
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
-from boresight.console.runs.pages.list import line_of, read_names
+from boresight.console.runs.pages.list import make_run_line, read_names
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.uplinks import service as uplinks
@@ -55,8 +55,8 @@ from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.figures.charts import trend as figure
 from boresight.platform.actors import Actor
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Session, reading, utc_now
-from boresight.platform.web.paging import row_number
+from boresight.platform.db.sessions import Session, open_reading, utc_now
+from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, fixed, is_number, urad
 
 #: How many of the newest finished runs are looked at for one with a validation set.
@@ -64,7 +64,7 @@ LOOKED_AT = 20
 
 
 @dataclass(frozen=True)
-class Score:
+class ScoreRow:
     """One row: what it is, its unit, and before and after as printed, each with its 95 % interval or nothing."""
 
     name: str
@@ -93,7 +93,7 @@ class BeforeAfter:
 
     run: Run
     judged_on: str
-    scores: Sequence[Score]
+    scores: Sequence[ScoreRow]
     tolerance_urad: str
 
 
@@ -120,7 +120,7 @@ def judged_on(result: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]] | None
     return "calibration", {"rms_arc_rad": result["rms_arc_rad"]}
 
 
-def scores(evaluation: Mapping[str, Any]) -> list[Score]:
+def scores(evaluation: Mapping[str, Any]) -> list[ScoreRow]:
     """Print the scores of an evaluation, those that it has."""
     intervals = evaluation.get("intervals") or {}
     available, rms = evaluation.get("availability") or {}, evaluation.get("rms_arc_rad") or {}
@@ -136,14 +136,14 @@ def scores(evaluation: Mapping[str, Any]) -> list[Score]:
 
 def _score(
     name: str, unit: str, values: Mapping[str, Any], reach: Mapping[str, Any], factor: float, decimals: int
-) -> Score:
+) -> ScoreRow:
     """Print one score, `factor` from SI to its unit."""
     printed = [
         text
         for side in ("initial", "final")
         for text in (_number(values.get(side), factor, decimals), _interval(reach.get(side), factor, decimals))
     ]
-    return Score(name, unit, *printed)
+    return ScoreRow(name, unit, *printed)
 
 
 def _number(value: Any, factor: float, decimals: int) -> str:
@@ -178,7 +178,7 @@ def trend_page(request: Request, session: Reading, actor: Who, sensor_id: int) -
         figure=figure,
         rows=_rows(document),
         points=[*document["points"], *document["others"]][::-1],
-        open_alarms=alarms.list_alarms(session, alarms.Sought(sensor_id=sensor_id)),
+        open_alarms=alarms.list_alarms(session, alarms.AlarmFilter(sensor_id=sensor_id)),
         answer_level=LEVEL_OF_ANSWER[document["advice"]["answer"]],
         drift_level=LEVEL_OF_DRIFT[document["drift"]["verdict"]],
     )
@@ -230,7 +230,7 @@ class Optics:
     principal_col_px: float
 
 
-def optics_of(detector: Mapping[str, Any], parameters: Mapping[str, float]) -> Optics:
+def compute_optics(detector: Mapping[str, Any], parameters: Mapping[str, float]) -> Optics:
     """Derive the field of view from a detector and camera parameters of either model."""
     f_px = parameters["f_m"] / detector["pixel_pitch_m"]
     rows, columns = detector["rows"], detector["columns"]
@@ -249,7 +249,7 @@ def optics_of(detector: Mapping[str, Any], parameters: Mapping[str, float]) -> O
 
 
 @dataclass(frozen=True)
-class Value:
+class BaselineValue:
     """One parameter of the baseline."""
 
     name: str
@@ -260,14 +260,14 @@ class Value:
     truth: float | None
 
 
-def baseline_values(sensor: Sensor, baseline: ParameterSet | None) -> list[Value]:
+def baseline_values(sensor: Sensor, baseline: ParameterSet | None) -> list[BaselineValue]:
     """Lay out the baseline's parameters in model order; a ground calibration has no measured sigma."""
     document = sensor.document
     values = baseline.document["parameters"] if baseline else document["initial"]
     measured = baseline is not None and baseline.run_id is not None
     sigma = (baseline.document.get("sigma") or {}) if baseline and measured else {}
     return [
-        Value(
+        BaselineValue(
             name=name,
             value=value,
             sigma=sigma.get(name),
@@ -290,7 +290,7 @@ class AsOf:
     refusal: str | None
 
 
-def _as_of(session: Session, sensor_id: int, time: str) -> AsOf | None:
+def _read_as_of(session: Session, sensor_id: int, time: str) -> AsOf | None:
     """Answer the question of the form; None when nothing was asked."""
     if not time.strip():
         return None
@@ -302,50 +302,50 @@ def _as_of(session: Session, sensor_id: int, time: str) -> AsOf | None:
 
 
 @dataclass(frozen=True)
-class Shown:
+class SensorContext:
     """What the edit form left behind."""
 
     text: str = ""
-    refusal: Refusal | None = None
+    refusal: ShownRefusal | None = None
 
 
-def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown) -> HTMLResponse:
+def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: SensorContext) -> HTMLResponse:
     """Render a sensor."""
-    with reading(request.app.state.engine) as session:
-        sensor, baseline = sensors.get_sensor(session, sensor_id), parameter_sets.baseline_of(session, sensor_id)
+    with open_reading(request.app.state.engine) as session:
+        sensor, baseline = sensors.get_sensor(session, sensor_id), parameter_sets.get_baseline(session, sensor_id)
         newest = runs.list_runs(session, sensor_id=sensor_id, limit=RUNS_SHOWN)
         names = read_names(session, newest)
         sets = parameter_sets.list_parameter_sets(session, sensor_id=sensor_id, limit=SETS_SHOWN)
-        promotions = uplinks.promotions_of(session, sensor_id)
-        promoted = parameter_sets.heads_of(session, {one.parameter_set_id for one in promotions})
+        promotions = uplinks.list_promotions(session, sensor_id)
+        promoted = parameter_sets.read_heads(session, {one.parameter_set_id for one in promotions})
         values = baseline_values(sensor, baseline)
-        advice = advise(trend_of(session, sensor_id))
+        advice = advise(read_trend(session, sensor_id))
         return render(
             request,
             "fleet/sensor.html",
             refused=shown.refusal,
             sensor=sensor,
-            tile=sensors.fleet_overview(session, [sensor_id])[0],
+            tile=sensors.list_fleet_tiles(session, [sensor_id])[0],
             names=names,
             baseline=baseline,
             verdict_of_baseline=gates.verdicts(session, [baseline.id]).get(baseline.id) if baseline else None,
             values=values,
             has_truth=bool(sensor.truth),
             measured=baseline is not None and baseline.run_id is not None,
-            optics=optics_of(sensor.document["detector"], {it.name: it.value for it in values}),
+            optics=compute_optics(sensor.document["detector"], {it.name: it.value for it in values}),
             sets=sets,
             set_names={number: head.name for number, head in promoted.items()},
             advice=advice,
             answer_level=LEVEL_OF_ANSWER[advice.answer],
-            open_alarms=alarms.list_alarms(session, alarms.Sought(sensor_id=sensor_id)),
+            open_alarms=alarms.list_alarms(session, alarms.AlarmFilter(sensor_id=sensor_id)),
             notes=notes.list_notes(session, actor, "sensors", sensor_id),
             promotions=promotions,
             telemetry=telemetry_sets.list_telemetry_sets(session, sensor_id=sensor_id, limit=SETS_SHOWN),
             sets_in_all=lists.count(session, "parameter-sets", {"sensor": sensor_id}),
             telemetry_in_all=lists.count(session, "telemetry", {"sensor": sensor_id, "in_use": True}),
-            runs=[line_of(run, names) for run in newest],
+            runs=[make_run_line(run, names) for run in newest],
             change=before_after(session, request.app.state.blobs, sensor_id),
-            as_of=_as_of(session, sensor_id, at),
+            as_of=_read_as_of(session, sensor_id, at),
             now=utc_now()[:19] + "Z",
             file_text=shown.text or json.dumps(sensor.document, indent=2),
             may_edit=bool({"analyst", "administrator"} & actor.roles),
@@ -356,7 +356,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Shown)
 @sensor_router.get("/sensors/{sensor_id}", response_class=HTMLResponse)
 def sensor_page(request: Request, actor: Who, sensor_id: int, at: str = "") -> HTMLResponse:
     """Show a sensor, and what was baseline and on board at a time where asked."""
-    return _page(request, actor, sensor_id, at, Shown())
+    return _page(request, actor, sensor_id, at, SensorContext())
 
 
 @sensor_router.post("/sensors/{sensor_id}", response_class=HTMLResponse)
@@ -371,7 +371,7 @@ async def edit(
     outcome = await attempt(request, partial(_edit, actor, sensor_id, document, version))
     if outcome.value is not None:
         return redirect(f"/sensors/{sensor_id}", flash=f"{outcome.value.name} is changed; runs from now on start here.")
-    return await run_in_threadpool(_page, request, actor, sensor_id, "", Shown(document, outcome.refusal))
+    return await run_in_threadpool(_page, request, actor, sensor_id, "", SensorContext(document, outcome.refusal))
 
 
 def _edit(actor: Actor, sensor_id: int, text: str, version: int | None, session: Session) -> Sensor:
@@ -389,7 +389,7 @@ def timeline_page(
     """Show what held at a time, now where none is asked for, and the events."""
     sensor = sensors.get_sensor(session, sensor_id)
     answer, refusal = _answer(session, sensor_id, at.strip())
-    before_id = row_number(before)
+    before_id = parse_row_id(before)
     found = timeline.events(session, sensor_id, before_id=before_id, limit=EVENTS_A_PAGE + 1)
     events = found[:EVENTS_A_PAGE]
     return render(
@@ -412,6 +412,6 @@ def timeline_page(
 def _answer(session: Session, sensor_id: int, at: str) -> tuple[timeline_AsOf | None, str | None]:
     """Answer the question of the form, or say why it cannot be."""
     try:
-        return timeline.as_of(session, sensor_id, at or None), None
+        return timeline.get_state_at(session, sensor_id, at or None), None
     except RefusedInputError as error:
         return None, str(error)

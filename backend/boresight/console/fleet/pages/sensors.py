@@ -21,18 +21,28 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.console.access.dependencies import Reading, Who, csrf
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import status as fleet
-from boresight.console.fleet.service import Choices
-from boresight.console.fleet.status import SensorTile, Standing
+from boresight.console.fleet.service import SensorChoices
+from boresight.console.fleet.status import SensorStatus, SensorTile
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.formats import LEVELS
-from boresight.console.pages.rendering import Refusal, attempt, redirect, render
-from boresight.console.pages.tables import Column, Table, View, all_of, csv_of, is_text, one_of, page_of, read_view
+from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, render
+from boresight.console.pages.tables import (
+    Table,
+    TableColumn,
+    TableView,
+    accept_one,
+    is_text,
+    read_all,
+    read_page,
+    read_view,
+    write_csv,
+)
 from boresight.errors import Fault, RefusedInputError
 from boresight.platform.actors import Actor
-from boresight.platform.db.sessions import Session, reading
-from boresight.platform.web.keeping import Roles
-from boresight.platform.web.paging import row_number
-from boresight.telemetry.read.formats import parse_json, text_of
+from boresight.platform.db.sessions import Session, open_reading
+from boresight.platform.web.paging import parse_row_id
+from boresight.platform.web.response_cache_store import Roles
+from boresight.telemetry.read.formats import parse_json, read_text
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
@@ -62,15 +72,15 @@ SENSORS = Table(
     "sensors",
     "Registered sensors",
     (
-        Column("sensor", "Sensor", "sensor", "nowrap", head=True),
-        Column("status", "Status"),
-        Column("model", "Camera model", "model", "nowrap"),
-        Column("detector", "Detector", "-detector", "num", unit="px"),
-        Column("f", "f", "-f", "num", "Focal length of the baseline", "mm"),
-        Column("baseline", "Baseline", "baseline", "nowrap"),
-        Column("sets", "Sets", "-sets", "num", "Telemetry sets that are in use"),
+        TableColumn("sensor", "Sensor", "sensor", "nowrap", head=True),
+        TableColumn("status", "Status"),
+        TableColumn("model", "Camera model", "model", "nowrap"),
+        TableColumn("detector", "Detector", "-detector", "num", unit="px"),
+        TableColumn("f", "f", "-f", "num", "Focal length of the baseline", "mm"),
+        TableColumn("baseline", "Baseline", "baseline", "nowrap"),
+        TableColumn("sets", "Sets", "-sets", "num", "Telemetry sets that are in use"),
     ),
-    {"status": one_of(LEVELS), "q": is_text},
+    {"status": accept_one(LEVELS), "q": is_text},
     "sensor",
     kind="dense",
 )
@@ -129,54 +139,54 @@ async def typed_document(form: FormData) -> str:
     if isinstance(chosen, UploadFile) and chosen.filename:
         content = await chosen.read()
         await chosen.close()
-        return text_of(chosen.filename, content).decode()
+        return read_text(chosen.filename, content).decode()
     typed = form.get("document")
     return typed if isinstance(typed, str) else ""
 
 
 @dataclass(frozen=True)
-class Shown:
+class SensorsContext:
     """What the form left behind: its text and its refusal."""
 
     text: str = ""
-    refusal: Refusal | None = None
+    refusal: ShownRefusal | None = None
 
 
 @router.get("/sensors", response_class=HTMLResponse)
 def sensors_page(request: Request, roles: Roles, example: str = "") -> HTMLResponse:
     """Show a page of sensors and the form, filled with the example when asked."""
-    return _page(request, roles, Shown(EXAMPLE if example else ""))
+    return _page(request, roles, SensorsContext(EXAMPLE if example else ""))
 
 
 @router.get("/sensors.csv")
 def sensors_csv(request: Request, session: Reading, actor: Who) -> Response:  # noqa: ARG001 - whoever is known may read
     """Give every sensor of a view as CSV, lengths in metres."""
     view = read_view(request, SENSORS)
-    return csv_of(view, CSV_FIELDS, map(_csv_row, _every_tile(session, view)))
+    return write_csv(view, CSV_FIELDS, map(_csv_row, _every_tile(session, view)))
 
 
-def _standing(session: Session, view: View) -> dict[int, Standing] | None:
+def _standing(session: Session, view: TableView) -> dict[int, SensorStatus] | None:
     """Return the sensors that stand as a view asks, which only looking at each of the fleet tells; None where it does not ask."""
     if (status := view.where.get("status")) is None:
         return None
-    return {one.sensor_id: one for one in fleet.standings(session) if one.status == status}
+    return {one.sensor_id: one for one in fleet.list_sensor_statuses(session) if one.status == status}
 
 
-def _where(chosen: Mapping[int, Standing] | None) -> dict[str, Any]:
+def _where(chosen: Mapping[int, SensorStatus] | None) -> dict[str, Any]:
     """Narrow a view to these sensors."""
     return {} if chosen is None else {"status": None, "among": list(chosen)}
 
 
-def _tiles(session: Session, sensor_ids: Sequence[int], chosen: Mapping[int, Standing] | None) -> list[SensorTile]:
+def _tiles(session: Session, sensor_ids: Sequence[int], chosen: Mapping[int, SensorStatus] | None) -> list[SensorTile]:
     """Return the tiles of some sensors, in this order, as they were found to stand when they were chosen."""
-    stand = chosen or {one.sensor_id: one for one in fleet.standings(session, sensor_ids)}
-    return fleet.tiles(session, [stand[sensor_id] for sensor_id in sensor_ids])
+    stand = chosen or {one.sensor_id: one for one in fleet.list_sensor_statuses(session, sensor_ids)}
+    return fleet.list_tiles(session, [stand[sensor_id] for sensor_id in sensor_ids])
 
 
-def _every_tile(session: Session, view: View) -> Iterator[SensorTile]:
+def _every_tile(session: Session, view: TableView) -> Iterator[SensorTile]:
     """Yield the tile of every sensor of a view."""
     chosen = _standing(session, view)
-    ids = iter([sensor.id for sensor in all_of(session, view, **_where(chosen))])
+    ids = iter([sensor.id for sensor in read_all(session, view, **_where(chosen))])
     while some := list(islice(ids, ROWS_AT_ONCE)):
         yield from _tiles(session, some, chosen)
 
@@ -200,12 +210,12 @@ def _csv_row(tile: SensorTile) -> dict[str, Any]:
     }
 
 
-def _page(request: Request, roles: frozenset[str], shown: Shown) -> HTMLResponse:
+def _page(request: Request, roles: frozenset[str], shown: SensorsContext) -> HTMLResponse:
     """Render the list and the form."""
     view = read_view(request, SENSORS)
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         chosen = _standing(session, view)
-        found = page_of(session, view, **_where(chosen))
+        found = read_page(session, view, **_where(chosen))
         return render(
             request,
             "fleet/sensors.html",
@@ -235,13 +245,13 @@ async def register(request: Request, actor: Who) -> Response:
     try:
         text = await typed_document(await request.form())
     except RefusedInputError as error:
-        return await run_in_threadpool(_page, request, actor.roles, Shown(refusal=Refusal.of(error)))
+        return await run_in_threadpool(_page, request, actor.roles, SensorsContext(refusal=ShownRefusal.of(error)))
     outcome = await attempt(request, partial(_register, actor, text))
     if outcome.value is not None:
         sensor = outcome.value
         flash = f"{sensor.name} is registered; its ground calibration PS-{sensor.name}-0 is the baseline."
         return redirect(f"/sensors/{sensor.id}", flash=flash)
-    return await run_in_threadpool(_page, request, actor.roles, Shown(text, outcome.refusal))
+    return await run_in_threadpool(_page, request, actor.roles, SensorsContext(text, outcome.refusal))
 
 
 def _register(actor: Actor, text: str, session: Session) -> Sensor:
@@ -249,7 +259,9 @@ def _register(actor: Actor, text: str, session: Session) -> Sensor:
     return sensors.register_sensor(session, actor, read_document(text))
 
 
-def choices_of(session: Session, view: View, *, find: str = "", keep: Iterable[int] = ()) -> Choices:
+def list_sensor_choices(
+    session: Session, view: TableView, *, find: str = "", keep: Iterable[int] = ()
+) -> SensorChoices:
     """Return what the filter by sensor of a list offers, the one that the view is narrowed to among it."""
-    narrowed = row_number(view.where.get("sensor", ""))
+    narrowed = parse_row_id(view.where.get("sensor", ""))
     return sensors.choices(session, find=find, keep=[*keep, *([narrowed] if narrowed else [])])

@@ -23,14 +23,14 @@ import numpy as np
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse
 
-from boresight.calibration.options import ALL, METHODS, OPTIONS, is_sequential, title_of
-from boresight.console.access.credentials import who_acts
+from boresight.calibration.options import ALL, METHODS, OPTIONS, get_method_title, is_sequential
+from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading
 from boresight.console.pages.formats import words
 from boresight.console.pages.rendering import render
 from boresight.console.runs import comparisons
-from boresight.console.runs.comparisons import Compared, Comparison, UnlikeModelsError, joint
-from boresight.console.runs.pages.list import Names, read_names
+from boresight.console.runs.comparisons import ComparedRun, Comparison, UnlikeModelsError, joint
+from boresight.console.runs.pages.list import RunNames, read_names
 from boresight.console.runs.tables import Run
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
@@ -38,8 +38,8 @@ from boresight.figures import FIGURES, WIDE
 from boresight.figures.charts import radial as radial_contrast
 from boresight.figures.charts.alignment import ALIGNMENTS
 from boresight.figures.charts.methods import MethodScores, method_scores
-from boresight.figures.course import SETTLED_SIGMAS
-from boresight.platform.web.paging import row_number
+from boresight.figures.history import SETTLED_SIGMAS
+from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.numbers import MISSING, count, fixed, number, parameter, plus_minus, sigmas, urad
 
 #: From here on a difference is marked: one of 370 is so large by chance.
@@ -52,7 +52,7 @@ SMALLEST_P = 1e-300
 
 
 @dataclass(frozen=True)
-class Cell:
+class ComparedCell:
     """One parameter of one run: its value, what it is against the reference, and whether that is far."""
 
     value: str
@@ -65,7 +65,7 @@ class ParameterLine:
     """One parameter, a cell a run."""
 
     name: str
-    cells: Sequence[Cell]
+    cells: Sequence[ComparedCell]
     differs: bool
 
 
@@ -88,7 +88,7 @@ def parameter_lines(found: Comparison) -> list[ParameterLine]:
     return lines
 
 
-def _cell(found: Comparison, i: int, k: int) -> Cell:
+def _cell(found: Comparison, i: int, k: int) -> ComparedCell:
     """Print parameter i of run k."""
     name, result, base = found.names[i], found.compared[k].result, found.compared[found.reference]
     value, sigma = ((result.get(key) or {}).get(name) for key in ("parameters", "sigma"))
@@ -96,16 +96,16 @@ def _cell(found: Comparison, i: int, k: int) -> Cell:
     held = "held fixed" if value is not None and sigma is None else ""
     against = found.contrasts[k]
     if k == found.reference:
-        return Cell(printed, "reference, held fixed" if held else "reference")
+        return ComparedCell(printed, "reference, held fixed" if held else "reference")
     if against is None or not np.isfinite(against.difference[i]):
-        return Cell(printed, held or MISSING)
+        return ComparedCell(printed, held or MISSING)
     if np.isfinite(against.sigma[i]):
         apart = float(against.separation[i])
-        return Cell(printed, f"{sigmas(apart)}{', held fixed' if held else ''}", abs(apart) > FAR_SIGMAS)
+        return ComparedCell(printed, f"{sigmas(apart)}{', held fixed' if held else ''}", abs(apart) > FAR_SIGMAS)
     spread = (base.result.get("sigma") or {}).get(name)
     if against.difference[i] == 0 or not spread:
-        return Cell(printed, "alike" if against.difference[i] == 0 else held or MISSING)
-    return Cell(printed, f"{fixed(against.difference[i] / spread, 2)} of the reference’s σ, not noise")
+        return ComparedCell(printed, "alike" if against.difference[i] == 0 else held or MISSING)
+    return ComparedCell(printed, f"{fixed(against.difference[i] / spread, 2)} of the reference’s σ, not noise")
 
 
 def correlation_lines(found: Comparison) -> list[CorrelationLine]:
@@ -117,19 +117,21 @@ def correlation_lines(found: Comparison) -> list[CorrelationLine]:
     return lines
 
 
-def together(found: Comparison) -> list[Cell]:
+def together(found: Comparison) -> list[ComparedCell]:
     """Print, a run, whether all its parameters together differ from the reference's."""
     cells = []
     for k, against in enumerate(found.contrasts):
         test = joint(against)
         if k == found.reference:
-            cells.append(Cell("reference", ""))
+            cells.append(ComparedCell("reference", ""))
         elif test is None:
-            cells.append(Cell(MISSING, "no result yet" if against is None else "what differs is not noise"))
+            cells.append(ComparedCell(MISSING, "no result yet" if against is None else "what differs is not noise"))
         else:
             far = test["p"] < UNLIKELY
             words = "differ" if far else "may be the same"
-            cells.append(Cell(words, f"χ² {number(test['chi2'], 3)} of {test['dof']}, {_chance(test['p'])}", far))
+            cells.append(
+                ComparedCell(words, f"χ² {number(test['chi2'], 3)} of {test['dof']}, {_chance(test['p'])}", far)
+            )
     return cells
 
 
@@ -142,7 +144,7 @@ def _chance(p: float) -> str:
 OWN = {"method", *(name for name, option in OPTIONS.items() if option.methods != ALL)}
 
 
-class HasResult(Protocol):
+class MethodRun(Protocol):
     """A run with its result, empty where it has none."""
 
     @property
@@ -157,7 +159,7 @@ class HasResult(Protocol):
 
 
 @dataclass(frozen=True)
-class Line:
+class MethodLine:
     """One row of the table: what is compared, its unit, a text a run, and how to read it."""
 
     name: str
@@ -184,11 +186,11 @@ class MethodPanel:
 
     refusal: str | None
     unlike: str
-    lines: Sequence[Line]
+    lines: Sequence[MethodLine]
     when: Sequence[tuple[str, str]]
 
 
-def method_panel(compared: Sequence[HasResult]) -> MethodPanel | None:
+def method_panel(compared: Sequence[MethodRun]) -> MethodPanel | None:
     """Set the methods of several runs beside each other; None where there is but one."""
     used = {one.run.method for one in compared}
     if len(used) < 2:
@@ -200,7 +202,7 @@ def method_panel(compared: Sequence[HasResult]) -> MethodPanel | None:
     return MethodPanel(None, ", ".join(_unlike(compared)), _lines(compared), when)
 
 
-def _refusal(compared: Sequence[HasResult]) -> str | None:
+def _refusal(compared: Sequence[MethodRun]) -> str | None:
     """Say why the runs tell nothing of their methods, or None."""
     by_set = {one.run.telemetry_set_id: one.run.id for one in compared}
     if len(by_set) > 1:
@@ -214,7 +216,7 @@ def _refusal(compared: Sequence[HasResult]) -> str | None:
     return None
 
 
-def _unlike(compared: Sequence[HasResult]) -> list[str]:
+def _unlike(compared: Sequence[MethodRun]) -> list[str]:
     """Name the settings beyond the methods' own that are not the same in all runs."""
     names = sorted({name for one in compared for name in one.run.settings} - OWN - {"free"})
     found = [words(name) for name in names if len({str(one.run.settings.get(name)) for one in compared}) > 1]
@@ -223,37 +225,42 @@ def _unlike(compared: Sequence[HasResult]) -> list[str]:
     return found + ["free parameters"] * (len(free) > 1) + ["number of frames used"] * (len(frames) > 1)
 
 
-def _lines(compared: Sequence[HasResult]) -> list[Line]:
+def _lines(compared: Sequence[MethodRun]) -> list[MethodLine]:
     """Lay the table out."""
     scores = [method_scores(one.result) for one in compared]
     lines = [
-        Line("Method", "", [title_of(one.run.method) for one in compared], "When to use it is told below the table."),
-        Line(
+        MethodLine(
+            "Method",
+            "",
+            [get_method_title(one.run.method) for one in compared],
+            "When to use it is told below the table.",
+        ),
+        MethodLine(
             "Claimed error",
             "bound sigmas",
             [fixed(score.claimed, 3) for score in scores],
             "Claimed σ over the Cramér-Rao bound, geometric mean over the free parameters: one is all that the stars hold.",
         ),
-        Line(
+        MethodLine(
             "Cost",
             "ms / frame",
             [number(score.ms_per_frame, 3) for score in scores],
             "Processor time of the method alone, matching left out, measured once: below a factor of two it ranks nothing. "
             "A replay has none; paired rounds of every method are in the report of boresight reproduce wu.",
         ),
-        Line(
+        MethodLine(
             "Converged after",
             "",
             [_settled(one, score) for one, score in zip(compared, scores, strict=True)],
             f"All free parameters stay within {SETTLED_SIGMAS:.0f} final σ of their end from there on.",
         ),
-        Line(
+        MethodLine(
             "Condition number",
             "1",
             [number(score.condition, 3) for score in scores],
             "Of the whole set's scaled Jacobian at the end: alike where the methods agree.",
         ),
-        Line(
+        MethodLine(
             "χ² / dof",
             "1",
             [_verdict(score.chi2_per_dof, score.consistent, 3) for score in scores],
@@ -263,18 +270,18 @@ def _lines(compared: Sequence[HasResult]) -> list[Line]:
     return [*lines[:2], *_against_truth(scores), *lines[2:]]
 
 
-def _against_truth(scores: Sequence[MethodScores]) -> list[Line]:
+def _against_truth(scores: Sequence[MethodScores]) -> list[MethodLine]:
     """Lay out what only a simulated sensor can tell."""
     if all(score.honesty is None for score in scores):
         return []
     return [
-        Line(
+        MethodLine(
             "True error",
             "bound sigmas",
             [fixed(score.true_error, 3) for score in scores],
             "Root mean square over the free parameters, against the simulated truth: about one for an efficient method.",
         ),
-        Line(
+        MethodLine(
             "NEES / n",
             "1",
             [
@@ -286,7 +293,7 @@ def _against_truth(scores: Sequence[MethodScores]) -> list[Line]:
     ]
 
 
-def _settled(one: HasResult, score: MethodScores) -> str:
+def _settled(one: MethodRun, score: MethodScores) -> str:
     """Write how long a method took to its end."""
     if is_sequential(one.run.method):
         return MISSING if score.settled_frames is None else _many(score.settled_frames, "frame")
@@ -308,11 +315,11 @@ CROWDED_RUNS = 8
 OVERLAYS = {"lines": "every run", "band": "lowest to highest", "table": "no figures, tables only"}
 ALIGNED_BY = {"frame": "frame number", "time": "time since the first frame", "update": "update"}
 
-router = APIRouter(dependencies=[Depends(who_acts)])
+router = APIRouter(dependencies=[Depends(get_actor)])
 
 
 @dataclass(frozen=True)
-class View:
+class CompareView:
     """Everything that the address of the page says."""
 
     run_ids: Sequence[int]
@@ -346,10 +353,10 @@ class View:
         return [self.reference, *(run_id for run_id in self.run_ids if run_id != self.reference)]
 
 
-def read_view(run_ids: Sequence[int], reference: str, everything: str, align: str, overlay: str) -> View:
+def read_view(run_ids: Sequence[int], reference: str, everything: str, align: str, overlay: str) -> CompareView:
     """Read the view from the address; what is no choice is as by default."""
-    chosen = named if (named := row_number(reference)) is not None and named in run_ids else run_ids[0]
-    return View(
+    chosen = named if (named := parse_row_id(reference)) is not None and named in run_ids else run_ids[0]
+    return CompareView(
         run_ids,
         chosen,
         bool(everything),
@@ -359,7 +366,7 @@ def read_view(run_ids: Sequence[int], reference: str, everything: str, align: st
 
 
 @dataclass(frozen=True)
-class Difference:
+class DifferenceRow:
     """One row of the table of settings and outcomes: a name and a text a run."""
 
     name: str
@@ -371,14 +378,14 @@ class Difference:
         return len(set(self.values)) > 1
 
 
-def differences(compared: Sequence[Compared], names: Names) -> list[Difference]:
+def differences(compared: Sequence[ComparedRun], names: RunNames) -> list[DifferenceRow]:
     """Set settings and outcomes of the runs beside each other."""
     described = [_description(one, names) for one in compared]
     rows = list(dict.fromkeys(name for description in described for name in description))
-    return [Difference(name, [description.get(name, "–") for description in described]) for name in rows]
+    return [DifferenceRow(name, [description.get(name, "–") for description in described]) for name in rows]
 
 
-def _description(one: Compared, names: Names) -> dict[str, str]:
+def _description(one: ComparedRun, names: RunNames) -> dict[str, str]:
     """Describe a run in short texts."""
     run, result = one.run, one.result
     rms, nis = result.get("rms_arc_rad") or {}, result.get("nis") or {}
@@ -388,7 +395,7 @@ def _description(one: Compared, names: Names) -> dict[str, str]:
         "Sensor": names.sensors.get(run.sensor_id, str(run.sensor_id)),
         "Calibration set": names.sets.get(run.telemetry_set_id, "–"),
         "Validation set": names.sets.get(run.validation_set_id or 0, "none"),
-        "Method": title_of(run.method),
+        "Method": get_method_title(run.method),
         **{f"Setting {name}": _text(value) for name, value in sorted(_chosen(one).items())},
         "Fit": str(result.get("status", "–")).replace("_", " "),
         "Iterations": _text(result.get("iterations")),
@@ -403,7 +410,7 @@ def _description(one: Compared, names: Names) -> dict[str, str]:
     }
 
 
-def _chosen(one: Compared) -> dict[str, Any]:
+def _chosen(one: ComparedRun) -> dict[str, Any]:
     """Return a run's settings but its method, with the free parameters that the sensor's own list stood for."""
     settings = {name: value for name, value in one.run.settings.items() if name != "method"}
     return {**settings, "free": one.result.get("free") or settings.get("free")}
@@ -445,7 +452,7 @@ def compare_page(
     return render(request, "runs/compare.html", refusal=None, found=found, view=view, **_tables(found, view, names))
 
 
-def _tables(found: Comparison, view: View, names: Names) -> Mapping[str, Any]:
+def _tables(found: Comparison, view: CompareView, names: RunNames) -> Mapping[str, Any]:
     """Lay out everything that the page shows of a comparison."""
     rows, lines, pairs = differences(found.compared, names), parameter_lines(found), correlation_lines(found)
     return {
@@ -456,7 +463,7 @@ def _tables(found: Comparison, view: View, names: Names) -> Mapping[str, Any]:
         "correlated": len(pairs),
         "together": together(found),
         "methods": method_panel(found.compared),
-        "titles": [title_of(one.run.method) for one in found.compared],
+        "titles": [get_method_title(one.run.method) for one in found.compared],
         "assumption": comparisons.ASSUMPTION,
         "crowded": len(found.compared) > CROWDED_RUNS,
         "figures": [] if view.overlay == "table" else list(FIGURES.values()),

@@ -47,7 +47,7 @@ class Vector:
 
 
 @dataclass(frozen=True)
-class Mark:
+class DetectionMark:
     """A detection: its place (x along columns), its fate, what its tooltip says, and its residuals."""
 
     row: int
@@ -85,7 +85,7 @@ class FrameDrawing:
     margin: float
     scale: int
     bar_px: float
-    marks: Sequence[Mark]
+    marks: Sequence[DetectionMark]
     missed: Sequence[Mapping[str, Any]]
     x_ticks: Sequence[int]
     y_ticks: Sequence[int]
@@ -140,14 +140,16 @@ def _ticks(size: int) -> list[int]:
     return list(range(0, size, step))
 
 
-def _mark(star: Mapping[str, Any], names: Sequence[str]) -> Mark:
+def _mark(star: Mapping[str, Any], names: Sequence[str]) -> DetectionMark:
     """Lay a detection out."""
     vectors = tuple(
         Vector(name, star[name]["d_px"][1], star[name]["d_px"][0], sum(star[name]["sigma_px"]) / 2)
         for name in names
         if star[name]
     )
-    return Mark(star["row"], star["col_px"], star["row_px"], star["fate"].replace(" ", "-"), _title(star), vectors)
+    return DetectionMark(
+        star["row"], star["col_px"], star["row_px"], star["fate"].replace(" ", "-"), _title(star), vectors
+    )
 
 
 def _title(star: Mapping[str, Any]) -> str:
@@ -220,7 +222,7 @@ class FramePage:
         return "?" + urlencode({name: value for name, value in kept.items() if value is not None})
 
 
-def frames_of(session: Session, request: Request, run: Run) -> dict[str, Any]:
+def make_frames_part(session: Session, request: Request, run: Run) -> dict[str, Any]:
     """Gather the frames part of a run page; whatever stands against showing a frame is a sentence in it."""
     asked = {name: request.query_params[name] for name in ("exposure", "scale", "show") if name in request.query_params}
     state = request.app.state
@@ -269,7 +271,7 @@ def _laid_out(view: Mapping[str, Any], worst: Sequence[FrameLine], address: Mapp
     names = [name for name in UNDER.get(show, UNDER["new"]) if exposure["attitude"][name]]
     if not names and view["why_no_new"]:
         names = ["old"]  # nothing else there is
-    scale = _scale_of(address.get("scale")) or usual_scale(exposure["stars"], names, view["columns"])
+    scale = _read_scale(address.get("scale")) or usual_scale(exposure["stars"], names, view["columns"])
     return FramePage(
         view=view,
         exposure=exposure,
@@ -287,7 +289,7 @@ def _chosen(exposures: Sequence[Mapping[str, Any]], asked: str | None) -> Mappin
     return by_number.get(asked or "", next(iter(exposures), None))
 
 
-def _scale_of(text: str | None) -> int | None:
+def _read_scale(text: str | None) -> int | None:
     """Read the scale; None where none is asked for that there is."""
     return int(text) if text and text.isdecimal() and int(text) in SCALES else None
 

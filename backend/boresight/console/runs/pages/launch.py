@@ -30,23 +30,23 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, QueryParams
 
-from boresight.calibration.options import METHODS, OPTIONS, CalibrationSettings, said, text_of, title_of
+from boresight.calibration.options import METHODS, OPTIONS, CalibrationSettings, get_method_title, said, text_of
 from boresight.cameras import CAMERA_MODELS
-from boresight.console.access.dependencies import Reading, Sighted, Who, csrf
+from boresight.console.access.dependencies import DryRunSight, Reading, Who, csrf
 from boresight.console.fleet import service as sensors
-from boresight.console.fleet.service import Choices
+from boresight.console.fleet.service import SensorChoices
 from boresight.console.fleet.tables import Sensor
-from boresight.console.pages.rendering import Outcome, Refusal, attempt, redirect, render, texts_of
+from boresight.console.pages.rendering import AttemptResult, ShownRefusal, attempt, get_texts, redirect, render
 from boresight.console.runs import presets
 from boresight.console.runs import service as runs
-from boresight.console.runs.dry_runs import Sight
-from boresight.console.runs.presets import Offer
+from boresight.console.runs.dry_runs import ForecastSources
+from boresight.console.runs.presets import OfferedPreset
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.paging import row_number
+from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.numbers import count, duration
 
 #: The choices that have a field each; free parameters have one a sensor.
@@ -62,7 +62,7 @@ DEFAULTS = typed_settings(CalibrationSettings().document())
 
 
 @dataclass(frozen=True)
-class Typed:
+class TypedForm:
     """The form as it was typed: text, so that a refused form comes back as it was; a setting is `typed[name]`."""
 
     sensor_id: str = ""
@@ -76,18 +76,18 @@ class Typed:
         """Return what was typed for a setting."""
         return self.chosen[name]
 
-    def with_settings(self, texts: Mapping[str, str]) -> Typed:
+    def with_settings(self, texts: Mapping[str, str]) -> TypedForm:
         """Return the form with other texts for some settings."""
         return replace(self, chosen={**self.chosen, **texts})
 
-    def under(self, settings: Mapping[str, Any]) -> Typed:
+    def under(self, settings: Mapping[str, Any]) -> TypedForm:
         """Return the form with other settings, data and label as typed; free parameters too where the settings name none."""
         free = dict(self.free)
-        if settings.get("free") and (sensor_id := row_number(self.sensor_id)) is not None:
+        if settings.get("free") and (sensor_id := parse_row_id(self.sensor_id)) is not None:
             free[sensor_id] = list(settings["free"])
         return replace(self.with_settings(typed_settings(settings)), free=free)
 
-    def amended(self, address: QueryParams) -> Typed:
+    def amended(self, address: QueryParams) -> TypedForm:
         """Return the form with what an address says of it, by the names of its fields; an empty `free-<sensor>` frees none.
 
         An address that says the validation set is the form's own, and says all the data; else its set is only a beginning.
@@ -142,21 +142,21 @@ class Typed:
 
 def whole(text: str, name: str) -> int:
     """Read a whole number."""
-    number = row_number(text)
+    number = parse_row_id(text)
     if number is None:
         raise RefusedInputError(f"The {name} {text.strip()[:20]!r} is not a whole number; type one, such as 6.")
     return number
 
 
-def typed_form(form: FormData) -> Typed:
+def typed_form(form: FormData) -> TypedForm:
     """Read the form as typed; free parameters are those of the sensors whose boxes are ticked."""
-    text = texts_of(form)
+    text = get_texts(form)
     ticked = {name: name.removeprefix("free-") for name in form if name.startswith("free-")}
-    numbered = {name: row_number(number) for name, number in ticked.items()}
+    numbered = {name: parse_row_id(number) for name, number in ticked.items()}
     free = {number: list(map(str, form.getlist(name))) for name, number in numbered.items() if number is not None}
-    about: dict[str, Any] = {item.name: text[item.name] for item in fields(Typed) if text.get(item.name)}
+    about: dict[str, Any] = {item.name: text[item.name] for item in fields(TypedForm) if text.get(item.name)}
     chosen = {**DEFAULTS, **{name: text[name] for name in FIELDS if text.get(name)}}
-    return Typed(**{**about, "chosen": chosen, "free": free})
+    return TypedForm(**{**about, "chosen": chosen, "free": free})
 
 
 MOST_SETS = 100
@@ -165,14 +165,14 @@ OF_A_SENSOR = ("set", "validation_set_id")  # what an address says of the data b
 
 
 @dataclass(frozen=True)
-class Origin:
+class LaunchOrigin:
     """Where the form began: the address's own words, as far as they name something."""
 
     sensor: int | None = None
     set_id: int | None = None
     clone: int | None = None
     method: str = ""
-    preset: Offer | None = None
+    preset: OfferedPreset | None = None
     find: str = ""
 
     @property
@@ -194,7 +194,7 @@ class Origin:
 
 
 @dataclass(frozen=True)
-class Offered:
+class OfferedData:
     """What the form offers.
 
     Parameters
@@ -209,7 +209,7 @@ class Offered:
         Whether the form holds every sensor, and none has to be asked for.
     """
 
-    choices: Choices
+    choices: SensorChoices
     fleet: Sequence[Sensor]
     sets: Sequence[TelemetrySet]
     is_whole: bool
@@ -220,19 +220,19 @@ class Offered:
         return None if self.is_whole or not self.fleet else self.fleet[0].id
 
 
-def offer(session: Session, find: str, sensor_id: int | None, set_ids: Sequence[str] = ()) -> Offered:
+def offer(session: Session, find: str, sensor_id: int | None, set_ids: Sequence[str] = ()) -> OfferedData:
     """Read what a form offers that is about a sensor, by default the first by name, and names these sets."""
     choices = sensors.choices(session, find=find, keep=[] if sensor_id is None else [sensor_id])
     if choices.is_all:
         sets = telemetry_sets.list_telemetry_sets(session, limit=MOST_SETS + 1)
         if len(sets) <= MOST_SETS:
-            return Offered(choices, sensors.list_sensors(session), sets, is_whole=True)
+            return OfferedData(choices, sensors.list_sensors(session), sets, is_whole=True)
     if not choices.names:  # nothing holds what is sought
         choices = replace(choices, names=dict(list(sensors.choices(session).names.items())[:1]))
     chosen = next(number for number in (sensor_id, *choices.names) if number is not None and number in choices.names)
     sets = telemetry_sets.list_telemetry_sets(session, sensor_id=chosen, limit=MOST_SETS)
     older = _older(session, set_ids, chosen, {known.id for known in sets})
-    return Offered(choices, sensors.list_sensors(session, [chosen]), [*sets, *older], is_whole=False)
+    return OfferedData(choices, sensors.list_sensors(session, [chosen]), [*sets, *older], is_whole=False)
 
 
 def _older(session: Session, set_ids: Sequence[str], sensor_id: int, known: set[int]) -> Iterator[TelemetrySet]:
@@ -251,7 +251,7 @@ def _number(text: str) -> list[int]:
     return [int(text)] if text.isdecimal() and len(text) <= LONGEST_NUMBER else []
 
 
-def sensor_meant(session: Session, origin: Origin, address: Mapping[str, str]) -> int | None:
+def sensor_meant(session: Session, origin: LaunchOrigin, address: Mapping[str, str]) -> int | None:
     """Return the sensor that a form is about that begins there; None where nothing says which."""
     of_set = origin.set_id is not None and origin.clone is None and "validation_set_id" not in address
     if origin.sensor is not None and not of_set:
@@ -263,7 +263,7 @@ def sensor_meant(session: Session, origin: Origin, address: Mapping[str, str]) -
     return None
 
 
-def sets_of_clone(session: Session, origin: Origin) -> list[str]:
+def sets_of_clone(session: Session, origin: LaunchOrigin) -> list[str]:
     """Return the numbers of the sets of the run that the form began from, which may be older than all that it offers besides."""
     if origin.clone is None:
         return []
@@ -271,7 +271,7 @@ def sets_of_clone(session: Session, origin: Origin) -> list[str]:
     return [str(number) for number in (run.telemetry_set_id, run.validation_set_id) if number is not None]
 
 
-def found_alone(offered: Offered, address: QueryParams) -> str | None:
+def found_alone(offered: OfferedData, address: QueryParams) -> str | None:
     """Return the query of the form about the only sensor that is found; None where it is about that one, or several are found."""
     choices = offered.choices
     alone = list(choices.names)[-1] if choices.find and choices.found == choices.fitting == 1 else None
@@ -288,13 +288,13 @@ def _of_sensor(name: str) -> bool:
 
 def first_choice(
     session: Session, fleet: Sequence[Sensor], clone: int | None, sensor_id: int | None, set_id: int | None
-) -> Typed:
+) -> TypedForm:
     """Fill the form anew: from a run to clone, with a set, or with a sensor's newest sets, by default the first one's."""
-    free = {sensor.id: free_of(sensor) for sensor in fleet}
+    free = {sensor.id: list_free_parameters(sensor) for sensor in fleet}
     if clone is None and set_id is not None:
-        return Typed(**_sets_with(session, set_id), free=free)
+        return TypedForm(**_sets_with(session, set_id), free=free)
     if clone is None:
-        return Typed(**newest_sets(session, fleet[0].id if sensor_id is None and fleet else sensor_id), free=free)
+        return TypedForm(**newest_sets(session, fleet[0].id if sensor_id is None and fleet else sensor_id), free=free)
     run = runs.get_run(session, clone)
     free[run.sensor_id] = list(run.settings.get("free") or free.get(run.sensor_id) or [])
     data: dict[str, Any] = {
@@ -304,13 +304,13 @@ def first_choice(
     }
     if sensor_id not in {None, run.sensor_id}:
         data = newest_sets(session, sensor_id)
-    return Typed(**data, label=run.label, free=free).with_settings(typed_settings(run.settings))
+    return TypedForm(**data, label=run.label, free=free).with_settings(typed_settings(run.settings))
 
 
-def about_its_sensor(session: Session, typed: Typed) -> Typed:
+def about_its_sensor(session: Session, typed: TypedForm) -> TypedForm:
     """Return a form with the newest sets of the sensor that it names and that sensor's own free parameters."""
     fleet = sensors.list_sensors(session, _number(typed.sensor_id))
-    free = {sensor.id: free_of(sensor) for sensor in fleet}
+    free = {sensor.id: list_free_parameters(sensor) for sensor in fleet}
     return replace(typed, **newest_sets(session, next(iter(free), None)), free=free)
 
 
@@ -318,7 +318,7 @@ def newest_sets(session: Session, sensor_id: int | None) -> dict[str, Any]:
     """Choose the newest set of either purpose for a sensor."""
     if sensor_id is None:
         return {}
-    newest = {known.purpose: str(known.id) for known in telemetry_sets.sets_of(session, [sensor_id], newest=1)}
+    newest = {known.purpose: str(known.id) for known in telemetry_sets.list_set_heads(session, [sensor_id], newest=1)}
     return {
         "sensor_id": str(sensor_id),
         "telemetry_set_id": newest.get("calibration", ""),
@@ -333,18 +333,18 @@ def _sets_with(session: Session, set_id: int) -> dict[str, Any]:
     return {**newest_sets(session, known.sensor_id), place: str(known.id)}
 
 
-def free_of(sensor: Sensor) -> list[str]:
+def list_free_parameters(sensor: Sensor) -> list[str]:
     """Return the parameters that a sensor's file frees; all where it names none."""
-    return list(sensor.document.get("free") or names_of(sensor))
+    return list(sensor.document.get("free") or list_parameter_names(sensor))
 
 
-def names_of(sensor: Sensor) -> tuple[str, ...]:
+def list_parameter_names(sensor: Sensor) -> tuple[str, ...]:
     """Return the names of a sensor's parameters."""
     return CAMERA_MODELS[sensor.document["camera_model"]].parameter_names
 
 
 @dataclass(frozen=True)
-class Sigma:
+class PredictedSigma:
     """A free parameter's predicted one-sigma beside what was known before, both SI; `share` is their ratio."""
 
     name: str
@@ -358,13 +358,13 @@ class Sigma:
 
 
 @dataclass(frozen=True)
-class DryRun:
+class DryRunView:
     """What would run: facts to read, the forecast, and warnings to think about."""
 
     facts: Sequence[tuple[str, str]]
     warnings: Sequence[str]
     forecast: Mapping[str, Any] | None
-    sigmas: Sequence[Sigma]
+    sigmas: Sequence[PredictedSigma]
 
     @property
     def level(self) -> str:
@@ -374,14 +374,14 @@ class DryRun:
         return "caution" if self.forecast["weak"] else "normal"
 
 
-def dry_run_of(summary: Mapping[str, Any]) -> DryRun:
+def make_dry_run_view(summary: Mapping[str, Any]) -> DryRunView:
     """Lay out the service's dry-run summary."""
     free, forecast = summary["free"], summary["forecast"]
     facts = [
         ("Sensor", summary["sensor"]),
         ("Calibration set", summary["telemetry_set"]),
         ("Validation set", summary["validation_set"] or "none"),
-        ("Method", title_of(summary["settings"]["method"])),
+        ("Method", get_method_title(summary["settings"]["method"])),
         ("Matches", said("match", summary["settings"]["match"])),
         ("Other choices", _other_choices(summary["settings"]) or "as usual"),
         ("Frames", count(summary["frames"])),
@@ -391,8 +391,8 @@ def dry_run_of(summary: Mapping[str, Any]) -> DryRun:
         ("Expected duration", _expected(summary)),
     ]
     told = forecast or {"sigma": {}, "typical_sigma": {}}
-    sigmas = [Sigma(name, value, told["typical_sigma"][name]) for name, value in told["sigma"].items()]
-    return DryRun(facts, summary["warnings"], forecast, sigmas)
+    sigmas = [PredictedSigma(name, value, told["typical_sigma"][name]) for name, value in told["sigma"].items()]
+    return DryRunView(facts, summary["warnings"], forecast, sigmas)
 
 
 def _expected(summary: Mapping[str, Any]) -> str:
@@ -413,7 +413,7 @@ def _other_choices(settings: Mapping[str, Any]) -> str:
 
 
 @dataclass(frozen=True)
-class Difference:
+class ChangedChoice:
     """A choice that is not what one began from, in words."""
 
     title: str
@@ -421,11 +421,11 @@ class Difference:
     now: str
 
 
-def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Difference]:
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[ChangedChoice]:
     """Compare two settings documents, choice by choice; absent ones are at their defaults."""
     usual = CalibrationSettings().document()
     return [
-        Difference(
+        ChangedChoice(
             OPTIONS[name].label, said(name, before.get(name, usual[name])), said(name, now.get(name, usual[name]))
         )
         for name in usual
@@ -436,7 +436,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Diffe
 router = APIRouter(dependencies=[Depends(csrf)])
 
 
-def _launch(session: Session, actor: Actor, typed: Typed, sight: Sight | None = None) -> Any:
+def _launch(session: Session, actor: Actor, typed: TypedForm, sight: ForecastSources | None = None) -> Any:
     """Hand the typed form to the service; with something to look at, only to ask what the run would be."""
     return runs.launch(
         session,
@@ -451,21 +451,21 @@ def _launch(session: Session, actor: Actor, typed: Typed, sight: Sight | None = 
     )
 
 
-def _saved(session: Session, actor: Actor, typed: Typed, name: str, sentence: str) -> Any:
+def _saved(session: Session, actor: Actor, typed: TypedForm, name: str, sentence: str) -> Any:
     """Keep the typed settings under a name; the sensor's own free parameters are left to each sensor."""
     settings = typed.settings()
     sensor = sensors.get_sensor(session, whole(typed.sensor_id, "sensor"))
-    own = set(settings["free"]) == set(free_of(sensor))
+    own = set(settings["free"]) == set(list_free_parameters(sensor))
     return presets.save_preset(session, actor, name, sentence, {**settings, "free": None if own else settings["free"]})
 
 
-def origin_of(request: Request, session: Session) -> Origin:
+def read_origin(request: Request, session: Session) -> LaunchOrigin:
     """Read where the form begins from the address; what names nothing is left out, except a preset, which is refused."""
     given = request.query_params
     texts = {name: given.get(name, "") for name in ("sensor", "set", "clone")}
     numbers = {name: int(text) for name, text in texts.items() if text.isdecimal() and len(text) <= LONGEST_NUMBER}
     method = given.get("method", "")
-    return Origin(
+    return LaunchOrigin(
         numbers.get("sensor"),
         numbers.get("set"),
         numbers.get("clone"),
@@ -475,7 +475,7 @@ def origin_of(request: Request, session: Session) -> Origin:
     )
 
 
-def _begun(session: Session, offered: Offered, origin: Origin) -> Typed:
+def _begun(session: Session, offered: OfferedData, origin: LaunchOrigin) -> TypedForm:
     """Fill the form anew from where it begins: data first, then the preset's settings, then the method."""
     typed = first_choice(session, offered.fleet, origin.clone, offered.shown or origin.sensor, origin.set_id)
     typed = typed if origin.preset is None else typed.under(origin.preset.settings)
@@ -485,7 +485,7 @@ def _begun(session: Session, offered: Offered, origin: Origin) -> Typed:
 @router.get("/runs/new", response_class=HTMLResponse)
 def launch_page(request: Request, session: Reading, actor: Who) -> Response:
     """Show the form, empty or filled from a run, a telemetry set or a preset."""
-    origin, address = origin_of(request, session), request.query_params
+    origin, address = read_origin(request, session), request.query_params
     named = [*(address.get(name, "") for name in OF_A_SENSOR), *sets_of_clone(session, origin)]
     offered = offer(session, origin.find, sensor_meant(session, origin, address), named)
     if query := found_alone(offered, address):
@@ -494,13 +494,13 @@ def launch_page(request: Request, session: Reading, actor: Who) -> Response:
 
 
 @router.post("/runs/new", response_class=HTMLResponse)
-async def launch(request: Request, session: Reading, actor: Who, sight: Sighted) -> Response:
+async def launch(request: Request, session: Reading, actor: Who, sight: DryRunSight) -> Response:
     """Apply a preset (`intent=preset`), keep one (`save`), queue the run (`queue`), or else only check.
 
     A form that holds the sets of one sensor and names another comes back with the sets of that one, whatever it was sent for.
     """
     form = await request.form()
-    origin = await run_in_threadpool(origin_of, request, session)
+    origin = await run_in_threadpool(read_origin, request, session)
     typed, intent = typed_form(form), form.get("intent")
     if form.get("shown", typed.sensor_id) != typed.sensor_id:
         typed, intent = await run_in_threadpool(about_its_sensor, session, typed), "check"
@@ -509,11 +509,11 @@ async def launch(request: Request, session: Reading, actor: Who, sight: Sighted)
         if outcome.value is not None:
             return redirect(f"/runs/{outcome.value.id}", flash=f"Run #{outcome.value.id} is queued.")
     elif intent == "save":
-        words = texts_of(form)
+        words = get_texts(form)
         name, sentence = words.get("preset_name", ""), words.get("preset_sentence", "")
         outcome = await attempt(request, partial(_saved, actor=actor, typed=typed, name=name, sentence=sentence))
         if outcome.value is not None:
-            kept = replace(origin, preset=presets.offer_of(outcome.value))
+            kept = replace(origin, preset=presets.make_offer(outcome.value))
             return redirect(f"/runs/new?{kept.query}", flash=f"{kept.preset.name} is kept." if kept.preset else "")
     else:
         if intent == "preset" and origin.preset is not None:
@@ -526,67 +526,67 @@ def _answer(
     request: Request,
     session: Session,
     actor: Actor,
-    typed: Typed,
-    origin: Origin,
-    outcome: Outcome[Any],
+    typed: TypedForm,
+    origin: LaunchOrigin,
+    outcome: AttemptResult[Any],
     form: FormData,
 ) -> HTMLResponse:
     """Render the form that was sent."""
-    sensor_id = row_number(typed.sensor_id)
+    sensor_id = parse_row_id(typed.sensor_id)
     offered = offer(session, origin.find, sensor_id, [typed.telemetry_set_id, typed.validation_set_id])
     return _page(request, session, actor, typed, origin, offered, outcome=outcome, form=form)
 
 
-def _checked(session: Session, actor: Actor, typed: Typed, sight: Sight) -> Outcome[Any]:
+def _checked(session: Session, actor: Actor, typed: TypedForm, sight: ForecastSources) -> AttemptResult[Any]:
     """Make the dry run: it reads and writes nothing, so it holds nobody up."""
     try:
-        return Outcome(_launch(session, actor, typed, sight=sight), None)
+        return AttemptResult(_launch(session, actor, typed, sight=sight), None)
     except NotFoundError:
         raise
     except BoresightError as error:
-        return Outcome(None, Refusal.of(error))
+        return AttemptResult(None, ShownRefusal.of(error))
 
 
 def _page(
     request: Request,
     session: Session,
     actor: Actor,
-    typed: Typed,
-    origin: Origin,
-    offered: Offered,
+    typed: TypedForm,
+    origin: LaunchOrigin,
+    offered: OfferedData,
     *,
-    outcome: Outcome[Any] | None = None,
+    outcome: AttemptResult[Any] | None = None,
     form: FormData | None = None,
 ) -> HTMLResponse:
     """Render the form with what was typed and what the check said."""
-    refusal: Refusal | None = outcome.refusal if outcome else None
-    words = texts_of(form) if form is not None else request.query_params
+    refusal: ShownRefusal | None = outcome.refusal if outcome else None
+    words = get_texts(form) if form is not None else request.query_params
     moved = form is not None and form.get("intent") in {"queue", "save"}
     return render(
         request,
         "runs/launch.html",
         refused=refusal if refusal and (moved or refusal.is_ours) else None,
         offered=offered,
-        parameter_names={sensor.id: names_of(sensor) for sensor in offered.fleet},
+        parameter_names={sensor.id: list_parameter_names(sensor) for sensor in offered.fleet},
         has_telemetry=bool(offered.sets or telemetry_sets.list_telemetry_sets(session, limit=1)),
         options=OPTIONS,
         methods=METHODS.values(),
         typed=typed,
         origin=origin,
         begun=_begun(session, offered, origin).query,
-        offers=presets.offers(session),
+        offers=presets.list_offers(session),
         changes=_changes(session, typed, origin),
         preset_name=words.get("preset_name", ""),
         preset_sentence=words.get("preset_sentence", ""),
         refusal=refusal,
-        summary=dry_run_of(outcome.value) if outcome and outcome.value is not None else None,
+        summary=make_dry_run_view(outcome.value) if outcome and outcome.value is not None else None,
         may_launch="analyst" in actor.roles,
     )
 
 
-def _changes(session: Session, typed: Typed, origin: Origin) -> list[Difference] | None:
+def _changes(session: Session, typed: TypedForm, origin: LaunchOrigin) -> list[ChangedChoice] | None:
     """Say what differs from the run that is cloned, or from the preset; None where the form began from neither."""
-    sensor_id = row_number(typed.sensor_id)
+    sensor_id = parse_row_id(typed.sensor_id)
     if (origin.clone is None and origin.preset is None) or sensor_id is None:
         return None
     try:
@@ -597,10 +597,12 @@ def _changes(session: Session, typed: Typed, origin: Origin) -> list[Difference]
     if origin.clone is not None:
         before = runs.get_run(session, origin.clone).settings
     sensor = sensors.get_sensor(session, sensor_id)
-    return differences({**before, "free": before.get("free") or free_of(sensor)}, _in_order(now, before, sensor))
+    return differences(
+        {**before, "free": before.get("free") or list_free_parameters(sensor)}, _in_order(now, before, sensor)
+    )
 
 
 def _in_order(now: Mapping[str, Any], before: Mapping[str, Any], sensor: Sensor) -> dict[str, Any]:
     """Write the free parameters in the order of before where they are the same ones."""
-    free = before.get("free") or free_of(sensor)
+    free = before.get("free") or list_free_parameters(sensor)
     return {**now, "free": free if set(now["free"]) == set(free) else now["free"]}

@@ -15,22 +15,32 @@ from typing import Any
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.calibration.options import METHODS, CalibrationSettings, title_of
+from boresight.calibration.options import METHODS, CalibrationSettings, get_method_title
 from boresight.console.access import users
-from boresight.console.access.credentials import who_acts
+from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf
 from boresight.console.fleet import service as sensors
-from boresight.console.fleet.pages.sensors import choices_of
-from boresight.console.fleet.status import level_of_result
+from boresight.console.fleet.pages.sensors import list_sensor_choices
+from boresight.console.fleet.status import judge_result
 from boresight.console.pages.formats import instant, seconds_since
 from boresight.console.pages.rendering import attempt, redirect, redirect_refused, render
-from boresight.console.pages.tables import Column, Table, all_of, csv_of, is_number, is_text, one_of, page_of, read_view
+from boresight.console.pages.tables import (
+    Table,
+    TableColumn,
+    accept_one,
+    is_number,
+    is_text,
+    read_all,
+    read_page,
+    read_view,
+    write_csv,
+)
 from boresight.console.runs import presets
 from boresight.console.runs.pages.launch import differences
 from boresight.console.runs.tables import RUN_STATES, Run
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.keeping import same_for_roles
+from boresight.platform.web.response_cache_store import same_for_roles
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, number, urad
 from boresight.verdicts.verdict import WORD_OF_LEVEL
 
@@ -38,36 +48,38 @@ RUNS = Table(
     "runs",
     "Runs",
     (
-        Column("state", "State", "state"),
-        Column("run", "Run", "-run", head=True),
-        Column("label", "Label", "label", "label"),
-        Column("sensor", "Sensor", "sensor"),
-        Column("method", "Method", "method"),
-        Column("data", "Data", "data", "label"),
-        Column("fit", "Fit"),
-        Column("rms", "RMS", "rms", "num", "Arclength RMS before and after, unweighted; sorted by after", "µrad"),
-        Column(
+        TableColumn("state", "State", "state"),
+        TableColumn("run", "Run", "-run", head=True),
+        TableColumn("label", "Label", "label", "label"),
+        TableColumn("sensor", "Sensor", "sensor"),
+        TableColumn("method", "Method", "method"),
+        TableColumn("data", "Data", "data", "label"),
+        TableColumn("fit", "Fit"),
+        TableColumn("rms", "RMS", "rms", "num", "Arclength RMS before and after, unweighted; sorted by after", "µrad"),
+        TableColumn(
             "validation",
             "Validation RMS",
             "validation",
             "num",
-            "Of the stars held out, before and after; sorted by after",
+            "Of the validation set, before and after; sorted by after",
             "µrad",
             optional=True,
         ),
-        Column("chi2", "χ² / dof", "-chi2", "num"),
-        Column("change", "Change", "change", "num", "Of the RMS, against the parameters the sensor had at launch", "%"),
-        Column("frames", "Frames", "", "num", optional=True),
-        Column("by", "By", "by"),
-        Column("started", "Started", "-started"),
-        Column("ended", "Ended", "-ended", optional=True),
-        Column("duration", "Duration", "", "num"),
+        TableColumn("chi2", "χ² / dof", "-chi2", "num"),
+        TableColumn(
+            "change", "Change", "change", "num", "Of the RMS, against the parameters the sensor had at launch", "%"
+        ),
+        TableColumn("frames", "Frames", "", "num", optional=True),
+        TableColumn("by", "By", "by"),
+        TableColumn("started", "Started", "-started"),
+        TableColumn("ended", "Ended", "-ended", optional=True),
+        TableColumn("duration", "Duration", "", "num"),
     ),
     {
         "sensor": is_number,
         "sensor_name": is_text,
-        "state": one_of(RUN_STATES),
-        "method": one_of(METHODS),
+        "state": accept_one(RUN_STATES),
+        "method": accept_one(METHODS),
         "data": is_number,
         "q": is_text,
     },
@@ -100,11 +112,11 @@ OF_SUMMARY = (
     "frames",
 )
 
-router = APIRouter(dependencies=[Depends(who_acts)])
+router = APIRouter(dependencies=[Depends(get_actor)])
 
 
 @dataclass(frozen=True)
-class Names:
+class RunNames:
     """What the numbers in a run's row are called."""
 
     sensors: Mapping[int, str]
@@ -116,7 +128,7 @@ class Names:
         return self.people.get(user_id, f"user {user_id}") if user_id is not None else "system"
 
 
-def read_names(session: Session, found: Iterable[Run] = (), *, sensors_of: Iterable[Any] | None = ()) -> Names:
+def read_names(session: Session, found: Iterable[Run] = (), *, sensors_of: Iterable[Any] | None = ()) -> RunNames:
     """Read the names of every person, and of the sensors and telemetry sets of these runs.
 
     Parameters
@@ -131,17 +143,17 @@ def read_names(session: Session, found: Iterable[Run] = (), *, sensors_of: Itera
     return _names(session, {row.sensor_id for row in (*found, *sensors_of) if row.sensor_id is not None}, used)
 
 
-def _names(session: Session, sensor_ids: Collection[int] | None, set_ids: Collection[int] | None) -> Names:
+def _names(session: Session, sensor_ids: Collection[int] | None, set_ids: Collection[int] | None) -> RunNames:
     """Read the names of every person, and of these sensors and telemetry sets; of all where None is given."""
-    return Names(
-        {} if sensor_ids == set() else sensors.names_of(session, sensor_ids),
-        {} if set_ids == set() else telemetry_sets.names_of(session, set_ids),
+    return RunNames(
+        {} if sensor_ids == set() else sensors.get_sensor_names(session, sensor_ids),
+        {} if set_ids == set() else telemetry_sets.get_set_names(session, set_ids),
         {person.id: person.printed_name for person in users.list_users(session)},
     )
 
 
 @dataclass(frozen=True)
-class Line:
+class RunLine:
     """One row of the list."""
 
     run: Run
@@ -161,16 +173,16 @@ class Line:
     seconds: float | None
 
 
-def line_of(run: Run, names: Names) -> Line:
+def make_run_line(run: Run, names: RunNames) -> RunLine:
     """Lay out a run; what it has not computed is a dash."""
     summary = run.summary or {}
     before, after = (summary.get(f"rms_{when}_arc_rad") for when in ("initial", "final"))
-    level = level_of_result(summary)
-    return Line(
+    level = judge_result(summary)
+    return RunLine(
         run=run,
         sensor=names.sensors.get(run.sensor_id, str(run.sensor_id)),
         data=names.sets.get(run.telemetry_set_id, str(run.telemetry_set_id)),
-        method=title_of(run.method),
+        method=get_method_title(run.method),
         by=names.person(run.launched_by),
         fit=_fit(summary.get("status"), level),
         fit_level=level,
@@ -181,7 +193,7 @@ def line_of(run: Run, names: Names) -> Line:
         change=_change(before, after),
         chi2_per_dof=summary.get("chi2_per_dof"),
         fraction=(run.progress or {}).get("fraction") if run.state in {"RUNNING", "CANCELLING"} else None,
-        seconds=seconds_of(run),
+        seconds=compute_run_seconds(run),
     )
 
 
@@ -203,7 +215,7 @@ def _change(before: float | None, after: float | None) -> str:
     return f"{'+' if percent > 0 else ''}{number(round(percent, 1), 3)}{NARROW_SPACE}%"
 
 
-def seconds_of(run: Run) -> float | None:
+def compute_run_seconds(run: Run) -> float | None:
     """Return how long a run has computed, to its end or to now."""
     if run.started_utc is None:
         return None
@@ -216,17 +228,17 @@ def seconds_of(run: Run) -> float | None:
 def runs_page(request: Request, session: Reading) -> HTMLResponse:
     """Show a page of runs."""
     view = read_view(request, RUNS)
-    found = page_of(session, view)
+    found = read_page(session, view)
     names = read_names(session, found.rows)
     on_page = {run.id for run in found.rows}
     return render(
         request,
         "runs/runs.html",
         view=view,
-        lines=[line_of(run, names) for run in found.rows],
+        lines=[make_run_line(run, names) for run in found.rows],
         last=found.last,
         elsewhere=[number for number in view.chosen if number not in on_page],
-        choices=choices_of(session, view),
+        choices=list_sensor_choices(session, view),
         states=RUN_STATES,
         methods=METHODS.values(),
     )
@@ -237,12 +249,12 @@ def runs_csv(request: Request, session: Reading) -> Response:
     """Give every run of a view as CSV, in SI."""
     view = read_view(request, RUNS)
     names = _names(session, None, None)
-    return csv_of(view, CSV_FIELDS, (_csv_row(run, names) for run in all_of(session, view)))
+    return write_csv(view, CSV_FIELDS, (_csv_row(run, names) for run in read_all(session, view)))
 
 
-def _csv_row(run: Run, names: Names) -> dict[str, Any]:
+def _csv_row(run: Run, names: RunNames) -> dict[str, Any]:
     """Lay out a run for a program."""
-    line, summary = line_of(run, names), run.summary or {}
+    line, summary = make_run_line(run, names), run.summary or {}
     return {
         "run": run.id,
         "label": run.label,

@@ -26,7 +26,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
 
 from boresight.calibration.options import CalibrationSettings
-from boresight.console.access.credentials import who_acts
+from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf
 from boresight.console.pages.formats import seconds_since
 from boresight.console.pages.rendering import attempt, read_texts, redirect, redirect_refused, render
@@ -50,7 +50,7 @@ NOT_THERE = "No worker is there yet: this server's are still starting, or its sc
 
 
 @dataclass(frozen=True)
-class Notice:
+class StateNotice:
     """A sentence above the verdict.
 
     Parameters
@@ -71,9 +71,9 @@ class Notice:
     links: tuple[tuple[str, str], ...] = ()
 
 
-def notices_of(
+def list_notices(
     session: Session, run: Run, log: Sequence[RunEvent], workers: Mapping[str, Any] | None = None
-) -> list[Notice]:
+) -> list[StateNotice]:
     """Say what a run's state means.
 
     Parameters
@@ -84,12 +84,12 @@ def notices_of(
         What the engine of this server says of itself; None where there is none.
     """
     telling = {
-        "QUEUED": lambda: [Notice("standby", _queue_sentence(session, run, workers)), *_of_attempts(log)],
+        "QUEUED": lambda: [StateNotice("standby", _queue_sentence(session, run, workers)), *_of_attempts(log)],
         "RUNNING": lambda: [*_of_attempts(log), *_of_silence(run)],
-        "CANCELLING": lambda: [Notice("caution", _stopping_sentence(run, log))],
+        "CANCELLING": lambda: [StateNotice("caution", _stopping_sentence(run, log))],
         "FAILED": lambda: _of_failure(run, log),
-        "LOST": lambda: [Notice("serious", _lost_sentence(run), links=_again(run)), *_of_partial(run)],
-        "CANCELLED": lambda: [Notice("off", _reason(run) or "This run was cancelled."), *_of_partial(run)],
+        "LOST": lambda: [StateNotice("serious", _lost_sentence(run), links=_again(run)), *_of_partial(run)],
+        "CANCELLED": lambda: [StateNotice("off", _reason(run) or "This run was cancelled."), *_of_partial(run)],
     }
     return telling.get(run.state, list)()
 
@@ -108,42 +108,44 @@ def _again(run: Run) -> tuple[tuple[str, str], ...]:
     return ((f"/runs/new?clone={run.id}", "Run it again"), (f"/telemetry/{run.telemetry_set_id}", "Quality report"))
 
 
-def _of_failure(run: Run, log: Sequence[RunEvent]) -> list[Notice]:
+def _of_failure(run: Run, log: Sequence[RunEvent]) -> list[StateNotice]:
     """Say the cause, show the end of the log, and what to try."""
     cause = _reason(run) or "The run failed and gave no cause; its log has the last lines."
     lines = tuple(line for line in log if line.state != "FAILED")
     return [
-        Notice("serious", cause, lines=lines[-LAST_LINES:]),
-        Notice("off", WHAT_TO_TRY, links=_again(run)),
+        StateNotice("serious", cause, lines=lines[-LAST_LINES:]),
+        StateNotice("off", WHAT_TO_TRY, links=_again(run)),
         *_of_partial(run),
     ]
 
 
-def _of_partial(run: Run) -> list[Notice]:
+def _of_partial(run: Run) -> list[StateNotice]:
     """Say how far a run had come whose estimate does not count."""
     fraction, message = ((run.progress or {}).get(name) for name in ("fraction", "message"))
     if not fraction:
         return []
     so_far = f"It had come to {percent(fraction, 0)}{f' ({message})' if message else ''}"
-    return [Notice("off", f"PARTIAL: {so_far}. What it had estimated by then is void and shown nowhere as a result.")]
+    return [
+        StateNotice("off", f"PARTIAL: {so_far}. What it had estimated by then is void and shown nowhere as a result.")
+    ]
 
 
-def _of_attempts(log: Sequence[RunEvent]) -> list[Notice]:
+def _of_attempts(log: Sequence[RunEvent]) -> list[StateNotice]:
     """Say why there is more than one attempt."""
     again = [line for line in log if line.state == "QUEUED" and line.cause]
     if not again:
         return []
     told = f"Attempt {count(again[-1].attempt)} ended without a result: {again[-1].cause}."
-    return [Notice("caution", f"{told} It is computed again from the start.")]
+    return [StateNotice("caution", f"{told} It is computed again from the start.")]
 
 
-def _of_silence(run: Run) -> list[Notice]:
+def _of_silence(run: Run) -> list[StateNotice]:
     """Say that a worker that should report does not."""
     silent_s = seconds_since((run.progress or {}).get("at_utc") or run.started_utc)
     if silent_s is None or silent_s < SILENT_S:
         return []
     then = "If its server does not renew its claim the run is queued again by itself."
-    return [Notice("caution", f"The worker has not reported for {duration(silent_s)}. {then}")]
+    return [StateNotice("caution", f"The worker has not reported for {duration(silent_s)}. {then}")]
 
 
 def _stopping_sentence(run: Run, log: Sequence[RunEvent]) -> str:
@@ -195,16 +197,16 @@ def _waits_for(session: Session, workers: Mapping[str, Any] | None) -> str:
 router = APIRouter(dependencies=[Depends(csrf)])
 
 
-def live_of(request: Request, session: Session, run: Run) -> dict[str, Any]:
+def make_live_part(request: Request, session: Session, run: Run) -> dict[str, Any]:
     """Gather what the head of `runs/run.html` shows."""
     progress, log = run.progress or {}, runs.log_lines(session, run.id)
     workers = request.app.state.workers
     return {
-        "notices": notices_of(session, run, log, workers.state() if workers else None),
+        "notices": list_notices(session, run, log, workers.state() if workers else None),
         "fraction": float(progress.get("fraction") or 0.0),
         "message": progress.get("message") or "",
         "frames_to_come": frames_to_come(session, run),
-        "pace": pace_of(session, run),
+        "pace": describe_progress(session, run),
         "heard_s": heard_s(run, log),
     }
 
@@ -216,7 +218,7 @@ def frames_to_come(session: Session, run: Run) -> int | None:
     return telemetry_sets.get_telemetry_set(session, run.telemetry_set_id).frames
 
 
-def pace_of(session: Session, run: Run) -> str:
+def describe_progress(session: Session, run: Run) -> str:
     """Say how quick a computing run is, and how long it will still take."""
     fraction, elapsed_s = (float((run.progress or {}).get(name) or 0.0) for name in ("fraction", "elapsed_s"))
     if not elapsed_s:
@@ -244,7 +246,7 @@ LEVELS = {"info": "All lines", "warning": "Warnings and errors", "error": "Error
 SYMBOLS = {"info": "off", "warning": "caution", "error": "serious"}
 
 
-def lines_of(rows: Sequence[RunEvent], level: str) -> list[RunEvent]:
+def filter_lines(rows: Sequence[RunEvent], level: str) -> list[RunEvent]:
     """Return the lines that are at least as grave as a level.
 
     Raises
@@ -258,15 +260,15 @@ def lines_of(rows: Sequence[RunEvent], level: str) -> list[RunEvent]:
     return [row for row in rows if order.index(row.level) >= order.index(level)]
 
 
-def log_of(request: Request, session: Session, run: Run) -> dict[str, Any]:
+def make_log_part(request: Request, session: Session, run: Run) -> dict[str, Any]:
     """Gather what the part `log` of `runs/run.html` shows."""
     level = request.query_params.get("level", "info")
     rows = runs.log_lines(session, run.id)
     return {
-        "lines": lines_of(rows, level),
+        "lines": filter_lines(rows, level),
         "symbols": SYMBOLS,
         "level": level,
-        "filters": [(name, words, len(lines_of(rows, name))) for name, words in LEVELS.items()],
+        "filters": [(name, words, len(filter_lines(rows, name))) for name, words in LEVELS.items()],
     }
 
 
@@ -274,10 +276,10 @@ def log_of(request: Request, session: Session, run: Run) -> dict[str, Any]:
 def log_lines(request: Request, session: Reading, run_id: int, after: int = 0, level: str = "info") -> HTMLResponse:
     """Give the lines after a line as list items, for a page that follows the log."""
     rows = runs.log_lines(session, run_id, after_id=after)
-    return render(request, "runs/log_lines.html", lines=lines_of(rows, level), symbols=SYMBOLS)
+    return render(request, "runs/log_lines.html", lines=filter_lines(rows, level), symbols=SYMBOLS)
 
 
-run_file_router = APIRouter(dependencies=[Depends(who_acts)])
+run_file_router = APIRouter(dependencies=[Depends(get_actor)])
 
 
 def _attachment(name: str) -> dict[str, str]:

@@ -31,7 +31,7 @@ from fastapi.responses import HTMLResponse, Response
 from markupsafe import Markup
 from starlette.datastructures import QueryParams
 
-from boresight.calibration.options import title_of
+from boresight.calibration.options import get_method_title
 from boresight.console.access.dependencies import Reading, Who, csrf
 from boresight.console.approvals import gates
 from boresight.console.fleet import service as sensors
@@ -42,10 +42,10 @@ from boresight.console.pages.rendering import attempt, redirect, redirect_refuse
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
-from boresight.console.runs.pages.frames import frames_of
-from boresight.console.runs.pages.list import read_names, seconds_of
-from boresight.console.runs.pages.live import live_of, log_of
-from boresight.console.runs.service import neighbours
+from boresight.console.runs.pages.frames import make_frames_part
+from boresight.console.runs.pages.list import compute_run_seconds, read_names
+from boresight.console.runs.pages.live import make_live_part, make_log_part
+from boresight.console.runs.service import find_adjacent_runs
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
@@ -54,9 +54,9 @@ from boresight.figures import CHAPTERS, WIDE, Figure
 from boresight.figures.charts.helpful_data import helpful_data, weakest_words
 from boresight.figures.charts.matching import MATCHING, why_no_matching
 from boresight.figures.charts.shadow import SHADOW, shown
-from boresight.figures.course import course_of, settled_step
+from boresight.figures.history import read_history, settled_step
 from boresight.figures.notebook import calibrate_command
-from boresight.figures.rms_tail import Tail, tail_of
+from boresight.figures.rms_tail import RmsTail, summarise_tail
 from boresight.figures.tables.matching_table import (
     flight_rows,
     flight_tolerance,
@@ -72,18 +72,18 @@ from boresight.platform.db.sessions import Session
 from boresight.verdicts.gates.table import gate_rows
 from boresight.verdicts.numbers import MISSING, count, duration, number, percent, urad
 from boresight.verdicts.verdict import (
-    marks,
+    make_verdict,
+    make_verdict_marks,
     prospects,
     sigma_of_rms,
     trust_doubts,
     trust_level,
     trust_marks,
-    verdict,
     why_absent,
 )
 
 
-def provenance_of(run: Run, result: Mapping[str, Any] | None) -> list[tuple[str, Any]]:
+def list_provenance(run: Run, result: Mapping[str, Any] | None) -> list[tuple[str, Any]]:
     """Lay out the addresses and versions that make the run again what it was."""
     inputs = (result or {}).get("inputs") or {}
     hashes = [(f"{name} SHA-256", _hash(value)) for name, value in _flat(inputs.get("sha256s") or {})]
@@ -113,7 +113,7 @@ def _hash(value: Any) -> Markup | str:
     return short_hash(str(value)) if value else MISSING
 
 
-def command_of(run: Run, data: TelemetrySet, validation: TelemetrySet | None) -> str:
+def write_command(run: Run, data: TelemetrySet, validation: TelemetrySet | None) -> str:
     """Write the command line that computes this run again from the files that the page offers."""
     files = data.name, f"run-{run.id}.sensor.json"
     words = calibrate_command(*files, run.settings, validation.name if validation else None, f"run-{run.id}.json")
@@ -128,7 +128,7 @@ SCALES = ("log", "linear")
 
 
 @dataclass(frozen=True)
-class View:
+class RunView:
     """What the address asks for, as far as it can be had.
 
     Parameters
@@ -155,12 +155,12 @@ class View:
         )
 
 
-def view_of(query: QueryParams, result: Result | None) -> View:
+def read_run_view(query: QueryParams, result: Result | None) -> RunView:
     """Read the view; what cannot be had falls back to the usual one."""
     history = (result or {}).get("history") or {}
     aligns = {name: words for name, words in ALIGNS.items() if history and (name != "time" or history.get("time_utc"))}
     align, scale = query.get("align", "frame"), query.get("scale", "log")
-    return View(
+    return RunView(
         align=align if align in aligns else "frame",
         aligns=aligns,
         scale=scale if scale in SCALES else "log",
@@ -176,28 +176,30 @@ def _number(text: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def course_facts(result: Result | None) -> Rows:
+def list_history_facts(result: Result | None) -> Rows:
     """Say when a run settled, what its cost came to, and how far it still stepped: term, value, meaning."""
-    course = course_of(result or {})
-    if result is None or course is None:
+    history = read_history(result or {})
+    if result is None or history is None:
         return []
-    first, steps = settled_step(result), f"{count(len(course.x))} {course.axis}s on record"
+    first, steps = settled_step(result), f"{count(len(history.x))} {history.axis}s on record"
     running = result.get("status") == "running"
-    settled = f"{course.axis} {course.x[first]:.6g}" if first is not None else ("not yet" if running else "not settled")
+    settled = (
+        f"{history.axis} {history.x[first]:.6g}" if first is not None else ("not yet" if running else "not settled")
+    )
     rows = [("Settled at", settled, f"Within three final sigmas of the end from there on; {steps}.")]
-    if course.axis == "iteration":
-        cost = course.series("cost")
+    if history.axis == "iteration":
+        cost = history.series("cost")
         rows.append(
             ("Cost", f"{number(cost[0])} → {number(cost[-1])}", "Half of chi-square, at the start and at the end.")
         )
     return rows
 
 
-def tail_facts(result: Result | None, view: View) -> tuple[Tail | None, Rows]:
+def tail_facts(result: Result | None, view: RunView) -> tuple[RmsTail | None, Rows]:
     """Set the errors of a run beside each other, each with its 3-sigma: on the data fitted, and never mixed in, held out."""
     if not result:
         return None, []
-    tail = tail_of({**result, "tail_from": view.tail_from})
+    tail = summarise_tail({**result, "tail_from": view.tail_from})
     rms, arcs = result.get("rms_arc_rad") or {}, result.get("pairs")
     rows = [
         ("Fitted data, old parameters", _with_reach(rms.get("initial"), arcs), "The sensor's parameters at launch."),
@@ -209,24 +211,24 @@ def tail_facts(result: Result | None, view: View) -> tuple[Tail | None, Rows]:
         rows.append(
             ("Aggregate, at the end", _with_reach(tail.aggregate_rad, arcs), "Each frame under the parameters it had.")
         )
-    return tail, rows + _held_out(result)
+    return tail, rows + _list_validation_facts(result)
 
 
-def _held_out(result: Result) -> Rows:
+def _list_validation_facts(result: Result) -> Rows:
     held_out = result.get("validation") or {}
     rms = held_out.get("rms_arc_rad") or {}
     if not rms:
-        return [("Held-out data", MISSING, "No validation set was given: launch with one to have this answer.")]
+        return [("Validation data", MISSING, "No validation set was given: launch with one to have this answer.")]
     arcs, share = held_out.get("common_pairs"), percent((held_out.get("availability") or {}).get("final"))
     kept = f" {count(arcs)} arcs." if arcs is not None else " σ not kept."
     return [
         (
-            "Held-out data, old parameters",
+            "Validation data, old parameters",
             _with_reach(rms.get("initial"), arcs),
             f"{count(held_out.get('frames'))} frames never fitted.{kept}",
         ),
         (
-            "Held-out data, new parameters",
+            "Validation data, new parameters",
             _with_reach(rms.get("final"), arcs),
             f"{share} of these frames available.{kept}",
         ),
@@ -260,7 +262,7 @@ def sight_facts(result: Result | None) -> tuple[Rows, list[str]]:
 
 
 @dataclass(frozen=True)
-class Desk:
+class RunReview:
     """What a part is gathered from: who looks at which run, and what it has found so far.
 
     Parameters
@@ -292,12 +294,12 @@ class Desk:
         }.get(self.run.state, f"the run ended as {self.run.state} before it had a result.")
 
 
-def part_of_page(desk: Desk, part: str) -> dict[str, Any]:
+def part_of_page(desk: RunReview, part: str) -> dict[str, Any]:
     """Gather what the template of a part names."""
     return GATHERED[part](desk)
 
 
-def summary_of(desk: Desk) -> dict[str, Any]:
+def make_summary_part(desk: RunReview) -> dict[str, Any]:
     """Gather old and new values; while the run computes its course stands beside them."""
     live = () if desk.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
     has_estimate = bool(desk.result and desk.result.get("parameters"))
@@ -307,57 +309,57 @@ def summary_of(desk: Desk) -> dict[str, Any]:
     }
 
 
-def charts_of(name: str) -> Callable[[Desk], dict[str, Any]]:
+def get_charts_part(name: str) -> Callable[[RunReview], dict[str, Any]]:
     """Return what gathers the figures of a chapter."""
 
-    def gather(desk: Desk) -> dict[str, Any]:
+    def gather(desk: RunReview) -> dict[str, Any]:
         figures: tuple[Figure, ...] = () if desk.is_void else CHAPTERS[name]
         return {"figures": figures}
 
     return gather
 
 
-def convergence_of(desk: Desk) -> dict[str, Any]:
-    """Gather the course of the estimate."""
-    view = view_of(desk.request.query_params, desk.result)
-    return {**charts_of("convergence")(desk), "view": view, "facts": course_facts(desk.result)}
+def make_convergence_part(desk: RunReview) -> dict[str, Any]:
+    """Gather the history of the estimate."""
+    view = read_run_view(desk.request.query_params, desk.result)
+    return {**get_charts_part("convergence")(desk), "view": view, "facts": list_history_facts(desk.result)}
 
 
-def rms_of(desk: Desk) -> dict[str, Any]:
+def make_rms_part(desk: RunReview) -> dict[str, Any]:
     """Gather tail, aggregate and held-out errors."""
-    view = view_of(desk.request.query_params, desk.result)
+    view = read_run_view(desk.request.query_params, desk.result)
     tail, facts = tail_facts(desk.result, view)
-    return {**charts_of("rms")(desk), "view": view, "facts": facts, "tail": tail}
+    return {**get_charts_part("rms")(desk), "view": view, "facts": facts, "tail": tail}
 
 
-def observability_of(desk: Desk) -> dict[str, Any]:
+def make_observability_part(desk: RunReview) -> dict[str, Any]:
     """Gather what the data see, and which would help."""
     facts, helpful = sight_facts(desk.result)
-    return {**charts_of("observability")(desk), "facts": facts, "helpful": helpful}
+    return {**get_charts_part("observability")(desk), "facts": facts, "helpful": helpful}
 
 
-def noted(desk: Desk) -> dict[str, Any]:
+def make_notes_part(desk: RunReview) -> dict[str, Any]:
     """Gather the notes on the run."""
     return {"notes": notes.list_notes(desk.session, desk.actor, "runs", desk.run.id)}
 
 
-def logged(desk: Desk) -> dict[str, Any]:
+def make_log_context(desk: RunReview) -> dict[str, Any]:
     """Gather the log."""
-    return log_of(desk.request, desk.session, desk.run)
+    return make_log_part(desk.request, desk.session, desk.run)
 
 
-def origin_of(desk: Desk) -> dict[str, Any]:
+def make_provenance_part(desk: RunReview) -> dict[str, Any]:
     """Gather where the numbers come from, and the command that makes them again."""
     return {
-        "provenance": provenance_of(desk.run, desk.result),
+        "provenance": list_provenance(desk.run, desk.result),
         "validation": desk.validation,
         "data": desk.data,
-        "command": command_of(desk.run, desk.data, desk.validation),
+        "command": write_command(desk.run, desk.data, desk.validation),
         "settings_json": json.dumps(desk.run.settings, indent=2, sort_keys=True),
     }
 
 
-def trust_of(result: Result | None, why_nothing: str) -> dict[str, Any]:
+def make_trust_part(result: Result | None, why_nothing: str) -> dict[str, Any]:
     """Gather what the trust part shows; `why_nothing` is said where the run has no result."""
     if not result:
         return {"marks": [], "said": f"No examination: {why_nothing}", "figures": ()}
@@ -374,7 +376,7 @@ def trust_of(result: Result | None, why_nothing: str) -> dict[str, Any]:
     }
 
 
-def matching_of(result: Result | None, why_nothing: str) -> dict[str, Any]:
+def make_matching_part(result: Result | None, why_nothing: str) -> dict[str, Any]:
     """Gather what the matching part shows."""
     matching = (result or {}).get("matching") or {}
     return {
@@ -390,24 +392,24 @@ def matching_of(result: Result | None, why_nothing: str) -> dict[str, Any]:
     }
 
 
-def marks_of(result: Result | None) -> list[Any]:
+def list_verdict_marks(result: Result | None) -> list[Any]:
     """Answer the verdict strip's questions, none where nothing was estimated."""
-    return marks(result) if result and result.get("parameters") else []
+    return make_verdict_marks(result) if result and result.get("parameters") else []
 
 
-GATHERED: dict[str, Callable[[Desk], dict[str, Any]]] = {
-    "summary": summary_of,
-    "convergence": convergence_of,
-    "rms": rms_of,
-    "distortion": charts_of("distortion"),
-    "observability": observability_of,
-    "residuals": charts_of("residuals"),
-    "trust": lambda desk: {"trust": trust_of(desk.result, desk.why_nothing)},
-    "matching": lambda desk: {"matching": matching_of(desk.result, desk.why_nothing)},
-    "frames": lambda desk: frames_of(desk.session, desk.request, desk.run),
-    "log": logged,
-    "provenance": origin_of,
-    "notes": noted,
+GATHERED: dict[str, Callable[[RunReview], dict[str, Any]]] = {
+    "summary": make_summary_part,
+    "convergence": make_convergence_part,
+    "rms": make_rms_part,
+    "distortion": get_charts_part("distortion"),
+    "observability": make_observability_part,
+    "residuals": get_charts_part("residuals"),
+    "trust": lambda desk: {"trust": make_trust_part(desk.result, desk.why_nothing)},
+    "matching": lambda desk: {"matching": make_matching_part(desk.result, desk.why_nothing)},
+    "frames": lambda desk: make_frames_part(desk.session, desk.request, desk.run),
+    "log": make_log_context,
+    "provenance": make_provenance_part,
+    "notes": make_notes_part,
 }
 
 
@@ -432,7 +434,7 @@ NOTHING: Standing = ("off", "")
 
 
 @dataclass(frozen=True)
-class Tab:
+class RunTab:
     """A part's name, title and address, and in a word how things stand there; no word where there is nothing to judge."""
 
     part: str
@@ -443,15 +445,15 @@ class Tab:
     word: str = ""
 
 
-def tabs_of(run_id: int, chosen: str, result: Result | None, notes: int = 0) -> list[Tab]:
+def list_tabs(run_id: int, chosen: str, result: Result | None, notes: int = 0) -> list[RunTab]:
     """Lay out the tabs of a run; `notes` is how many there are."""
     return [
-        Tab(part, title, address_of(run_id, part), part == chosen, *_standing(part, result or {}, notes))
+        RunTab(part, title, get_part_address(run_id, part), part == chosen, *_standing(part, result or {}, notes))
         for part, title in TITLES.items()
     ]
 
 
-def address_of(run_id: int, part: str) -> str:
+def get_part_address(run_id: int, part: str) -> str:
     """Return the address of a part."""
     return f"/runs/{run_id}" if part == "summary" else f"/runs/{run_id}?part={part}"
 
@@ -465,11 +467,11 @@ def _standing(part: str, result: Result, notes: int) -> Standing:
 
 
 def _fit(result: Result) -> Standing:
-    level = verdict(result).level
+    level = make_verdict(result).level
     return level, {"normal": "no reservation", "standby": "partial"}.get(level, "reservations")
 
 
-def _course(result: Result) -> Standing:
+def _judge_history(result: Result) -> Standing:
     if result.get("status") == "running":
         return "standby", "moving"
     at = settled_step(result)
@@ -485,7 +487,7 @@ def _rms(result: Result) -> Standing:
 
 
 def _observability(result: Result) -> Standing:
-    mark = next(mark for mark in marks(result) if mark.question == "Weakest direction")
+    mark = next(mark for mark in make_verdict_marks(result) if mark.question == "Weakest direction")
     return (mark.level, mark.word) if mark.word != "NO DATA" else NOTHING
 
 
@@ -511,7 +513,7 @@ def _matching(result: Result) -> Standing:
 
 JUDGES: dict[str, Callable[[Result], Standing]] = {
     "summary": _fit,
-    "convergence": _course,
+    "convergence": _judge_history,
     "rms": _rms,
     "observability": _observability,
     "residuals": _residuals,
@@ -524,20 +526,20 @@ router = APIRouter(dependencies=[Depends(csrf)])
 
 
 @dataclass(frozen=True)
-class Action:
+class RunAction:
     """A button: whether it belongs on the page, and why it cannot be pressed."""
 
     offered: bool
     blocked: str | None = None
 
 
-def actions_of(run: Run, actor: Actor) -> dict[str, Action]:
+def list_run_actions(run: Run, actor: Actor) -> dict[str, RunAction]:
     """Say what may be done with a run, and by whom."""
     lacking = None if "analyst" in actor.roles else "Only an analyst may {}; ask an administrator for the role."
     create = lacking.format("create parameter sets") if lacking else _why_no_set(run)
     return {
-        "cancel": Action(run.state in {"QUEUED", "RUNNING"}, lacking and lacking.format("cancel runs")),
-        "create": Action(run.state == "SUCCEEDED", create),
+        "cancel": RunAction(run.state in {"QUEUED", "RUNNING"}, lacking and lacking.format("cancel runs")),
+        "create": RunAction(run.state == "SUCCEEDED", create),
     }
 
 
@@ -549,7 +551,7 @@ def _why_no_set(run: Run) -> str | None:
     return f"No parameter set is made of a result that ended as {words(status)}."
 
 
-def header_of(run: Run, by: str, data: TelemetrySet, validation: TelemetrySet | None) -> list[tuple[str, Any]]:
+def make_run_header(run: Run, by: str, data: TelemetrySet, validation: TelemetrySet | None) -> list[tuple[str, Any]]:
     """Lay out who ran what on which data, and when."""
     return [
         ("Data", _set_link(data)),
@@ -558,7 +560,7 @@ def header_of(run: Run, by: str, data: TelemetrySet, validation: TelemetrySet | 
         ("Launched", utc(run.launched_utc)),
         ("Started", utc(run.started_utc)),
         ("Ended", utc(run.ended_utc)),
-        ("Duration", duration(seconds_of(run))),
+        ("Duration", duration(compute_run_seconds(run))),
         ("Attempt", count(run.attempt) if run.attempt else MISSING),
     ]
 
@@ -574,7 +576,7 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
     part = FORMER.get(part, part)
     if part not in TITLES:
         raise NotFoundError(f"A run has no part {part[:40]}; choose from {', '.join(TITLES)}.")
-    desk = desk_of(request, session, actor, run_id)
+    desk = get_run_review(request, session, actor, run_id)
     run, result = desk.run, desk.result
     return render(
         request,
@@ -582,15 +584,15 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         run=run,
         terminal=run.state in TERMINAL_RUN_STATES,
         sensor=desk.sensor,
-        method=title_of(run.method),
-        **head_of(desk),
-        **live_of(request, session, run),
+        method=get_method_title(run.method),
+        **make_run_head(desk),
+        **make_live_part(request, session, run),
         result=result,
         partial=run.result_sha256 is None,
-        marks=marks_of(result),
-        judged=verdict(result) if marks_of(result) and result else None,
+        marks=list_verdict_marks(result),
+        judged=make_verdict(result) if list_verdict_marks(result) and result else None,
         part=part,
-        tabs=tabs_of(run_id, part, result, notes.count_notes(session, "runs", run_id)),
+        tabs=list_tabs(run_id, part, result, notes.count_notes(session, "runs", run_id)),
         advice=list((result or {}).get("advice") or ()),
         no_result=desk.why_nothing,
         wide=WIDE,
@@ -598,42 +600,42 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
     )
 
 
-def desk_of(request: Request, session: Session, actor: Actor, run_id: int) -> Desk:
+def get_run_review(request: Request, session: Session, actor: Actor, run_id: int) -> RunReview:
     """Fetch a run with its sensor, its data and what it has found so far."""
     run = runs.get_run(session, run_id)
     is_void = run.state in TERMINAL_RUN_STATES and run.result_sha256 is None  # what was computed does not count
-    return Desk(
+    return RunReview(
         request=request,
         session=session,
         actor=actor,
         run=run,
         sensor=sensors.get_sensor(session, run.sensor_id),
         data=telemetry_sets.get_telemetry_set(session, run.telemetry_set_id),
-        validation=_validation_of(session, run),
+        validation=_find_validation_set(session, run),
         result=None if is_void else runs.result(session, request.app.state.blobs, run_id),
     )
 
 
-def _validation_of(session: Session, run: Run) -> TelemetrySet | None:
+def _find_validation_set(session: Session, run: Run) -> TelemetrySet | None:
     number = run.validation_set_id
     return None if number is None else telemetry_sets.get_telemetry_set(session, number)
 
 
-def head_of(desk: Desk) -> dict[str, Any]:
+def make_run_head(desk: RunReview) -> dict[str, Any]:
     """Gather what stands above the tabs: who ran what, what may be done with it, and the runs beside it."""
-    actions, made = actions_of(desk.run, desk.actor), parameter_set_of(desk.session, desk.run)
+    actions, made = list_run_actions(desk.run, desk.actor), find_parameter_set(desk.session, desk.run)
     by = read_names(desk.session).person(desk.run.launched_by)
     return {
         "actions": actions,
         "blocked": sorted({action.blocked for action in actions.values() if action.offered and action.blocked}),
         "parameter_set": made,
-        "gates": gates_of(desk.session, made),
-        "header": header_of(desk.run, by, desk.data, desk.validation),
-        "neighbours": neighbours(desk.session, desk.run.id),
+        "gates": list_run_gates(desk.session, made),
+        "header": make_run_header(desk.run, by, desk.data, desk.validation),
+        "neighbours": find_adjacent_runs(desk.session, desk.run.id),
     }
 
 
-def gates_of(session: Session, made: ParameterSet | None) -> dict[str, Any] | None:
+def list_run_gates(session: Session, made: ParameterSet | None) -> dict[str, Any] | None:
     """Read the newest gate report of a run's set, a row a gate; None where the run has no set, no rows before it is assessed."""
     if made is None:
         return None
@@ -644,7 +646,7 @@ def gates_of(session: Session, made: ParameterSet | None) -> dict[str, Any] | No
     return {"words": document["words"], "rows": gate_rows(document)}
 
 
-def parameter_set_of(session: Session, run: Run) -> ParameterSet | None:
+def find_parameter_set(session: Session, run: Run) -> ParameterSet | None:
     """Return the set that was made from a run, if one was."""
     return parameter_sets.set_of_run(session, run.id)
 

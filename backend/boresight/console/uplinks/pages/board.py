@@ -16,7 +16,7 @@ from fastapi.responses import HTMLResponse
 
 from boresight.console.access.dependencies import Reading, Who
 from boresight.console.fleet import timeline
-from boresight.console.fleet.timeline import AsOf, Board, how_known
+from boresight.console.fleet.timeline import AsOf, SensorSituation, describe_source
 from boresight.console.pages.formats import LEVELS
 from boresight.console.pages.rendering import render
 from boresight.console.pages.tables import LONGEST_FILTER
@@ -33,7 +33,7 @@ LONGEST_NUMBER = 8
 
 
 @dataclass(frozen=True)
-class Line:
+class UplinkLine:
     """One sensor: what is said of it, how bad that is, and the newest record.
 
     Parameters
@@ -55,17 +55,17 @@ class Line:
     how: str
 
 
-def line_of(known: AsOf) -> Line:
+def make_uplink_line(known: AsOf) -> UplinkLine:
     """Lay out a sensor by what is known of it."""
     by_state = {record.onboard_state: (row, record) for row, record in known.on_board}
     newest = known.on_board[-1] if known.on_board else None
     shown = by_state.get("MISMATCH") or known.active or newest
     baseline_id = None if known.baseline is None else known.baseline.id
-    level, word = standing_of(baseline_id, [(row.id, record.onboard_state) for row, record in known.on_board])
-    return Line(known, level, word, shown, "" if shown is None else how_known(shown[1]))
+    level, word = find_worst_known(baseline_id, [(row.id, record.onboard_state) for row, record in known.on_board])
+    return UplinkLine(known, level, word, shown, "" if shown is None else describe_source(shown[1]))
 
 
-def standing_of(baseline_id: int | None, on_board: Sequence[tuple[int, str]]) -> tuple[str, str]:
+def find_worst_known(baseline_id: int | None, on_board: Sequence[tuple[int, str]]) -> tuple[str, str]:
     """Return the worst of what is known, as a level and a word.
 
     Parameters
@@ -87,7 +87,7 @@ def standing_of(baseline_id: int | None, on_board: Sequence[tuple[int, str]]) ->
 
 
 @dataclass(frozen=True)
-class Shown:
+class UplinkContext:
     """Which sensors are looked at: those whose name holds `q` and that stand as `word` says, and which page of them."""
 
     q: str
@@ -101,19 +101,19 @@ class Shown:
         return f"/uplink?{query}" if query else "/uplink"
 
 
-def read_shown(request: Request) -> Shown:
+def read_context(request: Request) -> UplinkContext:
     """Read the address; nonsense is left out."""
     asked = request.query_params
     word, page = asked.get("status", ""), asked.get("page", "")
     number = int(page) if page.isdecimal() and len(page) < LONGEST_NUMBER else 1
-    return Shown(asked.get("q", "").strip()[:LONGEST_FILTER], word if word in WORDS else "", max(number, 1))
+    return UplinkContext(asked.get("q", "").strip()[:LONGEST_FILTER], word if word in WORDS else "", max(number, 1))
 
 
-def ordered(boards: Iterable[Board], shown: Shown) -> list[int]:
+def ordered(boards: Iterable[SensorSituation], shown: UplinkContext) -> list[int]:
     """Return the sensors of a view, the worst first and then by name."""
     found = []
     for board in boards:
-        level, word = standing_of(board.baseline_id, board.on_board)
+        level, word = find_worst_known(board.baseline_id, board.on_board)
         if shown.q.casefold() in board.name.casefold() and shown.word in {"", word}:
             found.append((-LEVELS.index(level), board.name, board.sensor_id))
     return [sensor_id for _, _, sensor_id in sorted(found)]
@@ -122,10 +122,12 @@ def ordered(boards: Iterable[Board], shown: Shown) -> list[int]:
 @router.get("/uplink", response_class=HTMLResponse)
 def uplink_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show a page of the fleet on the ground and on board."""
-    shown = read_shown(request)
-    found = ordered(timeline.boards(session), shown)
+    shown = read_context(request)
+    found = ordered(timeline.read_situations(session), shown)
     start = (shown.page - 1) * ROWS_A_PAGE
-    lines = [line_of(timeline.as_of(session, sensor_id)) for sensor_id in found[start : start + ROWS_A_PAGE]]
+    lines = [
+        make_uplink_line(timeline.get_state_at(session, sensor_id)) for sensor_id in found[start : start + ROWS_A_PAGE]
+    ]
     return render(
         request,
         "uplinks/uplink.html",

@@ -3,7 +3,7 @@
 What is shown is the present climb: what was recorded since the set was last sent. Everything recorded before stands in the
 list below it. The page offers the steps that the state allows, and says why it offers no other.
 
-The rungs of a set's way to the spacecraft, and the files of the package that goes there, as the page shows them.
+Uplink progress: the steps of a set on its way to the spacecraft, and the files of its package.
 """
 
 from __future__ import annotations
@@ -26,24 +26,32 @@ from boresight.console.access.dependencies import Who, csrf
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import timeline
-from boresight.console.fleet.timeline import how_known
-from boresight.console.pages.rendering import Refusal, attempt, proof_of_own, redirect, render, seen_version, texts_of
+from boresight.console.fleet.timeline import describe_source
+from boresight.console.pages.rendering import (
+    ShownRefusal,
+    attempt,
+    get_texts,
+    proof_of_own,
+    redirect,
+    render,
+    seen_version,
+)
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.runs.pages.list import Names, read_names
+from boresight.console.runs.pages.list import RunNames, read_names
 from boresight.console.uplinks import packages, read_backs
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.errors import BoresightError
 from boresight.platform.actors import Actor
 from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.db.sessions import Session, reading
-from boresight.platform.web.paging import row_number
+from boresight.platform.db.sessions import Session, open_reading
+from boresight.platform.web.paging import parse_row_id
 
 LADDER = ("SENT", "LOADED", "VERIFIED", "ACTIVE")
 
 
 @dataclass(frozen=True)
-class Step:
+class UplinkStep:
     """One rung of the ladder.
 
     Parameters
@@ -65,7 +73,7 @@ class Step:
     how: str = ""
 
 
-def steps_of(exported: Package | None, records: Sequence[Uplink], names: Names) -> list[Step]:
+def list_steps(exported: Package | None, records: Sequence[Uplink], names: RunNames) -> list[UplinkStep]:
     """Lay out the present climb.
 
     Parameters
@@ -75,25 +83,26 @@ def steps_of(exported: Package | None, records: Sequence[Uplink], names: Names) 
     records
         Everything recorded of the set, newest first.
     """
-    climb = climb_of(records)
-    taken = [_exported(exported, names), *(_taken(climb, state, names) for state in LADDER)]
+    progress = find_uplink_progress(records)
+    taken = [_exported(exported, names), *(_taken(progress, state, names) for state in LADDER)]
     following = next((place for place, step in enumerate(taken) if step is None), len(taken))
     if records and records[0].onboard_state in {"MISMATCH", "UNKNOWN"}:
         following = len(taken)
     titles = ("Exported", *(state.capitalize() for state in LADDER))
     return [
-        step or Step(title, "standby" if place == following else "off", "next" if place == following else "to come")
+        step
+        or UplinkStep(title, "standby" if place == following else "off", "next" if place == following else "to come")
         for place, (title, step) in enumerate(zip(titles, taken, strict=True))
     ]
 
 
-def climb_of(records: Sequence[Uplink]) -> Sequence[Uplink]:
+def find_uplink_progress(records: Sequence[Uplink]) -> Sequence[Uplink]:
     """Return what was recorded since the set was last sent, newest first."""
     sent = next((place for place, row in enumerate(records) if row.onboard_state == "SENT"), len(records) - 1)
     return records[: sent + 1]
 
 
-def exported_of(packages: Sequence[Package], records: Sequence[Uplink]) -> Package | None:
+def find_exported_package(packages: Sequence[Package], records: Sequence[Uplink]) -> Package | None:
     """Return the package that the present climb carries: the one that was sent, before that the newest; None where none is.
 
     Parameters
@@ -101,35 +110,37 @@ def exported_of(packages: Sequence[Package], records: Sequence[Uplink]) -> Packa
     packages, records
         Of the set, newest first.
     """
-    named = [(row.evidence or {}).get("package") for row in climb_of(records) if row.onboard_state == "SENT"]
+    named = [
+        (row.evidence or {}).get("package") for row in find_uplink_progress(records) if row.onboard_state == "SENT"
+    ]
     if named and named[-1] is not None:
         return next((package for package in packages if package.id == named[-1]["id"]), None)
     return packages[0] if packages else None
 
 
-def _exported(package: Package | None, names: Names) -> Step | None:
+def _exported(package: Package | None, names: RunNames) -> UplinkStep | None:
     """Return the first rung, where there is a package."""
     if package is None:
         return None
-    return Step(
+    return UplinkStep(
         "Exported", "normal", "done", package.created_utc, names.person(package.created_by), f"package {package.id}"
     )
 
 
-def _taken(climb: Sequence[Uplink], state: str, names: Names) -> Step | None:
+def _taken(progress: Sequence[Uplink], state: str, names: RunNames) -> UplinkStep | None:
     """Return a rung that was taken, or at which the read-back failed."""
     wanted = {"VERIFIED", "MISMATCH"} if state == "VERIFIED" else {state}
-    row = next((row for row in climb if row.onboard_state in wanted), None)
+    row = next((row for row in progress if row.onboard_state in wanted), None)
     if row is None:
         return None
     failed = row.onboard_state == "MISMATCH"
     who = row.printed_name or names.person(row.recorded_by)
     level, word = ("critical", "MISMATCH") if failed else ("normal", "done")
-    return Step(state.capitalize(), level, word, row.recorded_utc, who, row.source, how_known(row))
+    return UplinkStep(state.capitalize(), level, word, row.recorded_utc, who, row.source, describe_source(row))
 
 
 @dataclass(frozen=True)
-class Member:
+class PackageMember:
     """A file inside a package."""
 
     name: str
@@ -137,11 +148,11 @@ class Member:
     sha256: str
 
 
-def members_of(content: bytes) -> list[Member]:
+def list_package_members(content: bytes) -> list[PackageMember]:
     """List the files of a package with their hashes."""
     with zipfile.ZipFile(io.BytesIO(content)) as packed:
         return [
-            Member(name, len(inside), hashlib.sha256(inside).hexdigest())
+            PackageMember(name, len(inside), hashlib.sha256(inside).hexdigest())
             for name in packed.namelist()
             for inside in (packed.read(name),)
         ]
@@ -155,27 +166,27 @@ NO_ROLE = (
 
 
 @dataclass(frozen=True)
-class Shown:
+class UplinkStepsContext:
     """What a form left behind: which one, what was typed, and why it was refused."""
 
     form: str = ""
     typed: dict[str, str] = field(default_factory=dict)
-    refusal: Refusal | None = None
+    refusal: ShownRefusal | None = None
 
 
 @router.get("/parameter-sets/{set_id:int}/uplink", response_class=HTMLResponse)
 def steps_page(request: Request, actor: Who, set_id: int) -> HTMLResponse:
     """Show a set's way to the spacecraft."""
-    return _page(request, actor, set_id, Shown())
+    return _page(request, actor, set_id, UplinkStepsContext())
 
 
-def _page(request: Request, actor: Actor, set_id: int, shown: Shown) -> HTMLResponse:
+def _page(request: Request, actor: Actor, set_id: int, shown: UplinkStepsContext) -> HTMLResponse:
     """Render the page, with the refusal of a step and what was typed."""
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         row = transitions.get_parameter_set(session, set_id)
         records = uplinks.list_uplinks(session, parameter_set_id=set_id)
         built = packages.list_packages(session, parameter_set_id=set_id)
-        exported = exported_of(built, records)
+        exported = find_exported_package(built, records)
         names = read_names(session)
         reference, why = _reference(session, request.app.state.blobs, row)
         return render(
@@ -184,10 +195,10 @@ def _page(request: Request, actor: Actor, set_id: int, shown: Shown) -> HTMLResp
             refused=shown.refusal,
             set=row,
             sensor=sensors.get_sensor(session, row.sensor_id),
-            known=timeline.as_of(session, row.sensor_id),
-            steps=steps_of(exported, records, names),
+            known=timeline.get_state_at(session, row.sensor_id),
+            steps=list_steps(exported, records, names),
             records=records,
-            compared=next((it for it in climb_of(records) if it.method), None) if records else None,
+            compared=next((it for it in find_uplink_progress(records) if it.method), None) if records else None,
             packages=built,
             exported=exported,
             members=_members(session, request.app.state.blobs, exported),
@@ -210,20 +221,20 @@ def _why_not_sent(row: ParameterSet) -> str | None:
     return f"{row.name} is {row.ground_state}: only the baseline is sent. Have it approved and promote it."
 
 
-def _members(session: Session, blobs: BlobStore, exported: Package | None) -> list[Member]:
+def _members(session: Session, blobs: BlobStore, exported: Package | None) -> list[PackageMember]:
     """List what a package holds; nothing where its bytes cannot be read."""
     if exported is None:
         return []
     try:
-        return members_of(packages.read(session, blobs, exported.id))
+        return list_package_members(packages.read(session, blobs, exported.id))
     except BoresightError:
         return []
 
 
-def _reference(session: Session, blobs: BlobStore, row: ParameterSet) -> tuple[read_backs.Reference | None, str | None]:
+def _reference(session: Session, blobs: BlobStore, row: ParameterSet) -> tuple[read_backs.SentTable | None, str | None]:
     """Return what a read-back would be held against, or why there is nothing."""
     try:
-        return read_backs.reference_of(session, blobs, row), None
+        return read_backs.get_sent_table(session, blobs, row), None
     except BoresightError as refusal:
         return None, str(refusal)
 
@@ -235,7 +246,7 @@ async def _form(request: Request) -> tuple[dict[str, str], bytes | None]:
     if isinstance(file, UploadFile):
         dump = await file.read() if file.filename else None
         await file.close()
-    return texts_of(form), dump
+    return get_texts(form), dump
 
 
 async def _taken_step(
@@ -252,7 +263,9 @@ async def _taken_step(
     outcome = await attempt(request, change, prepare)
     if outcome.value is None:
         kept = {name: value for name, value in typed.items() if name != "password"}
-        return await run_in_threadpool(partial(_page, request, actor, set_id, Shown(form, kept, outcome.refusal)))
+        return await run_in_threadpool(
+            partial(_page, request, actor, set_id, UplinkStepsContext(form, kept, outcome.refusal))
+        )
     matched = getattr(outcome.value, "onboard_state", "") != "MISMATCH"  # the page itself says of a mismatch what it is
     return redirect(f"/parameter-sets/{set_id}/uplink", flash=said if matched else "")
 
@@ -279,7 +292,7 @@ async def record(request: Request, actor: Who, set_id: int) -> Response:
 
     def change(session: Session) -> Uplink:
         state, source = typed.get("onboard_state", ""), typed.get("source", "")
-        package_id = row_number(package)
+        package_id = parse_row_id(package)
         happened = typed.get("happened_utc")
         return uplinks.record(
             session, actor, set_id, state, source, seen_version(typed), package_id=package_id, happened=happened

@@ -23,15 +23,15 @@ from boresight.console.approvals.tables import ChangeProposal, GateProfile
 from boresight.console.change_proposals import service as second_person
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import read_document, typed_document
-from boresight.console.pages.rendering import Refusal, attempt, redirect, render
+from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, render
 from boresight.console.runs.pages.list import read_names
 from boresight.console.uplinks import table_definitions
 from boresight.console.uplinks.table_definitions import Layout
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, Policy
-from boresight.platform.db.sessions import Session, reading
-from boresight.platform.web.paging import row_number
+from boresight.platform.db.sessions import Session, open_reading
+from boresight.platform.web.paging import parse_row_id
 from boresight.uplink.checksum import CHECKSUMS
 from boresight.uplink.fields import Field
 from boresight.uplink.table_definition import DecodedField, plain_definition
@@ -56,7 +56,7 @@ ENTRIES = (
 
 
 @dataclass(frozen=True)
-class Place:
+class LayoutLine:
     """A line of the layout."""
 
     name: str
@@ -69,12 +69,12 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Shown:
+class TableDefinitionContext:
     """What a form left behind on the page."""
 
     text: str = ""
     reason: str = ""
-    refusal: Refusal | None = None
+    refusal: ShownRefusal | None = None
     tried: bool = False
 
 
@@ -87,24 +87,24 @@ def written_as_text(document: Mapping[str, Any]) -> str:
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
-def places_of(layout: Layout) -> Sequence[Place]:
+def list_layout_lines(layout: Layout) -> Sequence[LayoutLine]:
     """Lay the fields out, a line each, the stored CRC among them."""
-    fields = [_place(one) for one in layout.decoded.fields]
+    fields = [_make_layout_line(one) for one in layout.decoded.fields]
     stored, crc = layout.definition.crc_field, layout.definition.crc
     if stored is not None and crc is not None and layout.decoded.stored_crc is not None:
         value = layout.decoded.stored_crc
         text = layout.image[stored.bit // 8 : stored.end // 8].hex().upper()
-        fields.append(Place("CRC", crc.name, f"{stored.bit // 8}", _kind(stored), "", str(value), text))
+        fields.append(LayoutLine("CRC", crc.name, f"{stored.bit // 8}", _kind(stored), "", str(value), text))
     return sorted(fields, key=lambda place: float(place.byte.replace(" bit ", ".")))
 
 
-def _place(one: DecodedField) -> Place:
+def _make_layout_line(one: DecodedField) -> LayoutLine:
     """Write one field."""
     field = one.field
     byte = f"{field.bit // 8}" if field.bit % 8 == 0 else f"{field.bit // 8} bit {field.bit % 8}"
     raw = "" if field.plain else f"raw {one.raw:.9g}" if field.floating else f"raw {one.raw}"
     what = field.parameter or "constant"
-    return Place(field.name, what, byte, _kind(field), raw, f"{one.value:.12g}", one.hexadecimal)
+    return LayoutLine(field.name, what, byte, _kind(field), raw, f"{one.value:.12g}", one.hexadecimal)
 
 
 def _kind(field: Field) -> str:
@@ -115,12 +115,12 @@ def _kind(field: Field) -> str:
 @router.get("/sensors/{sensor_id:int}/table-definition", response_class=HTMLResponse)
 def table_definition_page(request: Request, actor: Who, sensor_id: int, example: str = "") -> HTMLResponse:
     """Show the definition in force, or an example to begin with."""
-    return _page(request, actor, sensor_id, Shown(tried=bool(example)))
+    return _page(request, actor, sensor_id, TableDefinitionContext(tried=bool(example)))
 
 
-def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLResponse:
+def _page(request: Request, actor: Actor, sensor_id: int, shown: TableDefinitionContext) -> HTMLResponse:
     """Render the definition, with what a form left behind."""
-    with reading(request.app.state.engine) as session:
+    with open_reading(request.app.state.engine) as session:
         sensor = sensors.get_sensor(session, sensor_id)
         versions = table_definitions.list_definitions(session, sensor_id)
         current = versions[0] if versions else None
@@ -141,7 +141,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLR
             text=text if begun else "",
             layout=layout,
             in_force=bool(current and layout and layout.definition.document == current.document),
-            places=[] if layout is None else places_of(layout),
+            places=[] if layout is None else list_layout_lines(layout),
             refusal=refusal,
             names=read_names(session),
             pending=proposals.open_proposals(session, sensor_id, "table-definition"),
@@ -154,14 +154,14 @@ def _page(request: Request, actor: Actor, sensor_id: int, shown: Shown) -> HTMLR
         )
 
 
-def _laid_out(session: Session, sensor_id: int, text: str) -> tuple[Layout | None, Refusal | None]:
+def _laid_out(session: Session, sensor_id: int, text: str) -> tuple[Layout | None, ShownRefusal | None]:
     """Lay the baseline out by what the text says, or say why that cannot be."""
     try:
         return table_definitions.layout(session, sensor_id, read_document(text)), None
     except NotFoundError:
         raise
     except BoresightError as error:
-        return None, Refusal.of(error)
+        return None, ShownRefusal.of(error)
 
 
 @router.post("/sensors/{sensor_id:int}/table-definition", response_class=HTMLResponse)
@@ -172,11 +172,15 @@ async def change(request: Request, actor: Who, sensor_id: int) -> Response:
     try:
         text = await typed_document(form)
     except RefusedInputError as error:
-        return await run_in_threadpool(_page, request, actor, sensor_id, Shown("", reason, Refusal.of(error)))
+        return await run_in_threadpool(
+            _page, request, actor, sensor_id, TableDefinitionContext("", reason, ShownRefusal.of(error))
+        )
     if form.get("action") != "set":
-        return await run_in_threadpool(_page, request, actor, sensor_id, Shown(text, reason, tried=True))
+        return await run_in_threadpool(
+            _page, request, actor, sensor_id, TableDefinitionContext(text, reason, tried=True)
+        )
     number = str(form.get("number", ""))
-    seen = row_number(number)
+    seen = parse_row_id(number)
     outcome = await attempt(request, partial(_set, actor, sensor_id, text, reason, seen, request.app.state.policy))
     if outcome.value is not None:
         if isinstance(outcome.value, ChangeProposal):
@@ -184,7 +188,9 @@ async def change(request: Request, actor: Who, sensor_id: int) -> Response:
             return redirect(f"/change-proposals/{outcome.value.id}", flash=flash)
         flash = f"Version {outcome.value.number} is in force; undecided requests of the sensor are stale."
         return redirect(f"/sensors/{sensor_id}/table-definition", flash=flash)
-    return await run_in_threadpool(_page, request, actor, sensor_id, Shown(text, reason, outcome.refusal))
+    return await run_in_threadpool(
+        _page, request, actor, sensor_id, TableDefinitionContext(text, reason, outcome.refusal)
+    )
 
 
 def _set(

@@ -20,7 +20,7 @@ from boresight.arrays import FloatArray
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.style import theme
 from boresight.figures.trust_parts import Part, absent, column, parts
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 MAX_MAPS = 4
 TITLE_LENGTH = 14
@@ -104,7 +104,7 @@ def _headline(drawn: Sequence[Part]) -> str:
 
 def table(result: Result) -> Table:
     """List one cell a row: its centre in px and the sigma of the arc from there in arcsec."""
-    part = part_of(result, PART)
+    part = read_part(result, PART)
     return cells(part, KEY) if part else {}
 
 

@@ -18,7 +18,7 @@ from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.style import theme
 from boresight.figures.trust_parts import Part, absent, column, parts
 from boresight.verdicts.quantities import quantity
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 TITLE = "Leaving one parameter out"
 PART = "drop_one"
@@ -86,7 +86,7 @@ def _headline(drawn: Sequence[Part]) -> str:
 
 def table(result: Result) -> Table:
     """List one left-out parameter a row: rise of chi-square, RMS in rad, largest shift of the others in sigmas."""
-    part = part_of(result, PART)
+    part = read_part(result, PART)
     if not part:
         return {}
     return {

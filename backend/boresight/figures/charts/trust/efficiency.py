@@ -15,7 +15,7 @@ from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.style import theme
 from boresight.figures.trust_parts import Part, absent, column, parts
 from boresight.verdicts.quantities import quantity
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 TITLE = "Cramér-Rao efficiency"
 PART = "efficiency"
@@ -63,7 +63,7 @@ def _headline(drawn: Sequence[Part]) -> str:
 
 def table(result: Result) -> Table:
     """List one parameter a row: the bound in SI, the claimed sigma in SI, and their ratio."""
-    part = part_of(result, PART)
+    part = read_part(result, PART)
     if not part:
         return {}
     bound = column([(part.get("cramer_rao_sigma") or {}).get(name) for name in part["names"]])

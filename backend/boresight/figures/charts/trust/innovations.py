@@ -18,7 +18,7 @@ from boresight.figures.style import theme
 from boresight.figures.style.thinning import keep_extremes
 from boresight.figures.trust_parts import Part, absent, column, parts
 from boresight.verdicts.numbers import percent
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 TITLE = "Innovations over time"
 PART = "nis_over_time"
@@ -101,7 +101,7 @@ def _headline(drawn: Sequence[Part]) -> str:
 
 def table(result: Result) -> Table:
     """List one frame a row: the innovation a degree of freedom and its bounds."""
-    part = part_of(result, PART)
+    part = read_part(result, PART)
     if not part:
         return {}
     columns: Table = {"frame": list(part["frame"])}

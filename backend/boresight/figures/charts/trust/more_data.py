@@ -18,7 +18,7 @@ from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.style import theme
 from boresight.figures.trust_parts import Part, absent, column, parts
 from boresight.verdicts.quantities import quantity
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 TITLE = "What more data would buy"
 PART = "more_data"
@@ -115,7 +115,7 @@ def _dress(figure: go.Figure, drawn: Sequence[Part], n_rows: int, n_panels: int)
 
 def table(result: Result) -> Table:
     """List further frames and the predicted sigma of each parameter in SI."""
-    part = part_of(result, PART)
+    part = read_part(result, PART)
     if not part:
         return {}
     further: Table = {"further_frames": list(part["further_frames"])}

@@ -18,7 +18,7 @@ from boresight.arrays import FloatArray
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.style import theme
 from boresight.figures.trust_parts import Part, absent, column, parts
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 TITLE = "Residual against causes"
 PART = "residual_against"
@@ -126,7 +126,7 @@ def _name_once(figure: go.Figure) -> None:
 
 def table(result: Result) -> Table:
     """List one bin a row: cause, edges with their unit, stars, mean with its sigma, and RMS in px."""
-    part = part_of(result, PART)
+    part = read_part(result, PART)
     rows: list[tuple[Any, ...]] = []
     for cause in CAUSES:
         if not part or not (bins := part.get(cause)):

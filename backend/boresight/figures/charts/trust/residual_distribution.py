@@ -19,7 +19,7 @@ from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.style import theme
 from boresight.figures.trust_parts import Part, absent, column, parts
 from boresight.verdicts.numbers import percent
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 TITLE = "Distribution of residuals"
 PART = "residual_distribution"
@@ -110,7 +110,7 @@ def _headline(drawn: Sequence[Part]) -> str:
 
 def table(result: Result) -> Table:
     """List one bin a row with its counts, and beside them the quantiles; the shorter of the two ends in empty cells."""
-    part = part_of(result, PART)
+    part = read_part(result, PART)
     if not part:
         return {}
     edges = column(part["edges"])

@@ -23,7 +23,7 @@ from boresight.figures.charts.trust.arc_uncertainty import MAX_MAPS, frame_maps,
 from boresight.figures.style import theme
 from boresight.figures.trust_parts import Part, absent, column, parts
 from boresight.verdicts.numbers import number
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 TITLE = "Residuals on the detector"
 PART = "residuals"
@@ -35,7 +35,7 @@ ARROW_SHARE = 0.03  # of the detector's width: the length of the typical arrow
 
 
 @dataclass(frozen=True)
-class Field:
+class ArrowField:
     """Arrows: where they start and what they say, (n,) each, px; `clear` those that stand out of their noise."""
 
     row: FloatArray
@@ -73,12 +73,12 @@ def others(labels: Sequence[str]) -> str:
     return f"<br>of {labels[0]} alone; open {', '.join(labels[1:3])}{more} for theirs"
 
 
-def _stars(part: Result) -> Field:
+def _stars(part: Result) -> ArrowField:
     row, col, d_row, d_col = (column(part[name]) for name in COLUMNS)
-    return Field(row, col, d_row, d_col, clear=np.zeros(len(row), dtype=bool))
+    return ArrowField(row, col, d_row, d_col, clear=np.zeros(len(row), dtype=bool))
 
 
-def cell_means(stars: Field) -> Field:
+def cell_means(stars: ArrowField) -> ArrowField:
     """Average the arrows of each cell of a square grid that has LEAST_STARS of them.
 
     A mean is clear when either component is more than CLEAR_SIGMA of its own sigmas from zero.
@@ -93,10 +93,10 @@ def cell_means(stars: Field) -> Field:
             mean, sigma = values.mean(axis=1), values[2:].std(axis=1, ddof=1) / np.sqrt(n)
             found.append([*mean, float(np.any(np.abs(mean[2:]) > CLEAR_SIGMA * sigma))])
     row, col, d_row, d_col, clear = np.array(found, dtype=np.float64).reshape(-1, 5).T
-    return Field(row, col, d_row, d_col, clear > 0)
+    return ArrowField(row, col, d_row, d_col, clear > 0)
 
 
-def _scale(arrows: Field) -> float:
+def _scale(arrows: ArrowField) -> float:
     """Choose how many times longer than life the arrows are drawn: 1, 2 or 5 times a power of ten."""
     typical = float(np.median(np.hypot(arrows.d_row, arrows.d_col))) if len(arrows.row) else 0.0
     wanted = ARROW_SHARE * float(np.ptp(arrows.col)) / typical if typical > 0 and len(arrows.row) > 1 else 1.0
@@ -104,7 +104,7 @@ def _scale(arrows: Field) -> float:
     return float(max(step for step in (1.0, 2.0, 5.0) if step * power <= max(wanted, 1.0)) * power)
 
 
-def _arrows(figure: go.Figure, arrows: Field, style: theme.RunStyle, place: int, colour: str) -> None:
+def _arrows(figure: go.Figure, arrows: ArrowField, style: theme.RunStyle, place: int, colour: str) -> None:
     """Draw each arrow as a line from its star, and the star as a mark: a diamond where the arrow is clear."""
     scale, gap = _scale(arrows), np.full(len(arrows.row), np.nan)
     x = np.stack([arrows.col, arrows.col + scale * arrows.d_col, gap], axis=1).ravel()
@@ -144,7 +144,7 @@ def _frame(figure: go.Figure) -> None:
 
 def table(result: Result) -> Table:
     """List one star a row: frame, star, place and residual in px."""
-    part = part_of(result, PART)
+    part = read_part(result, PART)
     if not part:
         return {}
     columns: Table = {name: list(part[name]) for name in ("frame", "star_id") if part.get(name) is not None}
@@ -216,7 +216,7 @@ def _map(one: Part, top: float, *, last: bool) -> go.Heatmap:
 
 def table_residual_rms(result: Result) -> Table:
     """List one cell a row: its edges, RMS before and after in px, and how many stars it has."""
-    part = part_of(result, RESIDUAL_RMS_PART)
+    part = read_part(result, RESIDUAL_RMS_PART)
     if not part:
         return {}
     row, col = column(part["row_edges_px"]), column(part["col_edges_px"])

@@ -16,7 +16,7 @@ from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.charts.trust.residual_against import folded
 from boresight.figures.style import theme
 from boresight.figures.trust_parts import Part, absent, column, parts
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 TITLE = "Outliers and what was left out"
 PART = "residual_outliers"
@@ -116,7 +116,7 @@ def _headline(drawn: Sequence[Part]) -> str:
 
 def table(result: Result) -> Table:
     """List one outlier a row: frame, exposure, star, place and residual in px, and how many sigmas that is."""
-    part = part_of(result, PART)
+    part = read_part(result, PART)
     if not part:
         return {}
     columns: Table = {name: list(part[name]) for name in ("frame", "exposure", "star_id") if part.get(name) is not None}

@@ -21,7 +21,7 @@ from boresight.figures.charts.trust.residual_map import others
 from boresight.figures.style import theme
 from boresight.figures.trust_parts import absent, column, parts
 from boresight.verdicts.numbers import number
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 TITLE = "Mean residuals over the detector"
 PART = "residual_field"
@@ -32,7 +32,7 @@ CIRCLE = np.append(np.exp(2j * np.pi * np.arange(17) / 16), np.nan)
 
 
 @dataclass(frozen=True)
-class Cells:
+class MeanCells:
     """Cells that have a mean, (n,) each, px: centre, mean residual, its two sigmas, and how many stars."""
 
     row: FloatArray
@@ -50,13 +50,13 @@ class Cells:
         return np.asarray(out | (np.abs(self.d_col) > CLEAR_SIGMA * self.s_col))
 
 
-def cells_of(part: Result, side: str) -> Cells:
+def read_cells(part: Result, side: str) -> MeanCells:
     """Read one side of a field."""
     edges = column(part["row_edges_px"]), column(part["col_edges_px"])
     row, col = (middle.ravel() for middle in np.meshgrid(*((e[1:] + e[:-1]) / 2 for e in edges), indexing="ij"))
     names = ("mean_row_px", "mean_col_px", "sigma_row_px", "sigma_col_px", "count")
     values = np.stack([row, col, *(column(part[side][name]).ravel() for name in names)])
-    return Cells(*values[:, np.isfinite(values[2])])
+    return MeanCells(*values[:, np.isfinite(values[2])])
 
 
 def draw(traces: Sequence[Trace]) -> go.Figure:
@@ -70,8 +70,8 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     figure = make_subplots(1, len(sides), shared_yaxes=True, horizontal_spacing=0.05, subplot_titles=titles)
     for place, side in enumerate(sides, start=1):
         colour = theme.REFERENCE_COLOUR if side == "before" else style.colour
-        _side(figure, part, cells_of(part, side), place, colour, style.label)
-    after = cells_of(part, "after")
+        _side(figure, part, read_cells(part, side), place, colour, style.label)
+    after = read_cells(part, "after")
     counted = f"{int(after.clear.sum())} of {len(after.row)} cell means are clear of their noise after"
     title = f"Residuals: {counted}{others([style.label for _, style, _ in drawn])}"
     theme.dress(figure, title=title, height_px=500, legend=False, hovermode="closest", margin={"t": 66})
@@ -79,7 +79,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     return figure
 
 
-def scale_of(cells: Cells, size_px: float) -> float:
+def choose_scale(cells: MeanCells, size_px: float) -> float:
     """Choose how many times longer than life arrows are drawn in cells of a size: 1, 2 or 5 times a power of ten."""
     longest = float(np.quantile(np.hypot(cells.d_row, cells.d_col), 0.9)) if len(cells.row) else 0.0
     return _round_down(LONGEST_SHARE * size_px / longest) if longest > 0 else 1.0
@@ -91,10 +91,10 @@ def _round_down(value: float) -> float:
     return float(max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-9)) * power)
 
 
-def _side(figure: go.Figure, part: Result, cells: Cells, place: int, colour: str, label: str) -> None:
+def _side(figure: go.Figure, part: Result, cells: MeanCells, place: int, colour: str, label: str) -> None:
     """Draw noise circles, arrows, their feet, and the bar that says how long they are."""
     columns, rows = column(part["col_edges_px"]), column(part["row_edges_px"])
-    scale, where = scale_of(cells, float(np.diff(columns).mean())), {"row": 1, "col": place}
+    scale, where = choose_scale(cells, float(np.diff(columns).mean())), {"row": 1, "col": place}
     gap = np.full(len(cells.row), np.nan)
     circle_x = cells.col[:, None] + CLEAR_SIGMA * scale * cells.s_col[:, None] * CIRCLE.real
     circle_y = cells.row[:, None] + CLEAR_SIGMA * scale * cells.s_row[:, None] * CIRCLE.imag
@@ -110,7 +110,7 @@ def _side(figure: go.Figure, part: Result, cells: Cells, place: int, colour: str
     _bar(figure, (columns[0], columns[-1], rows[-1]), scale, where)
 
 
-def _feet(cells: Cells, colour: str, label: str) -> go.Scatter:
+def _feet(cells: MeanCells, colour: str, label: str) -> go.Scatter:
     """Draw where arrows begin: a diamond where the mean is clear of its noise."""
     return go.Scatter(
         x=theme.short(cells.col),
@@ -167,13 +167,13 @@ def _frame(figure: go.Figure, part: Result, n_sides: int) -> None:
 
 def table(result: Result) -> Table:
     """List one cell a row and side: its centre, mean residual with sigmas in px, and how many stars it has."""
-    part = part_of(result, PART)
+    part = read_part(result, PART)
     if not part:
         return {}
     columns: Table = {"when": []}
     for side in SIDES:
         if part.get(side):
-            cells = cells_of(part, side)
+            cells = read_cells(part, side)
             columns["when"] += [side] * len(cells.row)
             for name, values in vars(cells).items():
                 columns.setdefault(COLUMN_OF[name], []).extend(theme.plain(values))

@@ -15,7 +15,7 @@ import plotly.graph_objects as go
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.style import theme
 from boresight.figures.trust_parts import Part, absent, column, parts
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 TITLE = "Star by star"
 PART = "stars"
@@ -75,7 +75,7 @@ def _headline(drawn: Sequence[Part]) -> str:
 
 def table(result: Result) -> Table:
     """List one star a row, the worst first: sightings, mean residual and RMS in px, z, and what it is suspected of."""
-    part = part_of(result, PART)
+    part = read_part(result, PART)
     if not part:
         return {}
     keys = ("star_id", "sightings", "mean_residual_px", "rms_px", "z", "suspect")

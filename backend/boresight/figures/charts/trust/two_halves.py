@@ -17,7 +17,7 @@ from boresight.figures.charts.trust.arc_uncertainty import cells, detector_map, 
 from boresight.figures.style import theme
 from boresight.figures.trust_parts import Part, absent, column, parts
 from boresight.verdicts.quantities import quantity
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 TITLE = "Two halves"
 PART, KEY = "two_halves", "difference_arcsec"
@@ -95,7 +95,7 @@ def _headline(drawn: Sequence[Part]) -> str:
 
 def table(result: Result) -> Table:
     """List the parameters with their differences in sigmas, and beside them the cells of the map in arcsec."""
-    part = part_of(result, PART)
+    part = read_part(result, PART)
     if not part:
         return {}
     bars = {"parameter": list(part["names"]), "difference_in_sigma": theme.plain(column(part["difference_in_sigma"]))}

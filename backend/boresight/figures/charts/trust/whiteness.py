@@ -15,7 +15,7 @@ from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.style import theme
 from boresight.figures.trust_parts import Part, absent, column, parts
 from boresight.verdicts.quantities import quantity
-from boresight.verdicts.verdict import part_of
+from boresight.verdicts.verdict import read_part
 
 TITLE = "Whiteness of residuals"
 PART = "whiteness"
@@ -61,7 +61,7 @@ def _headline(drawn: Sequence[Part]) -> str:
 
 def table(result: Result) -> Table:
     """List one lag a row: the autocorrelation and its bound."""
-    part = part_of(result, PART)
+    part = read_part(result, PART)
     if not part:
         return {}
     return {

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from boresight.telemetry.quality.evidence import Evidence
 from boresight.telemetry.quality.findings import centroids, columns, stars, times
 from boresight.telemetry.quality.findings.finding import SEVERITIES, Finding, Severity
+from boresight.telemetry.quality.inputs import QualityInputs
 
-FINDINGS: tuple[Callable[[Evidence], Finding | None], ...] = (
+FINDINGS: tuple[Callable[[QualityInputs], Finding | None], ...] = (
     stars.nothing_matched,
     stars.few_stars,
     stars.on_one_line,

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.telemetry.quality.detector import OffDetector, detector_coverage, radial_coverage
-from boresight.telemetry.quality.evidence import Evidence
 from boresight.telemetry.quality.findings.finding import Finding, counted, row_numbers
+from boresight.telemetry.quality.inputs import QualityInputs
 from boresight.telemetry.schema import repeats_within
 from boresight.telemetry.sensors import Sensor
 
@@ -26,9 +26,9 @@ _POOR_CELLS = 0.5
 _POOR_RADIUS = 0.8
 
 
-def stars_off_detector(evidence: Evidence) -> Finding | None:
+def stars_off_detector(inputs: QualityInputs) -> Finding | None:
     """Find matched stars off the detector."""
-    return off_detector_finding(evidence.off_detector, evidence.sensor)
+    return off_detector_finding(inputs.off_detector, inputs.sensor)
 
 
 def off_detector_finding(off: OffDetector, sensor: Sensor) -> Finding | None:
@@ -46,71 +46,69 @@ def off_detector_finding(off: OffDetector, sensor: Sensor) -> Finding | None:
     return Finding("OFF_DETECTOR", "SERIOUS", sentence, off.stars, rows)
 
 
-def detections_off_detector(evidence: Evidence) -> Finding | None:
+def detections_off_detector(inputs: QualityInputs) -> Finding | None:
     """Find unmatched detections off the detector."""
-    off = ~evidence.matched & ~evidence.on_detector
+    off = ~inputs.matched & ~inputs.on_detector
     if not off.any():
         return None
     sentence = (
         f"{counted(int(off.sum()), 'unmatched detection is', 'unmatched detections are')} left out of use, off the detector "
-        f"of {evidence.sensor.name}: check row_px and col_px."
+        f"of {inputs.sensor.name}: check row_px and col_px."
     )
-    return Finding("OFF_DETECTOR_UNMATCHED", "CAUTION", sentence, int(off.sum()), row_numbers(evidence, off))
+    return Finding("OFF_DETECTOR_UNMATCHED", "CAUTION", sentence, int(off.sum()), row_numbers(inputs, off))
 
 
-def repeated_stars(evidence: Evidence) -> Finding | None:
+def repeated_stars(inputs: QualityInputs) -> Finding | None:
     """Find stars named twice in one exposure."""
-    star_id = evidence.telemetry.star_id
+    star_id = inputs.telemetry.star_id
     if star_id is None:
         return None
-    matched = np.flatnonzero(evidence.matched)
-    later, _ = repeats_within(evidence.exposures.of_entry[matched], star_id[matched])
+    matched = np.flatnonzero(inputs.matched)
+    later, _ = repeats_within(inputs.exposures.of_entry[matched], star_id[matched])
     if not len(later):
         return None
     what = counted(len(later), "row names", "rows name")
     sentence = f"{what} a star already named in the exposure: leave star_id empty where it is wrong."
     return Finding(
-        "REPEATED_STARS", "SERIOUS", sentence, len(later), row_numbers(evidence, _marked(evidence, matched[later]))
+        "REPEATED_STARS", "SERIOUS", sentence, len(later), row_numbers(inputs, _marked(inputs, matched[later]))
     )
 
 
-def repeated_centroids(evidence: Evidence) -> Finding | None:
+def repeated_centroids(inputs: QualityInputs) -> Finding | None:
     """Find two detections of an exposure in the very same place."""
-    later, _ = repeats_within(evidence.exposures.of_entry, evidence.telemetry.row_px, evidence.telemetry.col_px)
+    later, _ = repeats_within(inputs.exposures.of_entry, inputs.telemetry.row_px, inputs.telemetry.col_px)
     if not len(later):
         return None
     sentence = (
         f"{counted(len(later), 'row repeats', 'rows repeat')} a centroid of the same exposure: delete one of the two."
     )
-    return Finding(
-        "REPEATED_CENTROIDS", "SERIOUS", sentence, len(later), row_numbers(evidence, _marked(evidence, later))
-    )
+    return Finding("REPEATED_CENTROIDS", "SERIOUS", sentence, len(later), row_numbers(inputs, _marked(inputs, later)))
 
 
-def close_pairs(evidence: Evidence) -> Finding | None:
+def close_pairs(inputs: QualityInputs) -> Finding | None:
     """Find detections so close to another that each pulls the other's centroid."""
-    close = _close_to_another(evidence)
+    close = _close_to_another(inputs)
     if not close.any():
         return None
     what = counted(int(close.sum()), "detection lies", "detections lie")
     sentence = f"{what} within {_CLOSE_PX:g} px of another in the exposure: blended images have biased centroids."
-    return Finding("CLOSE_PAIRS", "NORMAL", sentence, int(close.sum()), row_numbers(evidence, close))
+    return Finding("CLOSE_PAIRS", "NORMAL", sentence, int(close.sum()), row_numbers(inputs, close))
 
 
-def stuck_detections(evidence: Evidence) -> Finding | None:
+def stuck_detections(inputs: QualityInputs) -> Finding | None:
     """Find unmatched detections that return on the same pixel while the stars move: hot pixels."""
-    stuck = _returning(evidence, ~evidence.matched)
-    staying_stars = _returning(evidence, evidence.matched)
-    if not stuck.any() or staying_stars.sum() > 0.5 * evidence.matched.sum():
+    stuck = _returning(inputs, ~inputs.matched)
+    staying_stars = _returning(inputs, inputs.matched)
+    if not stuck.any() or staying_stars.sum() > 0.5 * inputs.matched.sum():
         return None
     what = counted(int(stuck.sum()), "unmatched detection returns", "unmatched detections return")
     sentence = f"{what} on the same pixels while the stars move, as hot pixels do: left out of use."
-    return Finding("HOT_PIXELS", "NORMAL", sentence, int(stuck.sum()), row_numbers(evidence, stuck))
+    return Finding("HOT_PIXELS", "NORMAL", sentence, int(stuck.sum()), row_numbers(inputs, stuck))
 
 
-def poor_coverage(evidence: Evidence) -> Finding | None:
+def poor_coverage(inputs: QualityInputs) -> Finding | None:
     """Find a set whose usable stars leave most of the detector empty."""
-    counts = np.array(detector_coverage(evidence.telemetry, evidence.sensor, evidence.usable)["counts"])
+    counts = np.array(detector_coverage(inputs.telemetry, inputs.sensor, inputs.usable)["counts"])
     filled = int(np.count_nonzero(counts))
     if not filled or filled >= _POOR_CELLS * counts.size:
         return None
@@ -121,31 +119,31 @@ def poor_coverage(evidence: Evidence) -> Finding | None:
     return Finding("POOR_COVERAGE", "CAUTION", sentence, counts.size - filled)
 
 
-def poor_radius(evidence: Evidence) -> Finding | None:
+def poor_radius(inputs: QualityInputs) -> Finding | None:
     """Find a set whose usable stars stay near the centre."""
-    radial = radial_coverage(evidence.telemetry, evidence.sensor, evidence.usable)
+    radial = radial_coverage(inputs.telemetry, inputs.sensor, inputs.usable)
     largest, corner = radial["largest_radius_px"], radial["corner_radius_px"]
     if largest is None or largest >= _POOR_RADIUS * corner:
         return None
     sentence = f"Usable stars reach {largest:.0f} px from the centre, the corner is at {corner:.0f}: distortion beyond is a guess."
-    return Finding("POOR_RADIUS", "CAUTION", sentence, int(evidence.usable.sum()))
+    return Finding("POOR_RADIUS", "CAUTION", sentence, int(inputs.usable.sum()))
 
 
-def _marked(evidence: Evidence, entries: NDArray[np.int64]) -> BoolArray:
+def _marked(inputs: QualityInputs, entries: NDArray[np.int64]) -> BoolArray:
     """Return the (n_rows,) mask of some entries."""
-    marked = np.zeros(len(evidence.telemetry), dtype=np.bool_)
+    marked = np.zeros(len(inputs.telemetry), dtype=np.bool_)
     marked[entries] = True
     return marked
 
 
-def _close_to_another(evidence: Evidence) -> BoolArray:
+def _close_to_another(inputs: QualityInputs) -> BoolArray:
     """Return (n_rows,) whether another detection of the exposure is nearer than the limit.
 
     Few have another in the same rows of pixels, and fewer in the same columns too. Those are sorted into cells in which any two
     are near each other; one that is alone in its cell is held against the 24 cells around, each of which has at most 24 such
     neighbours, so that the work is linear, however the detections crowd.
     """
-    telemetry, exposure = evidence.telemetry, evidence.exposures.of_entry
+    telemetry, exposure = inputs.telemetry, inputs.exposures.of_entry
     far = np.maximum(np.abs(telemetry.row_px), np.abs(telemetry.col_px)) > _FARTHEST_PX
     entries = np.flatnonzero(~far)
     for values in (telemetry.row_px, telemetry.col_px, telemetry.row_px):
@@ -153,7 +151,7 @@ def _close_to_another(evidence: Evidence) -> BoolArray:
     cuts = np.searchsorted(exposure[entries], exposure[entries[::_TOGETHER]])
     parts = np.split(entries, np.unique(cuts)[1:])
     near = [part[_near(exposure[part], telemetry.row_px[part], telemetry.col_px[part])] for part in parts]
-    return _marked(evidence, np.concatenate(near))
+    return _marked(inputs, np.concatenate(near))
 
 
 def _near(of: IntArray, row: FloatArray, col: FloatArray) -> BoolArray:
@@ -211,12 +209,12 @@ def _place(known: IntArray, wanted: IntArray) -> tuple[IntArray, BoolArray]:
     return place, known[place] == wanted
 
 
-def _returning(evidence: Evidence, rows: BoolArray) -> BoolArray:
+def _returning(inputs: QualityInputs, rows: BoolArray) -> BoolArray:
     """Return (n_rows,) which of the given rows lie on a pixel that holds a detection in suspiciously many exposures."""
-    entries = np.flatnonzero(rows & evidence.on_detector)
-    pixel = np.rint(evidence.telemetry.row_px[entries]).astype(np.int64) * (evidence.sensor.columns + 1) + np.rint(
-        evidence.telemetry.col_px[entries]
+    entries = np.flatnonzero(rows & inputs.on_detector)
+    pixel = np.rint(inputs.telemetry.row_px[entries]).astype(np.int64) * (inputs.sensor.columns + 1) + np.rint(
+        inputs.telemetry.col_px[entries]
     ).astype(np.int64)
     _, place, count = np.unique(pixel, return_inverse=True, return_counts=True)
-    enough = max(_STUCK_EXPOSURES, _STUCK_SHARE * len(evidence.exposures))
-    return _marked(evidence, entries[count[place] >= enough])
+    enough = max(_STUCK_EXPOSURES, _STUCK_SHARE * len(inputs.exposures))
+    return _marked(inputs, entries[count[place] >= enough])

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.telemetry.quality.evidence import Evidence
+from boresight.telemetry.quality.inputs import QualityInputs
 
 Severity = Literal["NORMAL", "CAUTION", "SERIOUS"]
 
@@ -53,10 +53,10 @@ class Finding:
         }
 
 
-def row_numbers(evidence: Evidence, marked: NDArray[np.bool_]) -> tuple[int, ...]:
+def row_numbers(inputs: QualityInputs, marked: NDArray[np.bool_]) -> tuple[int, ...]:
     """Return the numbers, as an editor counts, of the first twenty marked rows of (n_rows,)."""
     entries = np.flatnonzero(marked)[:_MOST_ROWS]
-    rows = entries + evidence.telemetry.first_row if evidence.rows is None else evidence.rows[entries]
+    rows = entries + inputs.telemetry.first_row if inputs.rows is None else inputs.rows[entries]
     return tuple(rows.tolist())
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from boresight.estimation import MINIMUM_STARS
-from boresight.telemetry.quality.evidence import Evidence
 from boresight.telemetry.quality.findings.finding import Finding, Severity, counted, row_numbers
+from boresight.telemetry.quality.inputs import QualityInputs
 
 _MANY_UNMATCHED = 0.5
 _MANY_EXPOSURES = 0.2
@@ -17,17 +17,17 @@ _ENOUGH_MAGNITUDES = 20
 _LINE = 0.005
 
 
-def nothing_matched(evidence: Evidence) -> Finding | None:
+def nothing_matched(inputs: QualityInputs) -> Finding | None:
     """Find a set in which no row names a star."""
-    if evidence.matched.any():
+    if inputs.matched.any():
         return None
     sentence = "No row names a star: give star_id (Hipparcos numbers), or ra_deg and dec_deg."
-    return Finding("NO_MATCHES", "SERIOUS", sentence, len(evidence.telemetry))
+    return Finding("NO_MATCHES", "SERIOUS", sentence, len(inputs.telemetry))
 
 
-def few_stars(evidence: Evidence) -> Finding | None:
+def few_stars(inputs: QualityInputs) -> Finding | None:
     """Find exposures with fewer usable stars than an exposure needs."""
-    few = evidence.usable_per_exposure < MINIMUM_STARS
+    few = inputs.usable_per_exposure < MINIMUM_STARS
     count, exposures = int(few.sum()), len(few)
     if not count:
         return None
@@ -42,66 +42,64 @@ def few_stars(evidence: Evidence) -> Finding | None:
             f"Every exposure has fewer than {MINIMUM_STARS} usable stars: nothing can be calibrated from this set, match more "
             "stars or choose another."
         )
-    marked = np.zeros(len(evidence.telemetry), dtype=np.bool_)
-    marked[evidence.exposures.start[few]] = True
-    return Finding("FEW_STARS", severity, sentence, count, row_numbers(evidence, marked))
+    marked = np.zeros(len(inputs.telemetry), dtype=np.bool_)
+    marked[inputs.exposures.start[few]] = True
+    return Finding("FEW_STARS", severity, sentence, count, row_numbers(inputs, marked))
 
 
-def on_one_line(evidence: Evidence) -> Finding | None:
+def on_one_line(inputs: QualityInputs) -> Finding | None:
     """Find exposures whose usable stars all lie on one line, where arcs say nothing across it."""
-    full = evidence.usable_per_exposure >= MINIMUM_STARS
-    width, length = evidence.spread_per_exposure
+    full = inputs.usable_per_exposure >= MINIMUM_STARS
+    width, length = inputs.spread_per_exposure
     line = full & (width <= _LINE * length)
     count, exposures = int(line.sum()), int(full.sum())
     if not count:
         return None
     what = counted(count, "exposure has all its usable stars", "exposures have all their usable stars")
     sentence = f"{what} on one line and {'is' if count == 1 else 'are'} left out of use: send other fields."
-    marked = np.zeros(len(evidence.telemetry), dtype=np.bool_)
-    marked[evidence.exposures.start[line]] = True
+    marked = np.zeros(len(inputs.telemetry), dtype=np.bool_)
+    marked[inputs.exposures.start[line]] = True
     severity: Severity = "SERIOUS" if count == exposures else "CAUTION"
-    return Finding("ON_ONE_LINE", severity, sentence, count, row_numbers(evidence, marked))
+    return Finding("ON_ONE_LINE", severity, sentence, count, row_numbers(inputs, marked))
 
 
-def many_unmatched(evidence: Evidence) -> Finding | None:
+def many_unmatched(inputs: QualityInputs) -> Finding | None:
     """Find a set of which most rows are unmatched."""
-    unmatched = ~evidence.matched
+    unmatched = ~inputs.matched
     count, rows = int(unmatched.sum()), len(unmatched)
     if count <= _MANY_UNMATCHED * rows or count == rows:
         return None
     sentence = (
         f"{count:,} of {rows:,} detections ({count / rows:.0%}) are unmatched and left out of use: check the matching."
     )
-    return Finding("UNMATCHED", "CAUTION", sentence, count, row_numbers(evidence, unmatched))
+    return Finding("UNMATCHED", "CAUTION", sentence, count, row_numbers(inputs, unmatched))
 
 
-def unknown_numbers(evidence: Evidence) -> Finding | None:
+def unknown_numbers(inputs: QualityInputs) -> Finding | None:
     """Find stars that neither the catalogue knows nor the file gives a direction for."""
-    unknown = evidence.unknown & ~evidence.directed
+    unknown = inputs.unknown & ~inputs.directed
     if not unknown.any():
         return None
     sentence = (
         f"{counted(int(unknown.sum()), 'row is', 'rows are')} left out of use, for the catalogue does not have the star: "
         "correct star_id, or give ra_deg and dec_deg."
     )
-    return Finding("UNKNOWN_STARS", "CAUTION", sentence, int(unknown.sum()), row_numbers(evidence, unknown))
+    return Finding("UNKNOWN_STARS", "CAUTION", sentence, int(unknown.sum()), row_numbers(inputs, unknown))
 
 
-def unknown_but_directed(evidence: Evidence) -> Finding | None:
+def unknown_but_directed(inputs: QualityInputs) -> Finding | None:
     """Find stars that the catalogue does not have but whose direction the file gives."""
-    unknown = evidence.unknown & evidence.directed
+    unknown = inputs.unknown & inputs.directed
     if not unknown.any():
         return None
     what = counted(int(unknown.sum()), "row names a star", "rows name stars")
     sentence = f"{what} unknown to the catalogue: the direction in the file is used."
-    return Finding(
-        "UNKNOWN_STARS_WITH_DIRECTION", "NORMAL", sentence, int(unknown.sum()), row_numbers(evidence, unknown)
-    )
+    return Finding("UNKNOWN_STARS_WITH_DIRECTION", "NORMAL", sentence, int(unknown.sum()), row_numbers(inputs, unknown))
 
 
-def absurd_magnitudes(evidence: Evidence) -> Finding | None:
+def absurd_magnitudes(inputs: QualityInputs) -> Finding | None:
     """Find magnitudes that no detected star has, as written for want of a measurement."""
-    magnitude = evidence.telemetry.magnitude
+    magnitude = inputs.telemetry.magnitude
     if magnitude is None:
         return None
     absurd = (magnitude < _MAGNITUDES[0]) | (magnitude > _MAGNITUDES[1])
@@ -109,19 +107,19 @@ def absurd_magnitudes(evidence: Evidence) -> Finding | None:
         return None
     what, (least, most) = counted(int(absurd.sum()), "magnitude lies", "magnitudes lie"), _MAGNITUDES
     sentence = f"{what} outside {least:g} to {most:g}: leave the cell empty where there is no measurement."
-    return Finding("MAGNITUDE_RANGE", "CAUTION", sentence, int(absurd.sum()), row_numbers(evidence, absurd))
+    return Finding("MAGNITUDE_RANGE", "CAUTION", sentence, int(absurd.sum()), row_numbers(inputs, absurd))
 
 
-def mismatched_magnitudes(evidence: Evidence) -> Finding | None:
+def mismatched_magnitudes(inputs: QualityInputs) -> Finding | None:
     """Find matches to a star much brighter or fainter than what was seen, the usual sign of a false match."""
-    magnitude, index = evidence.telemetry.magnitude, evidence.index
-    if magnitude is None or index is None or evidence.catalogue is None:
+    magnitude, index = inputs.telemetry.magnitude, inputs.index
+    if magnitude is None or index is None or inputs.catalogue is None:
         return None
     known = (index >= 0) & (magnitude >= _MAGNITUDES[0]) & (magnitude <= _MAGNITUDES[1])
     if known.sum() < _ENOUGH_MAGNITUDES:
         return None
     difference = np.full(len(magnitude), np.nan)
-    difference[known] = magnitude[known] - evidence.catalogue.magnitude[index[known]]
+    difference[known] = magnitude[known] - inputs.catalogue.magnitude[index[known]]
     suspect = np.abs(difference - np.nanmedian(difference)) > _MAGNITUDE_MISMATCH
     if not suspect.any():
         return None
@@ -130,23 +128,23 @@ def mismatched_magnitudes(evidence: Evidence) -> Finding | None:
         f"{what} in brightness by more than {_MAGNITUDE_MISMATCH:g} magnitudes from the catalogue, as false matches do: "
         "check the matching."
     )
-    return Finding("MAGNITUDE_MISMATCH", "CAUTION", sentence, int(suspect.sum()), row_numbers(evidence, suspect))
+    return Finding("MAGNITUDE_MISMATCH", "CAUTION", sentence, int(suspect.sum()), row_numbers(inputs, suspect))
 
 
-def velocity_missing(evidence: Evidence) -> Finding | None:
+def velocity_missing(inputs: QualityInputs) -> Finding | None:
     """Find directions from the catalogue that lack the satellite's aberration."""
-    needed = evidence.from_catalogue
+    needed = inputs.from_catalogue
     if not needed.any():
         return None
-    if evidence.telemetry.velocity_m_s is None:
+    if inputs.telemetry.velocity_m_s is None:
         sentence = (
             "The file gives no satellite velocity: up to 5 arcsec of aberration in a low orbit stay in the star directions, "
             "and stretch a 20 degree field by up to 2 arcsec; give vx_km_s, vy_km_s and vz_km_s."
         )
         return Finding("VELOCITY_MISSING", "CAUTION", sentence, int(needed.sum()))
-    missing = needed & evidence.unmoving
+    missing = needed & inputs.unmoving
     if not missing.any():
         return None
     what = counted(int(missing.sum()), "matched star is", "matched stars are")
     sentence = f"{what} left out of use for want of a satellite velocity: give it in every row."
-    return Finding("VELOCITY_MISSING", "CAUTION", sentence, int(missing.sum()), row_numbers(evidence, missing))
+    return Finding("VELOCITY_MISSING", "CAUTION", sentence, int(missing.sum()), row_numbers(inputs, missing))

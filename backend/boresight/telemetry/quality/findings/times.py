@@ -5,32 +5,32 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.telemetry.quality.evidence import Evidence
 from boresight.telemetry.quality.findings.finding import Finding, Severity, counted, row_numbers
-from boresight.telemetry.sampling import GAP_FACTOR, Intervals, sampling_of
+from boresight.telemetry.quality.inputs import QualityInputs
+from boresight.telemetry.sampling import GAP_FACTOR, Intervals, compute_sampling
 
 _CLOCK_SET = np.datetime64("1990-01-01", "us")
 _MOST_OF_SPAN = 0.5
 
 
-def frames_descend(evidence: Evidence) -> Finding | None:
+def frames_descend(inputs: QualityInputs) -> Finding | None:
     """Find frames that do not ascend."""
-    frame = evidence.telemetry.frame
+    frame = inputs.telemetry.frame
     descends = np.diff(frame, prepend=frame[:1]) < 0
     if not descends.any():
         return None
     sentence = (
         f"{counted(int(descends.sum()), 'row steps', 'rows step')} back to an earlier frame: sort the rows by frame."
     )
-    return Finding("FRAME_ORDER", "SERIOUS", sentence, int(descends.sum()), row_numbers(evidence, descends))
+    return Finding("FRAME_ORDER", "SERIOUS", sentence, int(descends.sum()), row_numbers(inputs, descends))
 
 
-def times_descend(evidence: Evidence) -> Finding | None:
+def times_descend(inputs: QualityInputs) -> Finding | None:
     """Find times that run backwards."""
-    time_utc = evidence.telemetry.time_utc
+    time_utc = inputs.telemetry.time_utc
     if time_utc is None:
         return None
-    timed = np.flatnonzero(~evidence.untimed)
+    timed = np.flatnonzero(~inputs.untimed)
     back = np.zeros(len(time_utc), dtype=np.bool_)
     back[timed[1:]] = np.diff(time_utc[timed]) < np.timedelta64(0, "us")
     if not back.any():
@@ -38,29 +38,29 @@ def times_descend(evidence: Evidence) -> Finding | None:
     sentence = (
         f"Time runs backwards at {counted(int(back.sum()), 'row', 'rows')}: check time_utc, or the order of the frames."
     )
-    return Finding("TIME_ORDER", "CAUTION", sentence, int(back.sum()), row_numbers(evidence, back))
+    return Finding("TIME_ORDER", "CAUTION", sentence, int(back.sum()), row_numbers(inputs, back))
 
 
-def times_vary_in_exposure(evidence: Evidence) -> Finding | None:
+def times_vary_in_exposure(inputs: QualityInputs) -> Finding | None:
     """Find rows whose time is not that of their exposure's first row."""
-    time_utc = evidence.telemetry.time_utc
+    time_utc = inputs.telemetry.time_utc
     if time_utc is None:
         return None
-    first = time_utc[evidence.exposures.start][evidence.exposures.of_entry]
-    varies: NDArray[np.bool_] = (time_utc != first) & ~evidence.untimed & ~np.isnat(first)
+    first = time_utc[inputs.exposures.start][inputs.exposures.of_entry]
+    varies: NDArray[np.bool_] = (time_utc != first) & ~inputs.untimed & ~np.isnat(first)
     if not varies.any():
         return None
     sentence = (
         f"{counted(int(varies.sum()), 'row of an exposure has', 'rows of an exposure have')} another time than its first "
         "row: an exposure is one image, check exposure numbers and times."
     )
-    return Finding("TIME_VARIES", "CAUTION", sentence, int(varies.sum()), row_numbers(evidence, varies))
+    return Finding("TIME_VARIES", "CAUTION", sentence, int(varies.sum()), row_numbers(inputs, varies))
 
 
-def times_missing(evidence: Evidence) -> Finding | None:
+def times_missing(inputs: QualityInputs) -> Finding | None:
     """Find rows that need a time for their catalogue direction and have none."""
-    needed = evidence.from_catalogue
-    missing = needed & evidence.untimed
+    needed = inputs.from_catalogue
+    missing = needed & inputs.untimed
     if not missing.any():
         return None
     severity: Severity = "SERIOUS" if missing.sum() == needed.sum() else "CAUTION"
@@ -68,31 +68,31 @@ def times_missing(evidence: Evidence) -> Finding | None:
         f"{counted(int(missing.sum()), 'matched star is', 'matched stars are')} left out of use for want of time_utc, "
         "which a direction from the catalogue needs: give the time, or ra_deg and dec_deg."
     )
-    return Finding("TIME_MISSING", severity, sentence, int(missing.sum()), row_numbers(evidence, missing))
+    return Finding("TIME_MISSING", severity, sentence, int(missing.sum()), row_numbers(inputs, missing))
 
 
-def clock_unset(evidence: Evidence) -> Finding | None:
+def clock_unset(inputs: QualityInputs) -> Finding | None:
     """Find times before 1990, as a clock shows that was never set."""
-    time_utc = evidence.telemetry.time_utc
+    time_utc = inputs.telemetry.time_utc
     early = np.zeros(0, dtype=np.bool_) if time_utc is None else time_utc < _CLOCK_SET
     if not early.any():
         return None
-    severity: Severity = "SERIOUS" if (early & evidence.from_catalogue).any() else "CAUTION"
+    severity: Severity = "SERIOUS" if (early & inputs.from_catalogue).any() else "CAUTION"
     sentence = (
         f"{counted(int(early.sum()), 'row is', 'rows are')} dated before 1990, as by a clock that was not set: star directions for "
         "that time would be wrong, correct time_utc."
     )
-    return Finding("CLOCK_UNSET", severity, sentence, int(early.sum()), row_numbers(evidence, early))
+    return Finding("CLOCK_UNSET", severity, sentence, int(early.sum()), row_numbers(inputs, early))
 
 
-def sampling_gaps(evidence: Evidence) -> Finding | None:
+def sampling_gaps(inputs: QualityInputs) -> Finding | None:
     """Find gaps in time between frames; one that is most of the span makes a set of two epochs."""
-    sampling = sampling_of(evidence)
+    sampling = compute_sampling(inputs)
     if sampling is None or not len(sampling.gaps):
         return None
-    after = np.zeros(len(evidence.telemetry), dtype=np.bool_)
+    after = np.zeros(len(inputs.telemetry), dtype=np.bool_)
     after[sampling.entry[sampling.gaps + 1]] = True
-    return gaps_finding((sampling.interval_s, sampling.median_s, sampling.gaps), row_numbers(evidence, after))
+    return gaps_finding((sampling.interval_s, sampling.median_s, sampling.gaps), row_numbers(inputs, after))
 
 
 def gaps_finding(intervals: Intervals, rows: tuple[int, ...]) -> Finding | None:

@@ -1,0 +1,357 @@
+"""The watch: it raises alarms and returns them to normal, and leaves the rest of them to people (`console.alarms.service`).
+
+It compares the conditions of now with the alarms that are open and writes only what differs, so it may be called as often as
+one likes, in any transaction: after a run ends, a promotion, a record on board, and every round of the server's upkeep.
+Two servers that watch one store agree, for there is one writer at a time and one open alarm of a source.
+
+Alarm rules: each is evaluated on the store as it is now.
+
+========== ======== ==========================================================================================
+`DRIFT`    serious  the parameters do not hold any more (`console.fleet.drift`), 0.1 % false alarms for each look;
+                    a shift against a ground calibration alone is no drift
+`AGE`      caution  the baseline is older than `fleet.OLD_DAYS`
+`MISMATCH` critical a read-back of one of the sensor's sets did not match what was sent
+`CHAIN`    critical the audit log, or a row that it seals, is not as it was written
+`CLOCK`    serious  the clock jumped (`console.alarms.rules`): nothing expires until somebody acknowledges it
+`HEAD`     serious  the head of the audit log cannot be written to where it is kept
+`FILES`    critical a stored file that rows name was altered on the disk, or is missing
+========== ======== ==========================================================================================
+
+A sentence says nothing that changes by the passing of time alone, so that looking again changes nothing.
+
+Detecting jumps of the machine's clock: no request expires after one until a person has seen it.
+
+The wall clock is held against one that nobody can set. Where the two drift apart by more than `JUMP_S` since they were last
+found to agree, the wall clock was set. Across a restart nothing runs on, so a server that finds itself more than `AWAY_S` after
+it was last seen to run asks too: it was away for long, or the clock is wrong. Both raise an alarm of kind CLOCK, and
+acknowledging it is to say that the clock is right now.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from boresight.console.alarms import queries
+from boresight.console.alarms.service import close_if_over, step
+from boresight.console.alarms.tables import Alarm
+from boresight.console.fleet import queries as sensors_rows
+from boresight.console.fleet import queries as trends
+from boresight.console.fleet.status import OLD_DAYS, DriftVerdict, count_days_since, get_drift_verdicts
+from boresight.platform.actors import SYSTEM
+from boresight.platform.blobs.files import BadFile
+from boresight.platform.db.sessions import Session, utc_now, utc_text
+
+CHAIN = "audit/CHAIN"
+FILES = "blobs/FILES"
+HEAD = "audit/HEAD"
+FILES_NAMED = 100
+
+
+@dataclass(frozen=True)
+class AlarmCondition:
+    """Something that is not as it should be.
+
+    Parameters
+    ----------
+    source
+        What it is of and of which kind, `sensors/3/DRIFT`; one alarm of a source is open at a time.
+    sensor_id, kind, level
+        As the alarm has them.
+    sentence
+        What is wrong and what to do.
+    evidence
+        The figures behind it.
+    """
+
+    source: str
+    sensor_id: int | None
+    kind: str
+    level: str
+    sentence: str
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+
+
+def evaluate_rules(session: Session, sensor_ids: Sequence[int] | None = None) -> list[AlarmCondition]:
+    """Return what is wrong with the fleet, or with some of its sensors."""
+    baselines, stamps = sensors_rows.baseline_heads(session, sensor_ids), trends.stamps(session, sensor_ids)
+    onboard, fleet = sensors_rows.onboard_heads(session, sensor_ids), sensors_rows.sensor_heads(session, sensor_ids)
+    drifts = get_drift_verdicts(session, fleet, baselines, stamps)
+    return [
+        found
+        for sensor in fleet
+        for found in (
+            *_check_mismatches(sensor, onboard.get(sensor.id, ())),
+            *_check_drift(sensor, drifts[sensor.id]),
+            *_check_age(sensor, baselines.get(sensor.id)),
+        )
+    ]
+
+
+def name_source(sensor_id: int, kind: str) -> str:
+    """Name what an alarm is of."""
+    return f"sensors/{sensor_id}/{kind}"
+
+
+def check_chain(state: str, sentence: str) -> AlarmCondition | None:
+    """Return what is wrong with the audit log, from what its last verification found."""
+    return AlarmCondition(CHAIN, None, "CHAIN", "critical", sentence) if state == "broken" else None
+
+
+def check_head(fault: str) -> AlarmCondition | None:
+    """Return that the head cannot be kept; None where it can."""
+    return AlarmCondition(HEAD, None, "HEAD", "serious", fault) if fault else None
+
+
+def check_files(bad: Sequence[BadFile]) -> AlarmCondition | None:
+    """Return what is wrong with the stored files, from those that were found bad and that rows name."""
+    if not bad:
+        return None
+    more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
+    sentence = (
+        f"The stored file {bad[0]}{more}: nothing is made of it; bring it back from a backup, and look at the disk."
+    )
+    evidence = {
+        "files": [{"sha256": one.sha256, "what": one.what, "used_by": list(one.used_by)} for one in bad[:FILES_NAMED]]
+    }
+    return AlarmCondition(FILES, None, "FILES", "critical", sentence, evidence)
+
+
+def _check_drift(sensor: Any, found: DriftVerdict) -> Iterator[AlarmCondition]:
+    """Ask whether the parameters hold."""
+    if found.verdict == "DRIFT":
+        sentence = f"{sensor.name} drifts. {found.sentence}"
+        yield AlarmCondition(name_source(sensor.id, "DRIFT"), sensor.id, "DRIFT", "serious", sentence, found.document)
+
+
+def _check_age(sensor: Any, baseline: Any) -> Iterator[AlarmCondition]:
+    """Ask whether the baseline is too old."""
+    age_d = count_days_since(baseline)
+    if baseline is None or baseline.baseline_from_utc is None or age_d is None or age_d <= OLD_DAYS:
+        return
+    due_utc = utc_text(datetime.fromisoformat(baseline.baseline_from_utc) + timedelta(days=OLD_DAYS))
+    sentence = f"{baseline.name} of {sensor.name} is over its {OLD_DAYS:.0f} days since {due_utc[:10]}: recalibrate."
+    evidence = {"parameter_set_id": baseline.id, "due_utc": due_utc}
+    yield AlarmCondition(name_source(sensor.id, "AGE"), sensor.id, "AGE", "caution", sentence, evidence)
+
+
+def _check_mismatches(sensor: Any, onboard: Sequence[Any]) -> Iterator[AlarmCondition]:
+    """Ask whether a read-back failed."""
+    bad = [row for row in onboard if row.onboard_state == "MISMATCH"]
+    if bad:
+        names = ", ".join(row.name for row in bad)
+        sentence = f"The read-back of {names} does not match what was sent: look at the difference, then send it again."
+        evidence = {"parameter_set_ids": [row.id for row in bad]}
+        yield AlarmCondition(name_source(sensor.id, "MISMATCH"), sensor.id, "MISMATCH", "critical", sentence, evidence)
+
+
+GRAVITY = {"caution": 0, "serious": 1, "critical": 2}
+
+
+def update_alarms(session: Session, sensor_ids: Sequence[int] | None = None) -> int:
+    """Evaluate the alarm rules for the fleet, or for some sensors, and return how many alarms changed."""
+    return _settle(session, *_compare_sensors(session, sensor_ids)) + _unshelve_overdue(session)
+
+
+def update_chain_alarm(session: Session, broken: AlarmCondition | None) -> int:
+    """Evaluate the rule on the audit log from its last verification."""
+    return update_installation_alarms(session, {CHAIN: broken})
+
+
+def update_installation_alarms(session: Session, found: Mapping[str, AlarmCondition | None]) -> int:
+    """Do the same for what is of no sensor, and was looked at just now: what is wrong by its source, None where nothing is."""
+    return _settle(session, *_compare_installation(session, found))
+
+
+def find_changed_sensors(session: Session, sensor_ids: Sequence[int] | None = None) -> list[int]:
+    """Return the sensors, of all or of some, for which `update_alarms` would change an alarm; reads only, so no writer waits."""
+    found, known = _compare_sensors(session, sensor_ids)
+    shelved = {row.sensor_id for row in queries.overdue_shelves(session)}
+    moved = {(found.get(source) or known[source]).sensor_id for source in _find_differences(found, known)}
+    return sorted(sensor_id for sensor_id in shelved | moved if sensor_id is not None)
+
+
+def has_chain_changed(session: Session, broken: AlarmCondition | None) -> bool:
+    """Whether `update_chain_alarm` would change an alarm; reads only."""
+    return has_installation_changed(session, {CHAIN: broken})
+
+
+def has_installation_changed(session: Session, found: Mapping[str, AlarmCondition | None]) -> bool:
+    """Whether `update_installation_alarms` would change an alarm; reads only."""
+    overdue = any(row.sensor_id is None for row in queries.overdue_shelves(session))
+    return overdue or bool(_find_differences(*_compare_installation(session, found)))
+
+
+def is_up(session: Session, source: str) -> bool:
+    """Whether an alarm of a source is up."""
+    row = queries.open_alarms(session).get(source)
+    return row is not None and bool(row.active)
+
+
+def list_files_in_alarm(session: Session) -> list[str]:
+    """Return the files of an alarm that is up, so that they are looked at before it is said to be over."""
+    row = queries.open_alarms(session).get(FILES)
+    return [] if row is None or not row.active else [str(one["sha256"]) for one in row.evidence["files"]]
+
+
+Compared = tuple[Mapping[str, AlarmCondition], Mapping[str, Alarm]]
+
+
+def _find_differences(found: Mapping[str, AlarmCondition], known: Mapping[str, Alarm]) -> set[str]:
+    """Return the sources of which what is so now and what the alarms say differ."""
+    news = {source for source, one in found.items() if source not in known or _is_news(known[source], one)}
+    return news | {source for source, row in known.items() if row.active and source not in found}
+
+
+def _compare_sensors(session: Session, sensor_ids: Sequence[int] | None) -> Compared:
+    """Return what is wrong with sensors, and their open alarms, by source."""
+    known = {
+        source: row
+        for source, row in queries.open_alarms(session).items()
+        if row.sensor_id is not None and (sensor_ids is None or row.sensor_id in sensor_ids)
+    }
+    return {one.source: one for one in evaluate_rules(session, sensor_ids)}, known
+
+
+def _compare_installation(session: Session, found: Mapping[str, AlarmCondition | None]) -> Compared:
+    """Return what is wrong with the installation, and its open alarms of these sources."""
+    known = {source: row for source, row in queries.open_alarms(session).items() if source in found}
+    return {source: one for source, one in found.items() if one is not None}, known
+
+
+def _settle(session: Session, found: Mapping[str, AlarmCondition], known: Mapping[str, Alarm]) -> int:
+    """Raise, renew or return what differs."""
+    changed = [_raise(session, one) for source, one in found.items() if source not in known]
+    changed += [_renew(session, known[source], one) for source, one in found.items() if source in known]
+    changed += [_return(session, row) for source, row in known.items() if source not in found]
+    return sum(changed)
+
+
+def _is_news(row: Alarm, found: AlarmCondition) -> bool:
+    """Whether an open alarm says something else than is so now."""
+    return not row.active or (row.sentence, row.level) != (found.sentence, found.level)
+
+
+def _raise(session: Session, found: AlarmCondition) -> bool:
+    """Open an alarm."""
+    row = Alarm(
+        source=found.source,
+        sensor_id=found.sensor_id,
+        kind=found.kind,
+        level=found.level,
+        sentence=found.sentence,
+        evidence=dict(found.evidence),
+        active=1,
+        acknowledged=0,
+        raised_utc=utc_now(),
+        version=0,
+    )
+    session.add(row)
+    session.flush()
+    step(session, SYSTEM, row, "RAISED", found.sentence)
+    return True
+
+
+def _renew(session: Session, row: Alarm, found: AlarmCondition) -> bool:
+    """Say what is so now of an open alarm; one that came back or became graver wants to be seen again."""
+    again = not row.active or GRAVITY[found.level] > GRAVITY[row.level]
+    if not _is_news(row, found):
+        return False
+    row.level, row.sentence, row.evidence = found.level, found.sentence, dict(found.evidence)
+    if again:
+        row.active, row.acknowledged, row.returned_utc = 1, 0, None
+    step(session, SYSTEM, row, "RAISED AGAIN" if again else "COMMENTED", found.sentence)
+    return True
+
+
+def _return(session: Session, row: Alarm) -> bool:
+    """Say that it is over."""
+    if not row.active:
+        return False
+    row.active, row.returned_utc = 0, utc_now()
+    step(session, SYSTEM, row, "RETURNED", "The condition is over.")
+    close_if_over(session, SYSTEM, row)
+    return True
+
+
+def _unshelve_overdue(session: Session) -> int:
+    """Take from the shelf what was there until now."""
+    overdue = queries.overdue_shelves(session)
+    for row in overdue:
+        row.shelved_until_utc = None
+        step(session, SYSTEM, row, "UNSHELVED", "Its time on the shelf is over.")
+    return len(overdue)
+
+
+CLOCK = "clock/CLOCK"
+JUMP_S = 60.0
+AWAY_S = 86_400.0
+
+
+def _steady_s() -> float:
+    """Return seconds that nobody can set, and that go on while the machine sleeps where the system has such."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
+
+
+class Clock:
+    """The wall clock beside one that nobody can set."""
+
+    def __init__(self, wall_s: Callable[[], float] = time.time, steady_s: Callable[[], float] = _steady_s) -> None:
+        self._wall_s = wall_s
+        self._steady_s = steady_s
+        self._agreed_s = wall_s() - steady_s()
+
+    def now_s(self) -> float:
+        """Return the wall clock's seconds."""
+        return self._wall_s()
+
+    def moved_s(self) -> float:
+        """Return by how much the wall clock was set since it was last found right."""
+        return self._wall_s() - self._steady_s() - self._agreed_s
+
+    def has_jumped(self) -> bool:
+        """Whether it was set by more than clocks are corrected by."""
+        return abs(self.moved_s()) > JUMP_S
+
+    def agree(self) -> None:
+        """Take the wall clock for right."""
+        self._agreed_s = self._wall_s() - self._steady_s()
+
+
+OURS = Clock()
+
+
+def is_held(session: Session) -> bool:
+    """Whether nothing may expire: the clock jumped, and nobody has acknowledged it."""
+    row = queries.open_alarms(session).get(CLOCK)
+    return OURS.has_jumped() or (row is not None and bool(row.active) and not row.acknowledged)
+
+
+def is_acknowledged(session: Session) -> bool:
+    """Whether somebody has seen the jump whose alarm is up."""
+    row = queries.open_alarms(session).get(CLOCK)
+    return row is not None and bool(row.active) and bool(row.acknowledged)
+
+
+def condition_now(seen_s: float | None) -> AlarmCondition | None:
+    """Return that the clock jumped, or that this server was last seen long ago; None where neither is so."""
+    now = _text(OURS.now_s())
+    if OURS.has_jumped():
+        moved_s = OURS.moved_s()
+        way = "forward" if moved_s > 0 else "back"
+        sentence = f"The clock was set {way} by {abs(moved_s):.0f} s, and says {now}: no request expires until you acknowledge it."
+        return AlarmCondition(CLOCK, None, "CLOCK", "serious", sentence, {"moved_s": round(moved_s), "now_utc": now})
+    if seen_s is not None and abs(OURS.now_s() - seen_s) > AWAY_S:
+        seen = _text(seen_s)
+        sentence = (
+            f"The clock says {now}, and a server ran last at {seen}: no request expires until you acknowledge it."
+        )
+        return AlarmCondition(CLOCK, None, "CLOCK", "serious", sentence, {"seen_utc": seen, "now_utc": now})
+    return None
+
+
+def _text(seconds: float) -> str:
+    return utc_text(datetime.fromtimestamp(seconds, UTC))

@@ -1,0 +1,33 @@
+"""Assessing a set's gates before its submission, outside the writing transaction because it takes seconds."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import Depends
+
+from boresight.console.access.dependencies import Database, DryRunSight, Who
+from boresight.console.approvals import gates, submissions
+from boresight.console.approvals.gates import read_gate_inputs
+from boresight.platform.db.sessions import open_reading
+from boresight.platform.web.paging import Id
+
+
+def assess_before_submission(
+    actor: Who, parameter_set_id: Id, sight: DryRunSight, engine: Database
+) -> gates.GateAssessment | None:
+    """Return a set's assessment for its submission; None where a report holds, or the request will be refused anyhow.
+
+    A report that holds but was made without looking at validation frames does not count where there are some.
+    """
+    with open_reading(engine) as session:
+        if not submissions.is_submittable(session, actor, parameter_set_id):
+            return None
+        case = read_gate_inputs(session, parameter_set_id)
+        report = gates.latest_report(session, parameter_set_id)
+    if report is not None and (case.held_out is None or report.document.get("held_out")):
+        return None
+    return gates.examine(case, sight.blobs, sight.catalogue(), sight.catalogue_folder)
+
+
+AssessedBefore = Annotated[gates.GateAssessment | None, Depends(assess_before_submission)]

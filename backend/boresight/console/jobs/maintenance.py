@@ -1,0 +1,317 @@
+"""What a server does beside its requests: it holds the store against its audit log, watches the fleet, tends keys and log-ins.
+
+A page shows the light of the chain and must not wait for it, for a long chain takes seconds to walk. So a thread walks
+it over and over, and a page reads what the last walk found. Between two walks it rests a minute, and at least `REST`
+times as long as the walk took, so that a chain of any length costs a fixed small part of one processor.
+
+After each look the alarms are brought in line with what is so now (`console.alarms.rules`); a round that finds nothing new writes
+nothing.
+
+Stored files are read again, one after the other, for `READ_S` a round: a disk loses bits of files that nobody asks for. What a
+reader found corrupt, here or in a worker, is looked at now. While any file that rows name is bad, there is an alarm.
+
+Keys and log-ins are used more often than is worth writing: the newest time of each is kept in memory and written once a round.
+A log-in that was not used for too long is refused at once, and its end is written in a round.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from boresight.console.access import api_keys, sessions
+from boresight.console.alarms import rules
+from boresight.console.alarms.rules import (
+    CHAIN,
+    FILES,
+    HEAD,
+    AlarmCondition,
+    check_chain,
+    check_files,
+    check_head,
+)
+from boresight.console.webhooks import service as webhooks
+from boresight.errors import BoresightError
+from boresight.platform.actors import SessionLimits
+from boresight.platform.audit import log as audit
+from boresight.platform.audit.external_head import ExternalHead, read_head, write_head
+from boresight.platform.blobs import files
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_now
+from boresight.platform.jobs.periodic_thread import PeriodicThread
+
+log = logging.getLogger(__name__)
+
+ROUND_S = 60.0
+PATIENCE_S = (
+    5.0  # for a look at a large fleet that is under way when the server stops; what it had not written is undone
+)
+REST = 20.0
+READ_S = 1.0
+LATE = 3.0  # rounds without a new finding, after which the last one is stale
+
+
+@dataclass(frozen=True)
+class ExternalHeadFile:
+    """Where the head of the audit log is kept besides, None nowhere, and how often it is written there and told."""
+
+    file: Path | None
+    every_s: float
+
+
+@dataclass(frozen=True)
+class ChainStatus:
+    """What is known of the chain.
+
+    Parameters
+    ----------
+    state
+        `not yet`, `verified`, `broken` or `stale`.
+    last_id
+        The newest record that was found good.
+    at_utc
+        When it was looked at; None before the first walk.
+    sentence
+        The finding in words.
+    """
+
+    state: str
+    last_id: int
+    at_utc: str | None
+    sentence: str
+
+
+NOT_YET = ChainStatus("not yet", 0, None, "The audit log has not been verified since this server was started.")
+
+
+class Maintenance:
+    """The upkeep of one server.
+
+    Parameters
+    ----------
+    database
+        The store.
+    limits
+        How long log-ins last.
+    blobs
+        The stored files; those of a folder are read again, those of an object store are looked at where somebody found one bad.
+    kept
+        Where the head of the audit log is kept besides.
+    """
+
+    def __init__(
+        self, database: Engine, limits: SessionLimits, blobs: BlobStore, kept: ExternalHeadFile | None = None
+    ) -> None:
+        self._database = database
+        self._limits = limits
+        self._blobs = blobs
+        self._kept = kept or ExternalHeadFile(None, 0.0)
+        self._head_kept_s = float("-inf")
+        self._head_fault = ""
+        self._suspects: set[str] = set()
+        self._read_to = ""
+        self._used_utc: dict[str, str] = {}
+        self._sessions_used_utc: dict[int, str] = {}
+        self._unwritten: set[int] = set()
+        self._guard = threading.Lock()
+        self._found = NOT_YET
+        self._looked_s = 0.0
+        self._pause_s = ROUND_S
+        self._rounds = PeriodicThread(
+            "upkeep",
+            [self.write_uses, self.tidy_sessions, self._verify_when_due, self.keep_head, self.read_files, self.watch],
+            lambda: ROUND_S,
+        )
+
+    def start(self) -> None:
+        """Begin; the first walk is at once."""
+        self._rounds.start()
+
+    def close(self) -> None:
+        """Stop, and write the last uses; safe to call twice."""
+        self._rounds.close(PATIENCE_S)
+        self._rounds.take(self.write_uses)
+
+    def used(self, credential: str, *, active: bool = True) -> bool:  # noqa: ARG002 - a key is used by what only listens too
+        """Remember that a key was used now, which is always allowed."""
+        with self._guard:
+            self._used_utc[credential.removeprefix("key:")] = utc_now()
+        return True
+
+    def session_used(self, session_id: int, last_used_utc: str, *, active: bool) -> bool:
+        """Whether a log-in was not idle for too long; if not, and somebody did something, that is its last use.
+
+        Parameters
+        ----------
+        last_used_utc
+            As its row says; this server, or by way of the row another, may know of a later use.
+        active
+            Whether somebody did something; False where an open page only goes on listening.
+        """
+        with self._guard:
+            last_used_utc = max(last_used_utc, self._sessions_used_utc.get(session_id, ""))
+            if self._limits.is_idle(last_used_utc):
+                return False
+            if active:
+                self._sessions_used_utc[session_id] = utc_now()
+                self._unwritten.add(session_id)
+        return True
+
+    def write_uses(self) -> None:
+        """Write the uses since the last round."""
+        with self._guard:
+            used_utc, self._used_utc = self._used_utc, {}
+            sessions_used_utc = {one: self._sessions_used_utc[one] for one in self._unwritten}
+            self._unwritten = set()
+        if used_utc or sessions_used_utc:
+            with open_writing(self._database) as session:
+                api_keys.record_uses(session, used_utc)
+                sessions.write_uses(session, sessions_used_utc)
+        with self._guard:  # what was written stands in the rows
+            for one in sessions_used_utc.keys() - self._unwritten:
+                self._sessions_used_utc.pop(one, None)
+
+    def tidy_sessions(self) -> None:
+        """Write the end of log-ins that lapsed, and forget those that ended long ago."""
+        with open_reading(self._database) as session:
+            needed = sessions.need_tidying(session, self._limits, LATE * ROUND_S)
+        if needed:
+            with open_writing(self._database) as session:
+                sessions.tidy(session, self._limits, LATE * ROUND_S)
+
+    def verify(self) -> None:
+        """Walk the chain and every row that it seals."""
+        began_s = time.monotonic()
+        with open_reading(self._database) as session:
+            kept, file = self._read_head()
+            report = audit.verify(session, kept=kept, head_file=file)
+        self._looked_s = time.monotonic()
+        self._pause_s = max(ROUND_S, REST * (self._looked_s - began_s))
+        state = "verified" if report.ok else "broken"
+        if state != self._found.state and not report.ok:
+            log.critical("The audit log does not hold: %s", report.sentence)
+        self._found = ChainStatus(state, report.last_id, utc_now(), report.sentence)
+
+    def _read_head(self) -> tuple[ExternalHead | None, Path | None]:
+        """Return the head that is kept elsewhere, and where it was looked for.
+
+        What cannot be read is told by an alarm, and is no finding about the chain.
+        """
+        file = self._kept.file
+        try:
+            return (None if file is None else read_head(file)), file
+        except BoresightError as error:
+            self._head_fault = str(error)
+            return None, None
+
+    def keep_head(self) -> None:
+        """Write the head elsewhere when it is due and has moved, and tell webhooks; never over a head that the chain has lost."""
+        if self._found.state != "verified" or time.monotonic() - self._head_kept_s < self._kept.every_s:
+            return
+        with open_reading(self._database) as session:
+            head = audit.newest_head(session)
+            before, file = self._read_head()
+            is_on_record = file is not None and audit.head_was_kept(session, file)
+            if (is_on_record and before is None) or (before is not None and not audit.holds(session, before)):
+                self.verify()  # records, or the file, were lost since the last walk
+                return
+            told = webhooks.is_head_told(session, head)
+        if self._kept.file is not None and head is not None:
+            try:
+                if before != head:
+                    write_head(self._kept.file, head)
+                if file is not None and not is_on_record:
+                    head = self._put_on_record(file) or head
+                    write_head(file, head)
+                self._head_fault = ""
+            except BoresightError as error:
+                self._head_fault = str(error)
+                log.warning("%s", error)
+        if head is not None and not told:
+            with open_writing(self._database) as session:
+                webhooks.tell_head(session, head)
+        self._head_kept_s = time.monotonic()
+
+    def _put_on_record(self, file: Path) -> ExternalHead | None:
+        """Put on record that heads are kept in a file, once one is there, and return the head that this makes."""
+        with open_writing(self._database) as session:
+            audit.tell_head_kept(session, file)
+        with open_reading(self._database) as session:
+            return audit.newest_head(session)
+
+    def suspect(self, sha256: str) -> None:
+        """Look at a stored file now, which somebody found corrupt."""
+        with self._guard:
+            is_new = sha256 not in self._suspects
+            self._suspects.add(sha256)
+        if is_new:
+            self._rounds.nudge()
+
+    def read_files(self) -> None:
+        """Read stored files again: those that are suspected, and some of the others, on from where the last round ended."""
+        with open_reading(self._database) as session:
+            suspected = self._suspects | set(rules.list_files_in_alarm(session))
+            doubtful = files.sizes(session, sorted(suspected))
+            others = files.registered(session, self._read_to) if self._blobs.kept_at is None else ()
+        bad = {sha256 for sha256, size in doubtful if self._is_bad(sha256, size)}
+        self._read_to, ends_s = "", time.monotonic() + READ_S
+        for sha256, size in others:
+            if self._is_bad(sha256, size):
+                bad.add(sha256)
+            if time.monotonic() > ends_s or sha256 == others[-1][0]:
+                self._read_to = sha256
+                break
+        with self._guard:
+            self._suspects = (self._suspects - suspected) | bad
+
+    def _is_bad(self, sha256: str, size: int) -> bool:
+        """Whether a file is not what its row says; a store that does not answer is another matter."""
+        try:
+            return files.wrong_with(self._blobs, sha256, size, again=True) is not None
+        except BoresightError:
+            return sha256 in self._suspects
+
+    def watch(self) -> None:
+        """Bring the alarms of the fleet, of the audit log and of the stored files in line with what is so now."""
+        with open_reading(self._database) as session:
+            found = self._conditions(session)
+            sensor_ids, installation = (
+                rules.find_changed_sensors(session),
+                rules.has_installation_changed(session, found),
+            )
+        if not sensor_ids and not installation:
+            return
+        with open_writing(self._database) as session:
+            rules.update_alarms(session, sensor_ids)
+            if installation:
+                rules.update_installation_alarms(session, found)
+
+    def _conditions(self, session: Session) -> dict[str, AlarmCondition | None]:
+        """Return what is wrong with the installation, by source."""
+        named = files.sizes(session, sorted(self._suspects))
+        wrong = [
+            files.BadFile(sha256, what, files.list_users(session, sha256))
+            for sha256, size in named
+            if (what := files.wrong_with(self._blobs, sha256, size, again=False)) is not None
+        ]
+        found = {FILES: check_files(wrong), HEAD: check_head(self._head_fault)}
+        if self._found.state in {"verified", "broken"}:
+            found[CHAIN] = check_chain(self._found.state, self._found.sentence)
+        return found
+
+    def light(self) -> ChainStatus:
+        """Return what the last walk found, as stale when the next one is long overdue."""
+        found = self._found
+        if found.state == "verified" and time.monotonic() - self._looked_s > LATE * self._pause_s:
+            return ChainStatus(
+                "stale", found.last_id, found.at_utc, f"{found.sentence} It was not verified again since."
+            )
+        return found
+
+    def _verify_when_due(self) -> None:
+        """Walk the chain at first, and again after the pause that the last walk earned."""
+        if self._found is NOT_YET or time.monotonic() - self._looked_s >= self._pause_s:
+            self.verify()

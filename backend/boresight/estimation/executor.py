@@ -1,0 +1,71 @@
+"""Executors: compute the pieces of a large set in this process, or on machines that share its folder.
+
+Everything that runs over a set larger than memory is cut into pieces, and each piece is one call `function(*arguments)`. `function`
+stands at the top of a module, its arguments are small values (paths, ranges of blocks, states) and so is what it returns; what is
+large lies in files of the scratch folder. A piece that writes does so under a temporary name and renames, so it may be computed
+twice, by two machines at once, or again after one of them died in the middle: the answer is the same.
+
+Sums are taken by the caller, over blocks in their order (`estimation.blocks`). So it changes no bit who computed which piece.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+from boresight.errors import CancelledError
+
+#: Told how many pieces of how many are done.
+Told = Callable[[int, int], None]
+
+
+class Executor(Protocol):
+    """What computes pieces."""
+
+    def map(
+        self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], *, done: Told | None = None
+    ) -> list[Any]:
+        """Call `function(*arguments[k])` for every k and return the results in the order of k.
+
+        Parameters
+        ----------
+        function
+            A picklable function at the top of its module.
+        arguments
+            Small picklable values, a tuple a piece.
+        done
+            Told of progress, in the calling process.
+
+        Raises
+        ------
+        CancelledError
+            When whoever waits for the result has asked for a stop.
+        Exception
+            Whatever the first failing piece raised.
+        """
+
+
+class LocalExecutor:
+    """Computes the pieces one after the other, where it is called; blocks within a piece go to threads, see `estimation.blocks`.
+
+    Parameters
+    ----------
+    cancelled
+        Asked before each piece; None asks nobody.
+    """
+
+    def __init__(self, cancelled: Callable[[], bool] | None = None) -> None:
+        self._cancelled = cancelled
+
+    def map(
+        self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], *, done: Told | None = None
+    ) -> list[Any]:
+        """Call `function(*arguments[k])` for every k and return the results in the order of k."""
+        results: list[Any] = []
+        for piece in arguments:
+            if self._cancelled is not None and self._cancelled():
+                raise CancelledError(f"Stopped as asked after {len(results)} of {len(arguments)} pieces")
+            results.append(function(*piece))
+            if done is not None:
+                done(len(results), len(arguments))
+        return results

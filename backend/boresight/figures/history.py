@@ -1,0 +1,98 @@
+"""The history of an estimate: how parameters and their sigmas moved, by frame or by iteration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Result
+
+SETTLED_SIGMAS = 3.0
+
+
+@dataclass(frozen=True)
+class History:
+    """What a run's history or trace says.
+
+    Parameters
+    ----------
+    axis
+        `frame` for a sequential run, `iteration` for a batch run.
+    x
+        (n_steps,) frame numbers or iterations.
+    names
+        (n_parameters,) in model order.
+    free
+        The names of those that are estimated.
+    value, sigma
+        (n_steps, n_parameters) SI; sigma is NaN for a fixed parameter.
+    record
+        The part of the result it was read from, for what else stands there.
+    """
+
+    axis: str
+    x: FloatArray
+    names: tuple[str, ...]
+    free: tuple[str, ...]
+    value: FloatArray
+    sigma: FloatArray
+    record: Result
+
+    def series(self, key: str) -> FloatArray:
+        """Read another column of the same record, (n_steps,), NaN where it says nothing."""
+        return _padded(self.record.get(key), len(self.x))
+
+
+def _padded(values: Any, n_steps: int) -> FloatArray:
+    column = np.full(n_steps, np.nan)
+    read = np.array(values if values is not None else [], dtype=np.float64)[:n_steps]
+    column[: len(read)] = read
+    return column
+
+
+def _matrix(rows: Any, n_steps: int, n_parameters: int) -> FloatArray:
+    matrix = np.array(rows if rows is not None else [], dtype=np.float64)
+    return matrix if matrix.shape == (n_steps, n_parameters) else np.full((n_steps, n_parameters), np.nan)
+
+
+def read_history(result: Result) -> History | None:
+    """Read the history of a run, or None while it has none."""
+    names = parameter_names(result)
+    for axis, key in (("frame", "history"), ("iteration", "trace")):
+        record = result.get(key)
+        if record and record.get(axis):
+            x = np.array(record[axis], dtype=np.float64)
+            value = _matrix(record.get("parameters"), len(x), len(names))
+            sigma = _matrix(record.get("sigma"), len(x), len(names))
+            free = tuple(name for name in free_names(result) if name in names)
+            return History(axis, x, names, free, value, sigma, record)
+    return None
+
+
+def settled_step(result: Result) -> int | None:
+    """Return the index of the step from which on every free parameter stays within `SETTLED_SIGMAS` final sigmas of its end.
+
+    None while the run is on its way, and where an estimate or a sigma is not known.
+    """
+    history = read_history(result)
+    if history is None or result.get("status") in {None, "running"}:
+        return None
+    free = [history.names.index(name) for name in history.free]
+    value, reach = history.value[:, free], SETTLED_SIGMAS * history.sigma[-1, free]
+    if not np.isfinite(value).all() or not np.isfinite(reach).all():
+        return None
+    away = np.flatnonzero((np.abs(value - value[-1]) > reach).any(axis=1))
+    return int(away[-1]) + 1 if len(away) else 0
+
+
+def parameter_names(result: Result) -> tuple[str, ...]:
+    """Name the parameters in model order, which is the order of every column."""
+    return tuple(result.get("parameter_names") or result.get("parameters") or result.get("initial") or ())
+
+
+def free_names(result: Result) -> tuple[str, ...]:
+    """Name the estimated parameters, in model order."""
+    return tuple(result.get("free") or result.get("parameters") or ())

@@ -1,0 +1,56 @@
+"""Where blobs are stored: a folder, or a bucket with a local cache folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from boresight.errors import RefusedInputError
+
+SCHEMES = ("s3", "gs", "az", "abfs", "memory")
+
+
+@dataclass(frozen=True)
+class BlobLocation:
+    """An address, and the folder in which a machine keeps what it fetched from there.
+
+    Parameters
+    ----------
+    address
+        A folder's path, or a URL such as `s3://bucket/prefix`.
+    cache_folder, cache_bytes
+        Used with a URL only: where files that were fetched are kept, and about how much of them.
+    """
+
+    address: str
+    cache_folder: Path
+    cache_bytes: int
+
+    @property
+    def is_folder(self) -> bool:
+        """Whether it is a folder, which every machine that computes must see under the same path."""
+        return "://" not in self.address
+
+
+def parse_address(text: str) -> str:
+    """Return an address of files in one spelling: an absolute path, or the URL.
+
+    Raises
+    ------
+    RefusedInputError
+        When the URL is of no known kind, names no bucket, or holds a password, which would get into logs.
+    """
+    if "://" not in text:
+        return str(Path(text).expanduser().resolve())
+    parts = urlsplit(text)
+    if parts.scheme not in SCHEMES or not (parts.netloc or parts.scheme == "memory"):
+        raise RefusedInputError(
+            f"BORESIGHT_BLOBS names no place for files: give a folder, or an address such as {SCHEMES[0]}://bucket/prefix."
+        )
+    if "@" in parts.netloc or parts.query or parts.fragment:
+        raise RefusedInputError(
+            "BORESIGHT_BLOBS must hold no credentials: give s3://bucket/prefix alone, and the key by the environment "
+            "variables of the store, such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY."
+        )
+    return text.rstrip("/")

@@ -1,0 +1,181 @@
+"""The data version: a value that changes with every commit of any process.
+
+Two equal marks of one `DataVersionReader` mean that both times the same rows were to be seen, so what was read after the first
+still holds at the second. SQLite counts for each connection the commits of all others (`PRAGMA data_version`), so one connection
+that never writes sees every one: a look costs some microseconds. PostgreSQL names its snapshot (`pg_current_snapshot()`): its text
+changes when a transaction that wrote anything ends, in this database or another of the cluster, and a look costs a question to the
+server. A mark carries the number of its connection too: those of a later connection might meet it by chance.
+
+A least-recently-used cache limited in bytes; a value larger than a quarter of it is not kept.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any, Generic, TypeVar
+
+from boresight.disks import Opened
+from boresight.platform.db.engines import OPENED
+from boresight.platform.db.sessions import Engine
+
+T = TypeVar("T")
+DataVersion = tuple[int, int | str]  # the number of the connection that it was seen over, and what was seen
+QUESTIONS = {"sqlite": "PRAGMA data_version", "postgresql": "SELECT pg_current_snapshot()::text"}
+
+
+class DataVersionReader:
+    """Reads the data version of one store over a connection of its own.
+
+    Parameters
+    ----------
+    engine
+        The store.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._question = QUESTIONS[engine.dialect.name]
+        self._lock = threading.Lock()
+        self._connection: Any = None
+        self._file: Opened | None = None
+        self._opened = 0
+
+    @property
+    def at_once(self) -> bool:
+        """Whether a look is so short that it needs no thread."""
+        return self._engine.dialect.name == "sqlite"
+
+    def look(self) -> DataVersion | None:
+        """Return the mark of now; None where the store cannot say."""
+        with self._lock:
+            try:
+                if self._connection is None:
+                    self._connection = self._connect()
+                self._refuse_another_file()
+                seen = self._connection.dbapi_connection.execute(self._question).fetchone()[0]
+            except Exception:  # noqa: BLE001 - the drivers' own errors differ, and each means that nothing is known
+                self._let_go()
+                return None
+            return self._opened, seen
+
+    def row(self, question: str, given: Mapping[str, int | str]) -> tuple[Any, ...] | None:
+        """Return the one row that answers a question, as it is now; None where there is none or it takes a thread."""
+        if not self.at_once:
+            return None
+        with self._lock:
+            try:
+                if self._connection is None:
+                    self._connection = self._connect()
+                self._refuse_another_file()
+                found: tuple[Any, ...] | None = self._connection.dbapi_connection.execute(question, given).fetchone()
+            except Exception:  # noqa: BLE001 - as above
+                self._let_go()
+                return None
+            return found
+
+    def _connect(self) -> Any:
+        """Open a connection outside the pool and outside transactions, which waits for nobody."""
+        self._opened += 1
+        pooled = self._engine.raw_connection()
+        self._file = pooled.info.get(OPENED)
+        pooled.detach()  # ours from now on, and open for as long as it is held
+        connection: Any = pooled.dbapi_connection
+        if self.at_once:
+            connection.execute("PRAGMA busy_timeout=0").close()
+        else:
+            connection.rollback()
+            connection.autocommit = True
+        return pooled
+
+    def _refuse_another_file(self) -> None:
+        """Refuse to look into a file that was moved away."""
+        if self._file is not None:
+            self._file.refuse_another()
+
+    def _let_go(self) -> None:
+        """Close what is left of a connection; the next look opens another, whose marks are others too."""
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close()
+
+    def close(self) -> None:
+        """Close the connection."""
+        with self._lock:
+            self._let_go()
+
+
+class VersionedCache(Generic[T]):
+    """A cache of query results, valid until the next commit.
+
+    Parameters
+    ----------
+    marks
+        Of the store.
+    """
+
+    def __init__(self, data_versions: DataVersionReader) -> None:
+        self._marks = data_versions
+        self._last: tuple[Hashable, DataVersion, float, T] | None = None
+
+    def answer(self, question: Hashable, read: Callable[[], T]) -> T:
+        """Return what `read` finds, or what it found the last time."""
+        return self.answer_to(question, read, math.inf)[0]
+
+    def answer_to(self, question: Hashable, read: Callable[[], T], asked_s: float) -> tuple[T, bool]:
+        """Return the same for who asked at a time of the monotonic clock, and whether it was read before the newest commit."""
+        began_s, last = time.monotonic(), self._last
+        data_version = self._marks.look()  # before reading: what is committed in between is read twice, and not missed
+        if last is not None and last[0] == question and data_version is not None:
+            if data_version == last[1]:
+                return last[3], False
+            if last[2] > asked_s:
+                return last[3], True
+        found = read()
+        self._last = None if data_version is None else (question, data_version, began_s, found)
+        return found, False
+
+
+Value = TypeVar("Value")
+
+LARGEST_SHARE = 4  # of the limit, so that one large thing does not push everything else out
+
+
+class SizeLimitedCache(Generic[Value]):
+    """Values by key; many threads may ask at once, and two that ask for the same at once both make it.
+
+    Parameters
+    ----------
+    limit_bytes
+        How much is kept, counted as the callers count it.
+    """
+
+    def __init__(self, limit_bytes: int) -> None:
+        self.limit_bytes = limit_bytes
+        self.held_bytes = 0
+        self._kept: OrderedDict[Hashable, tuple[Value, int]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, key: Hashable, make: Callable[[], tuple[Value, int]]) -> Value:
+        """Return what stands under a key; make it, as value and size in bytes, where nothing does."""
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key][0]
+        value, size = make()
+        if size * LARGEST_SHARE <= self.limit_bytes:
+            self._keep(key, value, size)
+        return value
+
+    def _keep(self, key: Hashable, value: Value, size: int) -> None:
+        """Keep a value, and let the oldest go until the limit holds."""
+        with self._lock:
+            if key in self._kept:
+                self.held_bytes -= self._kept.pop(key)[1]
+            self._kept[key] = (value, size)
+            self.held_bytes += size
+            while self.held_bytes > self.limit_bytes:
+                self.held_bytes -= self._kept.popitem(last=False)[1][1]

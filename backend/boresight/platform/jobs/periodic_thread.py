@@ -1,0 +1,79 @@
+"""The periodic thread: runs its steps, waits, and runs them again until it is closed.
+
+A round begins at once when the thread is nudged. A step that fails is logged and tried again in the next round, and the
+steps after it are taken all the same.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Sequence
+
+log = logging.getLogger(__name__)
+
+
+class PeriodicThread:
+    """A thread that runs its steps periodically.
+
+    Parameters
+    ----------
+    name
+        What the thread is for, in its name and in the log: `heartbeat`.
+    steps
+        What is done in every round, in this order.
+    rest_s
+        Returns the seconds between two rounds.
+    least_s
+        Between two rounds however often it is nudged: what many commits ask for is done once for all of them.
+    """
+
+    def __init__(
+        self, name: str, steps: Sequence[Callable[[], None]], rest_s: Callable[[], float], least_s: float = 0.0
+    ) -> None:
+        self._name = name
+        self._steps = steps
+        self._rest_s = rest_s
+        self._least_s = least_s
+        self._nudge = threading.Event()
+        self._closing = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def closing(self) -> bool:
+        """Whether it was asked to stop."""
+        return self._closing.is_set()
+
+    def start(self) -> None:
+        """Begin; the first round is at once."""
+        self._closing.clear()
+        self._thread = threading.Thread(target=self._run, name=f"boresight-{self._name}", daemon=True)
+        self._thread.start()
+
+    def nudge(self) -> None:
+        """Begin the next round now."""
+        self._nudge.set()
+
+    def close(self, patience_s: float | None = None) -> None:
+        """Stop after the step that is under way, waiting for it so long at most; safe to call twice."""
+        self._closing.set()
+        self._nudge.set()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(patience_s)
+            self._thread = None
+
+    def take(self, step: Callable[[], None]) -> None:
+        """Take a step; an error is logged."""
+        try:
+            step()
+        except Exception:
+            log.exception("The %s failed and is tried again", self._name)
+
+    def _run(self) -> None:
+        """Go round until closed."""
+        while not self._closing.is_set():
+            for step in self._steps:
+                self.take(step)
+            self._closing.wait(self._least_s)
+            self._nudge.wait(self._rest_s())
+            self._nudge.clear()

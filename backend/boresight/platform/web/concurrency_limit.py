@@ -1,0 +1,295 @@
+"""The concurrency limit: too many requests at once are refused with 503 and `Retry-After`.
+
+A request that needs the store waits for one of a few threads. Without a bound a crowd would fill the queue until everybody's
+patience is over before their turn comes, and the server would work for people who have left. With it, whoever is let in is answered
+within seconds, and the rest know it within a millisecond: 503 and `Retry-After`. What stands ready, files of the pages, event
+streams and the routes by which the server is watched need no thread of the few, and are always let in.
+
+There are three kinds of places, and no kind takes another's. Requests of somebody known; requests of nobody known, of which each
+address has a share; and large bodies, of which each person has a share, for these are read while their place is held. Every other
+body is read before a place is taken, so that whoever sends half of one holds none. A credential that is forged or has ended is
+none. Who is not known sends no more than a form.
+
+The request queue: few requests run at once, writers apart from readers, and the request that most clients wait for goes first.
+
+An endpoint and each of its dependencies need a thread, one after the other. Were all requests let at the threads together, each
+would wait for one again and again behind all others, and a writer would hold the store's write lock meanwhile: so twenty writers
+among two hundred readers waited seven seconds. Here a request waits once, for its turn, and then finds a thread whenever it
+needs one. More turns at once than `most` only take the interpreter from each other.
+
+The next turn goes to the request for whose answer the longest time was waited, summed up over all who will have it
+(`boresight.platform.web.response_cache`). Among requests of one asker each that is the order of their coming; of an answer that
+two hundred wait for it makes the first. Nobody waits for ever: how long they have waited grows until it is the most.
+
+A turn is lent for `LENT_S`: who works longer, on a figure or a report, keeps the thread but makes room for the next.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from http import HTTPStatus
+
+from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from boresight.errors import BoresightError, OverloadedError, UnauthenticatedError
+from boresight.platform.web.connections import CONNECTION, Connection
+from boresight.platform.web.origins import SAFE_METHODS, get_network
+from boresight.platform.web.request_bodies import CLOSE, read_body
+from boresight.platform.web.response_cache import waited_s
+
+LENT_S = 0.25
+
+
+class RequestQueue:
+    """The turns of one kind of requests, given to those that were waited for longest.
+
+    Parameters
+    ----------
+    most
+        At once.
+    lent_s
+        After so long the next has a turn too.
+    """
+
+    def __init__(self, most: int, lent_s: float = LENT_S) -> None:
+        self._free = most
+        self._lent_s = lent_s
+        self._waiting: dict[asyncio.Future[None], Callable[[float], float]] = {}
+
+    @asynccontextmanager
+    async def turn(self, waited_s: Callable[[float], float] | None = None) -> AsyncIterator[None]:
+        """Wait for a turn, and have it.
+
+        Parameters
+        ----------
+        waited_s
+            Tells how long, at a time of the monotonic clock, was waited for what will be done in it, by all who wait for that; by
+            whoever asks alone, where not given.
+        """
+        if self._free:
+            self._free -= 1
+        else:
+            came_s = time.monotonic()
+            await self._wait(waited_s or (lambda now_s: now_s - came_s))
+        is_over = False
+
+        def end() -> None:
+            nonlocal is_over
+            if not is_over:
+                is_over = True
+                self._next()
+
+        lent = asyncio.get_running_loop().call_later(self._lent_s, end)
+        try:
+            yield
+        finally:
+            lent.cancel()
+            end()
+
+    async def _wait(self, waited_s: Callable[[float], float]) -> None:
+        mine: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting[mine] = waited_s
+        try:
+            await mine
+        except asyncio.CancelledError:
+            if mine.done() and not mine.cancelled():
+                self._next()  # it had just been given
+            self._waiting.pop(mine, None)
+            raise
+
+    def _next(self) -> None:
+        """Give a turn that is over to what was waited for longest."""
+        now_s = time.monotonic()
+        while self._waiting:
+            waiting = max(self._waiting, key=lambda one: self._waiting[one](now_s))
+            del self._waiting[waiting]
+            if not waiting.done():
+                waiting.set_result(None)
+                return
+        self._free += 1
+
+
+COME_BACK_S = 2
+SMALL_BODY_BYTES = 64_000
+ALWAYS = ("/static/", "/healthz", "/readyz", "/metrics", "/api/v1/events")
+Refuse = Callable[[Request, Exception], Response]
+Identify = Callable[[Scope], Awaitable[int | None]]
+Begin = Callable[[Scope], Awaitable[None]]
+READERS, WRITERS = 2, 2  # worked on at once; of the writers, all but one wait for the store
+
+
+@dataclass(frozen=True)
+class ConcurrencyLimits:
+    """How many requests of each kind may run at once.
+
+    Parameters
+    ----------
+    known
+        Requests of people and keys under way at once.
+    unknown, unknown_each
+        Requests of who is not known: of all, and of one address.
+    large, large_each
+        Large bodies: of all, and of one person.
+    unknown_body_s
+        How long the body of who is not known may take.
+    """
+
+    known: int = 512
+    unknown: int = 64
+    unknown_each: int = 16
+    large: int = 32
+    large_each: int = 8
+    unknown_body_s: float = 10.0
+
+
+class Slots:
+    """A number of slots for requests of one kind.
+
+    Parameters
+    ----------
+    most
+        Of all.
+    most_each
+        Of those with one key.
+    """
+
+    def __init__(self, most: int, most_each: int) -> None:
+        self.most = most
+        self.most_each = most_each
+        self.taken = 0
+        self._by_key: Counter[str] = Counter()
+
+    def take(self, key: str) -> bool:
+        """Take a place, if there is one."""
+        if self.taken >= self.most or self._by_key[key] >= self.most_each:
+            return False
+        self.taken += 1
+        self._by_key[key] += 1
+        return True
+
+    def give_back(self, key: str) -> None:
+        """Free a place that was taken."""
+        self.taken -= 1
+        self._by_key[key] -= 1
+        if not self._by_key[key]:
+            del self._by_key[key]
+
+
+class ConcurrencyLimit:
+    """The middleware that counts requests.
+
+    Parameters
+    ----------
+    refuse
+        Makes the answer to who is turned away; must need no thread and no store.
+    identify
+        Returns the number of the person whose credentials a request carries, and None where they do not hold.
+    limits
+        How many requests of each kind may run at once.
+    begin
+        Called when a request has its turn, before it is worked on.
+    """
+
+    def __init__(
+        self, app: ASGIApp, refuse: Refuse, identify: Identify, begin: Begin, limits: ConcurrencyLimits | None = None
+    ) -> None:
+        self.app = app
+        self.limits = limits or ConcurrencyLimits()
+        self.known = Slots(self.limits.known, self.limits.known)
+        self.unknown = Slots(self.limits.unknown, self.limits.unknown_each)
+        self.large = Slots(self.limits.large, self.limits.large_each)
+        self.readers, self.writers = RequestQueue(READERS), RequestQueue(WRITERS)
+        self._refuse = refuse
+        self._identify = identify
+        self._begin = begin
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let a request in, or turn it away."""
+        if scope["type"] != "http" or scope["path"].startswith(ALWAYS):
+            await self.app(scope, receive, send)
+            return
+        try:
+            person = await self._identify(scope)
+            _mark_connection(scope, known=person is not None)
+            body = _AnnouncedBody.of(scope)
+            if person is None:
+                places, key = self.unknown, _address(scope)
+                ready = await self._small(body, receive) if body.comes else receive
+            elif body.is_large:
+                places, key, ready = self.large, str(person), receive
+            else:
+                places, key = self.known, ""
+                ready = await read_body(receive) if body.comes else receive
+            if ready is None:
+                return  # who asked has left
+            if not places.take(key):
+                raise _make_refusal(places)
+        except (BoresightError, HTTPException) as error:
+            await self._refuse(Request(scope), error)(scope, receive, send)
+            return
+        try:
+            async with (self.readers if scope["method"] in SAFE_METHODS else self.writers).turn(waited_s(scope)):
+                await self._begin(scope)
+                await self.app(scope, ready, send)
+        finally:
+            places.give_back(key)
+
+    async def _small(self, body: _AnnouncedBody, receive: Receive) -> Receive | None:
+        """Read the body of who is not known."""
+        if body.is_large:
+            raise UnauthenticatedError(
+                f"Only who is logged in, or sends an API key that holds, may send over {SMALL_BODY_BYTES:,} bytes; log in first."
+            )
+        try:
+            async with asyncio.timeout(self.limits.unknown_body_s):
+                return await read_body(receive)
+        except TimeoutError as error:
+            sentence = f"The body of the request did not come within {self.limits.unknown_body_s:g} s; send it at once."
+            raise HTTPException(HTTPStatus.REQUEST_TIMEOUT, sentence, CLOSE) from error
+
+
+@dataclass(frozen=True)
+class _AnnouncedBody:
+    """What a request's head says of its body: whether one comes, and whether it may be large."""
+
+    comes: bool
+    is_large: bool
+
+    @classmethod
+    def of(cls, scope: Scope) -> _AnnouncedBody:
+        headers = Headers(scope=scope)
+        length = headers.get("content-length", "")
+        if not length.isdecimal():
+            chunked = "transfer-encoding" in headers
+            return cls(chunked, chunked)
+        return cls(int(length) > 0, int(length) > SMALL_BODY_BYTES)
+
+
+def _mark_connection(scope: Scope, *, known: bool) -> None:
+    """Tell the connection whose request it carries; there is none where no server is between."""
+    connection: Connection | None = scope["state"].get(CONNECTION)
+    if connection is not None:
+        connection.known = known
+
+
+def _address(scope: Scope) -> str:
+    """Return where a request comes from: the client that a trusted proxy names, else who opened the connection."""
+    client = scope.get("client")
+    return get_network(client[0]) if client else ""
+
+
+def _make_refusal(places: Slots) -> OverloadedError:
+    """Say that all places are taken."""
+    said = f"{places.most} requests of its kind are under way, as many as this server takes"
+    if places.taken < places.most:
+        said = f"{places.most_each} requests of yours are under way, as many as one address or person may have"
+    return OverloadedError(f"{said}; ask again in {COME_BACK_S} s.", COME_BACK_S)

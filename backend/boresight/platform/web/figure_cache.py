@@ -1,0 +1,63 @@
+"""The figure cache: the bytes of the figures drawn last, with entity tags for the browser's own cache.
+
+A result is named by the hash of its bytes and never changes, so what is drawn from it changes only with the names in the
+legend, with a simulation's truth, and with this program. A tag is the hash of all that; a figure of a run that still
+computes has none. The program's share is the hash of the figures' source: nobody has to remember to count a version up.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+
+import plotly
+from starlette.requests import Request
+from starlette.responses import Response
+
+from boresight import figures
+from boresight.platform.db.data_version import SizeLimitedCache
+
+KEPT_BYTES = 64 << 20
+ASK_AGAIN = {"Cache-Control": "private, no-cache"}  # keep it, but ask whether it still holds
+NOT_MODIFIED = 304
+
+
+@cache
+def figures_version() -> str:
+    """Return the hash of everything that figures are drawn by."""
+    digest = hashlib.sha256(plotly.__version__.encode())
+    for source in sorted(Path(figures.__file__).parent.rglob("*.py")):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
+
+
+class FigureCache:
+    """The figures that were drawn last, as bytes."""
+
+    def __init__(self, limit_bytes: int = KEPT_BYTES) -> None:
+        self._recent: SizeLimitedCache[bytes] = SizeLimitedCache(limit_bytes)
+
+    def answer(self, request: Request, parts: Sequence[str] | None, draw: Callable[[], bytes]) -> Response:
+        """Answer with a figure.
+
+        Parameters
+        ----------
+        parts
+            All that the figure depends on; None where that may change at any moment.
+        draw
+            Makes the figure's JSON.
+        """
+        if parts is None:
+            return Response(draw(), media_type="application/json", headers={"Cache-Control": "no-store"})
+        digest = hashlib.sha256("\0".join((figures_version(), *parts)).encode()).hexdigest()[:32]
+        headers = {**ASK_AGAIN, "ETag": f'"{digest}"'}
+        if digest in request.headers.get("if-none-match", ""):
+            return Response(status_code=NOT_MODIFIED, headers=headers)
+
+        def make() -> tuple[bytes, int]:
+            content = draw()
+            return content, len(content)
+
+        return Response(self._recent.get(digest, make), media_type="application/json", headers=headers)

@@ -1,0 +1,80 @@
+"""Text validation of labels, reasons, comments and names, which stand in lists, logs and signed records."""
+
+from __future__ import annotations
+
+import unicodedata
+
+from boresight.errors import RefusedInputError
+
+LAYOUT = "\t\n\r"
+LONGEST_NAME = 255  # characters, as file systems count at most
+_HIDDEN_CATEGORIES = {"Cc", "Cf", "Cs", "Cn", "Co", "Zl", "Zp"}  # Cf has the marks that turn the direction of writing
+_BLANKS = frozenset({0x034F, 0x115F, 0x1160, 0x17B4, 0x17B5, 0x2800, 0x3164, 0xFFA0})  # letters that show nothing
+_VARIATION_SELECTORS = (range(0x180B, 0x1810), range(0xFE00, 0xFE10), range(0xE0100, 0xE01F0))
+
+
+def refuse_control_characters(**texts: str) -> None:
+    """Refuse control characters other than tab and line ends: nobody sees them, and they end a text early elsewhere.
+
+    Raises
+    ------
+    RefusedInputError
+        Says which text has one and where.
+    """
+    for name, text in texts.items():
+        for place, letter in enumerate(text, start=1):
+            if unicodedata.category(letter) in {"Cc", "Cs"} and letter not in LAYOUT:
+                named = name.replace("_", " ")
+                raise RefusedInputError(
+                    f"The {named} has the control character U+{ord(letter):04X} at place {place}; remove it."
+                )
+
+
+def normal_name(what: str, text: str, longest: int = LONGEST_NAME) -> str:
+    """Return a name in the one form in which it is stored and compared: NFKC, outer blanks removed, inner ones single spaces.
+
+    Two names that look alike because one is composed, full-width or spaced differently have the same form, so a
+    constraint on what is stored keeps them apart.
+
+    Parameters
+    ----------
+    what
+        What the name is of, as the refusal calls it: "file name".
+    longest
+        Characters that the normal form may have.
+
+    Raises
+    ------
+    RefusedInputError
+        When it is too long, or has a character that is not seen or that changes the direction of writing.
+    """
+    if len(text) <= 4 * longest:  # longer ones are refused anyhow: no work for them
+        text = _normal_form(text)
+    if len(text) > longest:
+        raise RefusedInputError(f"The {what} has {len(text)} characters; shorten it to {longest} at most.")
+    for place, letter in enumerate(text, start=1):
+        if is_hidden(letter):
+            raise RefusedInputError(
+                f"The {what} has the character U+{ord(letter):04X} at place {place}, which is not seen or changes the "
+                "direction of writing; remove it."
+            )
+    return text
+
+
+def comparison_key(name: str) -> str:
+    """Return the form in which two names are equal that a person takes for one: normal, and without regard to case."""
+    return _normal_form(_normal_form(name).casefold())
+
+
+def _normal_form(text: str) -> str:
+    """Return the NFKC form with single spaces; twice, since joining letters over a removed blank may compose them."""
+    once = " ".join(part for part in unicodedata.normalize("NFKC", text).split(" ") if part)
+    return unicodedata.normalize("NFKC", once)
+
+
+def is_hidden(letter: str) -> bool:
+    """Whether a character is not seen, or changes the direction of writing."""
+    code = ord(letter)
+    if unicodedata.category(letter) in _HIDDEN_CATEGORIES:
+        return True
+    return code in _BLANKS or any(code in selectors for selectors in _VARIATION_SELECTORS)

@@ -1,0 +1,136 @@
+"""What a quality report looks at, computed once: which rows are matched, known, on the detector, and of use.
+
+A row is of use when it is matched, lies on the detector and can have a direction: its own, or the catalogue's, which
+takes a known star, a time and, in a file that gives velocities, a velocity. This is the rule of `sky.directions`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.telemetry.quality.detector import OffDetector, matched_rows, on_detector
+from boresight.telemetry.schema import Exposures, Telemetry, find_exposures
+from boresight.telemetry.sensors import Sensor
+
+
+class StarNumbers(Protocol):
+    """What the report needs of a star catalogue."""
+
+    @property
+    def magnitude(self) -> FloatArray:
+        """(n_stars,) magnitudes."""
+
+    def find_index(self, hip: IntArray, /) -> IntArray:
+        """Return (n,) positions of (n,) numbers, -1 where unknown."""
+
+
+@dataclass(frozen=True)
+class QualityInputs:
+    """A telemetry set with its sensor and, where there is one, the catalogue.
+
+    Parameters
+    ----------
+    telemetry, sensor
+        The set and whose it is.
+    catalogue
+        Says which stars exist; None = every number counts as known.
+    rows
+        (n_rows,) number of every row in the file, where the set is only stretches of it; None = they follow on.
+    """
+
+    telemetry: Telemetry
+    sensor: Sensor
+    catalogue: StarNumbers | None = None
+    rows: IntArray | None = None
+
+    @cached_property
+    def exposures(self) -> Exposures:
+        """The exposures in file order."""
+        return find_exposures(self.telemetry)
+
+    @cached_property
+    def matched(self) -> BoolArray:
+        """(n_rows,) whether the file says which star it is."""
+        return matched_rows(self.telemetry)
+
+    @cached_property
+    def on_detector(self) -> BoolArray:
+        """(n_rows,) whether the centroid lies on the detector."""
+        return on_detector(self.telemetry, self.sensor)
+
+    @cached_property
+    def off_detector(self) -> OffDetector:
+        """The matched stars off the detector."""
+        off = OffDetector()
+        off.look_at(self.telemetry, self.sensor, self.rows)
+        return off
+
+    @cached_property
+    def directed(self) -> BoolArray:
+        """(n_rows,) whether the file gives the star's direction."""
+        ra_rad = self.telemetry.ra_rad
+        return np.zeros(len(self.telemetry), dtype=np.bool_) if ra_rad is None else np.isfinite(ra_rad)
+
+    @cached_property
+    def index(self) -> IntArray | None:
+        """(n_rows,) place of each row's star in the catalogue, -1 = none; None without catalogue or numbers."""
+        if self.catalogue is None or self.telemetry.star_id is None:
+            return None
+        return np.where(self.matched, self.catalogue.find_index(self.telemetry.star_id), -1)
+
+    @cached_property
+    def unknown(self) -> BoolArray:
+        """(n_rows,) whether the row names a star that the catalogue does not have."""
+        return np.zeros(len(self.telemetry), dtype=np.bool_) if self.index is None else self.matched & (self.index < 0)
+
+    @cached_property
+    def untimed(self) -> BoolArray:
+        """(n_rows,) whether the row has no time."""
+        time_utc = self.telemetry.time_utc
+        return np.ones(len(self.telemetry), dtype=np.bool_) if time_utc is None else np.isnat(time_utc)
+
+    @cached_property
+    def unmoving(self) -> BoolArray:
+        """(n_rows,) whether the file gives velocities but not for this row."""
+        velocity = self.telemetry.velocity_m_s
+        return np.zeros(len(self.telemetry), dtype=np.bool_) if velocity is None else np.isnan(velocity[:, 0])
+
+    @cached_property
+    def from_catalogue(self) -> BoolArray:
+        """(n_rows,) whether the direction must come from the catalogue."""
+        return self.matched & ~self.directed
+
+    @cached_property
+    def usable(self) -> BoolArray:
+        """(n_rows,) whether the row can take part in a calibration."""
+        lookup = self.from_catalogue & ~self.unknown & ~self.untimed & ~self.unmoving
+        return self.matched & self.on_detector & (self.directed | lookup)
+
+    @cached_property
+    def usable_per_exposure(self) -> IntArray:
+        """(n_exposures,) usable rows of each exposure."""
+        return self.count_per_exposure(self.usable)
+
+    @cached_property
+    def spread_per_exposure(self) -> tuple[FloatArray, FloatArray]:
+        """(n_exposures,) standard deviation of the usable centroids across and along their main direction, pixels."""
+        which, n = self.exposures.of_entry[self.usable], len(self.exposures)
+        row, col = self.telemetry.row_px[self.usable], self.telemetry.col_px[self.usable]
+        count = np.maximum(np.bincount(which, minlength=n), 1)
+
+        def mean(values: FloatArray) -> FloatArray:
+            return np.bincount(which, values, minlength=n) / count
+
+        row, col = row - mean(row)[which], col - mean(col)[which]
+        half_sum, half_difference = (mean(row * row) + mean(col * col)) / 2, (mean(row * row) - mean(col * col)) / 2
+        radius = np.hypot(half_difference, mean(row * col))
+        return np.sqrt(np.maximum(half_sum - radius, 0.0)), np.sqrt(half_sum + radius)
+
+    def count_per_exposure(self, rows: BoolArray) -> IntArray:
+        """Count the marked (n_rows,) rows of each exposure, (n_exposures,)."""
+        return np.bincount(self.exposures.of_entry[rows], minlength=len(self.exposures)).astype(np.int64)

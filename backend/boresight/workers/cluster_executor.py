@@ -1,0 +1,441 @@
+"""The cluster executor: a large run computes its pieces itself and lends pieces to idle workers.
+
+The run's own worker takes pieces from the front all the time, in a thread beside; the run's thread hands groups to idle workers and
+gathers. So nothing can wait for ever: with no other worker, or with all of them busy, the run computes everything itself, and
+what is out elsewhere for too long it computes again, for a piece may be computed twice (`boresight.estimation.executor`).
+
+- A worker that computes a run, or has one waiting, is lent nothing: runs go first, and wait for the group under way at most.
+- A piece whose worker died is computed by the run itself. If it is poison it ends the run's own worker, and the engine counts that
+  as a lost attempt of this run, as of any other; so two processes an attempt at most pay for it.
+- That a worker was lent is told on a topic, so that the engine charges no run with a death that a piece may have caused.
+- A worker that does not see the scratch folder gives its first group back untouched and is asked no more.
+
+The pieces of one map over a large set: which wait, which are out, which are done.
+
+Whoever computes takes a group of neighbouring pieces at a time. A group is to last about half a second, against the ten
+milliseconds that it costs to hand it over, and never more than its share of half of what is left, so that all end together
+(guided self-scheduling; Polychronopoulos and Kuck, IEEE Trans. Computers C-36, 1987). How long a piece lasts is measured on
+the way. Results are kept by place: who computed a piece, when, and how often is nowhere to be seen in them.
+
+Folders for the working copies of large runs: one an attempt, seen by every worker that sees the data folder.
+
+An attempt that was killed cannot remove its own. The next attempt of the run does, and whatever nobody has touched for a day any
+large run does: a working copy is made within minutes, and an attempt that still used it would be behind its fence by then.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import contextvars
+import math
+import secrets
+import shutil
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from distributed import get_client, get_worker
+
+from boresight.errors import CancelledError
+from boresight.estimation.executor import Told
+
+GROUP_S = 0.5
+LEAST_S = 0.05
+
+#: Places of the pieces of one group, ascending.
+Group = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class FailedPiece:
+    """In the place of a result: what the piece raised."""
+
+    error: Exception
+
+
+class Pieces:
+    """A ledger that several threads write.
+
+    Parameters
+    ----------
+    count
+        How many pieces there are.
+    seconds
+        How long one lasts as far as known; None when none was ever timed.
+    """
+
+    def __init__(self, count: int, seconds: float | None = None) -> None:
+        self.count = count
+        self.seconds = seconds
+        self._lock = threading.Condition()
+        self._news = threading.Event()
+        self._fresh = deque(range(count))
+        self._returned: deque[int] = deque()
+        self._results: dict[int, Any] = {}
+        self._end = count  # behind the first piece that broke nothing is computed
+        self._closed = False
+
+    def take(self, takers: int, *, returned: bool = False) -> Group:
+        """Take the next group; empty when there is none.
+
+        Parameters
+        ----------
+        takers
+            How many share what is left.
+        returned
+            Whether those may be taken, and first, that somebody else has had already.
+        """
+        with self._lock:
+            while returned and self._returned:
+                place = self._returned.popleft()
+                if place < self._end and place not in self._results:
+                    return (place,)
+            left = sum(place < self._end for place in self._fresh) if self._end < self.count else len(self._fresh)
+            size = min(left, self._size(left, takers))
+            return tuple(self._fresh.popleft() for _ in range(size))
+
+    def _size(self, left: int, takers: int) -> int:
+        """How many pieces make a group now."""
+        if not self.seconds:
+            return 1
+        most, least = max(1, int(GROUP_S / self.seconds)), math.ceil(LEAST_S / self.seconds)
+        return max(1, min(most, max(least, math.ceil(left / (2 * takers)))))
+
+    def give_back(self, group: Group) -> None:
+        """Return a group that was lost, or is overdue; it may still be settled by whoever had it."""
+        with self._lock:
+            self._returned.extend(place for place in group if place not in self._results)
+            self._lock.notify_all()
+        self._news.set()
+
+    def settle(self, group: Group, results: Sequence[Any], seconds: float) -> None:
+        """Write the results of a group, up to the first that is `FailedPiece`; the first answer for a piece counts."""
+        with self._lock:
+            for place, result in zip(group, results, strict=False):
+                self._results.setdefault(place, result)
+                if isinstance(result, FailedPiece):
+                    self._end = min(self._end, place)
+            self.seconds = seconds / max(1, len(results))
+        self._news.set()
+
+    def await_news(self, seconds: float) -> None:
+        """Wait until there is news since the last time, so many seconds at most; for one thread, which gathers."""
+        self._news.wait(seconds)
+        self._news.clear()
+
+    def tell_news(self) -> None:
+        """Say that there is something to gather."""
+        self._news.set()
+
+    def rest(self, seconds: float) -> None:
+        """Wait until something is given back or all is over, so many seconds at most."""
+        with self._lock:
+            self._lock.wait(seconds)
+
+    def close(self) -> None:
+        """Let nobody take any more."""
+        with self._lock:
+            self._closed = True
+            self._fresh.clear()
+            self._returned.clear()
+            self._lock.notify_all()
+
+    @property
+    def closed(self) -> bool:
+        """Whether all is over."""
+        return self._closed
+
+    @property
+    def done(self) -> int:
+        """How many pieces have a result."""
+        return len(self._results)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every piece has its result, or every one before the first that broke."""
+        with self._lock:
+            return all(place in self._results for place in range(self._end)) if self.done >= self._end else False
+
+    def results(self) -> list[Any]:
+        """Return the results in order.
+
+        Raises
+        ------
+        Exception
+            What the first broken piece raised.
+        """
+        if self._end < self.count:
+            error: Exception = self._results[self._end].error
+            raise error
+        return [self._results[place] for place in range(self.count)]
+
+
+LENT_TOPIC = "boresight-lent"
+LOOK_EVERY_S = 0.5
+WAIT_S = 0.1
+FETCH_S = 2.0
+OVERDUE_S = 3.0
+OVERDUE_TIMES = 4
+AT_ONCE_S = 0.05
+BEHIND_RUNS = -1  # priority
+DEEP = 2  # groups a worker has: one that it computes, and the next, so that it does not wait for it
+
+#: A worker, and which of its groups.
+Slot = tuple[str, int]
+
+
+@dataclass
+class LentGroup:
+    """A group that another worker computes."""
+
+    future: Any
+    group: Group
+    lent_s: float
+    overdue: bool = False
+
+
+class ClusterExecutor:
+    """A `Spread` for one attempt of a run; to be made and used in the thread of its task.
+
+    Parameters
+    ----------
+    name
+        Names the attempt in the keys of its tasks.
+    folder
+        The scratch folder, which exists.
+    cancelled
+        Asked all the time; True stops.
+    """
+
+    def __init__(self, name: str, folder: Path, cancelled: Callable[[], bool]) -> None:
+        self._worker = get_worker()
+        self._cancelled = cancelled
+        self._seconds: dict[str, float | None] = {}
+        self._idle: list[str] = []
+        self._looked_s = -LOOK_EVERY_S
+        self._blind: set[str] = set()
+        self._keys = (f"piece-{name}-{secrets.token_hex(3)}-{n}" for n in range(1 << 60))
+        self._sign = folder / f".seen-{secrets.token_hex(8)}"
+        self._sign.touch()
+
+    def map(
+        self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], *, done: Told | None = None
+    ) -> list[Any]:
+        """Call `function(*arguments[k])` for every k and return the results in the order of k.
+
+        Raises
+        ------
+        CancelledError
+            When `cancelled` said so.
+        Exception
+            Whatever the first failing piece raised.
+        """
+        kind = f"{function.__module__}.{function.__qualname__}"
+        pieces = Pieces(len(arguments), self._seconds.get(kind))
+        work = _MapWork(function, arguments, pieces)
+        try:
+            if pieces.count < 2 or (pieces.seconds is not None and pieces.seconds * pieces.count < AT_ONCE_S):
+                self._alone(work, done)
+            else:
+                self._shared(work, done)
+        finally:
+            self._seconds[kind] = pieces.seconds
+            pieces.close()
+        return pieces.results()
+
+    def _alone(self, work: _MapWork, done: Told | None) -> None:
+        """Compute what is over before anybody else had begun."""
+        while not work.pieces.complete:
+            self._refuse_if_cancelled(work.pieces)
+            work.compute(work.pieces.take(1, returned=True))
+            _tell(work.pieces, done)
+
+    def _shared(self, work: _MapWork, done: Told | None) -> None:
+        """Compute in a thread beside, lend, gather, until all is there."""
+        loans: dict[Slot, LentGroup] = {}
+        here = contextvars.copy_context().run
+        threading.Thread(target=here, args=(work.compute_all, loans), daemon=True, name="boresight-pieces").start()
+        told = 0
+        try:
+            while not work.pieces.complete:
+                self._refuse_if_cancelled(work.pieces)
+                self._gather(work, loans)
+                self._lend(work, loans)
+                if work.pieces.done > told:
+                    told = _tell(work.pieces, done)
+                work.pieces.await_news(WAIT_S)
+        finally:
+            for loan in loans.values():
+                with contextlib.suppress(Exception):  # whoever ends here must not fail for a worker that is gone
+                    loan.future.cancel()
+        if work.pieces.done > told:
+            _tell(work.pieces, done)
+
+    def _refuse_if_cancelled(self, pieces: Pieces) -> None:
+        if self._cancelled():
+            raise CancelledError(f"Stopped as asked after {pieces.done} of {pieces.count} pieces")
+
+    def _lend(self, work: _MapWork, loans: dict[Slot, LentGroup]) -> None:
+        """Hand groups to every worker that is idle, first one to each."""
+        idle = self._idle_workers(loans)
+        for number, worker in ((number, worker) for number in range(DEEP) for worker in idle):
+            if (worker, number) in loans:
+                continue
+            group = work.pieces.take(2 + len(loans))
+            if not group:
+                return
+            self._tell_lent(worker, _patience_s(work.pieces, group))
+            future = get_client().submit(
+                compute_group,
+                str(self._sign),
+                work.function,
+                [work.arguments[place] for place in group],
+                key=next(self._keys),
+                pure=False,
+                workers=[worker],
+                priority=BEHIND_RUNS,
+            )
+            future.add_done_callback(lambda _: work.pieces.tell_news())
+            loans[worker, number] = LentGroup(future, group, time.monotonic())
+
+    def _idle_workers(self, loans: dict[Slot, LentGroup]) -> list[str]:
+        """Return the workers that have nothing to compute but what we lent them; looked at twice a second."""
+        if time.monotonic() - self._looked_s >= LOOK_EVERY_S:
+            self._looked_s = time.monotonic()
+            ours = {loan.future.key for loan in loans.values()}
+            try:
+                at_work = get_client().processing()
+            except OSError:  # the scheduler is too busy to say, or gone; the run does not depend on it
+                at_work = {}
+            busy = {worker for worker, keys in at_work.items() if not ours.issuperset(map(str, keys))}
+            self._idle = sorted(at_work.keys() - busy - self._blind - {self._worker.address})
+        return self._idle
+
+    def _gather(self, work: _MapWork, loans: dict[Slot, LentGroup]) -> None:
+        """Take in what has come back; give back what was lost, or is out for too long."""
+        for (worker, number), loan in list(loans.items()):
+            if loan.future.done():
+                del loans[worker, number]
+                self._tell_lent(
+                    worker, 0.0 if (worker, 1 - number) not in loans else _patience_s(work.pieces, loan.group)
+                )
+                if not self._taken_in(work.pieces, worker, loan):
+                    self._idle = [other for other in self._idle if other != worker]
+                    work.pieces.give_back(loan.group)
+            elif not loan.overdue and time.monotonic() - loan.lent_s > _patience_s(work.pieces, loan.group):
+                loan.overdue = True
+                work.pieces.give_back(loan.group)
+
+    def _taken_in(self, pieces: Pieces, worker: str, loan: LentGroup) -> bool:
+        """Settle a group that has come back; False when it came back without results."""
+        try:
+            answer = loan.future.result(timeout=FETCH_S)
+        except Exception:  # noqa: BLE001 - its worker died, or could not even begin: the run will see by itself
+            return False
+        if answer is None:
+            self._blind.add(worker)
+            return False
+        results, seconds = answer
+        pieces.settle(loan.group, results, seconds)
+        return True
+
+    def _tell_lent(self, worker: str, for_s: float) -> None:
+        """Tell whoever gives runs to the workers how long this one will have pieces of another run; 0: it just had."""
+        self._worker.log_event(LENT_TOPIC, {"worker": worker, "for_s": for_s})
+
+
+@dataclass(frozen=True)
+class _MapWork:
+    """What one map computes."""
+
+    function: Callable[..., Any]
+    arguments: Sequence[tuple[Any, ...]]
+    pieces: Pieces
+
+    def compute(self, group: Group) -> None:
+        """Compute a group here."""
+        results, seconds = timed(self.function, [self.arguments[place] for place in group])
+        self.pieces.settle(group, results, seconds)
+
+    def compute_all(self, loans: dict[Slot, LentGroup]) -> None:
+        """Go on until all is over; returned pieces come first."""
+        while not self.pieces.closed and not self.pieces.complete:
+            group = self.pieces.take(2 + len(loans), returned=True)
+            if group:
+                self.compute(group)
+            else:
+                self.pieces.rest(WAIT_S)
+
+
+def compute_group(sign: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
+    """Compute a group on another worker.
+
+    Parameters
+    ----------
+    sign
+        A file that is there where the scratch folder is seen.
+    function, arguments
+        What to call, and for each piece with what.
+
+    Returns
+    -------
+    Results and seconds as of `timed`, or None when this worker does not see the folder.
+    """
+    return timed(function, arguments) if Path(sign).exists() else None
+
+
+def timed(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> tuple[list[Any], float]:
+    """Call a function for each piece; returns the results, the last of them `FailedPiece` where one raised, and the seconds."""
+    begun_s = time.perf_counter()
+    results: list[Any] = []
+    for piece in arguments:
+        try:
+            results.append(function(*piece))
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is raised where the map was asked for
+            results.append(FailedPiece(error))
+            break
+    return results, time.perf_counter() - begun_s
+
+
+def _patience_s(pieces: Pieces, group: Group) -> float:
+    """How long a group may be out before it is computed here as well."""
+    return max(OVERDUE_S, OVERDUE_TIMES * len(group) * (pieces.seconds or 0.0))
+
+
+def _tell(pieces: Pieces, done: Told | None) -> int:
+    """Tell how many pieces are done."""
+    count = pieces.done
+    if done is not None:
+        done(count, pieces.count)
+    return count
+
+
+FORGOTTEN_S = 86_400.0
+
+
+@contextmanager
+def make_scratch_folder(folder: Path, run_id: int, attempt: int) -> Iterator[Path]:
+    """Make an attempt's folder below `folder`; it is gone at the end."""
+    folder.mkdir(exist_ok=True)  # the data folder may have been moved away: it is not made anew
+    for left in folder.glob("run-*-*"):
+        if left.name.startswith(f"run-{run_id}-") or _age_s(left) > FORGOTTEN_S:
+            shutil.rmtree(left, ignore_errors=True)
+    own = folder / f"run-{run_id}-{attempt}"
+    own.mkdir(exist_ok=True)
+    try:
+        yield own
+    finally:
+        shutil.rmtree(own, ignore_errors=True)
+
+
+def _age_s(folder: Path) -> float:
+    """How long ago anything was put into a folder or its folders."""
+    try:
+        return time.time() - max(path.stat().st_mtime for path in (folder, *folder.glob("*")))
+    except OSError:  # it has just been removed
+        return 0.0
