@@ -39,30 +39,14 @@ class Column:
 
 @dataclass(frozen=True)
 class Columns:
-    """Arrays in a file.
-
-    Parameters
-    ----------
-    path
-        Of the file, the same on every machine.
-    layout
-        Where each array is.
-    sha256
-        Of the bytes.
-    """
+    """Arrays in a file."""
 
     path: str
     layout: tuple[Column, ...]
     sha256: str
 
     def read(self) -> dict[str, NDArray[Any]]:
-        """Map the file; what is written into the arrays stays with this process (the compiled loops take writable ones).
-
-        Raises
-        ------
-        CorruptFileError
-            When the file is not what was written.
-        """
+        """Map the file; what is written into the arrays stays with this process (the compiled loops take writable ones)."""
         if not integrity.is_intact(Path(self.path), self.sha256):
             raise CorruptFileError(
                 f"The working copy {Path(self.path).name} was altered on the disk while the run computed, so nothing is made of "

@@ -30,14 +30,7 @@ LEAST_FREE_BYTES = 4 << 20  # a page or a log line still fits, and somebody has 
 
 
 def storage_error(error: OSError, place: Path | str | None = None) -> StorageError | None:
-    """Return what a system error says of a disk; None where it is about something else.
-
-    Parameters
-    ----------
-    place
-        What was to be written; None for the file that the error names. An absent file is of no disk's doing, so it is told of a
-        given place only.
-    """
+    """Return what a system error says of a disk; None where it is about something else."""
     named = place if place is not None else error.filename or "a temporary file"
     if error.errno in FULL:
         return StorageError(full(named))
@@ -69,26 +62,14 @@ def absent(place: object) -> str:
 
 
 class Opened:
-    """A file or folder as it was opened: it may go away and come back, and nothing else is taken for it.
-
-    Parameters
-    ----------
-    place
-        Where it is; it exists now.
-    """
+    """A file or folder as it was opened: it may go away and come back, and nothing else is taken for it."""
 
     def __init__(self, place: Path) -> None:
         self.place = place
         self._identity = _identity(place)
 
     def refuse_another(self) -> None:
-        """Refuse to go on while it is not there, or something else is: some microseconds, so every transaction asks.
-
-        Raises
-        ------
-        StorageError
-            When it is not what was opened.
-        """
+        """Refuse to go on while it is not there, or something else is: some microseconds, so every transaction asks."""
         try:
             found = _identity(self.place)
         except OSError as error:
@@ -109,13 +90,7 @@ def _identity(place: Path) -> tuple[int, int]:
 
 
 def refuse_unwritable(file: Path) -> None:
-    """Refuse a file that a write would fail on now.
-
-    Raises
-    ------
-    StorageError
-        When its folder is absent, it or the folder cannot be written, or the disk is as good as full.
-    """
+    """Refuse a file that a write would fail on now."""
     folder = file.parent
     if not folder.is_dir():
         raise StorageError(absent(file))
@@ -143,13 +118,7 @@ def compute_digest(path: Path) -> str:
 
 
 def is_intact(path: Path, sha256: str, *, again: bool = False) -> bool:
-    """Whether a file has these bytes; read when this process has not seen it so, or when asked to read it again.
-
-    Raises
-    ------
-    OSError
-        When it cannot be read.
-    """
+    """Whether a file has these bytes; read when this process has not seen it so, or when asked to read it again."""
     identity, now_ns = _file_identity(path), time.time_ns()
     with _guard:
         if not again and _checked.get((str(path), sha256)) == identity:

@@ -13,17 +13,7 @@ from typing import ClassVar
 
 @dataclass(frozen=True)
 class Fault:
-    """One place in an input where something is wrong.
-
-    Parameters
-    ----------
-    row
-        Line in the file, counted as an editor does (the header is line 1); None when the fault is of the whole file.
-    column
-        The column's name; None when the fault is of the whole row.
-    detail
-        What is wrong and what to do, one sentence.
-    """
+    """One place in an input where something is wrong."""
 
     row: int | None
     column: str | None

@@ -8,13 +8,7 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 def folder(name: str) -> Path:
-    """Return the folder `frontend` or `migrations`, from the installed wheel or from the checkout.
-
-    Raises
-    ------
-    FileNotFoundError
-        When neither place has it: the installation is broken.
-    """
+    """Return the folder `frontend` or `migrations`, from the installed wheel or from the checkout."""
     for candidate in (_PACKAGE / name, _PACKAGE.parents[1] / name):
         if candidate.is_dir():
             return candidate

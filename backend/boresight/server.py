@@ -98,15 +98,7 @@ THREADS = (
 
 
 def create_app(settings: Settings, *, limits: ConcurrencyLimits | None = None, pace: BodyRate | None = None) -> FastAPI:
-    """Build the server of these settings; nothing runs before its lifespan begins.
-
-    Parameters
-    ----------
-    limits
-        How many requests may be under way.
-    pace
-        How fast a body must come.
-    """
+    """Build the server of these settings; nothing runs before its lifespan begins."""
     app = FastAPI(
         title="Boresight",
         version=boresight.__version__,

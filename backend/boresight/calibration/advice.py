@@ -194,18 +194,7 @@ def remedies(
 ) -> list[str]:
     """Sentences that say what would help, the surest first; none where nothing is weak.
 
-    Parameters
-    ----------
-    A
-        (n_free, n_free) information of the set, in typical sigmas.
-    observed
-        Its directions.
-    problem
-        Stars that stand for the set's.
-    frames
-        Frames of the set.
-    settings
-        Whether a filter forgets, which more frames do not mend.
+    `A`: (n_free, n_free) information of the set, in typical sigmas.
     """
     if not observed.weak():
         return []

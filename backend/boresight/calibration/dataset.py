@@ -23,21 +23,7 @@ from boresight.telemetry.sensors import Sensor
 
 @dataclass(frozen=True)
 class CalibrationContext:
-    """The context of a calibration: its folders, its executor and its progress callback.
-
-    Parameters
-    ----------
-    cancelled
-        Asked often; True stops.
-    report
-        Told of progress; None tells nobody.
-    cache_folder
-        Where lost-in-space identification keeps its tables.
-    scratch_folder
-        Where working copies of large sets are made, each in a folder of its own; None is the machine's temporary folder.
-    spread
-        What computes over large sets; None is this process.
-    """
+    """The context of a calibration: its folders, its executor and its progress callback."""
 
     cancelled: Callable[[], bool]
     report: Callable[[Progress], None] | None = None
@@ -66,14 +52,9 @@ def open_dataset(
     settings: CalibrationSettings,
     workplace: CalibrationContext,
 ) -> Iterator[tuple[Dataset, OffDetector]]:
-    """Make a set ready, and say which stars of it lie off the detector; while the context lasts it can be matched and computed on.
+    """Make a set ready, and say which stars of it lie off the detector.
 
-    Raises
-    ------
-    RefusedInputError
-        When the file cannot be used, too many matched stars lie off the sensor's detector, or directions cannot be had.
-    CancelledError
-        When `workplace.cancelled` says so.
+    While the context lasts it can be matched and computed on.
     """
     if not is_large(telemetry):
         inside = read_whole(telemetry)
@@ -99,12 +80,9 @@ def choose_match_mode(telemetry: Telemetry, settings: CalibrationSettings) -> Ca
 def open_validation_set(
     telemetry: Telemetry | TelemetryFile | StoredTable, sensor: Sensor, most_rows: int
 ) -> tuple[Telemetry, OffDetector]:
-    """Read a validation set, of a large one parts that are evenly spread over it, and say which stars of all are off the detector.
+    """Read a validation set, of a large one parts that are evenly spread over it.
 
-    Raises
-    ------
-    RefusedInputError
-        When the file cannot be used, or too many matched stars lie off the sensor's detector.
+    Say which stars of all are off the detector.
     """
     if not is_large(telemetry):
         inside = read_whole(telemetry)

@@ -152,13 +152,7 @@ class Option:
         return all(type(k) is int and 1 <= k <= 3 for k in value) and len(set(value)) == len(value)
 
     def read(self, text: str) -> Any:
-        """Read what was typed into a form; a comma stands for a point, as many keyboards have it.
-
-        Raises
-        ------
-        RefusedInputError
-            When a number cannot be read; says which.
-        """
+        """Read what was typed into a form; a comma stands for a point, as many keyboards have it."""
         text = text.strip()
         if self.kind == "yes or no":
             return bool(text)
@@ -376,13 +370,7 @@ class CalibrationSettings:
 
     @classmethod
     def parse(cls, document: Mapping[str, Any]) -> CalibrationSettings:
-        """Read settings from a JSON document, absent keys taking their defaults.
-
-        Raises
-        ------
-        RefusedInputError
-            For an unknown key or a value outside its range; names it and says what is allowed.
-        """
+        """Read settings from a JSON document, absent keys taking their defaults."""
         for key in document:
             if key not in OPTIONS:
                 raise RefusedInputError(f"Setting {key!r} is unknown; choose from {', '.join(sorted(OPTIONS))}.")

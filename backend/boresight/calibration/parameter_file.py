@@ -36,29 +36,14 @@ FAILED = ("diverged", "too_few_stars", "running")
 def read_parameters(path: Path, sensor: Sensor) -> tuple[FloatArray, FloatArray | None]:
     """Read a sensor's parameters from a file.
 
-    Returns
-    -------
-    x
-        (n_parameters,) in the camera model's order, SI.
-    P
-        (n_parameters, n_parameters) covariance, SI; None where the file gives none.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file cannot be read, is of another camera model, failed, or its parameters are not all given and plausible.
+    Returns x: (n_parameters,) in the camera model's order, SI. Returns P: (n_parameters, n_parameters) covariance, SI;
+    None where the file gives none.
     """
     return parse_parameters(read_document(path), sensor, path.name)
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """Read a file of parameters as JSON.
-
-    Raises
-    ------
-    RefusedInputError
-        When it cannot be read, or is no JSON object.
-    """
+    """Read a file of parameters as JSON."""
     try:
         document = read_json(path, path.name)
     except json.JSONDecodeError as error:

@@ -22,18 +22,7 @@ REPORT_SHARE = 0.2
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a calibration is.
-
-    Parameters
-    ----------
-    fraction
-        0 to 1.
-    message
-        One line for a log.
-    partial
-        The calibration JSON so far with status `running` and `frames_done`, how many frames a filter has taken in, which is
-        None for a batch; or None between two of them.
-    """
+    """How far a calibration is."""
 
     fraction: float
     message: str

@@ -21,21 +21,7 @@ BYTES_A_ROW = 100
 
 @dataclass(frozen=True)
 class TelemetryFile:
-    """A telemetry file that has not been read.
-
-    Parameters
-    ----------
-    path
-        Where it is.
-    name
-        What refusals call it; None for the name it has.
-    large_rows
-        Detections from which it is taken piece by piece; no number of the result depends on it.
-    chunk_frames
-        Frames of a piece; nor does it on this.
-    limits
-        How much it may hold.
-    """
+    """A telemetry file that has not been read."""
 
     path: Path
     name: str | None = None
@@ -71,17 +57,7 @@ class TelemetryFile:
 
 @dataclass(frozen=True)
 class StoredTable:
-    """The table of a set as it is stored: nothing of it is parsed, checked or converted again.
-
-    Parameters
-    ----------
-    path, sha256
-        Where it is, and of its bytes.
-    large_rows
-        Detections from which it is taken piece by piece; no number of the result depends on it.
-    shared
-        Whether every machine that computes sees it there.
-    """
+    """The table of a set as it is stored: nothing of it is parsed, checked or converted again."""
 
     path: Path
     sha256: str

@@ -161,13 +161,7 @@ def migrate(revision: str | None, backup: str | None, *, yes: bool) -> None:
 
 
 def _refuse_loss(engine: Engine, revision: str, backup: str | None, *, yes: bool) -> None:
-    """Say what the way back removes, and refuse it unless that was agreed to and there is a backup of just now.
-
-    Raises
-    ------
-    ConflictError
-        When `--yes` or the backup is missing, or the backup is not of the database as it is.
-    """
+    """Say what the way back removes, and refuse it unless that was agreed to and there is a backup of just now."""
     from boresight.platform.db import backup as backups
     from boresight.platform.db import sessions
 

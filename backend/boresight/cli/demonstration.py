@@ -67,24 +67,7 @@ LOG_INS = tuple(
 def create_demonstration(
     engine: Engine, blobs: BlobStore, catalogue: Catalogue, report: Callable[[str], None]
 ) -> list[LogIn]:
-    """Fill a store with the demonstration, or with what of it is missing.
-
-    Parameters
-    ----------
-    engine
-        The store, its schema up to date.
-    blobs
-        Where telemetry files go.
-    catalogue
-        The stars to simulate.
-    report
-        Called with one sentence a step.
-
-    Returns
-    -------
-    list of LogIn
-        Who may log in, and how.
-    """
+    """Fill a store with the demonstration, or with what of it is missing."""
     started_s = time.perf_counter()
     fleet = _Fleet(engine, blobs, catalogue, _make_people(engine))
     report(f"{len(LOG_INS)} people may log in.")

@@ -62,20 +62,7 @@ FORMATS = {
 
 
 def check_writable(place: str | Path | None, form: str = "JSON") -> None:
-    """Refuse a file that could not be written, or whose name promises another format, before the work begins.
-
-    Parameters
-    ----------
-    place
-        What the option says; None where it was not given, `-` for standard output.
-    form
-        What will be written, as `FORMATS` calls it.
-
-    Raises
-    ------
-    RefusedInputError
-        When its folder does not exist, it is a folder itself, or it ends as a file of another format does.
-    """
+    """Refuse a file that could not be written, or whose name promises another format, before the work begins."""
     if place is None or str(place) == STANDARD_OUTPUT:
         return
     path = Path(place)
@@ -93,13 +80,7 @@ def check_writable(place: str | Path | None, form: str = "JSON") -> None:
 
 
 def refuse_standard_output(place: str | Path, what: str) -> None:
-    """Refuse `-` where no stream can hold what is written; `what` says what it is.
-
-    Raises
-    ------
-    RefusedInputError
-        When standard output was asked for.
-    """
+    """Refuse `-` where no stream can hold what is written; `what` says what it is."""
     if str(place) == STANDARD_OUTPUT:
         raise RefusedInputError(
             f"{what} cannot go to standard output: name a place for it (./- where it is to be called so)."
@@ -107,50 +88,26 @@ def refuse_standard_output(place: str | Path, what: str) -> None:
 
 
 def check_one_stream(*places: str | Path | None) -> None:
-    """Refuse to write two results to standard output, where nobody could tell them apart.
-
-    Raises
-    ------
-    RefusedInputError
-        When more than one of the places is `-`.
-    """
+    """Refuse to write two results to standard output, where nobody could tell them apart."""
     if sum(str(place) == STANDARD_OUTPUT for place in places) > 1:
         raise RefusedInputError("Two results cannot share standard output: name a file for one of them.")
 
 
 def write_json(document: Any, json_file: str | None) -> None:
-    """Write a document where `--json` says; nothing without it.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file cannot be written.
-    """
+    """Write a document where `--json` says; nothing without it."""
     if json_file is not None:
         write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE), json_file)
 
 
 def write_bytes(content: bytes, place: str | Path) -> None:
-    """Write a result to a file or, where the place is `-`, to standard output.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file cannot be written.
-    """
+    """Write a result to a file or, where the place is `-`, to standard output."""
     with opened_for_writing(place) as stream:
         stream.write(content)
 
 
 @contextmanager
 def opened_for_writing(place: str | Path) -> Iterator[IO[bytes]]:
-    """Open a file or, where the place is `-`, standard output.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file cannot be written.
-    """
+    """Open a file or, where the place is `-`, standard output."""
     if str(place) == STANDARD_OUTPUT:
         sys.stdout.flush()
         yield sys.stdout.buffer

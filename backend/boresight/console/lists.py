@@ -14,44 +14,17 @@ from boresight.platform.db.sessions import Session
 def read_page(
     session: Session, name: str, where: Mapping[str, Any], sort: str, *, before_id: int | None = None, limit: int
 ) -> list[Any]:
-    """Return a page of a list; the next page is that before the last row's id.
-
-    Parameters
-    ----------
-    name
-        Of the list, one of `boresight.console.list_queries.LISTS`.
-    where
-        What it is narrowed to, by the names of its filters.
-    sort
-        The name of what it is sorted by; `-` before it puts the greatest first.
-
-    Raises
-    ------
-    RefusedInputError
-        When the list knows no such filter or order.
-    """
+    """Return a page of a list; the next page is that before the last row's id."""
     return lists.page(session, name, _asked(name, where, sort, before_id), limit)
 
 
 def count(session: Session, name: str, where: Mapping[str, Any]) -> int:
-    """Return how many rows a list has that is narrowed so.
-
-    Raises
-    ------
-    RefusedInputError
-        When the list knows no such filter.
-    """
+    """Return how many rows a list has that is narrowed so."""
     return lists.count(session, name, _checked(name, where))
 
 
 def read_all(session: Session, name: str, where: Mapping[str, Any], sort: str) -> Iterator[Any]:
-    """Yield every row of a list in its order.
-
-    Raises
-    ------
-    RefusedInputError
-        When the list knows no such filter or order.
-    """
+    """Yield every row of a list in its order."""
     return lists.walk(session, name, _asked(name, where, sort, None))
 
 

@@ -18,13 +18,7 @@ Versioned = Alarm | Approval | ChangeProposal | ParameterSet | Sensor
 
 
 def get_approval(session: Session, approval_id: int) -> Approval:
-    """Return a request.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
+    """Return a request."""
     row = session.get(Approval, approval_id)
     if row is None:
         raise NotFoundError(f"There is no request for approval {approval_id}.")
@@ -32,13 +26,7 @@ def get_approval(session: Session, approval_id: int) -> Approval:
 
 
 def get_parameter_set(session: Session, parameter_set_id: int) -> ParameterSet:
-    """Return a set.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
+    """Return a set."""
     row = session.get(ParameterSet, parameter_set_id)
     if row is None:
         raise NotFoundError(f"There is no parameter set {parameter_set_id}.")
@@ -46,13 +34,7 @@ def get_parameter_set(session: Session, parameter_set_id: int) -> ParameterSet:
 
 
 def get_sensor(session: Session, sensor_id: int) -> Sensor:
-    """Return a sensor.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
+    """Return a sensor."""
     row = session.get(Sensor, sensor_id)
     if row is None:
         raise NotFoundError(f"There is no sensor {sensor_id}.")
@@ -82,15 +64,7 @@ def make_label(row: Versioned) -> str:
 
 
 def require_seen(session: Session, row: Versioned, seen_version: int | None) -> None:
-    """Refuse a change by someone who did not see the row as it is.
-
-    Raises
-    ------
-    PreconditionRequiredError
-        When no version was given.
-    StaleError
-        When the row changed since; says who changed what and when.
-    """
+    """Refuse a change by someone who did not see the row as it is."""
     if seen_version is None:
         raise PreconditionRequiredError(f'Say which version of {make_label(row)} you saw: If-Match: "v<number>".')
     if seen_version != row.version:
@@ -122,13 +96,7 @@ def move(
     reason: str | None = None,
     **told: Any,
 ) -> None:
-    """Bring a row into a state, one version further, with its audit record.
-
-    Parameters
-    ----------
-    told
-        What else the record says of the row as it is now.
-    """
+    """Bring a row into a state, one version further, with its audit record."""
     column = "ground_state" if isinstance(row, ParameterSet) else "state"
     before = {column: getattr(row, column), "version": row.version}
     setattr(row, column, state)

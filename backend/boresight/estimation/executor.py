@@ -25,34 +25,11 @@ class Executor(Protocol):
     def map(
         self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], *, done: Told | None = None
     ) -> list[Any]:
-        """Call `function(*arguments[k])` for every k and return the results in the order of k.
-
-        Parameters
-        ----------
-        function
-            A picklable function at the top of its module.
-        arguments
-            Small picklable values, a tuple a piece.
-        done
-            Told of progress, in the calling process.
-
-        Raises
-        ------
-        CancelledError
-            When whoever waits for the result has asked for a stop.
-        Exception
-            Whatever the first failing piece raised.
-        """
+        """Call `function(*arguments[k])` for every k and return the results in the order of k."""
 
 
 class LocalExecutor:
-    """Computes the pieces one after the other, where it is called; blocks within a piece go to threads, see `estimation.blocks`.
-
-    Parameters
-    ----------
-    cancelled
-        Asked before each piece; None asks nobody.
-    """
+    """Computes the pieces one after the other, where it is called; blocks within a piece go to threads, see `estimation.blocks`."""
 
     def __init__(self, cancelled: Callable[[], bool] | None = None) -> None:
         self._cancelled = cancelled

@@ -33,17 +33,7 @@ _STORED = ("frame", "frame_start", "star_start", "row_px", "col_px", "sigma_px",
 
 @dataclass(frozen=True)
 class ArcsPiece:
-    """Consecutive frames of a set in a file.
-
-    Parameters
-    ----------
-    columns
-        The arrays of an unweighed `ArcSet`, and `time_utc` of each frame where the set has times.
-    model, pitch
-        As in `ArcSet`.
-    n_frames, n_exposures, n_stars
-        How many there are.
-    """
+    """Consecutive frames of a set in a file."""
 
     columns: Columns
     model: int
@@ -80,17 +70,7 @@ def write_arcs(path: Path, arcs: ArcSet, time_utc: NDArray[np.datetime64] | None
 
 @dataclass(frozen=True)
 class StoredArcs:
-    """The arcs of a set in pieces; what is computed of them is the same to the last bit as of an `ArcSet`.
-
-    Parameters
-    ----------
-    pieces
-        In the order of their frames.
-    spread
-        What computes ranges of blocks.
-    steps
-        What `each` has been asked to do to every part, in order.
-    """
+    """The arcs of a set in pieces; what is computed of them is the same to the last bit as of an `ArcSet`."""
 
     pieces: tuple[ArcsPiece, ...]
     spread: Executor

@@ -21,15 +21,7 @@ Table = dict[str, list[Any]]
 
 @dataclass(frozen=True)
 class Trace:
-    """One run to draw; several make a comparison.
-
-    Parameters
-    ----------
-    label
-        What the legend calls the run.
-    result
-        Its calibration JSON, complete or partial.
-    """
+    """One run to draw; several make a comparison."""
 
     label: str
     result: Result
@@ -39,18 +31,7 @@ class Trace:
 class Figure:
     """One chart of the registry.
 
-    Parameters
-    ----------
-    name
-        In addresses and file names.
-    title
-        In headings.
-    guide
-        Two sentences: how to read it, and what a good one looks like.
-    draw
-        Calibration results to a Plotly figure.
-    table
-        One calibration result to the columns of its CSV: complete, in SI, never thinned.
+    `table`: One calibration result to the columns of its CSV: complete, in SI, never thinned.
     """
 
     name: str

@@ -22,18 +22,7 @@ BY_POINT = ("x", "y", "text", "customdata", "marker.size", "marker.symbol", "mar
 
 
 def focus(figure: go.Figure, start: float, end: float) -> go.Figure:
-    """Cut every curve to a window of its x axis.
-
-    Parameters
-    ----------
-    start, end
-        In the unit of the axis, `start` below `end`.
-
-    Raises
-    ------
-    RefusedInputError
-        When the window is empty.
-    """
+    """Cut every curve to a window of its x axis."""
     if not start < end:
         raise RefusedInputError("The window of a figure must begin before it ends: give x_from below x_to.")
     curves = [drawn for drawn in figure.data if drawn.type == "scatter" and _length(drawn) > 2 and _is_measured(drawn)]

@@ -17,20 +17,8 @@ SETTLED_SIGMAS = 3.0
 class History:
     """What a run's history or trace says.
 
-    Parameters
-    ----------
-    axis
-        `frame` for a sequential run, `iteration` for a batch run.
-    x
-        (n_steps,) frame numbers or iterations.
-    names
-        (n_parameters,) in model order.
-    free
-        The names of those that are estimated.
-    value, sigma
-        (n_steps, n_parameters) SI; sigma is NaN for a fixed parameter.
-    record
-        The part of the result it was read from, for what else stands there.
+    `x`: (n_steps,) frame numbers or iterations. `names`: (n_parameters,) in model order. `value`, `sigma`: (n_steps,
+    n_parameters) SI; sigma is NaN for a fixed parameter.
     """
 
     axis: str

@@ -102,15 +102,7 @@ NEVER = ("replay_frames_per_s",)
 def calibrate_command(
     telemetry: str, sensor: str, settings: Mapping[str, Any], validation: str | None, json_file: str
 ) -> list[str]:
-    """Return the words of the command, an option with its value as one.
-
-    Parameters
-    ----------
-    telemetry, sensor, validation, json_file
-        File names.
-    settings
-        As in `inputs.settings` of a calibration JSON.
-    """
+    """Return the words of the command, an option with its value as one."""
     words = [f"boresight calibrate {quote(telemetry)}", f"--sensor {quote(sensor)}", *_choices(settings)]
     if validation:
         words.append(f"--validate {quote(validation)}")

@@ -58,18 +58,7 @@ MOST_STARS = 25  # in print; the run's CSV has more
 
 
 def render_report(result: Result, *, four_eyes: bool = True) -> str:
-    """Render the report as HTML text.
-
-    Parameters
-    ----------
-    four_eyes
-        Whether the installation that it comes from asks for a second person; where it does not the report says so.
-
-    Raises
-    ------
-    RefusedInputError
-        When the document is not a calibration.
-    """
+    """Render the report as HTML text."""
     if not isinstance(result, Mapping) or result.get("schema") != SCHEMA:
         raise RefusedInputError(f"This is no calibration result: its `schema` must be {SCHEMA!r}.")
     environment = Environment(

@@ -22,19 +22,7 @@ LATEST_SHARE = 0.95  # of the run: a tail that is shorter than the rest says not
 
 @dataclass(frozen=True)
 class RmsTail:
-    """Error of a run from a step on.
-
-    Parameters
-    ----------
-    axis, start, end, points
-        The steps it covers.
-    tail_rad, aggregate_rad
-        Mean of the tail RMS over the window, and the aggregate RMS at its end; None where the run has none.
-    sigma_rad
-        One sigma of either, from the number of arcs of the set; None where that is not known.
-    chosen
-        Whether a reader chose the start; else it is where the run had settled, or its first fifth.
-    """
+    """Error of a run from a step on."""
 
     axis: str
     start: float

@@ -46,25 +46,7 @@ CAUSES = ("no orbital data", "no field data", "erratum", "unstated setting")
 
 @dataclass(frozen=True)
 class Cell:
-    """One printed number beside ours.
-
-    Parameters
-    ----------
-    column
-        Heading.
-    unit
-        Of both numbers; empty for a ratio or a share.
-    printed, ours
-        The numbers; None where the run has none.
-    low, high
-        Interval of ours.
-    resolution
-        Last printed digit, so that 0.45 stands for 0.445 to 0.455.
-    origin
-        What the comparison by ratio counts from: 10 % of a focal length of 16 mm would pass anything.
-    cause, because
-        One of `CAUSES`, and in words what can move this number.
-    """
+    """One printed number beside ours."""
 
     column: str
     unit: str

@@ -16,19 +16,7 @@ R = TypeVar("R")
 def run_all(
     run: Callable[[T, Path | None], R], trials: Sequence[T], catalogue_folder: Path | None, processes: int
 ) -> Iterator[tuple[T, R]]:
-    """Yield trials with their results as they end.
-
-    Parameters
-    ----------
-    run
-        Of one trial, a module's own function so that another process finds it.
-    trials
-        What to run.
-    catalogue_folder
-        Where the trimmed star catalogue is cached, or None.
-    processes
-        Trials at a time; 1 runs them in this process.
-    """
+    """Yield trials with their results as they end."""
     if processes == 1:
         for trial in trials:
             yield trial, run(trial, catalogue_folder)

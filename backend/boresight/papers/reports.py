@@ -26,13 +26,7 @@ CELL_COLUMNS = ("column", "unit", "printed", "ours", "low", "high", "verdict", "
 
 
 def write_files(files: Mapping[str, bytes], out: Path) -> list[Path]:
-    """Write files into a folder, made where it is not there; returns their paths.
-
-    Raises
-    ------
-    RefusedInputError
-        When a file cannot be written.
-    """
+    """Write files into a folder, made where it is not there; returns their paths."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name, data in files.items():
@@ -43,19 +37,7 @@ def write_files(files: Mapping[str, bytes], out: Path) -> list[Path]:
 
 
 def rendered(template: str, document: Document, draw: Draw, **more: Any) -> str:
-    """Render a study's page.
-
-    Parameters
-    ----------
-    template
-        Its file, which extends `papers/reproduction.html`.
-    document
-        The study.
-    draw
-        By number of a figure, what draws it.
-    more
-        What else the template shows.
-    """
+    """Render a study's page."""
     loader = FileSystemLoader(folder("frontend") / "templates")
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
     environment.filters |= {"number": number, "as_printed": printed_digits}
@@ -104,17 +86,7 @@ def table_lines(document: Document) -> Iterator[Sequence[Any]]:
 
 
 def figure_lines(document: Document, axes: Sequence[str], named: Sequence[str]) -> Iterator[Sequence[Any]]:
-    """One line a point of the figures, under a heading.
-
-    Parameters
-    ----------
-    document
-        The study.
-    axes
-        Keys of a curve that may be its abscissa; a curve has one of them.
-    named
-        Keys of a curve that hold no numbers; the first names it.
-    """
+    """One line a point of the figures, under a heading."""
     yield "figure", "curve", "axis", "x", "quantity", "y"
     for drawing in document["figures"]:
         for curve in drawing["curves"]:

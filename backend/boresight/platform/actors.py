@@ -23,20 +23,7 @@ DAY_S = 86400.0
 
 @dataclass(frozen=True)
 class Policy:
-    """What an installation asks of a request for approval.
-
-    Parameters
-    ----------
-    four_eyes
-        Whether who submitted or created a set, or launched its run, is kept from signing. False only where one person works alone;
-        every page and every export then says so.
-    approval_days, rollback_days
-        How long a request for a new set, and for a former baseline, may wait before it expires [d].
-    approvals
-        How many second persons must sign; where a gate is waived it is two at least.
-    second_person
-        Whether a change of gate limits or table layouts takes effect only when somebody else confirms it.
-    """
+    """What an installation asks of a request for approval."""
 
     four_eyes: bool = True
     approval_days: float = 30.0
@@ -54,27 +41,7 @@ POLICY = Policy()
 
 @dataclass(frozen=True)
 class Actor:
-    """A person, a key of a person, or Boresight itself.
-
-    Parameters
-    ----------
-    user_id
-        Row of the person, None for the command line and the system.
-    name, printed_name
-        Log-in name, and the name as signatures and the audit log show it.
-    roles
-        Of `boresight.console.access.tables.ROLES`.
-    credential
-        `session`, `key:<prefix>`, `command line` or `system`.
-    scopes
-        What a key may write; None when not limited to scopes.
-    request_id
-        Of the HTTP request or job, for the audit log.
-    until_utc
-        When the credential ends by the clock; None where it does not, or where the door that let the actor in knows.
-    session_id
-        Row of the log-in under which a person acts.
-    """
+    """A person, a key of a person, or Boresight itself."""
 
     user_id: int | None
     name: str
@@ -99,63 +66,33 @@ COMMAND_LINE = Actor(
 
 
 def require_role(actor: Actor, *roles: str) -> None:
-    """Refuse whoever has none of these roles.
-
-    Raises
-    ------
-    ForbiddenError
-        Says which role is needed and which the actor has.
-    """
+    """Refuse whoever has none of these roles."""
     if not actor.roles.intersection(roles):
         held = ", ".join(sorted(actor.roles)) or "no role"
         raise ForbiddenError(f"This needs the role {' or '.join(roles)}; {actor.printed_name} has {held}.")
 
 
 def require_scope(actor: Actor, scope: str) -> None:
-    """Refuse a key that was not made for this noun.
-
-    Raises
-    ------
-    ForbiddenError
-        Says which scope is missing.
-    """
+    """Refuse a key that was not made for this noun."""
     if actor.scopes is not None and scope not in actor.scopes:
         raise ForbiddenError(f"This API key lacks the scope {scope}; make a key that has it.")
 
 
 def require_person(actor: Actor, what: str) -> int:
-    """Return the person's row; refuse keys, the command line and the system.
-
-    Raises
-    ------
-    ForbiddenError
-        When nobody in person is acting.
-    """
+    """Return the person's row; refuse keys, the command line and the system."""
     if actor.user_id is None or actor.credential != "session":
         raise ForbiddenError(f"Only a person who is logged in may {what}, not {actor.credential}.")
     return actor.user_id
 
 
 def refuse_key(actor: Actor, what: str) -> None:
-    """Refuse keys: people and keys are managed by people, or on the command line, whatever scopes a key has.
-
-    Raises
-    ------
-    ForbiddenError
-        When an API key acts.
-    """
+    """Refuse keys: people and keys are managed by people, or on the command line, whatever scopes a key has."""
     if actor.is_key:
         raise ForbiddenError(f"An API key may not {what}; a person who is logged in must.")
 
 
 def require_user(actor: Actor, what: str) -> int:
-    """Return the row of the person, or of the owner of the key, who answers for this.
-
-    Raises
-    ------
-    ForbiddenError
-        When the command line or the system acts.
-    """
+    """Return the row of the person, or of the owner of the key, who answers for this."""
     if actor.user_id is None:
         raise ForbiddenError(f"Somebody must answer for this: log in or use an API key to {what}.")
     return actor.user_id
@@ -163,15 +100,7 @@ def require_user(actor: Actor, what: str) -> int:
 
 @dataclass(frozen=True)
 class SessionLimits:
-    """How long log-ins last.
-
-    Parameters
-    ----------
-    age_s
-        After which one ends, however much it is used.
-    idle_s
-        After which one ends that is not used; 0 = it does not.
-    """
+    """How long log-ins last."""
 
     age_s: float
     idle_s: float

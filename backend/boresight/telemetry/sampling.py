@@ -31,16 +31,7 @@ GAP_FACTOR = 3.0
 class Sampling:
     """The frames of a set in time.
 
-    Parameters
-    ----------
-    entry
-        (n_timed_frames,) first entry of each frame that has a time.
-    interval_s
-        (n_timed_frames - 1,) from each to the next.
-    median_s
-        Median of the intervals that are positive; 0 when none is.
-    gaps
-        (n_gaps,) positions in `interval_s`.
+    `entry`: (n_timed_frames,) first entry of each frame that has a time. `gaps`: (n_gaps,) positions in `interval_s`.
     """
 
     entry: IntArray
@@ -77,13 +68,7 @@ DECIMALS = 6
 
 @lru_cache(REMEMBERED)
 def exposure_marks(path: Path) -> NDArray[np.complex128]:
-    """Return what each exposure of a stored table is known by: sum of rows + i sum of columns, (n_exposures,).
-
-    Raises
-    ------
-    RefusedInputError
-        When the table is damaged.
-    """
+    """Return what each exposure of a stored table is known by: sum of rows + i sum of columns, (n_exposures,)."""
     sums = [np.zeros(0, np.complex128)]
     for part in WorkingTable(path).parts():
         start = find_exposures(part).start
@@ -92,13 +77,7 @@ def exposure_marks(path: Path) -> NDArray[np.complex128]:
 
 
 def shared_exposures(one: Path, other: Path) -> tuple[float, float]:
-    """Return the share of each table's exposures that the other table has too, 0 to 1.
-
-    Raises
-    ------
-    RefusedInputError
-        When a table is damaged.
-    """
+    """Return the share of each table's exposures that the other table has too, 0 to 1."""
     if one == other:
         return 1.0, 1.0
     marks = exposure_marks(one), exposure_marks(other)

@@ -142,16 +142,8 @@ _ODD, _HALF = np.uint64(0x9E3779B97F4A7C15), np.uint64(32)
 class Exposures:
     """The exposures of a set in file order.
 
-    Parameters
-    ----------
-    start
-        (n_exposures,) first entry of each.
-    count
-        (n_exposures,) entries of each.
-    frame, exposure
-        (n_exposures,) their numbers.
-    of_entry
-        (n_rows,) position in these arrays, for every entry of the telemetry.
+    `start`: (n_exposures,) first entry of each. `count`: (n_exposures,) entries of each. `frame`, `exposure`:
+    (n_exposures,) their numbers. `of_entry`: (n_rows,) position in these arrays, for every entry of the telemetry.
     """
 
     start: IntArray
@@ -183,17 +175,8 @@ def find_exposures(telemetry: Telemetry) -> Exposures:
 def repeats_within(exposure_of_entry: IntArray, *keys: NDArray[np.generic]) -> tuple[IntArray, IntArray]:
     """Find entries that have the same keys as an earlier entry of their exposure.
 
-    Parameters
-    ----------
-    exposure_of_entry
-        (n,) exposure of each entry.
-    keys
-        (n,) each; all must be equal.
-
-    Returns
-    -------
-    later, earlier
-        (n_repeats,) positions of the repeating entries and of the ones just before with the same keys; ascending.
+    `exposure_of_entry`: (n,) exposure of each entry. `keys`: (n,) each; all must be equal. Returns later, earlier:
+    (n_repeats,) positions of the repeating entries and of the ones just before with the same keys; ascending.
     """
     suspects = _suspects((exposure_of_entry, *keys))
     if not len(suspects):

@@ -94,18 +94,7 @@ def read_sensor(path: Path) -> Sensor:
 
 
 def parse_sensor(document: Mapping[str, Any]) -> Sensor:
-    """Turn a sensor document into a sensor.
-
-    Parameters
-    ----------
-    document
-        As in a sensor file. Keys of other names are ignored, unless they look like a slip of the pen.
-
-    Raises
-    ------
-    RefusedInputError
-        When a field is missing or wrong; names it and says what to do.
-    """
+    """Turn a sensor document into a sensor."""
     return _parse(document, Faults("The sensor description"))
 
 

@@ -71,15 +71,7 @@ def write_working_table(telemetry: Telemetry, path: Path) -> None:
 
 @dataclass(frozen=True)
 class WorkingTable:
-    """A stored table.
-
-    Parameters
-    ----------
-    path
-        Where it is.
-    sha256
-        Of its bytes, to hold it against; None where whoever found it did.
-    """
+    """A stored table."""
 
     path: Path
     sha256: str | None = None

@@ -32,16 +32,7 @@ def write_csv(telemetry: Telemetry, path: Path) -> None:
 def write_with_stars(table: pa.Table, star_id: IntArray, stream: IO[bytes], suffix: str) -> None:
     """Write a telemetry file's columns again with other stars, everything else as it stands.
 
-    Parameters
-    ----------
-    table
-        Columns as read, `readers.read_table`.
-    star_id
-        (n_rows,) Hipparcos numbers, 0 = unmatched, which is written as an absent cell.
-    stream
-        Where they are written.
-    suffix
-        As a file name ends: says CSV, JSON Lines or Parquet; anything else is CSV.
+    `star_id`: (n_rows,) Hipparcos numbers, 0 = unmatched, which is written as an absent cell.
     """
     cells = pa.array(star_id, mask=star_id == UNMATCHED)
     if "star_id" in table.column_names:

@@ -42,13 +42,7 @@ def archive(files: Mapping[str, bytes]) -> bytes:
 
 
 def json_bytes(document: Any) -> bytes:
-    """Write a JSON document.
-
-    Raises
-    ------
-    ValueError
-        When a number is NaN or infinite.
-    """
+    """Write a JSON document."""
     text = json.dumps(document, sort_keys=True, indent=2, ensure_ascii=False, allow_nan=False)
     return f"{text}\n".encode()
 

@@ -50,12 +50,7 @@ def why_not(sensor: Sensor) -> str | None:
 def camera_files(sensor: Sensor, parameters: Mapping[str, float], title: str) -> dict[str, bytes]:
     """Return the camera files by name, and `camera_files.txt`, which says what they are or why they are not there.
 
-    Parameters
-    ----------
-    parameters
-        Number of each parameter of the camera model, SI.
-    title
-        Name of the parameter set.
+    `parameters`: Number of each parameter of the camera model, SI.
     """
     reason = why_not(sensor)
     if reason is not None:

@@ -39,19 +39,7 @@ LARGEST_ID = 2**32 - 1
 
 @dataclass(frozen=True)
 class CfeHeaders:
-    """What a mission writes into the headers.
-
-    Parameters
-    ----------
-    table_name
-        As registered on board, `APPLICATION.Table`.
-    table_name_bytes
-        The room that the mission's cFE gives it.
-    description
-        Free text; empty for the name of the parameter set.
-    spacecraft_id, processor_id, application_id
-        As the mission's cFE checks them; 0 where it does not.
-    """
+    """What a mission writes into the headers."""
 
     table_name: str
     table_name_bytes: int
@@ -83,13 +71,7 @@ def parse_cfe(document: Any, faults: Faults) -> CfeHeaders | None:
 
 
 def table_file(headers: CfeHeaders, image: bytes, title: str) -> bytes:
-    """Put the headers before a table's image.
-
-    Parameters
-    ----------
-    title
-        Description where the mission configured none; cut to the 31 characters that there is room for.
-    """
+    """Put the headers before a table's image."""
     described = headers.description or title.encode("ascii", "replace").decode()
     primary = struct.pack(
         ">4s7I32s",
@@ -108,13 +90,7 @@ def table_file(headers: CfeHeaders, image: bytes, title: str) -> bytes:
 
 
 def table_image(headers: CfeHeaders | None, length_bytes: int, content: bytes) -> bytes:
-    """Return the image inside a dump: the dump itself, or what follows the headers of a cFE file.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file is of another table, or does not hold the whole of it.
-    """
+    """Return the image inside a dump: the dump itself, or what follows the headers of a cFE file."""
     if headers is None or len(content) == length_bytes or not content.startswith(CONTENT_TYPE):
         return content
     if len(content) < headers.header_bytes:

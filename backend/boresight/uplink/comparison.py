@@ -26,17 +26,7 @@ NAMED = 3  # differing fields or bytes that a sentence names
 
 @dataclass(frozen=True)
 class DifferingByte:
-    """A byte of the dump that is not the one that was sent.
-
-    Parameters
-    ----------
-    offset
-        From the start of the table; the first byte is 0.
-    expected, found
-        The byte that was sent and the byte of the dump.
-    fields
-        Names of the fields in which its differing bits lie.
-    """
+    """A byte of the dump that is not the one that was sent."""
 
     offset: int
     expected: int
@@ -92,19 +82,7 @@ class DifferingField:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What a dump says about the table that was sent.
-
-    Parameters
-    ----------
-    length_bytes
-        Of the table.
-    differing
-        Every byte that differs, in the order of the table.
-    fields
-        Every field that differs, in the order of the table; none where only fill or the CRC does.
-    crc_ok
-        Whether the dump's stored CRC is that of its own bytes; None when the table stores none.
-    """
+    """What a dump says about the table that was sent."""
 
     length_bytes: int
     differing: tuple[DifferingByte, ...]
@@ -149,15 +127,7 @@ class Comparison:
 def compare(definition: TableDefinition, expected: bytes, found: bytes) -> Comparison:
     """Hold a dump against the table that was sent.
 
-    Parameters
-    ----------
-    expected, found
-        (length_bytes,) bytes each.
-
-    Raises
-    ------
-    RefusedInputError
-        When the dump is not of the table's length.
+    `expected`, `found`: (length_bytes,) bytes each.
     """
     sent, dumped = decode(definition, expected), decode(definition, found)
     fields = tuple(

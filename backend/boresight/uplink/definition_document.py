@@ -57,27 +57,7 @@ SCHEMA = "boresight.table-definition/1"
 
 @dataclass(frozen=True)
 class TableDefinition:
-    """A table on board.
-
-    Parameters
-    ----------
-    table_id, flight_software_version
-        What it is called, and the software that it lies in this way for.
-    length_bytes, fill
-        Size of the image, and the value of every byte that nothing lies in.
-    fields
-        In the order of the table.
-    crc
-        The algorithm; None when the mission checks by another means.
-    crc_over
-        First byte that the CRC is taken of, and the first one after.
-    crc_field
-        Where the table stores it; None when it does not.
-    cfe, pus
-        Headers of its file for cFE, parameter numbers of PUS service 20; None where not configured.
-    document
-        As the mission wrote it.
-    """
+    """A table on board."""
 
     table_id: str
     flight_software_version: str
@@ -93,13 +73,7 @@ class TableDefinition:
 
 
 def read_definition(path: Path, sensor: Sensor) -> TableDefinition:
-    """Read a sensor's table definition from a file.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file cannot be read, is not JSON, or as `parse_definition` refuses.
-    """
+    """Read a sensor's table definition from a file."""
     try:
         document = read_json(path, path.name)
     except json.JSONDecodeError as error:
@@ -108,13 +82,7 @@ def read_definition(path: Path, sensor: Sensor) -> TableDefinition:
 
 
 def parse_definition(document: Mapping[str, Any], sensor: Sensor) -> TableDefinition:
-    """Read a sensor's table definition.
-
-    Raises
-    ------
-    RefusedInputError
-        When an entry is missing, unknown or wrong, fields overlap, or a parameter of the camera model is not in it once.
-    """
+    """Read a sensor's table definition."""
     if not isinstance(document, Mapping):
         raise RefusedInputError("A table definition is one JSON object with a table_id and fields.")
     faults = Faults("The table definition")

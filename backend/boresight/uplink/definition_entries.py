@@ -22,17 +22,7 @@ LARGEST = 2.0**64
 
 
 class Entries:
-    """The entries of one object of the definition.
-
-    Parameters
-    ----------
-    document
-        The object; anything else is noted as a fault.
-    place
-        Where it stands, as faults call it; empty at the top.
-    known
-        The keys that it may have.
-    """
+    """The entries of one object of the definition."""
 
     def __init__(self, document: Any, place: str, known: tuple[str, ...], faults: Faults) -> None:
         self.place = place

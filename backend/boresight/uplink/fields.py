@@ -36,22 +36,7 @@ def get_bits(kind: str) -> int | None:
 class Field:
     """A number in the table.
 
-    Parameters
-    ----------
-    name
-        As the spacecraft's documents call it.
-    parameter
-        The camera parameter it holds; None for a constant.
-    bit
-        Where it begins, bits from the start of the table.
-    kind
-        `float32`, `float64`, `int<n>` or `uint<n>`.
-    little
-        Whether its lowest byte comes first.
-    scale, offset
-        Number = scale raw + offset.
-    constant
-        What a field without a parameter holds, as a number.
+    `bit`: Where it begins, bits from the start of the table.
     """
 
     name: str
@@ -96,13 +81,7 @@ class Field:
         return (-(1 << self.bits - 1), (1 << self.bits - 1) - 1) if signed else (0, (1 << self.bits) - 1)
 
     def pack(self, number: float) -> int:
-        """Turn a number into the field's bits, highest first.
-
-        Raises
-        ------
-        RefusedInputError
-            When the field cannot hold it; says what it can.
-        """
+        """Turn a number into the field's bits, highest first."""
         raw = number if self.plain else (number - self.offset) / self.scale
         low, high = self.limits
         if not math.isfinite(raw):

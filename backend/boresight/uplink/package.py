@@ -36,19 +36,7 @@ Inputs = Mapping[str, Any]
 
 
 def build_package(inputs: Inputs) -> bytes:
-    """Build the ZIP.
-
-    Parameters
-    ----------
-    inputs
-        `sensor`, `simulated`, `subject`, `backout`, `active` (or null), `definition` (or null), `four_eyes`, `software` and
-        `first_built`.
-
-    Raises
-    ------
-    RefusedInputError
-        When one of the sets does not fit into the table; says which.
-    """
+    """Build the ZIP."""
     sensor = parse_sensor(inputs["sensor"])
     definition = _definition(inputs, sensor)
     subject, backout = inputs["subject"], inputs["backout"]

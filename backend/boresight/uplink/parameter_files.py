@@ -52,13 +52,7 @@ def changes(subject: Set, before: Set | None) -> list[dict[str, Any]]:
 
 
 def parameters_csv(subject: Set, before: Set | None, held: Mapping[str, DecodedField]) -> bytes:
-    """Write the table of old and new values.
-
-    Parameters
-    ----------
-    held
-        Each parameter as the table on board holds it; empty without a table definition, and the bits are then a double's.
-    """
+    """Write the table of old and new values."""
     rows = []
     for row in changes(subject, before):
         field = held.get(row["name"])

@@ -41,15 +41,7 @@ ATOMICITY = (
 
 @dataclass(frozen=True)
 class ParameterService:
-    """A mission's numbers for a sensor's parameters.
-
-    Parameters
-    ----------
-    id_bits, count_bits
-        Size of a parameter identifier and of N.
-    ids
-        Identifier of each field, by the field's name, in the order in which they are sent.
-    """
+    """A mission's numbers for a sensor's parameters."""
 
     id_bits: int
     count_bits: int
@@ -97,10 +89,7 @@ def parse_pus(document: Any, fields: tuple[Field, ...], faults: Faults) -> Param
 def application_data(service: ParameterService, fields: tuple[Field, ...], values: Mapping[str, float]) -> bytes:
     """Return the application data of TC[20,3] for every parameter, in the order of the table.
 
-    Parameters
-    ----------
-    values
-        Number of each camera parameter, SI.
+    `values`: Number of each camera parameter, SI.
     """
     sent = [field for field in fields if field.name in service.ids]
     content = len(sent).to_bytes(service.count_bits // 8, "big")

@@ -28,15 +28,7 @@ def quantisation_effect(
 ) -> dict[str, float]:
     """Return the greatest shift over the detector, `max_px` pixels and `max_arcsec` seconds of arc.
 
-    Parameters
-    ----------
-    parameters, quantised
-        Every parameter of the camera model before and after the table, SI.
-
-    Raises
-    ------
-    RefusedInputError
-        When the rounded camera has no direction for a part of the detector.
+    `parameters`, `quantised`: Every parameter of the camera model before and after the table, SI.
     """
     row, col = np.meshgrid(
         np.linspace(-0.5, sensor.rows - 0.5, PLACES), np.linspace(-0.5, sensor.columns - 0.5, PLACES), indexing="ij"

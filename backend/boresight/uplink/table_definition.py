@@ -45,16 +45,7 @@ __all__ = [
 class DecodedField:
     """A field of an image.
 
-    Parameters
-    ----------
-    field
-        Where it lies and how it is read.
-    raw
-        What the bits stand for by themselves.
-    value
-        scale raw + offset; of a parameter in SI.
-    hexadecimal
-        Its bits as they lie in the table, first byte first; a field inside a byte is padded on the left.
+    `value`: scale raw + offset; of a parameter in SI.
     """
 
     field: Field
@@ -65,21 +56,7 @@ class DecodedField:
 
 @dataclass(frozen=True)
 class Decoded:
-    """An image read back.
-
-    Parameters
-    ----------
-    values
-        Each parameter's number, in the order of the table; of a damaged image they may be NaN or infinite.
-    fields
-        Every field, constants too, in the order of the table.
-    crc_ok
-        Whether the stored CRC is that of the bytes; None when the table stores none.
-    crc
-        CRC of the bytes as they are; None when the definition names no CRC.
-    stored_crc
-        As it stands in the table; None when the table stores none.
-    """
+    """An image read back."""
 
     values: dict[str, float]
     fields: tuple[DecodedField, ...]
@@ -91,19 +68,8 @@ class Decoded:
 def encode(definition: TableDefinition, parameters: Mapping[str, float]) -> bytes:
     """Lay parameters into the table.
 
-    Parameters
-    ----------
-    parameters
-        Number of each parameter of the camera model, SI.
-
-    Returns
-    -------
-    (length_bytes,) bytes, the CRC in its place.
-
-    Raises
-    ------
-    RefusedInputError
-        When a field cannot hold its number.
+    `parameters`: Number of each parameter of the camera model, SI. Returns (length_bytes,) bytes, the CRC in its
+    place.: .
     """
     image = int.from_bytes(bytes([definition.fill]) * definition.length_bytes, "big")
     for field in definition.fields:
@@ -122,13 +88,7 @@ def _with_bits(definition: TableDefinition, image: int, field: Field, bits: int)
 
 
 def decode(definition: TableDefinition, content: bytes) -> Decoded:
-    """Read an image as the flight software does.
-
-    Raises
-    ------
-    RefusedInputError
-        When it is not of the table's length.
-    """
+    """Read an image as the flight software does."""
     if len(content) != definition.length_bytes:
         raise RefusedInputError(
             f"The image has {len(content)} bytes and the table {definition.table_id} has {definition.length_bytes}: "
@@ -152,13 +112,7 @@ def _decoded(definition: TableDefinition, content: bytes, field: Field) -> Decod
 
 
 def quantised(definition: TableDefinition, parameters: Mapping[str, float]) -> dict[str, float]:
-    """Return the parameters as the table holds them, in the order given.
-
-    Raises
-    ------
-    RefusedInputError
-        When a field cannot hold its number.
-    """
+    """Return the parameters as the table holds them, in the order given."""
     held = decode(definition, encode(definition, parameters)).values
     return {name: held[name] for name in parameters if name in held}
 
@@ -193,13 +147,7 @@ CRC_BYTES = 2
 
 
 def plain_definition(camera_model: str) -> dict[str, Any]:
-    """Return a table definition that holds a camera model, as `boresight.uplink.definition_document` reads it.
-
-    Raises
-    ------
-    KeyError
-        When there is no such camera model.
-    """
+    """Return a table definition that holds a camera model, as `boresight.uplink.definition_document` reads it."""
     names = CAMERA_MODELS[camera_model].parameter_names
     length = BYTES_A_NUMBER * (len(names) + 1)  # the CRC stands at the end of the last word
     fields = [

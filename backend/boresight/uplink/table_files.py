@@ -18,13 +18,7 @@ PUS_COLUMNS = ("order", "parameter_id", "name", "parameter", "type", "ptc", "pfc
 
 
 def table_files(definition: TableDefinition, parameters: Mapping[str, float], title: str) -> dict[str, bytes]:
-    """Return the files of a table by name.
-
-    Raises
-    ------
-    RefusedInputError
-        When a field cannot hold its number.
-    """
+    """Return the files of a table by name."""
     image = encode(definition, parameters)
     files = {
         "table.bin": image,

@@ -27,18 +27,7 @@ def verification_sheet(
     *,
     said: Mapping[str, Any],
 ) -> bytes:
-    """Write the sheet of a set.
-
-    Parameters
-    ----------
-    subject, before
-        The set that is loaded, and the one that it replaces.
-    definition, facts, quantisation
-        The table on board, what to compare of it, and what its number format does; None without a table definition.
-    said
-        `package`, `simulated`, `backout`, `back_to`, `four_eyes` and `audit_head`: what all sheets of a
-        package share; a sheet that is the way back itself has no `backout`.
-    """
+    """Write the sheet of a set."""
     environment = Environment(
         loader=FileSystemLoader(folder("frontend") / "templates"), autoescape=True, undefined=StrictUndefined
     )

@@ -15,17 +15,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Quantity:
-    """One parameter for display; display value = SI value x factor.
-
-    Parameters
-    ----------
-    symbol
-        Plain text, for tables.
-    unit, factor
-        Of the value.
-    change_unit, change_factor
-        Of a difference and of a standard deviation.
-    """
+    """One parameter for display; display value = SI value x factor."""
 
     symbol: str
     unit: str

@@ -46,19 +46,7 @@ NO_REASON = "This part of the examination could not be made for this run."
 
 @dataclass(frozen=True)
 class VerdictMark:
-    """One answer on the verdict strip.
-
-    Parameters
-    ----------
-    question
-        What is asked: two or three words.
-    level, word
-        Colour and shape, and the answer in a word.
-    value, detail
-        The number, and the limits it is held against or what it means.
-    reason
-        What speaks against trusting the result, a sentence; empty where nothing does.
-    """
+    """One answer on the verdict strip."""
 
     question: str
     level: str
@@ -70,15 +58,7 @@ class VerdictMark:
 
 @dataclass(frozen=True)
 class RunVerdict:
-    """The worst of the marks.
-
-    Parameters
-    ----------
-    level, word
-        As a mark's.
-    reasons
-        What speaks against trusting the result, a sentence each.
-    """
+    """The worst of the marks."""
 
     level: str
     word: str

@@ -76,15 +76,7 @@ class SchedulerClient(Client):  # type: ignore[misc] # dask is not typed
     _is_over = False
 
     def start(self, **options: Any) -> None:
-        """Connect, as the constructor does; what fails ends with its thread.
-
-        Raises
-        ------
-        OSError
-            When the scheduler does not answer, or refuses.
-        TypeError
-            When certificates do not fit.
-        """
+        """Connect, as the constructor does; what fails ends with its thread."""
         try:
             super().start(**options)
         except BaseException:
@@ -152,15 +144,7 @@ class Cluster:
 
     @classmethod
     def open(cls, settings: Settings, on_progress: Callable[[Report], None]) -> Cluster:
-        """Start our own workers, or connect to the scheduler of the settings.
-
-        Raises
-        ------
-        OSError
-            When the scheduler cannot be reached.
-        RefusedInputError
-            When certificates are missing.
-        """
+        """Start our own workers, or connect to the scheduler of the settings."""
         for name in CHATTY:
             logging.getLogger(name).setLevel(logging.CRITICAL)
         with dask.config.set(CONFIGURATION):

@@ -59,15 +59,7 @@ class FailedPiece:
 
 
 class Pieces:
-    """A ledger that several threads write.
-
-    Parameters
-    ----------
-    count
-        How many pieces there are.
-    seconds
-        How long one lasts as far as known; None when none was ever timed.
-    """
+    """A ledger that several threads write."""
 
     def __init__(self, count: int, seconds: float | None = None) -> None:
         self.count = count
@@ -81,15 +73,7 @@ class Pieces:
         self._closed = False
 
     def take(self, takers: int, *, returned: bool = False) -> Group:
-        """Take the next group; empty when there is none.
-
-        Parameters
-        ----------
-        takers
-            How many share what is left.
-        returned
-            Whether those may be taken, and first, that somebody else has had already.
-        """
+        """Take the next group; empty when there is none."""
         with self._lock:
             while returned and self._returned:
                 place = self._returned.popleft()
@@ -162,13 +146,7 @@ class Pieces:
             return all(place in self._results for place in range(self._end)) if self.done >= self._end else False
 
     def results(self) -> list[Any]:
-        """Return the results in order.
-
-        Raises
-        ------
-        Exception
-            What the first broken piece raised.
-        """
+        """Return the results in order."""
         if self._end < self.count:
             error: Exception = self._results[self._end].error
             raise error
@@ -200,17 +178,7 @@ class LentGroup:
 
 
 class ClusterExecutor:
-    """A `Spread` for one attempt of a run; to be made and used in the thread of its task.
-
-    Parameters
-    ----------
-    name
-        Names the attempt in the keys of its tasks.
-    folder
-        The scratch folder, which exists.
-    cancelled
-        Asked all the time; True stops.
-    """
+    """A `Spread` for one attempt of a run; to be made and used in the thread of its task."""
 
     def __init__(self, name: str, folder: Path, cancelled: Callable[[], bool]) -> None:
         self._worker = get_worker()
@@ -226,15 +194,7 @@ class ClusterExecutor:
     def map(
         self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], *, done: Told | None = None
     ) -> list[Any]:
-        """Call `function(*arguments[k])` for every k and return the results in the order of k.
-
-        Raises
-        ------
-        CancelledError
-            When `cancelled` said so.
-        Exception
-            Whatever the first failing piece raised.
-        """
+        """Call `function(*arguments[k])` for every k and return the results in the order of k."""
         kind = f"{function.__module__}.{function.__qualname__}"
         pieces = Pieces(len(arguments), self._seconds.get(kind))
         work = _MapWork(function, arguments, pieces)
@@ -373,19 +333,7 @@ class _MapWork:
 
 
 def compute_group(sign: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> Any:
-    """Compute a group on another worker.
-
-    Parameters
-    ----------
-    sign
-        A file that is there where the scratch folder is seen.
-    function, arguments
-        What to call, and for each piece with what.
-
-    Returns
-    -------
-    Results and seconds as of `timed`, or None when this worker does not see the folder.
-    """
+    """Compute a group on another worker."""
     return timed(function, arguments) if Path(sign).exists() else None
 
 

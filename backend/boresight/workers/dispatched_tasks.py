@@ -118,15 +118,7 @@ LEAVE_AFTER_S = 0.5  # its sentence goes first
 
 
 class WorkerCheck(WorkerPlugin):  # type: ignore[misc]  # distributed ships no types
-    """Ask every worker whether it may compute for this server.
-
-    Parameters
-    ----------
-    version
-        The server's.
-    folder
-        A folder that must be seen under the same path; empty asks nothing.
-    """
+    """Ask every worker whether it may compute for this server."""
 
     name = "boresight-fitness"
 

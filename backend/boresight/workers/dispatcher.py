@@ -42,24 +42,7 @@ JOIN_S = 30.0
 
 
 class RunDispatcher:
-    """Runs the runs of one database; several engines may share it.
-
-    Parameters
-    ----------
-    database
-        The store.
-    settings
-        Scheduler address or number of workers, lease, attempts, folders.
-    broadcast
-        Called from the engine's thread with `{"kind": "progress", "run_id", "attempt", "fraction", "message", "elapsed_s",
-        "history"}`, and with `{"kind": "run", "run_id", "attempt"}` when a row has changed its state.
-    suspect
-        Called from the engine's thread with the address of a stored file that a worker found corrupt.
-    calculation
-        `module:function` that the workers call, with the signature of `calibrate`.
-    cancel_grace_s
-        A run that does not answer a wish to stop for so long is ended with its worker process.
-    """
+    """Runs the runs of one database; several engines may share it."""
 
     def __init__(
         self,

@@ -121,21 +121,7 @@ class ProgressInbox:
 
 
 def points_after(history: Mapping[str, Any], after: int | None) -> dict[str, Any] | None:
-    """Return the points of a course after a frame, or None where there are none.
-
-    Parameters
-    ----------
-    history
-        The `history` of a calibration JSON so far: columns of equal length, frames ascending.
-    after
-        The last frame that was told, None where nothing was. A course that has since begun anew is told from its start.
-
-    Returns
-    -------
-    dict or None
-        `after` as the frame that these follow, `frame`, the columns a live chart draws, and `nis_per_dof`, the mean
-        normalised innovation squared so far; at most `POINTS_AN_EVENT` of each, evenly spread, the last among them.
-    """
+    """Return the points of a course after a frame, or None where there are none."""
     frames: Sequence[int] = history.get("frame") or ()
     if after is not None and frames and frames[-1] < after:
         after = None

@@ -87,17 +87,7 @@ GROUP_RUNS = 64
 
 @dataclass(frozen=True)
 class RunGroup:
-    """Runs that share a task.
-
-    Parameters
-    ----------
-    run_ids
-        Oldest first.
-    seconds
-        Predicted time of all.
-    short
-        Whether they all are short and were never tried before, so that such a group may follow them, or they such a group.
-    """
+    """Runs that share a task."""
 
     run_ids: list[int]
     seconds: float
@@ -107,26 +97,7 @@ class RunGroup:
 def planned(
     waiting: Sequence[WaitingRun], free: int, followed: int, threads: int, seconds_of: Callable[[WaitingRun], float]
 ) -> list[RunGroup]:
-    """Divide the oldest waiting runs over the threads.
-
-    Parameters
-    ----------
-    waiting
-        Runs nobody holds, oldest first.
-    free
-        Threads without a task.
-    followed
-        Threads that compute short runs and may be given a group of such to follow.
-    threads
-        All that there are, busy or not.
-    seconds_of
-        The predicted time of a run.
-
-    Returns
-    -------
-    list of Group
-        At most `free + followed`, those beyond `free` short.
-    """
+    """Divide the oldest waiting runs over the threads."""
     slots = free + followed
     most = min(GROUP_RUNS, math.ceil(len(waiting) / max(1, slots)))
     share_s = QUEUE_SHARE * sum(map(seconds_of, waiting)) / max(1, threads)
@@ -164,21 +135,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Reconciler:
-    """The database as one owner of runs sees it.
-
-    Parameters
-    ----------
-    database
-        The store.
-    owner
-        Names this engine among all that share the database.
-    lease_s
-        How long a claim holds without a renewal.
-    max_attempts
-        After so many lost attempts a run is ended.
-    paces
-        What the newest runs took, from which groups are made.
-    """
+    """The database as one owner of runs sees it."""
 
     database: Database
     owner: str

@@ -121,13 +121,7 @@ MAKE_NEW = "make new ones with `boresight certificates`, and start server, sched
 
 
 def refuse_unless_address(text: str) -> None:
-    """Refuse what no scheduler can be asked at: it would be asked again for ever.
-
-    Raises
-    ------
-    RefusedInputError
-        When it is not `tcp://host:port` or `tls://host:port`.
-    """
+    """Refuse what no scheduler can be asked at: it would be asked again for ever."""
     try:
         parts = urlsplit(text)
         is_address = f"{parts.scheme}://" in PROTOCOLS and bool(parts.hostname) and bool(parts.port)
@@ -154,13 +148,7 @@ def own_security() -> Security:
 
 
 def refuse_open_link(settings: Settings, host: str, given: str) -> None:
-    """Refuse a plain link that others than this machine's users could reach.
-
-    Raises
-    ------
-    RefusedInputError
-        When the host is another machine, or an address that others reach, and no setting says that its network is closed.
-    """
+    """Refuse a plain link that others than this machine's users could reach."""
     if settings.cluster_network_closed or _is_loopback(host):
         return
     raise RefusedInputError(
@@ -179,14 +167,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def make_security(settings: Settings) -> Security | None:
-    """Return what TLS links need, or None where links are plain.
-
-    Raises
-    ------
-    RefusedInputError
-        When the scheduler's address is none, when half of what TLS needs is missing, when a file cannot be read, or when a link
-        would be open to others.
-    """
+    """Return what TLS links need, or None where links are plain."""
     if settings.scheduler:
         refuse_unless_address(settings.scheduler)
     files = {"BORESIGHT_TLS_AUTHORITY": settings.tls_authority, "BORESIGHT_TLS_CERTIFICATE": settings.tls_certificate}

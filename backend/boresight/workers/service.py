@@ -35,15 +35,7 @@ Say = Callable[[str], None]
 
 
 def run_scheduler(settings: Settings, host: str, port: int, say: Say) -> None:
-    """Be a scheduler until SIGTERM or Ctrl-C.
-
-    Raises
-    ------
-    RefusedInputError
-        When certificates are missing, the address in the settings is none, or links would be open to others.
-    OSError
-        When the port cannot be listened on.
-    """
+    """Be a scheduler until SIGTERM or Ctrl-C."""
     security = make_security(settings)
     if security is None:
         refuse_open_link(settings, host, f"--host {host}")
@@ -76,17 +68,7 @@ async def _scheduler(security: Security | None, host: str, port: int, say: Say) 
 
 @dataclass(frozen=True)
 class WorkerService:
-    """One worker that is always there when its scheduler is.
-
-    Parameters
-    ----------
-    settings
-        Scheduler, certificates, folders.
-    memory_bytes
-        A worker process that needs more is ended and replaced.
-    say
-        Told in a line what happens.
-    """
+    """One worker that is always there when its scheduler is."""
 
     settings: Settings
     memory_bytes: int
@@ -137,13 +119,7 @@ class WorkerService:
 
 
 def run_workers(settings: Settings, processes: int, memory_bytes: int | None, say: Say) -> None:
-    """Be so many workers until SIGTERM or Ctrl-C.
-
-    Raises
-    ------
-    RefusedInputError
-        When certificates are missing, the scheduler's address is none, or links would be open to others.
-    """
+    """Be so many workers until SIGTERM or Ctrl-C."""
     make_security(settings)
     _configure()
     memory_bytes = memory_bytes or int(MEMORY_SHARE * MEMORY_LIMIT / max(processes, CPU_COUNT))

@@ -80,19 +80,7 @@ def execute_group(group: list[Work], calculation: str = CALCULATION) -> list[Run
 def execute(
     run_id: int, attempt: int, inputs: Inputs, calculation: str, keep: Keep
 ) -> tuple[RunEnd, Future[str] | None]:
-    """Compute one run; whatever happens, the answer is its end, and the address that its result will have.
-
-    Parameters
-    ----------
-    run_id, attempt
-        Which run, and under which attempt number it is held.
-    inputs
-        Addresses of the telemetry, the sensor as it was at launch, the calibration's settings.
-    calculation
-        `module:function` with the signature of `calibrate`.
-    keep
-        Begins to put a result.
-    """
+    """Compute one run; whatever happens, the answer is its end, and the address that its result will have."""
     link = Link(run_id, attempt)
     try:
         link.refuse_if_cancelled()

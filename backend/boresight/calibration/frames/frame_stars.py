@@ -37,20 +37,7 @@ USED, LEFT_OUT, REJECTED, UNMATCHED = "used", "left out", "rejected", "unmatched
 class FrameStars:
     """The detections of a frame in file order; leading dimension n_rows.
 
-    Parameters
-    ----------
-    star_id, given_id, old_id
-        Hipparcos numbers: as the run has it, as the file names it, as matched under the old parameters; 0 = none.
-    s_i
-        (n_rows, 3) apparent direction, of a rejected star that of the named one; NaN where none.
-    magnitude
-        Of the star in the catalogue, Hp; NaN where none.
-    kept
-        Whether an attitude may rest on it.
-    fate, reason
-        A word of the table above and a phrase; the phrase is None for a star that is used.
-    flags
-        Phrases of what the catalogue says against the star.
+    `s_i`: (n_rows, 3) apparent direction, of a rejected star that of the named one.
     """
 
     star_id: IntArray

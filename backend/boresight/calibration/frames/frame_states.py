@@ -33,12 +33,7 @@ NEIGHBOURS = 10
 class State:
     """Parameters to show a frame under.
 
-    Parameters
-    ----------
-    x
-        (n_parameters,) SI.
-    freedom
-        What the frames of the set decided of them: nothing for the old ones.
+    `x`: (n_parameters,) SI.
     """
 
     x: FloatArray
@@ -49,16 +44,7 @@ class State:
 class RunStates:
     """What a run's calibration JSON says of its states.
 
-    Parameters
-    ----------
-    sensor, settings, parameters
-        As the run had them.
-    old, new
-        The states; `new` is None while there is none, or when the fit diverged.
-    P
-        (n_free, n_free) covariance of the new ones in typical sigmas.
-    noise
-        How many times the stated noise the residuals of the fit scatter, where that is more than once.
+    `P`: (n_free, n_free) covariance of the new ones in typical sigmas.
     """
 
     sensor: Sensor
@@ -71,17 +57,7 @@ class RunStates:
 
 
 def read_run_states(result: Mapping[str, Any], sensor: Sensor, settings: CalibrationSettings) -> RunStates:
-    """Read the states of a run.
-
-    Parameters
-    ----------
-    result
-        The calibration JSON, complete or so far; an empty one has no new state.
-    sensor
-        As it was at launch, with a magnitude limit that suits the whole set.
-    settings
-        Of the run.
-    """
+    """Read the states of a run."""
     names = CAMERA_MODELS[sensor.camera_model].parameter_names
     wanted = sensor.free if settings.free is None else settings.free
     free = np.array([place for place, name in enumerate(names) if name in wanted], np.int64)
@@ -142,20 +118,7 @@ class MatchedFrame:
 
 
 def match_frame(states: RunStates, read: Read, catalogue: Catalogue, cache_folder: Path | None) -> MatchedFrame:
-    """Match a frame under both states, with its neighbours where it cannot be matched alone.
-
-    Parameters
-    ----------
-    read
-        Gives the frame with so many frames on either side, and which of the rows are the frame's.
-    cache_folder
-        Where lost-in-space identification keeps its tables.
-
-    Raises
-    ------
-    RefusedInputError
-        When rows that name stars can be given no direction at all.
-    """
+    """Match a frame under both states, with its neighbours where it cannot be matched alone."""
     found = _matched(states, *read(0), catalogue, cache_folder)
     if not (_rematched(states, found.telemetry) and _lost(found)):
         return found

@@ -45,14 +45,7 @@ NEAR_PX = 5.0
 def undetected(here: Telemetry, states: RunStates, C: FloatArray, catalogue: Catalogue) -> list[dict[str, Any]]:
     """Stars within the sensor's limit that lie on the detector and have no detection near them, the brightest first.
 
-    Parameters
-    ----------
-    here
-        Detections of the exposure; without a time no catalogue star has a direction, and there are none.
-    states
-        The run's; the sensor's `magnitude_limit` is how faint stars are expected.
-    C
-        (3, 3) attitude, ICRS to the triad.
+    `C`: (3, 3) attitude, ICRS to the triad.
     """
     sensor, limit = states.sensor, states.sensor.magnitude_limit
     if here.time_utc is None or np.isnat(here.time_utc[0]) or limit is None:
@@ -99,24 +92,7 @@ ONE_DIRECTION = "its matched stars lie in one direction, or the field is mirrore
 
 
 def frame_view(states: RunStates, read: Read, catalogue: Catalogue, cache_folder: Path | None = None) -> dict[str, Any]:
-    """Describe a frame under the old and the new parameters.
-
-    Parameters
-    ----------
-    states
-        Of the run.
-    read
-        Gives the frame's rows, see `match_frame`.
-    catalogue
-        Of the sky.
-    cache_folder
-        Where lost-in-space identification keeps its tables.
-
-    Returns
-    -------
-    dict with `frame`, `time_utc`, `temperature_c`, `match`, `why_no_new`, and `exposures`, each with its attitudes under `old` and
-    `new` (or null, with the sentence in `why`), its stars, and the catalogue stars it did not detect.
-    """
+    """Describe a frame under the old and the new parameters."""
     telemetry, rows = read(0)
     part = select_rows(telemetry, rows)
     head = {

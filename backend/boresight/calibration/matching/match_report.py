@@ -49,17 +49,7 @@ def matched_stars(matches: Matches, seen: MatchedFrames | None) -> tuple[IntArra
 def match_report(
     telemetry: Telemetry, sensor: Sensor, matches: Matches, seen: MatchedFrames | None = None
 ) -> dict[str, Any]:
-    """Count what changed, and list every exposure with its attitude.
-
-    Parameters
-    ----------
-    telemetry, sensor
-        The set as given, and whose it is.
-    matches
-        The set as matched again.
-    seen
-        The same under the flight code's check, to count only what it accepts; None counts all.
-    """
+    """Count what changed, and list every exposure with its attitude."""
     star_id, why = matched_stars(matches, seen)
     given = np.zeros(len(telemetry), np.int64) if telemetry.star_id is None else telemetry.star_id
     removed = (given > 0) & (star_id == 0)
@@ -145,17 +135,7 @@ def _frame_reason(exposures: list[dict[str, Any]], first: IntArray, k: int) -> s
 def matching_view(
     telemetry: Telemetry, sensor: Sensor, ended: CyclesEnd, evaluation: dict[str, Any]
 ) -> dict[str, Any] | None:
-    """Describe the matches that an estimate stands on; None where the given ones stood.
-
-    Parameters
-    ----------
-    telemetry
-        The set as it came.
-    ended
-        Where the cycles ended.
-    evaluation
-        Of the set, initial against final: what the flight code would accept.
-    """
+    """Describe the matches that an estimate stands on; None where the given ones stood."""
     matches = ended.matched.matches
     if not isinstance(matches, Matches):
         return None

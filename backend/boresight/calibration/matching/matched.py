@@ -51,18 +51,7 @@ MATCHED_FRAMES = 4096
 
 @dataclass(frozen=True)
 class Matched:
-    """A set under one state.
-
-    Parameters
-    ----------
-    problem
-        Its arcs.
-    ranges
-        Its rows and their matches, before the flight code's check where `match_rule` asks for it: one in memory, many in
-        files, none of a set in files whose given matches stand.
-    folder
-        Where these files are.
-    """
+    """A set under one state."""
 
     problem: Problem
     ranges: tuple[MatchedRange, ...]
@@ -124,21 +113,7 @@ class EvaluatedSet:
 
 
 class Dataset:
-    """A set over pieces that can be matched under any state, or whose given matches stand.
-
-    Parameters
-    ----------
-    pieces
-        The set: one piece in memory, or files.
-    sensor, catalogue
-        Whose it is, and the stars there are.
-    parameters, settings
-        Which parameters are free, and how to match.
-    cache_folder
-        Where lost-in-space identification keeps its tables.
-    told
-        How far the first matching or ordering of files is.
-    """
+    """A set over pieces that can be matched under any state, or whose given matches stand."""
 
     def __init__(
         self,

@@ -164,23 +164,7 @@ _SAME_RAD = 1e-12
 def common_arcs(
     telemetry: Telemetry, sensor: Sensor, seen: MatchedFrames, minimum_stars: int, ordered: ArcSet | None = None
 ) -> list[ArcSet]:
-    """Arcs among the accepted matches of a sighting's valid exposures.
-
-    Parameters
-    ----------
-    telemetry, sensor
-        The set that was seen.
-    seen
-        Under one state.
-    minimum_stars
-        Of an exposure that counts.
-    ordered
-        Arcs of the same telemetry that are there already, weighed or not; None orders all.
-
-    Returns
-    -------
-    Sets that have no exposure in common, and together all of them; of the exposures of one frame some may be in either.
-    """
+    """Arcs among the accepted matches of a sighting's valid exposures."""
     s_i = np.where(seen.taken()[:, None], seen.matches.s_i, np.nan)
     found = list[ArcSet]()
     if ordered is not None:

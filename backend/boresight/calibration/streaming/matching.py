@@ -46,17 +46,7 @@ class MatchingState:
 
 @dataclass(frozen=True)
 class Matching:
-    """How a set in files is matched, the same for all its ranges.
-
-    Parameters
-    ----------
-    sensor, catalogue, settings, cache_folder
-        As of a `Rematcher`.
-    magnitude_limit
-        Of the whole set, Hp.
-    epoch
-        First known time of the set; None where it has none.
-    """
+    """How a set in files is matched, the same for all its ranges."""
 
     sensor: Sensor
     catalogue: Columns

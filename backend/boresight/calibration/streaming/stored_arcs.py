@@ -56,13 +56,7 @@ def order_set(
     executor: Executor,
     done: Told,
 ) -> Problem:
-    """Order the stars of every exposure of a set.
-
-    Raises
-    ------
-    RefusedInputError
-        When matched rows can be given no direction at all, see `sky.directions`.
-    """
+    """Order the stars of every exposure of a set."""
     work = [
         (piece, sensor, catalogue, minimum_stars, str(folder / f"arcs-{number:06d}"))
         for number, piece in enumerate(pieces)

@@ -29,25 +29,7 @@ PREPARED, READING = 0.5, 0.6
 
 @dataclass(frozen=True)
 class TelemetryPiece:
-    """Whole frames of a set, in memory or in a file.
-
-    Parameters
-    ----------
-    held
-        The set; or the arrays of a `Telemetry`, those it has, in a scratch file; or a stored table and which part of it.
-    rows
-        How many.
-    begins
-        Rows of the set before them.
-    first_row
-        Row of the first in the file it came from, as an editor counts.
-    frames
-        How many frames they are of.
-    epoch
-        The first time at which one of these begins; NaT where none is known.
-    off_detector
-        Its matched stars off the detector.
-    """
+    """Whole frames of a set, in memory or in a file."""
 
     held: Telemetry | Columns | tuple[WorkingTable, int]
     rows: int
@@ -95,17 +77,7 @@ class FrameRange:
 
 @dataclass(frozen=True)
 class Pieces:
-    """A set in pieces: one in memory, or as many as it takes in a folder.
-
-    Parameters
-    ----------
-    pieces
-        As it came.
-    spread
-        What computes over them.
-    folder
-        Where everything else goes; None where all is in memory.
-    """
+    """A set in pieces: one in memory, or as many as it takes in a folder."""
 
     pieces: tuple[TelemetryPiece, ...]
     spread: Executor
@@ -167,13 +139,6 @@ def copied(
     """Take a stored table in its parts, which are mapped where they are; read a file into pieces.
 
     Stretches of a file are read wherever the spread does it; from its start where it has none or is refused.
-
-    Raises
-    ------
-    RefusedInputError
-        As reading the whole file and checking it against the sensor would.
-    CancelledError
-        When `cancelled` says so.
     """
     if isinstance(file, StoredTable):
         pieces = _mapped(file, sensor, folder, spread, told)
@@ -239,19 +204,7 @@ def _copied_in_turn(
 
 
 def write_pieces(chunks: Iterable[Telemetry], sensor: Sensor, path: Path, begins: int = 0) -> Iterator[TelemetryPiece]:
-    """Copy a set, or a part of it, a piece a chunk of whole frames.
-
-    Parameters
-    ----------
-    chunks
-        Its rows.
-    sensor
-        Whose telemetry it is.
-    path
-        To which a number is added for each piece.
-    begins
-        Rows of the set before.
-    """
+    """Copy a set, or a part of it, a piece a chunk of whole frames."""
     for number, chunk in enumerate(chunks):
         arrays = {name: getattr(chunk, name) for name in ARRAYS}
         there = {name: np.asarray(values) for name, values in arrays.items() if values is not None}

@@ -26,20 +26,7 @@ LONGEST_DAYS = 3650
 def create_key(
     session: Session, actor: Actor, *, label: str, scopes: Collection[str] = (), expires_days: int | None = 90
 ) -> tuple[ApiKey, str]:
-    """Make a key for the person who asks; without scopes it can only read.
-
-    Returns
-    -------
-    tuple of ApiKey and str
-        The row, and the secret, which is not kept and cannot be shown again.
-
-    Raises
-    ------
-    ForbiddenError
-        When a key asks for another key.
-    RefusedInputError
-        When a scope does not exist, the label is empty, or the time is not in 1 to 3650 days.
-    """
+    """Make a key for the person who asks; without scopes it can only read."""
     user_id = require_person(actor, "make an API key")
     if unknown := sorted(set(scopes) - set(SCOPES)):
         raise RefusedInputError(f"There is no scope {', '.join(unknown)}; the scopes are {', '.join(SCOPES)}.")
@@ -70,13 +57,7 @@ def _hash(secret: str) -> str:
 
 
 def actor_of_key(session: Session, secret: str, request_id: str | None = None) -> Actor:
-    """Return whom a secret lets act; a reading transaction is enough.
-
-    Raises
-    ------
-    UnauthenticatedError
-        When the key is unknown, revoked or expired, or its owner disabled.
-    """
+    """Return whom a secret lets act; a reading transaction is enough."""
     parts = secret.split("_", 2)
     key = rows.key_with_prefix(session, parts[1]) if len(parts) == 3 else None
     if key is None or not hmac.compare_digest(key.key_hash, _hash(secret)):
@@ -99,13 +80,7 @@ def list_keys(session: Session, user_id: int | None = None) -> Sequence[ApiKey]:
 
 
 def get_key(session: Session, key_id: int) -> ApiKey:
-    """Return a key.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
+    """Return a key."""
     key = session.get(ApiKey, key_id)
     if key is None:
         raise NotFoundError(f"There is no API key {key_id}.")
@@ -121,15 +96,7 @@ def record_uses(session: Session, used_utc: Mapping[str, str]) -> None:
 
 
 def revoke_key(session: Session, actor: Actor, key_id: int) -> ApiKey:
-    """End a key: one's own, or as an administrator anyone's.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such key.
-    ForbiddenError
-        When it is another's, or a key asks.
-    """
+    """End a key: one's own, or as an administrator anyone's."""
     refuse_key(actor, "revoke a key")
     key = get_key(session, key_id)
     if key.user_id != actor.user_id and "administrator" not in actor.roles:

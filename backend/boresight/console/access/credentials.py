@@ -105,13 +105,7 @@ class LogInCookie:
         response.delete_cookie(self.name, path="/", secure=self._secure, httponly=True, samesite="lax")
 
     def read(self, value: str) -> CookieContent:
-        """Return what a cookie says.
-
-        Raises
-        ------
-        UnauthenticatedError
-            When it is too old, altered, of an earlier version, or signed by another installation.
-        """
+        """Return what a cookie says."""
         try:
             said, signed = self._serializer.loads(value, max_age=self._max_age_s, return_timestamp=True)
             token, csrf_token = said
@@ -144,15 +138,7 @@ def bearer(headers: Headers) -> str | None:
 
 
 def current_actor(request: Request) -> Actor:
-    """Return who acts: the owner of the API key if one is given, else the person whose log-in cookie it is.
-
-    Raises
-    ------
-    UnauthenticatedError
-        When nobody is logged in, the log-in has ended, or the key is not valid.
-    PasswordDueError
-        When the person must set a password of their own first.
-    """
+    """Return who acts: the owner of the API key if one is given, else the person whose log-in cookie it is."""
     known = getattr(request.state, "actor", None)
     if known is None:
         known = request.state.actor = replace(_identify(request), request_id=request.state.request_id)
@@ -160,13 +146,7 @@ def current_actor(request: Request) -> Actor:
 
 
 async def get_actor(request: Request) -> Actor:
-    """Return who acts, as `current_actor` does: without a thread where that is known already, or the store answers on the spot.
-
-    Raises
-    ------
-    UnauthenticatedError, PasswordDueError
-        As `current_actor`.
-    """
+    """Return who acts, as `current_actor` does: without a thread where that is known already, or the store answers on the spot."""
     if (known := getattr(request.state, "actor", None)) is not None:
         return known  # type: ignore[no-any-return]  # the request's state is whatever is put there
     return await identify_at_once(request.app.state.engine, current_actor, request)
@@ -189,13 +169,7 @@ class Identified:
 
 
 class CredentialCache:
-    """Who was identified lately by which credentials, byte for byte; known again while the rows behind say the same.
-
-    Parameters
-    ----------
-    marks
-        Of the store, over whose connection the rows are looked at.
-    """
+    """Who was identified lately by which credentials, byte for byte; known again while the rows behind say the same."""
 
     def __init__(self, marks: DataVersionReader) -> None:
         self.marks = marks

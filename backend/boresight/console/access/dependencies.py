@@ -84,13 +84,7 @@ IsDryRun = Annotated[bool, Depends(get_dry_run)]
 
 
 async def refuse_dry_run(request: Request) -> None:
-    """Refuse `validate_only` where there is nothing to try.
-
-    Raises
-    ------
-    RefusedInputError
-        When it was given.
-    """
+    """Refuse `validate_only` where there is nothing to try."""
     if "validate_only" in request.query_params:
         raise RefusedInputError("Logging in and out cannot be tried with validate_only; leave it out.")
 
@@ -115,11 +109,6 @@ async def csrf(request: Request) -> None:
 
     The token comes as the header `X-CSRF-Token` or, from a plain form of a page, as the field `csrf_token`. Requests
     with an API key need none: no other site can make a browser send that header.
-
-    Raises
-    ------
-    ForbiddenError
-        When the token is missing or another.
     """
     if request.method in SAFE_METHODS or bearer(request.headers) is not None:
         return
@@ -154,13 +143,7 @@ class Seen:
     tag: str | None
 
     def require(self, shape: type[Row], row: Any, name: str = "It") -> None:
-        """Refuse a transition by someone who did not see the row as it is.
-
-        Raises
-        ------
-        StaleError
-            When it changed since.
-        """
+        """Refuse a transition by someone who did not see the row as it is."""
         if self.tag is not None and self.tag != shape.etag(row):
             raise StaleError(f"{name} has changed since you looked; read it again and send its new ETag in If-Match.")
 
@@ -169,13 +152,7 @@ class Seen:
 async def seen(
     if_match: Annotated[str | None, Header(alias="If-Match", description="The ETag that you read.")] = None,
 ) -> Seen:
-    """Return the tag in `If-Match`, which every transition must state.
-
-    Raises
-    ------
-    PreconditionRequiredError
-        When the header is absent.
-    """
+    """Return the tag in `If-Match`, which every transition must state."""
     if if_match is None:
         raise PreconditionRequiredError('Say which version you saw: send its ETag in If-Match, as in If-Match: "v3".')
     return Seen(strong(if_match))
@@ -190,13 +167,7 @@ async def maybe_seen(
 
 
 async def seen_version(given: Annotated[Seen, Depends(seen)]) -> int:
-    """Return the version that the tag in `If-Match` names.
-
-    Raises
-    ------
-    StaleError
-        When it cannot be the tag of any version.
-    """
+    """Return the version that the tag in `If-Match` names."""
     tag = given.tag or ""
     digits = tag.removeprefix('"v').removesuffix('"')
     version = parse_row_id(digits)
@@ -215,13 +186,7 @@ def of_server(name: str) -> Any:
 
 
 def log_in_person(request: Request, response: Response, session: Session, proof: PasswordProof) -> tuple[Actor, str]:
-    """Give the browser of who proved to be a person a log-in; returns the person and the CSRF token.
-
-    Raises
-    ------
-    UnauthenticatedError
-        When name and password do not belong together.
-    """
+    """Give the browser of who proved to be a person a log-in; returns the person and the CSRF token."""
     actor = users.authenticate(session, proof, request.state.request_id)
     _, token = sessions.begin(session, require_person(actor, "log in"), get_client(request))
     return actor, request.app.state.log_in_cookie.write(response, token)

@@ -60,15 +60,7 @@ def place_of_address(address: str) -> str:
 
 @dataclass(frozen=True)
 class LoginAttempt:
-    """What is tried: a name from a place.
-
-    Parameters
-    ----------
-    known
-        The name logged in from this place before, or the place is the session of who signs.
-    console
-        The person at whose console the name is typed; None at one's own.
-    """
+    """What is tried: a name from a place."""
 
     name: str
     place: str
@@ -94,15 +86,7 @@ class _Count:
 
 
 class LoginLimiter:
-    """The counts of one server.
-
-    Parameters
-    ----------
-    free
-        Failures of a name at a place before attempts wait.
-    now_s
-        The clock.
-    """
+    """The counts of one server."""
 
     def __init__(self, free: int, now_s: Callable[[], float] = time.monotonic) -> None:
         self._free = free
@@ -110,13 +94,7 @@ class LoginLimiter:
         self._counts: OrderedDict[Hashable, _Count] = OrderedDict()
 
     def admit(self, tried: LoginAttempt) -> float:
-        """Let an attempt in; returns after how many seconds it may begin. `ended` must be told how it went.
-
-        Raises
-        ------
-        TooManyAttemptsError
-            When that is more than `HELD_S`; the attempt is not counted.
-        """
+        """Let an attempt in; returns after how many seconds it may begin. `ended` must be told how it went."""
         now_s = self._now_s()
         limits = self._limits(tried)
         begins_s = max(self._begins_s(key, now_s) for key in limits)

@@ -55,13 +55,7 @@ class _PasswordThread:
         self._threads = ThreadPoolExecutor(1, f"boresight-{name}", _yield_processors if yields else None)
 
     async def run(self, work: Callable[[], T]) -> T:
-        """Work when it is one's turn.
-
-        Raises
-        ------
-        OverloadedError
-            When too many wait.
-        """
+        """Work when it is one's turn."""
         if self._queued >= MOST_QUEUED:
             raise OverloadedError("Too many passwords are being checked at once; try again in 2 s.", 2)
         self._queued += 1
@@ -82,15 +76,7 @@ def _yield_processors() -> None:
 
 
 class PasswordWorker:
-    """The passwords of one server's requests.
-
-    Parameters
-    ----------
-    database
-        The store.
-    free
-        Failures of a name at a place before attempts wait.
-    """
+    """The passwords of one server's requests."""
 
     def __init__(self, database: Engine, free: int) -> None:
         self._database = database
@@ -140,13 +126,7 @@ class PasswordWorker:
     async def check_beside(
         self, actor: Actor, name: str, password: str, client: ClientAddress, refuse: Callable[[Session], None]
     ) -> PasswordProof:
-        """Check name and password of a second person at the console of who acts.
-
-        Parameters
-        ----------
-        refuse
-            Raises what the service refuses whatever the password; then none is tried.
-        """
+        """Check name and password of a second person at the console of who acts."""
         place = place_of_address(client.address)
 
         def read(session: Session) -> tuple[StoredPassword, bool] | None:

@@ -40,13 +40,7 @@ CONTAINS_NAME = "The password contains the log-in name or the printed name; use 
 
 
 def describe_weakness(password: str, names: tuple[str, ...] = ()) -> str | None:
-    """Say why a password is guessed early; None when it is not.
-
-    Parameters
-    ----------
-    names
-        Of the person: the log-in name and the printed one, whole and by their words.
-    """
+    """Say why a password is guessed early; None when it is not."""
     known = _parts(names)
     plain = comparison_key(password)
     letters = "".join(letter for letter in plain if letter.isalnum())
@@ -127,13 +121,7 @@ class NewPassword:
     refusal: str | None = None
 
     def hash(self) -> str:
-        """Return the hash to store.
-
-        Raises
-        ------
-        RefusedInputError
-            When the password may not be used.
-        """
+        """Return the hash to store."""
         if self.refusal is not None:
             raise RefusedInputError(self.refusal)
         return self.password_hash
@@ -171,18 +159,7 @@ def _is_text(text: str) -> bool:
 
 
 def require_proof(session: Session, proof: PasswordProof, user_id: int | None = None) -> User:
-    """Return the person whose password was proven, if it is what is stored now.
-
-    Parameters
-    ----------
-    user_id
-        Whose password it must be; None for whoever's it is.
-
-    Raises
-    ------
-    UnauthenticatedError
-        When it did not fit, or the person or the password are others by now.
-    """
+    """Return the person whose password was proven, if it is what is stored now."""
     user = None if proof.stored.user_id is None else session.get(User, proof.stored.user_id)
     stands = user is not None and _stored(user) == proof.stored and user_id in {None, user.id}
     if user is None or not (proof.fits and stands):
@@ -191,13 +168,7 @@ def require_proof(session: Session, proof: PasswordProof, user_id: int | None = 
 
 
 def prepare(password: str, *names: str) -> NewPassword:
-    """Hash a password that is to be stored, if it may be used; slow on purpose, never to be done in a transaction.
-
-    Parameters
-    ----------
-    names
-        Of the person, which the password may not be made of.
-    """
+    """Hash a password that is to be stored, if it may be used; slow on purpose, never to be done in a transaction."""
     refusal = _refusal(password, names)
     return NewPassword(refusal=refusal) if refusal else NewPassword(_HASHER.hash(password))
 

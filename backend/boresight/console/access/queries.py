@@ -132,17 +132,7 @@ _QUESTIONS = {
 
 @dataclass(frozen=True)
 class CredentialRows:
-    """What the rows of a credential said.
-
-    Parameters
-    ----------
-    kind
-        `session` or `key`.
-    number
-        The number of the session, or the prefix of the key.
-    said
-        Every column that decides who acts and what they may do.
-    """
+    """What the rows of a credential said."""
 
     kind: str
     number: int | str

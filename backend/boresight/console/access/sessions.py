@@ -68,15 +68,7 @@ def logged_in_from(session: Session, user_id: int | None, place: str) -> bool:
 
 
 def find(session: Session, token: str) -> LoginSession:
-    """Return the log-in of a secret.
-
-    Raises
-    ------
-    UnauthenticatedError
-        When there is none.
-    SessionEndedError
-        When it has ended; says why.
-    """
+    """Return the log-in of a secret."""
     row = rows.with_token(session, _hash(token))
     if row is None:
         raise UnauthenticatedError("This log-in is not known here; log in again.")
@@ -94,13 +86,7 @@ def list_sessions(
     before_id: int | None = None,
     limit: int | None = None,
 ) -> Sequence[LoginSession]:
-    """Return log-ins, newest first, all or a page: one's own, or as an administrator another person's.
-
-    Raises
-    ------
-    ForbiddenError
-        When they are another's, or a key asks.
-    """
+    """Return log-ins, newest first, all or a page: one's own, or as an administrator another person's."""
     own_id = require_person(actor, "see log-ins")
     if user_id not in {None, own_id}:
         _require_administrator(actor)
@@ -108,15 +94,7 @@ def list_sessions(
 
 
 def end_session(session: Session, actor: Actor, session_id: int) -> LoginSession:
-    """End one log-in: one's own, or as an administrator another's. One that has ended stays as it ended.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number that the actor may know of.
-    ForbiddenError
-        When a key asks.
-    """
+    """End one log-in: one's own, or as an administrator another's. One that has ended stays as it ended."""
     own_id = require_person(actor, "end a log-in")
     row = session.get(LoginSession, session_id)
     own = row is not None and row.user_id == own_id
@@ -163,13 +141,7 @@ def need_tidying(session: Session, limits: SessionLimits, grace_s: float) -> boo
 
 
 def tidy(session: Session, limits: SessionLimits, grace_s: float) -> None:
-    """Write the end of the log-ins that lapsed, and forget those that ended long ago.
-
-    Parameters
-    ----------
-    grace_s
-        How much later than it happened the use of a log-in may be written by another server.
-    """
+    """Write the end of the log-ins that lapsed, and forget those that ended long ago."""
     rows.end_lapsed(session, utc_now(), **_bounds(limits, grace_s))
     rows.forget_ended(session, utc_after(-KEPT_FOR_S))
 

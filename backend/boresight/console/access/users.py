@@ -31,13 +31,7 @@ from boresight.platform.web.text_validation import comparison_key, normal_name
 
 
 def known_roles(roles: Collection[str]) -> list[str]:
-    """Return the roles in the table's order, each once.
-
-    Raises
-    ------
-    RefusedInputError
-        When a role does not exist, or an administrator, who gives roles and passwords, would also sign.
-    """
+    """Return the roles in the table's order, each once."""
     if isinstance(roles, str) or (unknown := sorted(set(roles) - set(ROLES))):
         named = roles if isinstance(roles, str) else ", ".join(unknown)
         raise RefusedInputError(f"There is no role {named}; the roles are {', '.join(ROLES)}.")
@@ -60,17 +54,7 @@ def create_user(
     roles: Collection[str],
     must_change_password: bool = False,
 ) -> User:
-    """Add a person, who with `must_change_password` sets a password of their own at the first log-in.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is not an administrator.
-    RefusedInputError
-        When name, password or roles cannot be used.
-    ConflictError
-        When the name is taken.
-    """
+    """Add a person, who with `must_change_password` sets a password of their own at the first log-in."""
     _require_administrator(actor)
     name = normal_name("log-in name", name, LONGEST_LOGIN_NAME)
     if not LOGIN_NAME.fullmatch(name):
@@ -112,13 +96,7 @@ def get_person_names(session: Session, user_id: int) -> tuple[str, ...]:
 
 
 def authenticate(session: Session, proof: PasswordProof, request_id: str | None = None) -> Actor:
-    """Return the person who proved to be one by name and password.
-
-    Raises
-    ------
-    UnauthenticatedError
-        When they did not fit, or the person was disabled or the password changed meanwhile.
-    """
+    """Return the person who proved to be one by name and password."""
     return _actor(require_proof(session, proof), request_id)
 
 
@@ -129,20 +107,7 @@ def _actor(user: User, request_id: str | None = None, session_id: int | None = N
 
 
 def get_actor(session: Session, user_id: int, session_id: int | None = None, *, sets_password: bool = False) -> Actor:
-    """Return a person as they act under a log-in, with the roles held now.
-
-    Parameters
-    ----------
-    sets_password
-        Whether what is asked is part of setting one's own password, which is all that a person may do who must.
-
-    Raises
-    ------
-    UnauthenticatedError
-        When the person is gone or disabled.
-    PasswordDueError
-        When the person must set a password of their own first.
-    """
+    """Return a person as they act under a log-in, with the roles held now."""
     user = session.get(User, user_id)
     if user is None or user.disabled_utc is not None:
         raise SessionEndedError("disabled")
@@ -163,15 +128,7 @@ def must_change_password(session: Session, actor: Actor) -> bool:
 
 
 def require_password(session: Session, actor: Actor, proof: PasswordProof) -> None:
-    """Make sure that the person at the keyboard is the one who logged in, as a signature needs.
-
-    Raises
-    ------
-    PasswordDueError
-        When somebody else set the password: it is no proof of the person.
-    UnauthenticatedError
-        When the password was wrong, or was changed meanwhile.
-    """
+    """Make sure that the person at the keyboard is the one who logged in, as a signature needs."""
     user = get_user(session, require_person(actor, "confirm with a password"))
     _refuse_password_of_another(user)
     require_proof(session, proof, user.id)
@@ -183,11 +140,6 @@ def change_password(
     """Set a password: one's own, knowing the current one, or as an administrator another's. Every log-in then ends.
 
     Who is given a password by an administrator must set their own at the next log-in.
-
-    Raises
-    ------
-    UnauthenticatedError
-        When the current password is wrong: who finds a screen unlocked must not come to sign.
     """
     refuse_key(actor, "set a password")
     user = get_user(session, user_id)
@@ -223,13 +175,7 @@ def _end_sessions(session: Session, user: User, because: str) -> None:
 
 
 def change_roles(session: Session, actor: Actor, user_id: int, roles: Collection[str]) -> User:
-    """Give a person these roles instead of the ones held. Every log-in then ends.
-
-    Raises
-    ------
-    ConflictError
-        When nobody would be administrator any more.
-    """
+    """Give a person these roles instead of the ones held. Every log-in then ends."""
     _require_administrator(actor)
     user = get_user(session, user_id)
     before, after = user.roles, known_roles(roles)
@@ -242,13 +188,7 @@ def change_roles(session: Session, actor: Actor, user_id: int, roles: Collection
 
 
 def disable_user(session: Session, actor: Actor, user_id: int) -> User:
-    """Keep a person out from now on; what they did stays.
-
-    Raises
-    ------
-    ConflictError
-        When nobody would be administrator any more.
-    """
+    """Keep a person out from now on; what they did stays."""
     _require_administrator(actor)
     user = get_user(session, user_id)
     if user.disabled_utc is None:
@@ -270,13 +210,7 @@ def enable_user(session: Session, actor: Actor, user_id: int) -> User:
 
 
 def get_user(session: Session, user_id: int) -> User:
-    """Return a person.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
+    """Return a person."""
     user = session.get(User, user_id)
     if user is None:
         raise NotFoundError(f"There is no user {user_id}.")

@@ -14,17 +14,7 @@ from boresight.platform.db.sessions import Session, utc_now
 
 @dataclass(frozen=True)
 class AlarmFilter:
-    """What a list of alarms is narrowed to; None is everything, and closed ones are left out unless asked for.
-
-    Parameters
-    ----------
-    sensor_id, kind
-        Of the alarm.
-    sensor_name
-        What the name of its sensor holds; empty is in every name, and in that of none.
-    state
-        `unacknowledged`, `acknowledged`, `shelved` or `closed`.
-    """
+    """What a list of alarms is narrowed to; None is everything, and closed ones are left out unless asked for."""
 
     sensor_id: int | None = None
     kind: str | None = None

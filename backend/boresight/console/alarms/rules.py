@@ -53,19 +53,7 @@ FILES_NAMED = 100
 
 @dataclass(frozen=True)
 class AlarmCondition:
-    """Something that is not as it should be.
-
-    Parameters
-    ----------
-    source
-        What it is of and of which kind, `sensors/3/DRIFT`; one alarm of a source is open at a time.
-    sensor_id, kind, level
-        As the alarm has them.
-    sentence
-        What is wrong and what to do.
-    evidence
-        The figures behind it.
-    """
+    """Something that is not as it should be."""
 
     source: str
     sensor_id: int | None

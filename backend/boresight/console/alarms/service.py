@@ -89,13 +89,7 @@ def is_shelved(row: Alarm) -> bool:
 
 
 def acknowledge(session: Session, actor: Actor, alarm_id: int, text: str, seen_version: int | None) -> Alarm:
-    """Say that somebody has seen it and takes care; one that is over is closed by it.
-
-    Raises
-    ------
-    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError, NotFoundError, RefusedInputError
-        When the actor, the version, the state or the comment does not allow it.
-    """
+    """Say that somebody has seen it and takes care; one that is over is closed by it."""
     row = _to_handle(session, actor, alarm_id, seen_version, "acknowledge an alarm")
     if row.acknowledged:
         raise ConflictError(f"Alarm {row.id} is acknowledged already; comment on it, or shelve it.")
@@ -106,20 +100,7 @@ def acknowledge(session: Session, actor: Actor, alarm_id: int, text: str, seen_v
 
 
 def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: str, seen_version: int | None) -> Alarm:
-    """Take an alarm out of the count until a time.
-
-    Parameters
-    ----------
-    until
-        ISO 8601, UTC when it names no zone; `MOST_DAYS` from now at most.
-    reason
-        Why it may wait; needed.
-
-    Raises
-    ------
-    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError, NotFoundError, RefusedInputError
-        When the actor, the version, the state, the time or the reason does not allow it.
-    """
+    """Take an alarm out of the count until a time."""
     row = _to_handle(session, actor, alarm_id, seen_version, "shelve an alarm")
     until_utc = _end_of_shelf(until)
     row.shelved_until_utc = until_utc
@@ -136,13 +117,7 @@ def _end_of_shelf(until: str) -> str:
 
 
 def unshelve(session: Session, actor: Actor, alarm_id: int, seen_version: int | None) -> Alarm:
-    """Take an alarm from the shelf before its time.
-
-    Raises
-    ------
-    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError, NotFoundError
-        When the actor, the version or the state does not allow it.
-    """
+    """Take an alarm from the shelf before its time."""
     row = _to_handle(session, actor, alarm_id, seen_version, "unshelve an alarm")
     if row.shelved_until_utc is None:
         raise ConflictError(f"Alarm {row.id} is not shelved.")
@@ -152,13 +127,7 @@ def unshelve(session: Session, actor: Actor, alarm_id: int, seen_version: int | 
 
 
 def assign(session: Session, actor: Actor, alarm_id: int, user_id: int | None, seen_version: int | None) -> Alarm:
-    """Ask a person to take care of an alarm; None asks nobody in particular.
-
-    Raises
-    ------
-    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError, NotFoundError
-        When the actor, the version or the state does not allow it, or there is no such person.
-    """
+    """Ask a person to take care of an alarm; None asks nobody in particular."""
     row = _to_handle(session, actor, alarm_id, seen_version, "assign an alarm")
     person = None if user_id is None else session.get(User, user_id)
     if user_id is not None and (person is None or person.disabled_utc is not None):
@@ -169,13 +138,7 @@ def assign(session: Session, actor: Actor, alarm_id: int, user_id: int | None, s
 
 
 def comment(session: Session, actor: Actor, alarm_id: int, text: str, seen_version: int | None) -> Alarm:
-    """Say something about an alarm.
-
-    Raises
-    ------
-    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError, NotFoundError, RefusedInputError
-        When the actor, the version or the state does not allow it, or nothing is said.
-    """
+    """Say something about an alarm."""
     row = _to_handle(session, actor, alarm_id, seen_version, "comment on an alarm")
     step(session, actor, row, "COMMENTED", _said(text, needed="comment"))
     return row
@@ -201,13 +164,7 @@ def _said(text: str, needed: str = "") -> str:
 
 
 def get_alarm(session: Session, alarm_id: int) -> Alarm:
-    """Return an alarm.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
+    """Return an alarm."""
     row = session.get(Alarm, alarm_id)
     if row is None:
         raise NotFoundError(f"There is no alarm {alarm_id}.")
@@ -217,13 +174,7 @@ def get_alarm(session: Session, alarm_id: int) -> Alarm:
 def list_alarms(
     session: Session, sought: AlarmFilter | None = None, *, before_id: int | None = None, limit: int | None = None
 ) -> Sequence[Alarm]:
-    """Return a page of alarms, newest first; those that are closed only when sought.
-
-    Raises
-    ------
-    RefusedInputError
-        When the state does not exist.
-    """
+    """Return a page of alarms, newest first; those that are closed only when sought."""
     sought = sought or AlarmFilter()
     if sought.state is not None and sought.state not in STATES:
         raise RefusedInputError(f"There is no alarm state {sought.state!r}; choose from {', '.join(STATES)}.")

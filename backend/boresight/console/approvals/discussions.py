@@ -33,15 +33,7 @@ def assign(
     *,
     policy: Policy = POLICY,
 ) -> Approval:
-    """Ask a person to decide on an open request; None asks nobody in particular again.
-
-    Raises
-    ------
-    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError
-        When the actor, the version or the state does not allow it, or that person may not sign it.
-    NotFoundError
-        When there is no such person.
-    """
+    """Ask a person to decide on an open request; None asks nobody in particular again."""
     require_person(actor, "assign a request")
     require_role(actor, "analyst", "operator", "approver", "administrator")
     approval = get_approval(session, approval_id)
@@ -73,15 +65,7 @@ def _signer(session: Session, approval: Approval, user_id: int, policy: Policy) 
 
 
 def remark(session: Session, actor: Actor, approval_id: int, text: str) -> Remark:
-    """Say something about a request, be it decided or not.
-
-    Raises
-    ------
-    ForbiddenError
-        When a key or a mere viewer speaks.
-    RefusedInputError
-        When nothing is said, or too much.
-    """
+    """Say something about a request, be it decided or not."""
     user_id = require_person(actor, "discuss a request")
     require_role(actor, "analyst", "operator", "approver", "administrator")
     approval = get_approval(session, approval_id)
@@ -107,15 +91,7 @@ def list_remarks(session: Session, approval_id: int) -> Sequence[Remark]:
 
 
 def record_opening(session: Session, actor: Actor, approval_id: int, evidence: str) -> Opening:
-    """Keep that a person opened a piece of a request's evidence; only the first time counts.
-
-    Raises
-    ------
-    ForbiddenError
-        When a key opens it: reading by a program is no reading.
-    RefusedInputError
-        When the evidence has no name.
-    """
+    """Keep that a person opened a piece of a request's evidence; only the first time counts."""
     user_id = require_person(actor, "open evidence")
     approval = get_approval(session, approval_id)
     if not EVIDENCE.fullmatch(evidence):

@@ -39,21 +39,7 @@ NO_VALIDATION = "The run had no validation set: nothing outside the fitted frame
 
 @dataclass(frozen=True)
 class TriedProfile:
-    """What a profile would have said of a past run.
-
-    Parameters
-    ----------
-    run
-        The run.
-    set_name
-        Of the parameter set that was made from it; None where none was.
-    verdict, blocking
-        By the profile that is tried.
-    verdict_now, blocking_now
-        By the profile in force.
-    basis
-        What was judged, a phrase: the set's gate report, or the run's own result.
-    """
+    """What a profile would have said of a past run."""
 
     run: Run
     set_name: str | None
@@ -65,13 +51,7 @@ class TriedProfile:
 
 
 def profile_in_force(session: Session, sensor_id: int) -> GateProfile:
-    """Return a sensor's profile; the default as version 0 where nobody set or needed one, a row that is not stored.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such sensor.
-    """
+    """Return a sensor's profile; the default as version 0 where nobody set or needed one, a row that is not stored."""
     sensor = _sensor(session, sensor_id)
     return rows.newest_profile(session, sensor_id) or _default(sensor)
 
@@ -99,13 +79,7 @@ def _default(sensor: Sensor) -> GateProfile:
 def list_profiles(
     session: Session, sensor_id: int, *, before_number: int | None = None, limit: int | None = None
 ) -> Sequence[GateProfile]:
-    """Return a page of a sensor's profiles, newest first; the next page starts before the last one's number.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such sensor.
-    """
+    """Return a page of a sensor's profiles, newest first; the next page starts before the last one's number."""
     sensor = _sensor(session, sensor_id)
     found = rows.profiles(session, sensor_id, before_number=before_number, limit=limit)
     return found if found or before_number is not None else [_default(sensor)]
@@ -125,28 +99,7 @@ def set_profile(
     reason: str,
     seen_number: int | None,
 ) -> GateProfile:
-    """Put a profile into force for a sensor.
-
-    Parameters
-    ----------
-    document
-        As `verdicts.gates.parse_profile` reads it.
-    reason
-        Why the limits change; needed.
-    seen_number
-        Number of the profile that was seen in force.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no administrator, or a key without the scope.
-    NotFoundError
-        When there is no such sensor.
-    PreconditionRequiredError, StaleError
-        When no number was given, or another profile is in force by now.
-    RefusedInputError
-        When the document cannot be used, says what is in force already, or no reason is given.
-    """
+    """Put a profile into force for a sensor."""
     complete = checked(session, actor, sensor_id, document, reason, seen_number)
     return put_into_force(session, actor, sensor_id, complete, reason)
 
@@ -154,13 +107,7 @@ def set_profile(
 def checked(
     session: Session, actor: Actor, sensor_id: int, document: Mapping[str, Any], reason: str, seen_number: int | None
 ) -> dict[str, Any]:
-    """Return a profile complete, as it would be stored, if this actor may put it into force now.
-
-    Raises
-    ------
-    BoresightError
-        As `set_profile`.
-    """
+    """Return a profile complete, as it would be stored, if this actor may put it into force now."""
     require_role(actor, "administrator")
     require_scope(actor, "sensors")
     refuse_control_characters(reason=reason)
@@ -242,15 +189,7 @@ def _add(
 
 
 def dry_run(session: Session, blobs: BlobStore, sensor_id: int, document: Mapping[str, Any]) -> list[TriedProfile]:
-    """Judge a sensor's newest runs by a profile that is not in force, to see what it would have blocked.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such sensor.
-    RefusedInputError
-        When the document is no profile; names the gate and the key.
-    """
+    """Judge a sensor's newest runs by a profile that is not in force, to see what it would have blocked."""
     tried = gates.parse_profile(document)
     current = gates.parse_profile(profile_in_force(session, sensor_id).document)
     found = []

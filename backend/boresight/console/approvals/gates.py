@@ -73,23 +73,7 @@ from boresight.verdicts.gates.held_out import compute_validation_scores, of_resu
 
 @dataclass(frozen=True)
 class StoredGateInputs:
-    """A set with everything that its verdict rests on, as it stands in the store.
-
-    Parameters
-    ----------
-    parameter_set_id, name
-        The set.
-    sensor_document, candidate, incumbent
-        Documents of the sensor, the set, and the baseline that it would replace; None where it would replace none.
-    result_sha256, made_with, settings
-        Of the run behind it: address of its result, the sensor at its launch, its settings; None for a ground calibration.
-    held_out
-        Name and table address of the frames to look at; None where there are none.
-    profile, definition
-        Documents of the gate profile and the table definition in force; None where there is no definition.
-    bound
-        Hashes of all of these: what the report will hold for.
-    """
+    """A set with everything that its verdict rests on, as it stands in the store."""
 
     parameter_set_id: int
     name: str
@@ -106,13 +90,7 @@ class StoredGateInputs:
 
 
 def read_gate_inputs(session: Session, parameter_set_id: int) -> StoredGateInputs:
-    """Read a set's case.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such set.
-    """
+    """Read a set's case."""
     row = get_parameter_set(session, parameter_set_id)
     run = None if row.run_id is None else session.get_one(Run, row.run_id)
     incumbent = _incumbent(session, row)
@@ -177,15 +155,7 @@ ASSESSORS = ("analyst", "approver", "operator", "administrator")
 
 @dataclass(frozen=True)
 class GateAssessment:
-    """A report that is not stored yet.
-
-    Parameters
-    ----------
-    parameter_set_id
-        Whose it is.
-    document
-        The report with what it is bound to.
-    """
+    """A report that is not stored yet."""
 
     parameter_set_id: int
     document: dict[str, Any]
@@ -199,15 +169,7 @@ def measure(session: Session, blobs: BlobStore, catalogue: Catalogue | None, par
 def examine(
     stored: StoredGateInputs, blobs: BlobStore, catalogue: Catalogue | None, cache_folder: Path | None = None
 ) -> GateAssessment:
-    """Measure and judge a case.
-
-    Parameters
-    ----------
-    catalogue
-        Where directions come from; None sees no frames and takes what the run itself says of its validation.
-    cache_folder
-        Where lost-in-space identification keeps its tables.
-    """
+    """Measure and judge a case."""
     sensor = parse_sensor(stored.sensor_document)
     result = None if stored.result_sha256 is None else read_result(blobs, stored.result_sha256)
     held_out, why = _seen(stored, blobs, sensor, result, catalogue, cache_folder)
@@ -262,15 +224,7 @@ def _seen(
 
 
 def record_report(session: Session, actor: Actor, assessment: GateAssessment) -> GateReport:
-    """Store a report; the same one again is the row that is there.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor has no part in approving, or a key lacks the scope.
-    StaleError
-        When anything that it rests on moved while it was made.
-    """
+    """Store a report; the same one again is the row that is there."""
     require_role(actor, *ASSESSORS)
     require_scope(actor, "parameter-sets")
     return _record(session, actor, assessment)
@@ -347,13 +301,7 @@ def moved_since(session: Session, report: GateReport) -> list[str]:
 def report_for_submission(
     session: Session, actor: Actor, blobs: BlobStore, parameter_set_id: int, assessment: GateAssessment | None = None
 ) -> GateReport:
-    """Return the report that a request binds: the one given, the one that holds, or a light one from the run's own result.
-
-    Raises
-    ------
-    StaleError
-        When anything that the given one rests on moved while it was made.
-    """
+    """Return the report that a request binds: the one given, the one that holds, or a light one from the run's own result."""
     if assessment is not None:
         return _record(session, actor, assessment)
     known = latest_report(session, parameter_set_id)
@@ -361,13 +309,7 @@ def report_for_submission(
 
 
 def with_waivers(session: Session, report: GateReport, bound: Collection[int] | None = None) -> dict[str, Any]:
-    """Return a report with the waivers laid over it: who waived what, what blocks, and the verdict in words.
-
-    Parameters
-    ----------
-    bound
-        Numbers of the waivers that a request binds: the report as it was signed, whatever expired since. None: as it stands now.
-    """
+    """Return a report with the waivers laid over it: who waived what, what blocks, and the verdict in words."""
     return _laid_over(report, rows.waivers(session, [report.parameter_set_id]), bound)
 
 
@@ -410,30 +352,7 @@ def waive(  # noqa: PLR0913, PLR0917 - a waiver has all of these, and a form giv
     proof: PasswordProof,
     seen_version: int | None,
 ) -> Waiver:
-    """Let a set pass in spite of a gate that blocks it, as a person who gives the password again.
-
-    Parameters
-    ----------
-    gate
-        One that blocks the set in the report that holds now.
-    code, reason
-        Of `CODES`, and in at least `LEAST_LETTERS` letters of one's own.
-    expires_utc
-        Until when, ISO 8601; within `LONGEST_DAYS` days.
-    seen_version
-        Version of the set that the person saw.
-
-    Raises
-    ------
-    ForbiddenError, UnauthenticatedError
-        When the actor is no analyst or approver in person, the gate is critical, or the password is wrong.
-    NotFoundError, PreconditionRequiredError, StaleError
-        When there is no such set, or it is not as it was seen.
-    ConflictError
-        When there is no report that holds, or the gate does not block.
-    RefusedInputError
-        When gate, code, reason or expiry cannot be used.
-    """
+    """Let a set pass in spite of a gate that blocks it, as a person who gives the password again."""
     user_id = require_person(actor, "waive a gate")
     require_role(actor, "analyst", "approver")
     row = get_parameter_set(session, parameter_set_id)

@@ -28,15 +28,7 @@ from boresight.platform.db.sessions import Session, utc_now
 def promote(
     session: Session, actor: Actor, parameter_set_id: int, seen_version: int | None, *, policy: Policy = POLICY
 ) -> ParameterSet:
-    """Make an approved set the baseline, supersede the old one and make every other request stale, all in one.
-
-    Raises
-    ------
-    ForbiddenError, PreconditionRequiredError, ConflictError
-        When the actor, the version, the state or the gates do not allow it, or the approval's time is over.
-    StaleError
-        When the version, or what the approval was bound to, has moved; then the request is stale from now on.
-    """
+    """Make an approved set the baseline, supersede the old one and make every other request stale, all in one."""
     require_role(actor, "operator")
     require_scope(actor, "parameter-sets")
     row = get_parameter_set(session, parameter_set_id)

@@ -25,13 +25,7 @@ TITLES = {"gate-profile": "gate limits", "table-definition": "table layout"}
 
 
 def get_proposal(session: Session, proposal_id: int) -> ChangeProposal:
-    """Return a proposal.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
+    """Return a proposal."""
     row = session.get(ChangeProposal, proposal_id)
     if row is None:
         raise NotFoundError(f"There is no proposal {proposal_id}.")
@@ -47,13 +41,7 @@ def list_proposals(
     before_id: int | None = None,
     limit: int | None = None,
 ) -> Sequence[ChangeProposal]:
-    """Return proposals, newest first: all, or a page, the next of which starts before the last one's id.
-
-    Raises
-    ------
-    RefusedInputError
-        When there is no such kind or state.
-    """
+    """Return proposals, newest first: all, or a page, the next of which starts before the last one's id."""
     for asked, known in ((kind, PROPOSAL_KINDS), (state, PROPOSAL_STATES)):
         if asked is not None and asked not in known:
             raise RefusedInputError(f"{asked!r} is none of {', '.join(known)}.")
@@ -79,13 +67,7 @@ def confirmed_by_number(session: Session, sensor_id: int, kind: str) -> dict[int
 
 
 def withdraw(session: Session, actor: Actor, proposal_id: int, seen_version: int | None) -> ChangeProposal:
-    """Take a proposal back: who made it, or an administrator.
-
-    Raises
-    ------
-    ForbiddenError, NotFoundError, PreconditionRequiredError, StaleError, ConflictError
-        When actor, version or state do not allow it.
-    """
+    """Take a proposal back: who made it, or an administrator."""
     require_scope(actor, "sensors")
     row = get_proposal(session, proposal_id)
     if actor.user_id != row.proposed_by:
@@ -106,13 +88,7 @@ def why_closed(session: Session, row: ChangeProposal) -> str | None:
 
 
 def require_open(session: Session, row: ChangeProposal) -> None:
-    """Refuse to decide on what is decided; one whose time is over is EXPIRED from now on.
-
-    Raises
-    ------
-    ConflictError
-        When it is not open.
-    """
+    """Refuse to decide on what is decided; one whose time is over is EXPIRED from now on."""
     why = why_closed(session, row)
     if why is None:
         return

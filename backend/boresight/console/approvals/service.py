@@ -137,30 +137,7 @@ def sign(  # noqa: PLR0913 - a signature has that many parts
     *,
     policy: Policy = POLICY,
 ) -> Signature:
-    """Approve or refuse a request, as a person who gives the password again.
-
-    Parameters
-    ----------
-    decision
-        `APPROVE` or `REFUSE`.
-    meaning
-        What the signature means, in words that are kept with it: "I approve this set for baseline".
-    comment
-        Needed to refuse.
-    seen_version
-        Version of the request that the person saw.
-
-    Raises
-    ------
-    ForbiddenError, UnauthenticatedError
-        When this person may not sign, or the password is wrong.
-    RefusedInputError
-        When decision, meaning or comment is missing.
-    PreconditionRequiredError, ConflictError
-        When no version was given, the request is decided or expired, or its gates stop the set.
-    StaleError
-        When the version, or what the request is bound to, has moved; then it is STALE from now on.
-    """
+    """Approve or refuse a request, as a person who gives the password again."""
     approval = get_approval(session, approval_id)
     refuse_signer(session, actor, approval, policy)
     _refuse_undecidable(session, approval, decision, meaning, comment, seen_version)
@@ -180,22 +157,7 @@ def sign_over_the_shoulder(  # noqa: PLR0913 - a signature has that many parts, 
     *,
     policy: Policy = POLICY,
 ) -> Signature:
-    """Approve or refuse a request as a second person, at the console where another one is logged in.
-
-    Parameters
-    ----------
-    console
-        Who is logged in at the console.
-    proof
-        That name and password belong to the person who signs.
-
-    Raises
-    ------
-    ForbiddenError, UnauthenticatedError, RefusedInputError, PreconditionRequiredError, ConflictError
-        As `sign`; wrong names and passwords count as failed log-ins. Who is logged in signs without a name.
-    StaleError
-        When the version, or what the request is bound to, has moved; then it is STALE from now on.
-    """
+    """Approve or refuse a request as a second person, at the console where another one is logged in."""
     refuse_beside(session, console, approval_id, decision, meaning, comment, seen_version)
     owner_id = require_person(console, "lend a console")
     approval = get_approval(session, approval_id)

@@ -28,17 +28,7 @@ PARTS = (SUBMITTER, LAUNCHER, CREATOR)
 
 @dataclass(frozen=True)
 class SetPart:
-    """What a person did for a set that is asked for.
-
-    Parameters
-    ----------
-    user_id
-        The person; of an API key, its owner.
-    role
-        One of `PARTS`.
-    deed
-        What they did, as it follows "You".
-    """
+    """What a person did for a set that is asked for."""
 
     user_id: int
     role: str
@@ -47,15 +37,7 @@ class SetPart:
 
 @dataclass(frozen=True)
 class Signer:
-    """An approver, and whether they may sign a request now.
-
-    Parameters
-    ----------
-    roles
-        Of `PARTS`: those that keep this person from signing.
-    refusal
-        Why they may not sign, a sentence; None when they may.
-    """
+    """An approver, and whether they may sign a request now."""
 
     user: User
     roles: tuple[str, ...]
@@ -79,13 +61,7 @@ def list_parts(session: Session, approval: Approval) -> list[SetPart]:
 
 
 def refuse_who_never_signs(session: Session, actor: Actor) -> int:
-    """Refuse whoever may sign no request at all, with the reason; returns the person's number.
-
-    Raises
-    ------
-    ForbiddenError
-        When this is no person, no approver, an administrator, or somebody whose password another set.
-    """
+    """Refuse whoever may sign no request at all, with the reason; returns the person's number."""
     user_id = require_person(actor, "sign")
     if "administrator" in actor.roles:
         raise ForbiddenError("An administrator cannot sign; an approver who is no administrator must.")
@@ -96,15 +72,7 @@ def refuse_who_never_signs(session: Session, actor: Actor) -> int:
 
 
 def refuse_signer(session: Session, actor: Actor, approval: Approval, policy: Policy) -> None:
-    """Refuse whoever is not a second person, with the reason.
-
-    Raises
-    ------
-    ForbiddenError
-        When this person may not sign.
-    ConflictError
-        When this person signed already.
-    """
+    """Refuse whoever is not a second person, with the reason."""
     user_id = refuse_who_never_signs(session, actor)
     own = [part for part in list_parts(session, approval) if part.user_id == user_id] if policy.four_eyes else []
     if own:

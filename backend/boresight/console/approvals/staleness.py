@@ -96,13 +96,7 @@ def find_blocking_gates(session: Session, parameter_set: ParameterSet) -> list[M
 
 
 def refuse_blocked(session: Session, parameter_set: ParameterSet) -> None:
-    """Refuse to let a set pass that its gates stop.
-
-    Raises
-    ------
-    ConflictError
-        Names the gates, and says whether they can be waived.
-    """
+    """Refuse to let a set pass that its gates stop."""
     gates = find_blocking_gates(session, parameter_set)
     if not gates:
         return
@@ -120,13 +114,7 @@ def make_others_stale(session: Session, actor: Actor, promoted: ParameterSet) ->
 
 
 def make_stale_of_sensor(session: Session, actor: Actor, sensor_id: int, why: str) -> None:
-    """Void every request of a sensor that is not decided, or approved and not promoted yet.
-
-    Parameters
-    ----------
-    why
-        What moved, as the audit log and the refusals tell it: "the gate profile became version 3".
-    """
+    """Void every request of a sensor that is not decided, or approved and not promoted yet."""
     for approval in approval_rows.undecided_of_sensor(session, sensor_id):
         _make_stale(session, actor, approval, why)
 
@@ -148,13 +136,7 @@ def _make_stale(session: Session, actor: Actor, approval: Approval, reason: str)
 
 
 def refuse_changed_evidence(session: Session, actor: Actor, approval: Approval, row: ParameterSet) -> None:
-    """Make a request stale and refuse, when anything that it binds is not what it was when submitted.
-
-    Raises
-    ------
-    StaleError
-        Says what moved; the request stays STALE although the refusal is raised.
-    """
+    """Make a request stale and refuse, when anything that it binds is not what it was when submitted."""
     names = find_changed_evidence(session, approval, row)
     if not names:
         return
@@ -194,13 +176,7 @@ def _expire(session: Session, approval: Approval) -> None:
 
 
 def refuse_expired(session: Session, approval: Approval, row: ParameterSet) -> None:
-    """Close a request as EXPIRED and refuse, when its time is over.
-
-    Raises
-    ------
-    ConflictError
-        The request stays EXPIRED although the refusal is raised.
-    """
+    """Close a request as EXPIRED and refuse, when its time is over."""
     if not is_expired(approval) or clock.is_held(session):
         return
     _expire(session, approval)

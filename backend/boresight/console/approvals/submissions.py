@@ -41,21 +41,7 @@ def submit(
     *,
     policy: Policy = POLICY,
 ) -> Approval:
-    """Ask that a set become baseline, binding the hashes of what an approver will be shown.
-
-    Parameters
-    ----------
-    assessment
-        The set held against its gates, as measured before this transaction; without one the report that holds is bound,
-        or a light one is made of the run's own result.
-
-    Raises
-    ------
-    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError
-        When the actor, the version or the state does not allow it, or what was assessed has moved.
-    RefusedInputError
-        When no reason is given.
-    """
+    """Ask that a set become baseline, binding the hashes of what an approver will be shown."""
     require_role(actor, "analyst")
     row = _submittable(session, actor, parameter_set_id, reason, seen_version)
     if not reason.strip():
@@ -75,15 +61,7 @@ def roll_back(
     *,
     policy: Policy = POLICY,
 ) -> Approval:
-    """Ask that a former baseline become baseline again.
-
-    Raises
-    ------
-    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError
-        When the actor, the version or the state does not allow it, or what was assessed has moved.
-    RefusedInputError
-        When no reason is given.
-    """
+    """Ask that a former baseline become baseline again."""
     require_role(actor, "analyst", "operator")
     row = _submittable(session, actor, parameter_set_id, reason, seen_version)
     if row.baseline_from_utc is None:
@@ -144,13 +122,7 @@ def _open(session: Session, actor: Actor, row: ParameterSet, reason: str, policy
 def withdraw(
     session: Session, actor: Actor, parameter_set_id: int, seen_version: int | None, reason: str = ""
 ) -> ParameterSet:
-    """Take a request back: its submitter, or an administrator.
-
-    Raises
-    ------
-    ForbiddenError, PreconditionRequiredError, StaleError, ConflictError
-        When the actor, the version or the state does not allow it.
-    """
+    """Take a request back: its submitter, or an administrator."""
     require_scope(actor, "parameter-sets")
     refuse_control_characters(reason=reason)
     row = get_parameter_set(session, parameter_set_id)

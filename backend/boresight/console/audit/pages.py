@@ -80,17 +80,7 @@ NAMES = {
 
 @dataclass(frozen=True)
 class ChangedMember:
-    """One member of a document, before and after.
-
-    Parameters
-    ----------
-    name
-        Its way through the document, as `detector.rows`.
-    before, after
-        As printed.
-    title, unit
-        As people call it, and the unit of both values; empty where there is none.
-    """
+    """One member of a document, before and after."""
 
     name: str
     before: str
@@ -244,13 +234,7 @@ class AuditLine:
 
 
 def _sought(view: TableView) -> dict[str, Any]:
-    """Say what a view is narrowed to, as the list takes it.
-
-    Raises
-    ------
-    RefusedInputError
-        When a time cannot be read.
-    """
+    """Say what a view is narrowed to, as the list takes it."""
     return {"since": None, "until": None, **audit.sought(**{name: view.where.get(name) for name in FILTERS})}
 
 

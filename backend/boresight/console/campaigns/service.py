@@ -60,20 +60,7 @@ class CampaignMemberPlan:
 def plan_members(
     session: Session, members: Sequence[MemberRequest] | None, settings: Mapping[str, Any], label: str
 ) -> list[CampaignMemberPlan]:
-    """Check every sensor's order.
-
-    Parameters
-    ----------
-    members
-        The sensors; None takes the whole fleet.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such sensor.
-    RefusedInputError
-        When there are too many sensors, one twice, or none that can have a run.
-    """
+    """Check every sensor's order."""
     wanted = (
         [MemberRequest(head.id) for head in sensor_rows.sensor_heads(session)] if members is None else list(members)
     )
@@ -142,17 +129,7 @@ FAILED = ("FAILED", "LOST", NOT_LAUNCHED)
 
 @dataclass(frozen=True)
 class CampaignView:
-    """A campaign with its counts.
-
-    Parameters
-    ----------
-    row
-        What it is.
-    counts
-        Sensors by the state of their runs, or `NOT LAUNCHED`; every word, zero where there are none.
-    newest_id
-        Of its newest launch, which grows when what failed is launched again.
-    """
+    """A campaign with its counts."""
 
     row: Campaign
     counts: Mapping[str, int]
@@ -235,30 +212,7 @@ def launch_campaign(
     preset: str | None = None,
     validate_only: bool = False,
 ) -> Campaign | dict[str, Any]:
-    """Launch one setting over many sensors, or only say what that would be.
-
-    Parameters
-    ----------
-    settings
-        Of every run; over those of the preset where one is named.
-    members
-        The sensors; None takes the whole fleet.
-
-    Returns
-    -------
-    Campaign or dict
-        The row; with `validate_only` the `label`, `preset`, `settings`, `sensors`, `runs`, `predict_duration_s` of all runs
-        together, and `refused` [{`sensor_id`, `sensor`, `refusal`}].
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no analyst, or the key lacks the scope `runs`.
-    NotFoundError
-        When there is no such sensor or preset.
-    RefusedInputError
-        When there are too many sensors, one twice, or none that can have a run.
-    """
+    """Launch one setting over many sensors, or only say what that would be."""
     require_role(actor, "analyst")
     require_scope(actor, "runs")
     refuse_label(label)
@@ -315,17 +269,7 @@ def _queue(session: Session, actor: Actor, row: Campaign, plans: Sequence[Campai
 
 
 def cancel_campaign(session: Session, actor: Actor, campaign_id: int, reason: str = "") -> Campaign:
-    """Stop every run of a campaign that has not ended.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no analyst, or the key lacks the scope `runs`.
-    NotFoundError
-        When there is no such campaign.
-    ConflictError
-        When all its runs have ended, or are stopping.
-    """
+    """Stop every run of a campaign that has not ended."""
     require_role(actor, "analyst")
     require_scope(actor, "runs")
     refuse_control_characters(reason=reason)
@@ -345,17 +289,6 @@ def relaunch_failed(session: Session, actor: Actor, campaign_id: int) -> Campaig
     """Launch again what failed, was lost, or could not be launched, with the sensor and the sets as they are now.
 
     A run that failed keeps its sets; a sensor without a run takes its newest.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no analyst, or the key lacks the scope `runs`.
-    NotFoundError
-        When there is no such campaign.
-    ConflictError
-        When nothing of it failed.
-    RefusedInputError
-        When none of them can have a run.
     """
     require_role(actor, "analyst")
     require_scope(actor, "runs")
@@ -376,13 +309,7 @@ def relaunch_failed(session: Session, actor: Actor, campaign_id: int) -> Campaig
 
 
 def get_campaign(session: Session, campaign_id: int) -> Campaign:
-    """Return a campaign.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none of this number.
-    """
+    """Return a campaign."""
     row = rows.find_campaign(session, campaign_id)
     if row is None:
         raise NotFoundError(f"There is no campaign {campaign_id}; choose one of the list.")
@@ -390,13 +317,7 @@ def get_campaign(session: Session, campaign_id: int) -> Campaign:
 
 
 def read_campaign(session: Session, campaign_id: int) -> CampaignView:
-    """Return a campaign with its counts.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none of this number.
-    """
+    """Return a campaign with its counts."""
     row = get_campaign(session, campaign_id)
     return make_campaign_view(row, rows.counts(session, [row.id])[row.id])
 
@@ -409,13 +330,7 @@ def list_campaigns(session: Session, *, before_id: int | None = None, limit: int
 
 
 def results(session: Session, campaign_id: int, *, after_id: int = 0, limit: int | None = None) -> list[MemberStatus]:
-    """Return where every sensor of a campaign stands, in the order of launch.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such campaign.
-    """
+    """Return where every sensor of a campaign stands, in the order of launch."""
     get_campaign(session, campaign_id)
     return rows.list_member_statuses(session, campaign_id, after_id=after_id, limit=limit)
 

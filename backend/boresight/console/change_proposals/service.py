@@ -34,15 +34,7 @@ Scalar = str | int | float | bool | None
 
 @dataclass(frozen=True)
 class ChangedEntry:
-    """An entry that a proposal changes.
-
-    Parameters
-    ----------
-    place
-        Where it is in the document: `gates[coverage].limit`.
-    before, after
-        What it is in the version that the proposal was made against, and what it would be; None where there is nothing.
-    """
+    """An entry that a proposal changes."""
 
     place: str
     before: Scalar
@@ -60,13 +52,7 @@ def change(
     *,
     policy: Policy,
 ) -> GateProfile | TableDefinition | ChangeProposal:
-    """Put a change into force, or propose it where the policy asks for a second person.
-
-    Raises
-    ------
-    BoresightError
-        As `gate_profiles.set_profile` and `table_definitions.set_definition`.
-    """
+    """Put a change into force, or propose it where the policy asks for a second person."""
     if not policy.second_person:
         change_now = gate_profiles.set_profile if kind == "gate-profile" else table_definitions.set_definition
         return change_now(session, actor, sensor_id, document, reason, seen_number)
@@ -106,17 +92,7 @@ def why_not_decide(session: Session, actor: Actor, row: ChangeProposal) -> str |
 def confirm(
     session: Session, actor: Actor, proposal_id: int, seen_version: int | None, comment: str = ""
 ) -> ChangeProposal:
-    """Put a proposed change into force, as a second person.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor proposed it, has not the role, or is no person who is logged in.
-    NotFoundError, PreconditionRequiredError, ConflictError, RefusedInputError
-        When there is no such proposal, it is decided or expired, or it cannot be used any more.
-    StaleError
-        When it changed since it was seen, or another version came into force since it was made; then it is STALE.
-    """
+    """Put a proposed change into force, as a second person."""
     row = proposals.get_proposal(session, proposal_id)
     _refuse_decider(session, actor, row)
     require_seen(session, row, seen_version)
@@ -139,15 +115,7 @@ def confirm(
 
 
 def refuse(session: Session, actor: Actor, proposal_id: int, seen_version: int | None, comment: str) -> ChangeProposal:
-    """Refuse a proposed change, as a second person, with a comment.
-
-    Raises
-    ------
-    ForbiddenError, NotFoundError, PreconditionRequiredError, StaleError, ConflictError
-        As `confirm`.
-    RefusedInputError
-        When no comment is given.
-    """
+    """Refuse a proposed change, as a second person, with a comment."""
     row = proposals.get_proposal(session, proposal_id)
     _refuse_decider(session, actor, row)
     require_seen(session, row, seen_version)

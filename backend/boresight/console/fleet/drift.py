@@ -36,26 +36,8 @@ EPOCH = "2000-01-01T12:00:00+00:00"  # days are counted from J2000, and any day 
 class DriftResult:
     """What the tests say.
 
-    Parameters
-    ----------
-    verdict
-        `DRIFT`, `GROUND SHIFT`, `HOLDS` or `NOT TESTED`.
-    sentence
-        Why, in words.
-    names
-        (k,) parameters that were tested.
-    newest
-        The calibration that the baseline was held against; None where there is none.
-    difference, sigma
-        (k,) newest minus baseline and one sigma of it, SI.
-    covariance
-        (k, k) of the difference.
-    holds, slope
-        The two tests; None where one could not be made.
-    line
-        The regression behind the second.
-    counted
-        How many calibrations were on the line.
+    `names`: (k,) parameters that were tested. `difference`, `sigma`: (k,) newest minus baseline and one sigma of it,
+    SI. `covariance`: (k, k) of the difference.
     """
 
     verdict: str
@@ -81,13 +63,7 @@ class DriftResult:
 
 
 def judge_drift(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> DriftResult:
-    """Test a sensor for drift.
-
-    Parameters
-    ----------
-    alpha
-        Chance that a look rejects although nothing changed.
-    """
+    """Test a sensor for drift."""
     if trend.baseline is None:
         return DriftResult(
             "NOT TESTED", "There is no baseline to hold a calibration against; register the sensor again."

@@ -52,24 +52,7 @@ def register_sensor(
     simulated: bool = False,
     truth: Mapping[str, float] | None = None,
 ) -> Sensor:
-    """Add a star tracker, with its ground calibration `PS-<sensor>-0` as baseline.
-
-    Parameters
-    ----------
-    document
-        The contract's sensor file.
-    simulated, truth
-        Whether its telemetry is made here, and from which parameters; pages show them beside the estimates.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is neither analyst nor administrator.
-    RefusedInputError
-        When the document cannot be used; names the field.
-    ConflictError
-        When the name is taken.
-    """
+    """Add a star tracker, with its ground calibration `PS-<sensor>-0` as baseline."""
     require_role(actor, "analyst", "administrator")
     require_scope(actor, "sensors")
     description = parse_sensor(document)
@@ -97,15 +80,7 @@ def register_sensor(
 def edit_sensor(
     session: Session, actor: Actor, sensor_id: int, document: Mapping[str, Any], seen_version: int | None
 ) -> Sensor:
-    """Change what runs launched from now on start from; runs and parameter sets of before stay as they are.
-
-    Raises
-    ------
-    ForbiddenError, PreconditionRequiredError, StaleError
-        When the actor or the version does not allow it.
-    RefusedInputError
-        When the document cannot be used, or changes what a sensor keeps for life.
-    """
+    """Change what runs launched from now on start from; runs and parameter sets of before stay as they are."""
     require_role(actor, "analyst", "administrator")
     require_scope(actor, "sensors")
     row = get_sensor(session, sensor_id)
@@ -137,23 +112,7 @@ def count(session: Session) -> int:
 
 @dataclass(frozen=True)
 class SensorChoices:
-    """The sensors that a chooser offers.
-
-    Parameters
-    ----------
-    names
-        Theirs, by their numbers: first those that are only kept, then those found, each by name.
-    is_all
-        Whether they are the whole fleet; `find` then narrowed nothing.
-    find
-        What was sought.
-    found
-        How many of `names` it found.
-    fitting
-        How many sensors of the fleet hold it.
-    fleet
-        How many there are.
-    """
+    """The sensors that a chooser offers."""
 
     names: Mapping[int, str]
     is_all: bool
@@ -164,20 +123,7 @@ class SensorChoices:
 
 
 def choices(session: Session, *, find: str = "", keep: Iterable[int] = ()) -> SensorChoices:
-    """Return what a chooser offers: a small fleet whole; of a larger one what is kept and the first that hold `find`.
-
-    Parameters
-    ----------
-    find
-        Sought in the names, in letters of either case; empty is in every name.
-    keep
-        Numbers of sensors that are offered whatever is sought; one that there is not is left out.
-
-    Raises
-    ------
-    RefusedInputError
-        When `find` has control characters.
-    """
+    """Return what a chooser offers: a small fleet whole; of a larger one what is kept and the first that hold `find`."""
     refuse_control_characters(find=find)
     find = find.strip()[:LONGEST_NAME]
     first = rows.names_holding(session, "", MOST_CHOICES + 1)

@@ -55,17 +55,7 @@ def get_drift_verdicts(
     *,
     most: int | None = None,
 ) -> dict[int, DriftVerdict]:
-    """Return whether some sensors drift, by their ids; those that must be asked anew are, `TOGETHER` at a time.
-
-    Parameters
-    ----------
-    sensors, baselines
-        Rows or heads of rows (`console.fleet.queries`); the sets that their runs are held against, by sensor.
-    stamps
-        Of their runs, as `console.fleet.queries.stamps` gives them; a sensor of which none succeeded has none.
-    most
-        How many are asked anew; of those beyond the answer is the last that is known, or none.
-    """
+    """Return whether some sensors drift, by their ids; those that must be asked anew are, `TOGETHER` at a time."""
     of_store = _known.setdefault(session.get_bind().engine.pool, {})  # an engine with options is another object
     rests_on = {sensor.id: _rests_on(sensor, baselines.get(sensor.id), stamps.get(sensor.id)) for sensor in sensors}
     unknown = [sensor.id for sensor in sensors if of_store.get(sensor.id, (None,))[0] != rests_on[sensor.id]]
@@ -95,21 +85,7 @@ MOST_JUDGED = 100  # ground calibrations that a look asks of anew: a fifth of a 
 
 @dataclass(frozen=True)
 class SensorTile:
-    """What the overview shows of a sensor.
-
-    Parameters
-    ----------
-    sensor, baseline, last_run
-        The rows; no run when none was launched.
-    active
-        The set that was read back as active on board, None when that is not known.
-    telemetry_sets
-        How many are in use.
-    days_since_calibration
-        Days since the baseline was promoted; of a ground calibration, since the sensor was registered.
-    status, sentence
-        The worst status word and why.
-    """
+    """What the overview shows of a sensor."""
 
     sensor: Sensor
     baseline: ParameterSet | None
@@ -123,19 +99,7 @@ class SensorTile:
 
 @dataclass(frozen=True)
 class SensorStatus:
-    """How a sensor stands.
-
-    Parameters
-    ----------
-    status, sentence
-        The worst status word and why.
-    is_judged
-        Whether it was asked if its ground calibration holds.
-    has_telemetry
-        Whether any set of it is in use.
-    last_run
-        Id, state, reason and summary of its newest run; None where none was launched.
-    """
+    """How a sensor stands."""
 
     sensor_id: int
     name: str

@@ -40,34 +40,7 @@ METHODS = {"bytes": "compared byte by byte", "crc": "compared by CRC"}
 
 @dataclass(frozen=True)
 class TimelineEvent:
-    """One line of a sensor's timeline.
-
-    Parameters
-    ----------
-    id
-        Stands for the event in cursors; grows within a kind, not over all kinds.
-    at_utc
-        When it was recorded.
-    kind
-        `table definition`, `gate profile`, `request`, `waiver`, `signature`, `ground calibration`, `promotion`,
-        `roll-back`, `package`, `uplink` or `read-back`.
-    state
-        The state word that it brought; None where it brought none.
-    parameter_set_id, parameter_set
-        The set that it is about; None of what holds for the sensor.
-    who
-        Printed name; None where nobody in person did it.
-    sentence
-        What happened.
-    said
-        Reason, meaning, comment or source, in the person's words.
-    sha256
-        What it stands for: the document, the package or what was shown when it was signed.
-    happened_utc
-        When it happened, where its source puts that before `at_utc`.
-    subject
-        Address of the thing in the REST interface: `approvals/3`.
-    """
+    """One line of a sensor's timeline."""
 
     id: int
     at_utc: str
@@ -221,23 +194,7 @@ Records = Sequence[tuple[ParameterSet, Uplink]]
 
 @dataclass(frozen=True)
 class AsOf:
-    """What held for a sensor at a time, as it was recorded by then.
-
-    Parameters
-    ----------
-    time_utc
-        T, as the store writes times.
-    baseline, promotion
-        The baseline and the promotion that made it so; None before there was one.
-    approval, signatures
-        The request that the promotion carried out and who had signed it; none of a ground calibration.
-    on_board
-        Every set of which anything was recorded, with its newest record, in the order of recording.
-    learned_later
-        What was recorded after T of something that its source puts before T.
-    profile, definition
-        The gate profile and the table definition in force; None where none was given yet.
-    """
+    """What held for a sensor at a time, as it was recorded by then."""
 
     sensor: Sensor
     time_utc: str
@@ -275,20 +232,7 @@ class AsOf:
 
 
 def get_state_at(session: Session, sensor_id: int, time: str | None = None) -> AsOf:
-    """Say what was baseline and what was on board at a time, and who said so.
-
-    Parameters
-    ----------
-    time
-        ISO 8601, UTC when it names no zone; None is now.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such sensor.
-    RefusedInputError
-        When the time cannot be read.
-    """
+    """Say what was baseline and what was on board at a time, and who said so."""
     time_utc = utc_now() if time is None else read_time(time)
     sensor = get_sensor(session, sensor_id)
     promotion = sensor_rows.promotion_at(session, sensor_id, time_utc)
@@ -311,15 +255,7 @@ def get_state_at(session: Session, sensor_id: int, time: str | None = None) -> A
 
 @dataclass(frozen=True)
 class SensorSituation:
-    """Ground and board of one sensor as numbers and states: what orders a fleet, without what each line says.
-
-    Parameters
-    ----------
-    baseline_id
-        The set that is baseline; None where there is none.
-    on_board
-        Every set of which anything was recorded, with what was recorded last, in the order of recording.
-    """
+    """Ground and board of one sensor as numbers and states: what orders a fleet, without what each line says."""
 
     sensor_id: int
     name: str
@@ -355,15 +291,7 @@ def events(
     before_id: int | None = None,
     limit: int | None = None,
 ) -> list[TimelineEvent]:
-    """Return what happened to a sensor, newest first; the next page starts before the last one's id.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such sensor.
-    RefusedInputError
-        When the time cannot be read, or no event has the id to go on from.
-    """
+    """Return what happened to a sensor, newest first; the next page starts before the last one's id."""
     get_sensor(session, sensor_id)
     found = sensor_rows.keys(
         session,
@@ -385,13 +313,7 @@ def _key(session: Session, sensor_id: int, event_id: int) -> sensor_rows.Key:
 
 
 def happened_on(time: str | None) -> dict[str, str]:
-    """Return what a record keeps of when its event happened; nothing where no time was given.
-
-    Raises
-    ------
-    RefusedInputError
-        When it is no time, or still to come.
-    """
+    """Return what a record keeps of when its event happened; nothing where no time was given."""
     if time is None or not time.strip():
         return {}
     happened_utc = read_time(time)

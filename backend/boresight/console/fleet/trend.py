@@ -37,28 +37,8 @@ BEFORE_TRENDS = "its summary has no covariance: it is from an older version; clo
 class TrendPoint:
     """One calibration, at the time of its data.
 
-    Parameters
-    ----------
-    run_id, label, method
-        Of the run.
-    telemetry_set_id, telemetry
-        Number and name of its data.
-    begins_utc, at_utc, ends_utc
-        First, middle and last time of the data.
-    timed
-        Whether those times are the telemetry's own and not the upload's.
-    temperature_c
-        Middle of the data's range; None where the telemetry has none.
-    camera_model, names, parameters, covariance
-        What was estimated: `names` (k,) with `covariance` (k, k) as it is used; `parameters` are all.
-    stars
-        How many stars it used.
-    rms_arc_rad
-        Of its arcs.
-    left_out
-        Why it takes no part in tests; empty where it does.
-    said
-        What was done to its covariance; empty where nothing was.
+    `camera_model`, `names`, `parameters`, `covariance`: What was estimated: `names` (k,) with `covariance` (k, k) as it
+    is used; `parameters` are all.
     """
 
     run_id: int
@@ -140,13 +120,7 @@ class Trend:
 
 
 def read_trend(session: Session, sensor_id: int) -> Trend:
-    """Gather a sensor over the mission.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such sensor.
-    """
+    """Gather a sensor over the mission."""
     return read_trends(session, [get_sensor(session, sensor_id)])[sensor_id]
 
 

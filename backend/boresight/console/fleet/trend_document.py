@@ -37,17 +37,7 @@ TOO_COARSE = 3.0  # of the baseline's sigmas
 
 @dataclass(frozen=True)
 class Advice:
-    """Whether to recalibrate now.
-
-    Parameters
-    ----------
-    answer
-        `YES`, `NOT YET` or `MORE DATA NEEDED`.
-    sentence
-        The answer with its main reason.
-    reasons
-        The others, a sentence each.
-    """
+    """Whether to recalibrate now."""
 
     answer: str
     sentence: str
@@ -56,17 +46,7 @@ class Advice:
 
 @dataclass(frozen=True)
 class UnseenTelemetry:
-    """The telemetry that the baseline has not seen.
-
-    Parameters
-    ----------
-    sets
-        Sets for calibration, newer than the baseline's data and in use.
-    untried
-        Those of them that no counted calibration is of.
-    ratio
-        Foretold sigma with all of them over the baseline's, the largest of all parameters; None where nothing says.
-    """
+    """The telemetry that the baseline has not seen."""
 
     sets: Sequence[TelemetrySet]
     untried: Sequence[TelemetrySet]
@@ -168,13 +148,7 @@ SCHEMA = "boresight.trend/1"
 
 
 def trend_document(session: Session, sensor_id: int) -> dict[str, Any]:
-    """Return a sensor over the mission, with the drift tests and the advice.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such sensor.
-    """
+    """Return a sensor over the mission, with the drift tests and the advice."""
     trend = read_trend(session, sensor_id)
     found = judge_drift(trend)
     return write_trend_document(trend, found, advise(trend, found))

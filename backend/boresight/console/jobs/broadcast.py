@@ -81,19 +81,7 @@ PART_OF_KIND = {"run": "run_event", "log": "run_event", "audit": "record", "prog
 
 @dataclass(frozen=True)
 class Event:
-    """One event.
-
-    Parameters
-    ----------
-    kind
-        `run` (a change of state), `log` (another line of a run's log), `progress` or `audit`.
-    data
-        What is told to everybody.
-    number
-        The row's, or that of the progress.
-    history
-        The new points of a running run's course: told only to who follows that run.
-    """
+    """One event."""
 
     kind: str
     data: dict[str, Any]
@@ -126,13 +114,7 @@ class Event:
 
 
 class RecentProgress:
-    """The newest progress events, numbered.
-
-    Parameters
-    ----------
-    length
-        How many are kept.
-    """
+    """The newest progress events, numbered."""
 
     def __init__(self, length: int) -> None:
         self._kept: deque[Event] = deque(maxlen=length)

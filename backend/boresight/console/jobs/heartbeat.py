@@ -20,17 +20,7 @@ BEAT_S = 5.0
 
 
 class Heartbeat:
-    """The heartbeat of one server.
-
-    Parameters
-    ----------
-    database
-        Where the requests are.
-    tell
-        Called after something was written, for those who follow the store.
-    seen_file
-        Whose time of writing is when a server of this installation was last seen to run; None keeps it nowhere.
-    """
+    """The heartbeat of one server."""
 
     def __init__(self, database: Engine, tell: Callable[[], None], seen_file: Path | None = None) -> None:
         self._database = database

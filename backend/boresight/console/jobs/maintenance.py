@@ -64,19 +64,7 @@ class ExternalHeadFile:
 
 @dataclass(frozen=True)
 class ChainStatus:
-    """What is known of the chain.
-
-    Parameters
-    ----------
-    state
-        `not yet`, `verified`, `broken` or `stale`.
-    last_id
-        The newest record that was found good.
-    at_utc
-        When it was looked at; None before the first walk.
-    sentence
-        The finding in words.
-    """
+    """What is known of the chain."""
 
     state: str
     last_id: int
@@ -88,19 +76,7 @@ NOT_YET = ChainStatus("not yet", 0, None, "The audit log has not been verified s
 
 
 class Maintenance:
-    """The upkeep of one server.
-
-    Parameters
-    ----------
-    database
-        The store.
-    limits
-        How long log-ins last.
-    blobs
-        The stored files; those of a folder are read again, those of an object store are looked at where somebody found one bad.
-    kept
-        Where the head of the audit log is kept besides.
-    """
+    """The upkeep of one server."""
 
     def __init__(
         self, database: Engine, limits: SessionLimits, blobs: BlobStore, kept: ExternalHeadFile | None = None
@@ -142,15 +118,7 @@ class Maintenance:
         return True
 
     def session_used(self, session_id: int, last_used_utc: str, *, active: bool) -> bool:
-        """Whether a log-in was not idle for too long; if not, and somebody did something, that is its last use.
-
-        Parameters
-        ----------
-        last_used_utc
-            As its row says; this server, or by way of the row another, may know of a later use.
-        active
-            Whether somebody did something; False where an open page only goes on listening.
-        """
+        """Whether a log-in was not idle for too long; if not, and somebody did something, that is its last use."""
         with self._guard:
             last_used_utc = max(last_used_utc, self._sessions_used_utc.get(session_id, ""))
             if self._limits.is_idle(last_used_utc):

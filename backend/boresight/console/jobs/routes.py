@@ -120,13 +120,6 @@ class _Live:
 
     What a listener heard of the past may lie ahead of what the feed has told: until the feed has caught up, each event is held
     against the listener's own place. From then on the feed's places are the listener's, and its bytes are sent as they are.
-
-    Parameters
-    ----------
-    place
-        How far the listener was told.
-    told
-        How far the feed had told when the listener began to hear.
     """
 
     def __init__(self, cursor: EventCursor, wish: _Wish, told: EventCursor) -> None:

@@ -35,17 +35,7 @@ HEARD = 200  # characters of a refusing answer that the log keeps
 
 
 class WebhookSender:
-    """Sends the messages of one server's webhooks.
-
-    Parameters
-    ----------
-    database
-        The store that messages are read from and outcomes are kept in.
-    targets
-        Where messages may go.
-    box
-        Decrypts the secrets that messages are signed with.
-    """
+    """Sends the messages of one server's webhooks."""
 
     def __init__(self, database: Engine, targets: WebhookTargets, box: SecretBox) -> None:
         self._database = database

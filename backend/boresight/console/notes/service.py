@@ -25,18 +25,7 @@ TABLES: dict[str, tuple[type[Run | Sensor | ParameterSet], str]] = {
 
 
 def list_notes(session: Session, actor: Actor, kind: str, subject_id: int) -> Sequence[Note]:  # noqa: ARG001 - whoever is known may read
-    """Return the notes on a thing, in order.
-
-    Parameters
-    ----------
-    kind
-        `runs`, `sensors` or `parameter-sets`.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such thing.
-    """
+    """Return the notes on a thing, in order."""
     _require_subject(session, kind, subject_id)
     return queries.notes(session, kind, subject_id)
 
@@ -47,17 +36,7 @@ def count_notes(session: Session, kind: str, subject_id: int) -> int:
 
 
 def add_note(session: Session, actor: Actor, kind: str, subject_id: int, text: str) -> Note:
-    """Write a note; nobody can change it afterwards.
-
-    Raises
-    ------
-    ForbiddenError
-        When a key or a mere viewer writes.
-    NotFoundError
-        When there is no such thing.
-    RefusedInputError
-        When nothing is said, or too much.
-    """
+    """Write a note; nobody can change it afterwards."""
     user_id = require_person(actor, "write a note")
     require_role(actor, *WRITERS)
     _require_subject(session, kind, subject_id)

@@ -47,25 +47,7 @@ class AxisTick:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A drawing ready for its template.
-
-    Parameters
-    ----------
-    name, title, x_title, y_title
-        For the file name, the heading and the axes.
-    bars, x_ticks, y_ticks
-        What is drawn.
-    width, height
-        Of the view box.
-    right, bottom
-        Where the axes end.
-    mark_x, mark_title
-        A vertical line with its meaning, or None.
-    rows
-        The same as a table: label and count.
-    is_map
-        Whether the bars are cells of a map, with their counts written in them and no grid behind.
-    """
+    """A drawing ready for its template."""
 
     name: str
     title: str
@@ -108,14 +90,7 @@ def histogram(
 ) -> Drawing:
     """Lay out a histogram.
 
-    Parameters
-    ----------
-    edges, counts
-        (n + 1,) and (n,).
-    mark
-        A value on the axis and its meaning, drawn as a line.
-    extent
-        Where the axis ends, where that is beyond the last edge.
+    `edges`, `counts`: (n + 1,) and (n,).
     """
     low, high = edges[0], max(edges[-1], extent or edges[-1])
     largest = HEADROOM * max([*counts, 1])
@@ -221,19 +196,7 @@ LEAST_SPAN = 0.05  # of the value in the middle
 
 @dataclass(frozen=True)
 class Sparkline:
-    """Coordinates for the template.
-
-    Parameters
-    ----------
-    path
-        Of the line, in the view box of WIDTH by HEIGHT.
-    x, y
-        Of the newest value.
-    first, last
-        The oldest and the newest value.
-    count
-        How many there are.
-    """
+    """Coordinates for the template."""
 
     path: str
     x: float

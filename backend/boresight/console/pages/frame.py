@@ -84,15 +84,7 @@ class FleetReading:
 
 
 class FleetStatusCache:
-    """What the top bar says, read anew only after a commit, and of a large fleet less often; by one thread for all that ask.
-
-    Parameters
-    ----------
-    engine
-        The store.
-    marks
-        Tells whether anything was committed.
-    """
+    """What the top bar says, read anew only after a commit, and of a large fleet less often; by one thread for all that ask."""
 
     def __init__(self, engine: Engine, marks: DataVersionReader) -> None:
         self._engine, self._marks = engine, marks

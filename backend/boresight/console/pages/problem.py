@@ -46,13 +46,7 @@ def is_page(request: Request) -> bool:
 
 
 def problem_page(request: Request, error: Exception) -> Response:
-    """Answer an error as a page; who is not logged in is sent to the log-in and back.
-
-    Parameters
-    ----------
-    error
-        Any exception; one that is not a refusal is told without its words.
-    """
+    """Answer an error as a page; who is not logged in is sent to the log-in and back."""
     if isinstance(error, PasswordDueError):
         return redirect("/password")
     if isinstance(error, UnauthenticatedError):

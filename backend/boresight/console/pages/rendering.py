@@ -91,20 +91,7 @@ class AttemptResult(Generic[T]):
 async def attempt(
     request: Request, change: Callable[..., T], prepare: Callable[[], Awaitable[Sequence[object]]] | None = None
 ) -> AttemptResult[T]:
-    """Make a change in the request's writing transaction.
-
-    Parameters
-    ----------
-    change
-        `(session, *prepared) -> value`.
-    prepare
-        What is slow and needs no transaction, such as checking a password; done before the transaction begins.
-
-    Raises
-    ------
-    NotFoundError
-        Passed on: there is no page to show the refusal on.
-    """
+    """Make a change in the request's writing transaction."""
     try:
         prepared = () if prepare is None else await prepare()
         async with _transaction(request) as session:
@@ -156,21 +143,7 @@ def render(
     follows_from: Hashable = None,
     **values: Any,
 ) -> HTMLResponse:
-    """Render a template inside the frame.
-
-    Parameters
-    ----------
-    template
-        File name in `frontend/templates`.
-    status_code, headers
-        Of the answer.
-    refused
-        The refusal that the page shows, where a form came back: it has status and headers.
-    follows_from
-        What all values follow from, where the page is worth being written once for those to whom the same is shown.
-    values
-        What the template names, besides `frame` and `request`.
-    """
+    """Render a template inside the frame."""
     if refused is not None:
         status_code, headers = refused.status, refused.headers
     frame = make_page_frame(request, is_answer=status_code == HTTPStatus.OK)
@@ -220,13 +193,7 @@ async def read_texts(request: Request) -> dict[str, str]:
 
 
 def seen_version(form: Mapping[str, str]) -> int:
-    """Return the version that the page showed.
-
-    Raises
-    ------
-    RefusedInputError
-        When the form does not carry it.
-    """
+    """Return the version that the page showed."""
     version = parse_row_id(form.get("version", ""))
     if version is None:
         raise RefusedInputError("The form does not say which version you saw; reload the page and do it again.")
@@ -239,13 +206,7 @@ NUMBERED = frozenset({"sensor", "set", "clone", "before", "runs", "reference"})
 
 
 async def check_numbers(request: Request) -> None:
-    """Refuse an address with a number that no row can have.
-
-    Raises
-    ------
-    NotFoundError
-        When a number of the path or of the query is too great.
-    """
+    """Refuse an address with a number that no row can have."""
     for text in _numbers(request):
         if len(text) > MOST_DIGITS or int(text) > GREATEST_NUMBER:
             raise NotFoundError("There is nothing of this number; choose one of the list.")

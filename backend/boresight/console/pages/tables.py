@@ -29,25 +29,7 @@ Accepts = Callable[[str], bool]
 
 @dataclass(frozen=True)
 class TableColumn:
-    """One column.
-
-    Parameters
-    ----------
-    name
-        In the address.
-    title
-        Over the column; empty where only listeners are told.
-    sort
-        The order of a first press, `-` before it where that is the greatest first; empty: it is not sorted by.
-    kind
-        Classes of its cells.
-    hint, unit
-        What the title leaves out.
-    head
-        It names the row and is always shown.
-    optional
-        It is shown only when it is picked.
-    """
+    """One column."""
 
     name: str
     title: str
@@ -201,15 +183,7 @@ def read_all(session: Session, view: TableView, **where: Any) -> Iterable[Any]:
 
 
 def write_csv(view: TableView, fields: Mapping[str, Sequence[str]], rows: Iterable[Mapping[str, Any]]) -> Response:
-    """Give a view as CSV.
-
-    Parameters
-    ----------
-    fields
-        The names of the fields that stand for each column; a column without any is not in the file.
-    rows
-        The values of every field, a row each.
-    """
+    """Give a view as CSV."""
     names = [name for column in view.columns for name in fields.get(column.name, ())]
     return csv_file(view.table.name, names, rows)
 

@@ -101,17 +101,7 @@ def create_ground_calibration(
 
 
 def create_from_run(session: Session, actor: Actor, blobs: BlobStore, run_id: int) -> ParameterSet:
-    """Make a candidate from a run's result; asked again for the same run, return the one that is there.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such run.
-    ConflictError
-        When the run did not succeed.
-    RefusedInputError
-        When its result is no calibration that could be used on board, with the advice that the run gave.
-    """
+    """Make a candidate from a run's result; asked again for the same run, return the one that is there."""
     require_role(actor, "analyst")
     require_scope(actor, "parameter-sets")
     run = _succeeded_run(session, run_id)
@@ -226,15 +216,7 @@ def get_baseline(session: Session, sensor_id: int) -> ParameterSet | None:
 def convert_parameter_set(
     session: Session, parameter_set_id: int, target: str, allowed_px: float | None = None
 ) -> dict[str, Any]:
-    """Write a set in another camera model; parameters and document as in `calibration.conversion.converted`.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such set.
-    RefusedInputError
-        When there is no such model, or it cannot follow the set closely enough; says by how much, and why.
-    """
+    """Write a set in another camera model; parameters and document as in `calibration.conversion.converted`."""
     row = get_parameter_set(session, parameter_set_id)
     sensor = parse_sensor(get_sensor(session, row.sensor_id).document)
     return converted(row.document, sensor, row.name, target, allowed_px)

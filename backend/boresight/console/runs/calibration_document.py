@@ -170,15 +170,7 @@ class Calibration(_Part):
 
 
 def read_result(blobs: BlobStore, sha256: str, run_id: int | None = None) -> Document:
-    """Read the stored result of a run, parsed once for all who ask: nobody may change it.
-
-    Raises
-    ------
-    ConflictError
-        When it is no calibration, whatever its bytes are: nothing is drawn or made of it.
-    NotFoundError
-        When its file is missing.
-    """
+    """Read the stored result of a run, parsed once for all who ask: nobody may change it."""
     try:
         document = blobs.document(sha256)
     except ValueError:
@@ -211,13 +203,7 @@ def _find_fault(document: Any) -> str | None:
 
 
 def refuse_incomplete(document: Any, name: str) -> None:
-    """Refuse a document that somebody gave as an ended calibration and that is none.
-
-    Raises
-    ------
-    RefusedInputError
-        Names the first member that is missing or of another type.
-    """
+    """Refuse a document that somebody gave as an ended calibration and that is none."""
     if (fault := _find_fault(document)) is not None:
         raise RefusedInputError(
             f"{name} is no whole calibration ({fault}): give the file that `boresight calibrate --json` wrote, as it was written."

@@ -67,21 +67,7 @@ class ComparedRun:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Runs against a reference.
-
-    Parameters
-    ----------
-    compared
-        In the order asked for.
-    reference
-        Index of the reference in `compared`.
-    names
-        The model's parameters.
-    shared, sentences
-        What each run's data have in common with the reference's, and the same in words.
-    contrasts
-        A contrast a run; None for the reference and for runs without a result.
-    """
+    """Runs against a reference."""
 
     compared: Sequence[ComparedRun]
     reference: int
@@ -114,15 +100,7 @@ class UnlikeModelsError(RefusedInputError):
 
 
 def read_run_ids(asked: Sequence[str]) -> list[int]:
-    """Read run numbers from `1,2,3` or from repeated fields, each once, in their order.
-
-    Raises
-    ------
-    RefusedInputError
-        When something is no number, or there are more than can be compared.
-    NotFoundError
-        When a number is greater than any row's.
-    """
+    """Read run numbers from `1,2,3` or from repeated fields, each once, in their order."""
     texts = [text.strip() for part in asked for text in part.split(",") if text.strip()]
     if strange := [text for text in texts if not text.isdecimal()]:
         raise RefusedInputError(f"{strange[0][:20]!r} is no run number; give them as ?runs=1,2,3.")
@@ -137,13 +115,7 @@ def read_run_ids(asked: Sequence[str]) -> list[int]:
 
 
 def read_runs(session: Session, run_ids: Sequence[int]) -> list[Run]:
-    """Read the rows of several runs in one query, in the order asked for.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no run of one of the numbers.
-    """
+    """Read the rows of several runs in one query, in the order asked for."""
     found = {run.id: run for run in lists.newest(session, Run, among=list(run_ids), limit=MOST_RUNS)}
     if missing := [run_id for run_id in run_ids if run_id not in found]:
         raise NotFoundError(f"There is no run {missing[0]}; choose one of the list.")
@@ -151,15 +123,7 @@ def read_runs(session: Session, run_ids: Sequence[int]) -> list[Run]:
 
 
 def read_compared(session: Session, blobs: BlobStore, run_ids: Sequence[int]) -> list[ComparedRun]:
-    """Read the runs and their results.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such run.
-    UnlikeModelsError
-        When their camera models are unlike; names them, and says what to do instead.
-    """
+    """Read the runs and their results."""
     found = [ComparedRun(run, runs.result(session, blobs, run.id) or {}) for run in read_runs(session, run_ids)]
     models = {one.camera_model: one.run.id for one in reversed(found)}
     if len(models) > 1:
@@ -175,15 +139,7 @@ def read_compared(session: Session, blobs: BlobStore, run_ids: Sequence[int]) ->
 
 
 def compare(session: Session, blobs: BlobStore, run_ids: Sequence[int], reference_id: int | None = None) -> Comparison:
-    """Set runs against one of them, the first where none is named.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such run.
-    RefusedInputError
-        When there are fewer than two, their camera models are unlike, or the reference is none of them.
-    """
+    """Set runs against one of them, the first where none is named."""
     if len(run_ids) < 2:
         raise RefusedInputError("A comparison needs two runs or more; give them as ?runs=1,2.")
     if reference_id is not None and reference_id not in run_ids:

@@ -41,17 +41,7 @@ KEPT = 500
 
 @dataclass(frozen=True)
 class ForecastSources:
-    """What a dry run may look at besides the rows: stored tables and the star catalogue.
-
-    Parameters
-    ----------
-    blobs
-        Where the tables are.
-    catalogue
-        Loads the stars; None where a server has none.
-    catalogue_folder
-        Where lost-in-space identification keeps its tables.
-    """
+    """What a dry run may look at besides the rows: stored tables and the star catalogue."""
 
     blobs: BlobStore
     catalogue: Callable[[], Catalogue | None]
@@ -122,14 +112,7 @@ RUNS_TIMED = 20
 class RunSpeed:
     """How fast runs of a method are.
 
-    Parameters
-    ----------
-    s_per_star
-        Median, seconds a star.
-    low, high
-        Between which four of five of them lie.
-    runs
-        How many were looked at; 0 is a guess.
+    `s_per_star`: Median, seconds a star.
     """
 
     s_per_star: float
@@ -193,19 +176,7 @@ def count_pairs(stars: int, exposures: int) -> int:
 
 
 def dry_run(session: Session, order: RunRequest, sight: ForecastSources | None = None) -> dict[str, Any]:
-    """Say what a run would be.
-
-    Parameters
-    ----------
-    sight
-        Lets it look at the stars, for `forecast`; without one that is None.
-
-    Returns
-    -------
-    `sensor`, `telemetry_set`, `validation_set`, `settings`, `frames`, `exposures`, `stars`, `pairs`, `free`; `predict_duration_s`
-    with `predicted_range_s`, between which four of five past runs' paces lie, and `paced_by`, how many these were; `forecast`, see
-    `calibration.evaluation.forecast`; `warnings`, sentences.
-    """
+    """Say what a run would be."""
     telemetry, settings = order.telemetry, order.settings
     free = list(settings.free or parse_sensor(order.sensor.document).free)
     quality = telemetry.quality

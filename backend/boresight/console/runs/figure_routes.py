@@ -61,13 +61,7 @@ class View:
     ] = None
 
     def draw(self, figure: Figure, traces: list[Trace]) -> bytes:
-        """Draw a figure in this view.
-
-        Raises
-        ------
-        RefusedInputError
-            When a run cannot be aligned so, or the window is empty or has one end only.
-        """
+        """Draw a figure in this view."""
         if (self.x_from is None) != (self.x_to is None):
             raise RefusedInputError("Give both ends of the window, x_from and x_to, or none.")
         with thinning(whole=self.x_from is not None) as watched:

@@ -32,20 +32,7 @@ ORDERS = ("frame", "worst")
 
 @dataclass(frozen=True)
 class FrameLine:
-    """A frame in a list.
-
-    Parameters
-    ----------
-    id
-        Its place in this list, from 1.
-    frame
-        Its number in the telemetry.
-    detections
-        Rows it has, of all exposures.
-    chi2_per_dof, deviation
-        How well the run's best fit explains it: chi-square a degree of freedom, and as a normal deviate (above 3 is bad).
-        None where the result does not keep it.
-    """
+    """A frame in a list."""
 
     id: int
     frame: int
@@ -55,15 +42,7 @@ class FrameLine:
 
 
 def get_frame_index(session: Session, blobs: BlobStore, run: Run) -> FrameIndex:
-    """Find the frames of a run's calibration set.
-
-    Raises
-    ------
-    NotFoundError
-        When the stored table is missing.
-    RefusedInputError
-        When it is damaged.
-    """
+    """Find the frames of a run's calibration set."""
     return frame_index(table_path(blobs, get_telemetry_set(session, run.telemetry_set_id).table_sha256))
 
 
@@ -73,11 +52,6 @@ def list_frames(
     """List a run's frames from the place `after` on: in order of number, or the worst explained first.
 
     The worst are those that the result keeps, at most a few hundred; a run without an examination of its trust has none.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such run, or its telemetry is missing.
     """
     run = get_run(session, run_id)
     index, worst = get_frame_index(session, blobs, run), list_worst_frames(_read_result(session, blobs, run))
@@ -116,26 +90,7 @@ def _line(
 def get_frame(
     session: Session, blobs: BlobStore, catalogue: Catalogue, cache_folder: Path | None, run_id: int, frame: int
 ) -> dict[str, Any]:
-    """Show one frame of a run under its old and new parameters.
-
-    Parameters
-    ----------
-    catalogue
-        Of the sky.
-    cache_folder
-        Where lost-in-space identification keeps its tables.
-
-    Returns
-    -------
-    What `calibration.frames.frame_view` says of it, with its place among the run's frames and the detector it is on.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such run or frame, or the telemetry is missing.
-    RefusedInputError
-        When the stored table is damaged.
-    """
+    """Show one frame of a run under its old and new parameters."""
     run = get_run(session, run_id)
     index = get_frame_index(session, blobs, run)
     place = index.find_place(frame)

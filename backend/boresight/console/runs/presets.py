@@ -41,19 +41,7 @@ SENTENCE_LENGTH = 300
 
 @dataclass(frozen=True)
 class OfferedPreset:
-    """A preset as it is chosen.
-
-    Parameters
-    ----------
-    key
-        What an address calls it: a word of Boresight's own, or the number of a saved version.
-    name
-        With the version where it was saved.
-    sentence
-        When to use it.
-    settings
-        Every one, absent choices at their defaults.
-    """
+    """A preset as it is chosen."""
 
     key: str
     name: str
@@ -125,13 +113,7 @@ def _whole(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def get_offer(session: Session, key: str) -> OfferedPreset:
-    """Return the preset that an address names, archived or not.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none.
-    """
+    """Return the preset that an address names, archived or not."""
     if key in _BY_KEY:
         return _BY_KEY[key]
     if key.isdecimal() and len(key) < 10:
@@ -140,13 +122,7 @@ def get_offer(session: Session, key: str) -> OfferedPreset:
 
 
 def get_preset(session: Session, preset_id: int) -> Preset:
-    """Return a saved version.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
+    """Return a saved version."""
     row = session.get(Preset, preset_id)
     if row is None:
         raise NotFoundError(f"There is no preset {preset_id}; choose one of the list.")
@@ -161,17 +137,7 @@ def list_presets(
 
 
 def save_preset(session: Session, actor: Actor, name: str, sentence: str, settings: Mapping[str, Any]) -> Preset:
-    """Save settings under a name; a name that is there gets its next version.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no analyst, or the key lacks the scope `runs`.
-    RefusedInputError
-        When name or sentence are missing or too long, or a setting cannot be used.
-    ConflictError
-        When the newest version of the name says the same already.
-    """
+    """Save settings under a name; a name that is there gets its next version."""
     require_role(actor, "analyst")
     require_scope(actor, "runs")
     name, sentence = normal_name("name", name), sentence.strip()
@@ -211,15 +177,7 @@ def _refuse_words(name: str, sentence: str) -> None:
 
 
 def archive_preset(session: Session, actor: Actor, preset_id: int) -> Preset:
-    """Take a saved version out of the choice; nothing is deleted.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no analyst, or the key lacks the scope `runs`.
-    NotFoundError
-        When there is none with this number.
-    """
+    """Take a saved version out of the choice; nothing is deleted."""
     require_role(actor, "analyst")
     require_scope(actor, "runs")
     row = get_preset(session, preset_id)
@@ -232,13 +190,7 @@ def archive_preset(session: Session, actor: Actor, preset_id: int) -> Preset:
 def chosen_settings(
     session: Session, preset: str | None, settings: Mapping[str, Any]
 ) -> tuple[str | None, dict[str, Any]]:
-    """Return the name of a preset and its settings with those given over them; without a preset those given alone.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such preset.
-    """
+    """Return the name of a preset and its settings with those given over them; without a preset those given alone."""
     if not preset:
         return None, dict(settings)
     offer = get_offer(session, preset)

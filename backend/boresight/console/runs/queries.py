@@ -228,14 +228,7 @@ def finish(
 
 
 def finish_all(session: Session, ends: Sequence[RunEnd]) -> dict[HeldRun, str]:
-    """Write how runs ended, each once, however many in a few statements.
-
-    Returns
-    -------
-    dict
-        The terminal state written for each attempt: the one asked for, or CANCELLED when the run had been asked to stop. An
-        attempt that no longer held its run is missing, and nothing was written for it.
-    """
+    """Write how runs ended, each once, however many in a few statements."""
     if strange := {end.state for end in ends}.difference(TERMINAL_RUN_STATES):
         raise ValueError(f"Expected some of {TERMINAL_RUN_STATES} / Received {strange}")
     now, held = utc_now(), _held(session, [end.run_id for end in ends])
@@ -269,13 +262,7 @@ def _as_asked(end: RunEnd, found: tuple[str, str | None]) -> RunEnd:
 
 
 def _write_ends(session: Session, ends: Sequence[RunEnd], now: str, **also: Any) -> None:
-    """Write ends into their rows, fenced; progress is kept where there is no result.
-
-    Raises
-    ------
-    RuntimeError
-        When a row did not match although this transaction has just seen it: nothing is committed.
-    """
+    """Write ends into their rows, fenced; progress is kept where there is no result."""
     if not ends:
         return
     runs, names = cast("sa.Table", Run.__table__), ("state", "reason", "result_sha256", "summary")
@@ -312,13 +299,7 @@ def put_back(session: Session, run_id: int, attempt: int, cause: str) -> bool:
 def give_up_attempt(
     session: Session, run_id: int, attempt: int, cause: str, max_attempts: int, *, end_state: str = "FAILED"
 ) -> str | None:
-    """Count a lost attempt: queue the run again, or end it when it lost too many.
-
-    Returns
-    -------
-    str or None
-        The state the run is in now, None when this attempt no longer held it.
-    """
+    """Count a lost attempt: queue the run again, or end it when it lost too many."""
     lost = session.scalar(
         sa.select(sa.func.count()).where(RunEvent.run_id == run_id, RunEvent.kind == "lost"),
     )

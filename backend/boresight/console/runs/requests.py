@@ -56,17 +56,7 @@ def check_run_request(
     validation_set_id: int | None = None,
     label: str = "",
 ) -> RunRequest:
-    """Check the choices of a run against one another.
-
-    Raises
-    ------
-    NotFoundError
-        When sensor or telemetry set do not exist.
-    RefusedInputError
-        When they do not belong together or a setting cannot be used.
-    ConflictError
-        When a telemetry set is archived.
-    """
+    """Check the choices of a run against one another."""
     sensor = session.get(Sensor, sensor_id)
     if sensor is None:
         raise NotFoundError(f"There is no sensor {sensor_id}; choose one of the list.")

@@ -22,23 +22,7 @@ LEVEL_OF_STATE = {"FAILED": "error", "LOST": "error", "CANCELLED": "warning", "C
 
 @dataclass(frozen=True)
 class Line:
-    """One line.
-
-    Parameters
-    ----------
-    kind
-        `state`, `log` or `lost`.
-    message
-        The sentence.
-    state
-        The new state; None where it did not change.
-    cause
-        Why it changed, or why an attempt ended without a result.
-    level
-        How grave it is, of `LEVELS`.
-    numbers
-        By name, with the unit in it.
-    """
+    """One line."""
 
     kind: str
     message: str

@@ -39,29 +39,7 @@ def launch(  # noqa: PLR0913 - who launches what, and four choices by name
     validate_only: bool = False,
     sight: ForecastSources | None = None,
 ) -> Run | dict[str, Any]:
-    """Queue a calibration, or only say what it would be.
-
-    Parameters
-    ----------
-    sight
-        With `validate_only`: lets the dry run look at the stars.
-
-    Returns
-    -------
-    Run or dict
-        The QUEUED row; with `validate_only` the dry-run summary, see `dry_runs`.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no analyst, or the key lacks the scope `runs`.
-    NotFoundError
-        When sensor or telemetry set do not exist.
-    RefusedInputError
-        When they do not belong together or a setting cannot be used.
-    ConflictError
-        When a telemetry set is archived.
-    """
+    """Queue a calibration, or only say what it would be."""
     require_role(actor, "analyst")
     require_scope(actor, "runs")
     run_request = check_run_request(session, sensor_id, telemetry_set_id, settings, validation_set_id, label)
@@ -73,17 +51,7 @@ def launch(  # noqa: PLR0913 - who launches what, and four choices by name
 
 
 def cancel(session: Session, actor: Actor, run_id: int, reason: str = "") -> Run:
-    """Stop a run: a QUEUED one ends at once, a RUNNING one as soon as it notices.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no analyst, or the key lacks the scope `runs`.
-    NotFoundError
-        When there is no such run.
-    ConflictError
-        When it has ended already.
-    """
+    """Stop a run: a QUEUED one ends at once, a RUNNING one as soon as it notices."""
     require_role(actor, "analyst")
     require_scope(actor, "runs")
     refuse_control_characters(reason=reason)
@@ -101,13 +69,7 @@ def cancel(session: Session, actor: Actor, run_id: int, reason: str = "") -> Run
 
 
 def get_run(session: Session, run_id: int) -> Run:
-    """Return a run.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none of this number.
-    """
+    """Return a run."""
     run = run_lists.find_run(session, run_id)
     if run is None:
         raise NotFoundError(f"There is no run {run_id}; choose one of the list.")
@@ -124,13 +86,7 @@ def list_runs(
     before_id: int | None = None,
     limit: int | None = None,
 ) -> list[Run]:
-    """Return a page of runs, newest first; the next page starts before the last one's id.
-
-    Raises
-    ------
-    RefusedInputError
-        When a state is none.
-    """
+    """Return a page of runs, newest first; the next page starts before the last one's id."""
     asked = [state] if isinstance(state, str) else list(state or ())
     if strange := [word for word in asked if word not in RUN_STATES]:
         raise RefusedInputError(f"{', '.join(strange)} is no state of a run; choose from {', '.join(RUN_STATES)}.")
@@ -171,13 +127,6 @@ def result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | 
     """Return a run's calibration JSON; while it computes what there is so far (status `running`), None when nothing is.
 
     A simulated sensor's true parameters are added as `truth`.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such run, or its file is missing.
-    ConflictError
-        When its file is no calibration.
     """
     run = get_run(session, run_id)
     document: dict[str, Any] | None = (run.progress or {}).get("partial")
@@ -190,15 +139,7 @@ def result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | 
 
 
 def final_result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any]:
-    """Return the calibration JSON of a run that has ended with one.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such run, or its file is missing.
-    ConflictError
-        When there is no result yet, or none was reached.
-    """
+    """Return the calibration JSON of a run that has ended with one."""
     run = get_run(session, run_id)
     document = result(session, blobs, run_id)
     if run.result_sha256 is None or document is None:
@@ -218,13 +159,7 @@ def _in_model_order(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def log_lines(session: Session, run_id: int, *, after_id: int = 0, limit: int | None = None) -> list[RunEvent]:
-    """Return a run's log in order, from the line after `after_id`: all of it, or at most `limit` lines.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such run.
-    """
+    """Return a run's log in order, from the line after `after_id`: all of it, or at most `limit` lines."""
     get_run(session, run_id)
     return run_events.events_of_run(session, run_id, after_id, limit)
 

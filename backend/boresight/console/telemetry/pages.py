@@ -184,13 +184,7 @@ async def upload(request: Request, actor: Who, upload: Uploaded) -> Response:
 
 
 def _require_meant(request: Request, upload: Upload) -> None:
-    """Refuse a form without this log-in's token; it comes with the body, which is streamed and read only once.
-
-    Raises
-    ------
-    ForbiddenError
-        When the token is missing or another's.
-    """
+    """Refuse a form without this log-in's token; it comes with the body, which is streamed and read only once."""
     given, expected = upload.fields.get(CSRF_FIELD, ""), getattr(request.state, CSRF_FIELD, None)
     if expected is not None and not hmac.compare_digest(given.encode(), expected.encode()):
         raise ForbiddenError("This form is of another log-in; reload the page and choose the file again.")
@@ -312,13 +306,7 @@ def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: i
 
 @telemetry_set_router.get("/telemetry/{set_id}/figures/{name}.csv")
 def figure_csv(session: Reading, actor: Who, set_id: int, name: str) -> Response:  # noqa: ARG001 - whoever is known may read
-    """Give a figure's numbers as CSV.
-
-    Raises
-    ------
-    NotFoundError
-        When the report has no such figure.
-    """
+    """Give a figure's numbers as CSV."""
     row = telemetry_sets.get_telemetry_set(session, set_id)
     drawing = next((it for it in make_drawings(row.quality) if it.name == name), None)
     if drawing is None:

@@ -26,15 +26,7 @@ def oldest_set(session: Session, sensor_id: int, purpose: str, *, archived: bool
 
 
 def read_heads(session: Session, sensor_ids: Collection[int], newest: int, set_ids: Collection[int]) -> list[Any]:
-    """Return id, sensor_id, purpose, name and frames of sensors' sets in use, newest first.
-
-    Parameters
-    ----------
-    newest
-        How many of either purpose, the newest, of each sensor.
-    set_ids
-        Sets that are among them however old they are.
-    """
+    """Return id, sensor_id, purpose, name and frames of sensors' sets in use, newest first."""
     row = TelemetrySet
     age = sa.func.row_number().over(partition_by=(row.sensor_id, row.purpose), order_by=row.id.desc()).label("age")
     of_these = sa.select(row.id, row.sensor_id, row.purpose, row.name, row.frames, age)

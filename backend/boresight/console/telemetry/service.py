@@ -40,21 +40,7 @@ PARQUET = "application/vnd.apache.parquet"
 
 @dataclass(frozen=True)
 class PreparedUpload:
-    """An uploaded file that was read, found usable and turned into the table that is worked on; nothing is stored yet.
-
-    Parameters
-    ----------
-    original, table
-        The files: as it came, and as Parquet.
-    name, media_type
-        Of the original.
-    original_sha256
-        Address that the original will have.
-    frames, stars
-        How many the table has.
-    quality
-        The quality report.
-    """
+    """An uploaded file that was read, found usable and turned into the table that is worked on; nothing is stored yet."""
 
     original: Path
     table: Path
@@ -74,26 +60,7 @@ def prepared(
     file_name: str,
     limits: Limits = LIMITS,
 ) -> Iterator[PreparedUpload]:
-    """Read and check an uploaded file, without the database.
-
-    Parameters
-    ----------
-    sensor_document
-        The contract's sensor file, that the quality report compares with.
-    catalogue
-        Tells which star ids exist; None leaves that out of the report.
-    path
-        Where the uploaded bytes are now.
-    file_name
-        As the sender called it; its suffix says what it is.
-    limits
-        How much it may hold.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file cannot be read, with rows and columns.
-    """
+    """Read and check an uploaded file, without the database."""
     sensor, name = parse_sensor(sensor_document), _base_name(file_name)
     with tempfile.TemporaryDirectory() as folder:
         table = Path(folder) / "table"
@@ -133,17 +100,7 @@ def add_telemetry_set(
     file_name: str,
     purpose: str = "calibration",
 ) -> TelemetrySet:
-    """Read, check and store an uploaded file of a sensor; see `prepared` and `store_prepared`.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no analyst.
-    NotFoundError
-        When there is no such sensor.
-    RefusedInputError
-        When the file cannot be read, with rows and columns; or the purpose does not exist.
-    """
+    """Read, check and store an uploaded file of a sensor; see `prepared` and `store_prepared`."""
     _refuse_upload(actor, purpose)
     sensor = get_sensor(session, sensor_id)
     if (existing := rows.set_with_bytes(session, sensor_id, _sha256_of_file(path))) is not None:
@@ -171,22 +128,7 @@ def store_prepared(
     upload: PreparedUpload,
     purpose: str = "calibration",
 ) -> TelemetrySet:
-    """Store what was prepared; the same bytes again are the set that is there.
-
-    Parameters
-    ----------
-    purpose
-        `calibration`, or `validation` to be held out.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no analyst.
-    NotFoundError
-        When there is no such sensor.
-    RefusedInputError
-        When the purpose does not exist.
-    """
+    """Store what was prepared; the same bytes again are the set that is there."""
     _refuse_upload(actor, purpose)
     sensor_id = get_sensor(session, sensor_id).id
     if (existing := rows.set_with_bytes(session, sensor_id, upload.original_sha256)) is not None:
@@ -246,13 +188,7 @@ def _without_folders(path: str) -> str:
 
 
 def get_telemetry_set(session: Session, set_id: int) -> TelemetrySet:
-    """Return a set.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
+    """Return a set."""
     row = session.get(TelemetrySet, set_id)
     if row is None:
         raise NotFoundError(f"There is no telemetry set {set_id}.")
@@ -267,15 +203,7 @@ def get_set_names(session: Session, set_ids: Collection[int] | None = None) -> d
 def list_set_heads(
     session: Session, sensor_ids: Collection[int], *, newest: int, keep: Collection[int] = ()
 ) -> Sequence[Any]:
-    """Return id, sensor_id, purpose, name and frames of the sets in use of some sensors, newest first.
-
-    Parameters
-    ----------
-    newest
-        How many of either purpose, the newest, of each sensor.
-    keep
-        Numbers of sets that are among them however old they are.
-    """
+    """Return id, sensor_id, purpose, name and frames of the sets in use of some sensors, newest first."""
     return rows.read_heads(session, sensor_ids, newest, keep)
 
 

@@ -41,13 +41,7 @@ class Upload:
     file_name: str
 
     def file(self) -> Path:
-        """Return where the file is.
-
-        Raises
-        ------
-        RefusedInputError
-            When none was sent.
-        """
+        """Return where the file is."""
         if self.path is None:
             raise RefusedInputError(f"There is no file in the request. {HOW}")
         return self.path
@@ -58,13 +52,7 @@ class Upload:
             return repr(sorted(self.fields.items())).encode() + hashlib.file_digest(file, "sha256").digest()
 
     def number(self, name: str) -> int:
-        """Return a field that is a number.
-
-        Raises
-        ------
-        RefusedInputError
-            When it is missing or none.
-        """
+        """Return a field that is a number."""
         text = self.fields.get(name, "")
         number = parse_row_id(text)
         if number is None:

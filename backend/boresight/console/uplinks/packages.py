@@ -176,29 +176,7 @@ def build(
     table_id: str | None = None,
     policy: Policy = POLICY,
 ) -> Package:
-    """Build the package of a set, or return the one that exists.
-
-    Parameters
-    ----------
-    flight_software_version, table_id
-        What the spacecraft has, where the caller says so: a table for another is refused.
-    policy
-        Whether four eyes are asked here; the package says so.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is neither operator nor analyst, or a key without the scope.
-    NotFoundError
-        When there is no such set.
-    ConflictError
-        When the set is neither approved nor baseline, its approval expired, or the spacecraft's versions are not those of the
-        definition in force.
-    StaleError
-        When what an approval was bound to has moved: it is STALE from now on, and what was signed is not what would be sent.
-    RefusedInputError
-        When a set does not fit into the table.
-    """
+    """Build the package of a set, or return the one that exists."""
     require_role(actor, "operator", "analyst")
     require_scope(actor, "uplinks")
     row = get_parameter_set(session, parameter_set_id)
@@ -333,13 +311,7 @@ def rebuild(inputs: Mapping[str, Any]) -> bytes:
 
 
 def get_package(session: Session, package_id: int) -> Package:
-    """Return a package.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
+    """Return a package."""
     package = session.get(Package, package_id)
     if package is None:
         raise NotFoundError(f"There is no package {package_id}.")
@@ -347,13 +319,7 @@ def get_package(session: Session, package_id: int) -> Package:
 
 
 def read(session: Session, blobs: BlobStore, package_id: int) -> bytes:
-    """Return the bytes of a package, checked against their hash.
-
-    Raises
-    ------
-    NotFoundError, ConflictError
-        When there is no such package, or its bytes are missing or were altered on the disk.
-    """
+    """Return the bytes of a package, checked against their hash."""
     return blobs.read(get_package(session, package_id).sha256)
 
 
@@ -376,13 +342,7 @@ def list_packages(
 
 
 def set_named(session: Session, name: str) -> ParameterSet:
-    """Return a set by its number or its name, `PS-<sensor>-<n>`.
-
-    Raises
-    ------
-    RefusedInputError
-        When there is none.
-    """
+    """Return a set by its number or its name, `PS-<sensor>-<n>`."""
     row = rows.set_named(session, name) or (
         session.get(ParameterSet, int(name)) if name.isdecimal() and len(name) < 19 else None
     )

@@ -45,14 +45,7 @@ HEXADECIMAL = re.compile(r"(?:0[xX])?([0-9a-fA-F]{1,16})")
 class SentTable:
     """The table that a read-back is held against.
 
-    Parameters
-    ----------
-    row, definition
-        The table definition, as stored and as read.
-    content
-        (length_bytes,) bytes as they were sent.
-    package
-        The package that carried them, where one is on record.
+    `content`: (length_bytes,) bytes as they were sent.
     """
 
     row: TableDefinition
@@ -75,15 +68,7 @@ class SentTable:
 
 
 def get_sent_table(session: Session, blobs: BlobStore, parameter_set: ParameterSet) -> SentTable:
-    """Return the table that was sent of a set.
-
-    Raises
-    ------
-    RefusedInputError
-        When the sensor has no table definition, or the set does not fit in it.
-    NotFoundError, ConflictError
-        When the bytes of the package are missing or were altered on the disk.
-    """
+    """Return the table that was sent of a set."""
     sent = rows.newest_record(session, parameter_set.id, "SENT")
     package = _get_sent_package(session, sent)
     row = None if package is None else session.get(TableDefinition, package.table_definition_id or 0)
@@ -126,33 +111,8 @@ def read_back(
 ) -> Uplink:
     """Hold a dump, or the CRC that was told, against what was sent, and record what came of it.
 
-    Parameters
-    ----------
-    read
-        The dump, bytes as they were read from the spacecraft, with or without cFE's file headers; or the CRC that it
-        told, text in hexadecimal.
-    source
-        Pass, procedure or packet that it came with.
-    seen_version
-        Version of the set that was looked at.
-    happened
-        When it was read, ISO 8601, where that is earlier than now.
-
-    Returns
-    -------
-    Uplink
-        VERIFIED, or MISMATCH with `evidence`; of a set that is ACTIVE, a read-back that matches leaves it so.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no operator.
-    PreconditionRequiredError, StaleError
-        When no version was given, or the set changed since.
-    RefusedInputError
-        When dump or CRC cannot be read, or there is no table definition.
-    ConflictError
-        When nothing of this set was loaded, or only a dump can take its mismatch back.
+    `read`: The dump, bytes as they were read from the spacecraft, with or without cFE's file headers; or the CRC that
+    it told, text in hexadecimal.
     """
     row = get_set_for_entry(session, actor, parameter_set_id, source, seen_version)
     require_seen(session, row, seen_version)
@@ -169,13 +129,7 @@ def read_back(
 
 
 def dump_or_crc(dump: bytes | None, crc: str) -> bytes | str:
-    """Return the one that was given.
-
-    Raises
-    ------
-    RefusedInputError
-        When it is both or neither, or the dump is too long to be one table's.
-    """
+    """Return the one that was given."""
     if (dump is None) == (not crc.strip()):
         raise RefusedInputError("Give the dump or the CRC that the spacecraft told: one of them.")
     if dump is not None and len(dump) > MOST_DUMP_BYTES:

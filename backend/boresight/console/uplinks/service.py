@@ -44,17 +44,7 @@ from boresight.platform.web.text_validation import refuse_control_characters
 
 @dataclass(frozen=True)
 class EntryBasis:
-    """What an entry rests on; nothing but its source makes it a statement.
-
-    Parameters
-    ----------
-    evidence
-        What goes with it as a document: the package, the dump and what was found in it, when it happened.
-    method
-        How a read-back was compared: `bytes` or `crc`.
-    printed_name, meaning
-        Of who signed it, and what the signature means.
-    """
+    """What an entry rests on; nothing but its source makes it a statement."""
 
     evidence: Mapping[str, Any] = field(default_factory=dict)
     method: str | None = None
@@ -68,17 +58,7 @@ STATEMENT = EntryBasis()
 def get_set_for_entry(
     session: Session, actor: Actor, parameter_set_id: int, source: str, seen_version: int | None
 ) -> ParameterSet:
-    """Return the set that an operator makes an entry for.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no operator, or nobody who answers for it.
-    StaleError
-        When the set changed since the version that was seen.
-    RefusedInputError
-        When no source is given.
-    """
+    """Return the set that an operator makes an entry for."""
     require_role(actor, "operator")
     require_scope(actor, "uplinks")
     require_user(actor, "record an uplink")
@@ -103,13 +83,7 @@ def has_shown_mismatch(session: Session, row: ParameterSet) -> bool:
 
 
 def refuse_shown_mismatch(session: Session, row: ParameterSet) -> None:
-    """Refuse what would take back, without bytes, a mismatch that bytes showed.
-
-    Raises
-    ------
-    ConflictError
-        When a mismatch stands.
-    """
+    """Refuse what would take back, without bytes, a mismatch that bytes showed."""
     if has_shown_mismatch(session, row):
         raise ConflictError(
             f"A dump of {row.name} showed the mismatch; upload a dump that matches, or send the table again."
@@ -167,33 +141,7 @@ def record(
     package_id: int | None = None,
     happened: str | None = None,
 ) -> Uplink:
-    """Record the next on-board state of a set by statement, with where it is known from.
-
-    Parameters
-    ----------
-    onboard_state
-        Of STATED; nobody's word makes a set VERIFIED or ACTIVE.
-    source
-        Pass, procedure or log line that it is known from; needed.
-    seen_version
-        Version of the set that was looked at; None where a form shows the next steps itself.
-    package_id
-        The uplink package that was sent or loaded, where one was built.
-    happened
-        When it happened, ISO 8601, where that is earlier than now.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no operator, or a key would have the set ACTIVE.
-    StaleError
-        When the set changed since.
-    RefusedInputError
-        When the state does not exist, the source is missing, the package is another set's, or the time is none.
-    ConflictError
-        When the state is VERIFIED or ACTIVE, or does not follow the one recorded, or a dump showed otherwise than LOADED, or
-        what is to be sent is not the baseline, or its package was built for a table definition that is no longer in force.
-    """
+    """Record the next on-board state of a set by statement, with where it is known from."""
     row = get_set_for_entry(session, actor, parameter_set_id, source, seen_version)
     _refuse_statement(actor, row, onboard_state)
     _refuse_step(row, onboard_state)
@@ -214,28 +162,7 @@ def activate(
     *,
     happened: str | None = None,
 ) -> Uplink:
-    """Record that a verified set is what the sensor runs with: an entry signed by a person who gives the password again.
-
-    Parameters
-    ----------
-    source
-        Where it is known from: the telemetry page, the pass, the procedure.
-    meaning
-        What the signature means, in words that are kept with it.
-    happened
-        When it became active, ISO 8601, where that is earlier than now.
-
-    Raises
-    ------
-    ForbiddenError, UnauthenticatedError
-        When this person may not sign, or the password is wrong.
-    PreconditionRequiredError, StaleError
-        When no version was given, or the set changed since.
-    RefusedInputError
-        When source or meaning is missing.
-    ConflictError
-        When the set is not VERIFIED, or no read-back verified it.
-    """
+    """Record that a verified set is what the sensor runs with: an entry signed by a person who gives the password again."""
     require_person(actor, "sign that a set is active")
     if "administrator" in actor.roles:
         raise ForbiddenError("An administrator cannot sign; an operator who is no administrator must.")
@@ -325,13 +252,7 @@ def _retire_active(session: Session, actor: Actor, row: ParameterSet, source: st
 
 
 def get_uplink(session: Session, uplink_id: int) -> Uplink:
-    """Return a record.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
+    """Return a record."""
     row = session.get(Uplink, uplink_id)
     if row is None:
         raise NotFoundError(f"There is no uplink record {uplink_id}.")
@@ -339,13 +260,7 @@ def get_uplink(session: Session, uplink_id: int) -> Uplink:
 
 
 def get_dump_digest(session: Session, uplink_id: int) -> str:
-    """Return the SHA-256 of the dump that a record rests on.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such record, or none of bytes.
-    """
+    """Return the SHA-256 of the dump that a record rests on."""
     dump = (get_uplink(session, uplink_id).evidence or {}).get("dump")
     if dump is None:
         raise NotFoundError(f"Uplink record {uplink_id} rests on no dump; see its method and evidence.")
@@ -365,29 +280,12 @@ def list_uplinks(
 
 
 def baseline_at(session: Session, sensor_id: int, time: str) -> ParameterSet | None:
-    """Return what was the sensor's baseline at a time; None before there was one.
-
-    Parameters
-    ----------
-    time
-        ISO 8601, UTC when it names no zone.
-
-    Raises
-    ------
-    RefusedInputError
-        When the time cannot be read.
-    """
+    """Return what was the sensor's baseline at a time; None before there was one."""
     return set_rows.baseline_at(session, sensor_id, read_time(time))
 
 
 def onboard_at(session: Session, sensor_id: int, time: str) -> Sequence[tuple[ParameterSet, Uplink]]:
-    """Return each set that was on its way or on board at a time, with the record that says so.
-
-    Raises
-    ------
-    RefusedInputError
-        When the time cannot be read.
-    """
+    """Return each set that was on its way or on board at a time, with the record that says so."""
     return rows.records_until(session, sensor_id, read_time(time))
 
 

@@ -49,15 +49,7 @@ def parsed(session: Session, row: TableDefinition) -> table_definition.TableDefi
 
 
 def parse_for(session: Session, sensor_id: int, document: Mapping[str, Any]) -> table_definition.TableDefinition:
-    """Read a definition that is not stored, as `set_definition` would.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such sensor.
-    RefusedInputError
-        When the document cannot be used; names the entry.
-    """
+    """Read a definition that is not stored, as `set_definition` would."""
     sensor = get_sensor(session, sensor_id)
     definition = table_definition.parse_definition(document, parse_sensor(sensor.document))
     if len(canonical(document)) > LARGEST_DOCUMENT:
@@ -69,18 +61,7 @@ def parse_for(session: Session, sensor_id: int, document: Mapping[str, Any]) -> 
 class Layout:
     """A definition with the baseline's numbers in it.
 
-    Parameters
-    ----------
-    definition
-        As read.
-    image
-        (length_bytes,) bytes.
-    decoded
-        The image read back, field by field.
-    effect
-        `max_px` and `max_arcsec`, what the number format does to the camera.
-    filled_with
-        The set whose numbers they are; "the sensor file" where there is no baseline.
+    `image`: (length_bytes,) bytes.
     """
 
     definition: table_definition.TableDefinition
@@ -91,15 +72,7 @@ class Layout:
 
 
 def layout(session: Session, sensor_id: int, document: Mapping[str, Any]) -> Layout:
-    """Lay the sensor's baseline out by a definition, stored or not.
-
-    Raises
-    ------
-    NotFoundError
-        When there is no such sensor.
-    RefusedInputError
-        When the document cannot be used, or the baseline does not fit into its fields.
-    """
+    """Lay the sensor's baseline out by a definition, stored or not."""
     definition = parse_for(session, sensor_id, document)
     sensor = parse_sensor(get_sensor(session, sensor_id).document)
     camera, baseline = CAMERA_MODELS[sensor.camera_model], set_rows.baseline(session, sensor_id)
@@ -125,28 +98,7 @@ def set_definition(
     reason: str,
     seen_number: int | None,
 ) -> TableDefinition:
-    """Put a definition into force for a sensor.
-
-    Parameters
-    ----------
-    document
-        As `boresight.uplink.definition_document` reads it.
-    reason
-        Why it changes; needed, for the flight software is changed elsewhere.
-    seen_number
-        Number of the definition that was seen in force; 0 for none.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is neither analyst nor administrator, or a key without the scope.
-    NotFoundError
-        When there is no such sensor.
-    PreconditionRequiredError, StaleError
-        When no number was given, or another definition is in force by now.
-    RefusedInputError
-        When the document cannot be used, says what is in force already, or no reason is given.
-    """
+    """Put a definition into force for a sensor."""
     complete = checked(session, actor, sensor_id, document, reason, seen_number)
     return put_into_force(session, actor, sensor_id, complete, reason)
 
@@ -154,13 +106,7 @@ def set_definition(
 def checked(
     session: Session, actor: Actor, sensor_id: int, document: Mapping[str, Any], reason: str, seen_number: int | None
 ) -> dict[str, Any]:
-    """Return a definition as it would be stored, if this actor may put it into force now.
-
-    Raises
-    ------
-    BoresightError
-        As `set_definition`.
-    """
+    """Return a definition as it would be stored, if this actor may put it into force now."""
     require_role(actor, "analyst", "administrator")
     require_scope(actor, "sensors")
     refuse_control_characters(reason=reason)
@@ -183,13 +129,7 @@ def put_into_force(
     reason: str,
     proposal: ChangeProposal | None = None,
 ) -> TableDefinition:
-    """Make a definition the one in force, of whoever proposed it where somebody did.
-
-    Raises
-    ------
-    RefusedInputError
-        When the sensor has changed so that the document cannot be used any more.
-    """
+    """Make a definition the one in force, of whoever proposed it where somebody did."""
     parse_for(session, sensor_id, document)
     sensor, current = get_sensor(session, sensor_id), rows.definition_in_force(session, sensor_id)
     row = TableDefinition(

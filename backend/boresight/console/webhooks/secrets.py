@@ -30,13 +30,7 @@ def new_secret() -> str:
 
 
 def decode_key(secret: str) -> bytes:
-    """Return the key that a secret stands for: the bytes behind the prefix.
-
-    Raises
-    ------
-    ValueError
-        When they are no base64.
-    """
+    """Return the key that a secret stands for: the bytes behind the prefix."""
     try:
         return base64.b64decode(secret.removeprefix(PREFIX), validate=True)
     except binascii.Error as error:
@@ -51,15 +45,7 @@ def _standard(secret: str) -> str:
 
 @dataclass(frozen=True)
 class SecretStorage:
-    """How the secrets of an installation are kept, after a look at all of them.
-
-    Parameters
-    ----------
-    encrypted
-        How many were encrypted now.
-    unreadable
-        Labels of the webhooks whose secret the key here does not decrypt.
-    """
+    """How the secrets of an installation are kept, after a look at all of them."""
 
     encrypted: int
     unreadable: Sequence[str]

@@ -98,15 +98,7 @@ class WebhookMessage:
 
 
 def judge_address(actor: Actor, url: str, targets: WebhookTargets) -> None:
-    """Refuse an address that messages may not go to; this looks names up, so it comes before the writing transaction.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no administrator in person.
-    RefusedInputError
-        When it is no address, or leads where messages may not go.
-    """
+    """Refuse an address that messages may not go to; this looks names up, so it comes before the writing transaction."""
     _require_administrator(actor)
     refuse_control_characters(url=url)
     refuse_address(url.strip(), targets)
@@ -115,22 +107,7 @@ def judge_address(actor: Actor, url: str, targets: WebhookTargets) -> None:
 def create_webhook(
     session: Session, actor: Actor, box: SecretBox, *, label: str, url: str, actions: Collection[str] = ()
 ) -> tuple[Webhook, str]:
-    """Tell an address what happens from now on; return the webhook and its secret, which is stored encrypted.
-
-    Parameters
-    ----------
-    url
-        `https://` or `http://` address that takes a POST.
-    actions
-        Kinds of events, such as `parameter-sets.promoted`, or a noun with a star, `approvals.*`; none: all.
-
-    Raises
-    ------
-    ForbiddenError
-        When the actor is no administrator in person: whoever reads events could otherwise send them anywhere.
-    RefusedInputError
-        When label, address or kinds cannot be used.
-    """
+    """Tell an address what happens from now on; return the webhook and its secret, which is stored encrypted."""
     _require_administrator(actor)
     refuse_control_characters(label=label, url=url)
     if not label.strip():
@@ -156,20 +133,7 @@ def create_webhook(
 def renew_secret(
     session: Session, actor: Actor, box: SecretBox, webhook_id: int, *, overlap_hours: float = 24.0
 ) -> tuple[Webhook, str]:
-    """Give a webhook a new secret, and return both; the former one signs beside it for some hours more.
-
-    Parameters
-    ----------
-    overlap_hours
-        0 where the former secret is known to others. One that cannot be read here signs nothing more in any case.
-
-    Raises
-    ------
-    ForbiddenError, NotFoundError
-        When the actor is no administrator in person, or there is no such webhook.
-    RefusedInputError
-        When the overlap is no time from 0 to `LONGEST_OVERLAP_HOURS` hours.
-    """
+    """Give a webhook a new secret, and return both; the former one signs beside it for some hours more."""
     row = get_webhook(session, actor, webhook_id)
     if not 0.0 <= overlap_hours <= LONGEST_OVERLAP_HOURS:
         raise RefusedInputError(f"The former secret may sign for 0 to {LONGEST_OVERLAP_HOURS:g} hours more.")
@@ -195,13 +159,7 @@ def _known_kind(action: str) -> str:
 
 
 def get_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
-    """Return a webhook.
-
-    Raises
-    ------
-    ForbiddenError, NotFoundError
-        When the actor is no administrator in person, or there is none with this number.
-    """
+    """Return a webhook."""
     _require_administrator(actor)
     row = session.get(Webhook, webhook_id)
     if row is None:
@@ -245,13 +203,7 @@ def list_deliveries(
 
 
 def try_webhook(session: Session, actor: Actor, webhook_id: int) -> WebhookDelivery:
-    """Queue a message that says nothing but that it came.
-
-    Raises
-    ------
-    ConflictError
-        When the webhook is disabled.
-    """
+    """Queue a message that says nothing but that it came."""
     row = get_webhook(session, actor, webhook_id)
     _refuse_disabled(row)
     body = {"type": TRIAL, "at_utc": utc_now(), "object": _subject(row), "action": "tried", "actor": actor.printed_name}
@@ -259,13 +211,7 @@ def try_webhook(session: Session, actor: Actor, webhook_id: int) -> WebhookDeliv
 
 
 def redeliver(session: Session, actor: Actor, delivery_id: int) -> WebhookDelivery:
-    """Queue a message once more, as if it had never been tried; its id and its words stay.
-
-    Raises
-    ------
-    ForbiddenError, NotFoundError, ConflictError
-        When the actor is no administrator, there is no such message, or its webhook is disabled.
-    """
+    """Queue a message once more, as if it had never been tried; its id and its words stay."""
     _require_administrator(actor)
     delivery = session.get(WebhookDelivery, delivery_id)
     if delivery is None:

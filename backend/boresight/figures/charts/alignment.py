@@ -27,13 +27,7 @@ NO_TIMES = "A batch run keeps no times of its frames: align by frame to see its 
 
 
 def aligned(traces: Sequence[Trace], along: str) -> list[Trace]:
-    """Give every run the axis that is asked for in place of its frame numbers.
-
-    Raises
-    ------
-    RefusedInputError
-        When there is no such alignment, or a sequential run has no times to be aligned by.
-    """
+    """Give every run the axis that is asked for in place of its frame numbers."""
     if along not in ALIGNMENTS:
         raise RefusedInputError(f"{along!r} is no alignment; choose from {', '.join(ALIGNMENTS)}.")
     if along == "frame":

@@ -36,23 +36,7 @@ from boresight.verdicts.verdict import read_part, why_absent
 
 @dataclass(frozen=True)
 class MethodScores:
-    """One run, summed up; None where a number is not known or has no meaning.
-
-    Parameters
-    ----------
-    claimed, true_error
-        In sigmas of the bound, see above.
-    honesty
-        NEES / n with its 95 % bounds.
-    ms_per_frame
-        Processor time of the method alone over the frames, matching left out; measured once.
-    settled_frames, settled_iterations
-        After how many the parameters stay within three final sigmas of their end.
-    condition
-        Condition number of the whole set's scaled Jacobian at the end.
-    chi2_per_dof, consistent
-        Of all arcs at the end, whatever was measured.
-    """
+    """One run, summed up; None where a number is not known or has no meaning."""
 
     claimed: float | None
     true_error: float | None

@@ -201,17 +201,7 @@ CROWDED = 8  # above so many bands nothing is seen through them
 def draw_radial_contrast(
     labels: Sequence[str], reference: int, curves: Sequence[Mapping[str, Any] | None]
 ) -> go.Figure:
-    """Draw one curve a run.
-
-    Parameters
-    ----------
-    labels
-        Of all runs.
-    reference
-        Index of the run that the others are set against.
-    curves
-        Of `calibration.evaluation.contrast.radial_contrast`, None for the reference and for runs that have none.
-    """
+    """Draw one curve a run."""
     order = [reference, *(i for i in range(len(labels)) if i != reference)]  # the colours of every other figure
     styles = dict(zip(order, theme.run_styles([Trace(labels[i], {}) for i in order]), strict=True))
     shown = [(styles[i], curve) for i in order if (curve := curves[i]) is not None]

@@ -48,10 +48,7 @@ def as_band(figure: go.Figure, traces: Sequence[Trace]) -> go.Figure:
 def find_span(curves: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the places (n,) of all curves, the lowest and the highest value there.
 
-    Parameters
-    ----------
-    curves
-        x and y of each, (n_points,), x ascending; NaN in y marks a gap and is left out.
+    `curves`: x and y of each, (n_points,), x ascending.
     """
     known = [(x[np.isfinite(y)], y[np.isfinite(y)]) for x, y in curves]
     known = [(x, y) for x, y in known if len(x)]

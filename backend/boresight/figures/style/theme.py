@@ -41,18 +41,7 @@ _THEME_OF = {":root": "dark", ":root, :root[data-theme]": "print"}
 
 
 def read_themes(css: str) -> dict[str, Tokens]:
-    """Read the tokens of every theme, {theme: {name: value}}.
-
-    Parameters
-    ----------
-    css
-        The text of the style sheet.
-
-    Raises
-    ------
-    ValueError
-        When a theme of `THEMES` has no block.
-    """
+    """Read the tokens of every theme, {theme: {name: value}}."""
     blocks: dict[str, Tokens] = {}
     for selector, body in _BLOCK.findall(css):
         named = re.fullmatch(r':root\[data-theme="(\w+)"\]', selector)

@@ -46,16 +46,8 @@ def thinning(*, whole: bool = False) -> Iterator[Thinning]:
 def keep_extremes(series: list[NDArray[np.float64]], limit: int = POINT_LIMIT) -> NDArray[np.int64]:
     """Choose the points to draw.
 
-    Parameters
-    ----------
-    series
-        Arrays (n_points,) over one axis; NaN marks a gap.
-    limit
-        About so many points are kept; never fewer than the first, the last and one bucket's extremes.
-
-    Returns
-    -------
-    (n_kept,) ascending indices; all of them when there are no more than `limit`.
+    `series`: Arrays (n_points,) over one axis. Returns (n_kept,) ascending indices; all of them when there are no more
+    than `limit`.: .
     """
     n_points = len(series[0])
     if n_points <= limit:

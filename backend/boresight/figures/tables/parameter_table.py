@@ -29,14 +29,7 @@ FAR_SIGMAS = 4.0  # of the eight parameters of an honest run one in 2,000 is so 
 class ParameterRow:
     """One parameter of a result; values are SI, None where nothing was estimated.
 
-    Parameters
-    ----------
-    old, new, delta, sigma
-        In the parameter's SI unit.
-    delta_over_sigma, delta_over_typical, typical_sigma
-        The change in the two measures of its size, and the second measure itself.
-    truth, error_over_sigma
-        The simulated sensor's true value, and (new - truth) / sigma; None on a real sensor.
+    `old`, `new`, `delta`, `sigma`: In the parameter's SI unit.
     """
 
     name: str

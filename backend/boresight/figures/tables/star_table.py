@@ -11,23 +11,7 @@ from boresight.verdicts.verdict import read_part
 
 @dataclass(frozen=True)
 class StarRow:
-    """One star: its Hipparcos number, how often it was seen, and its residual.
-
-    Parameters
-    ----------
-    star_id
-        HIP.
-    sightings
-        Exposures it was used in.
-    mean_px, rms_px
-        Residual after the best attitude of each exposure.
-    z
-        The mean over its sigma.
-    suspect
-        Whether z is more than chance allows among so many stars.
-    flags
-        What the catalogue says against it.
-    """
+    """One star: its Hipparcos number, how often it was seen, and its residual."""
 
     star_id: int
     sightings: int | None

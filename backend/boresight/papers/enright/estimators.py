@@ -50,25 +50,7 @@ _MATCHED = CalibrationSettings(match="rematch")
 
 @dataclass(frozen=True)
 class Estimator:
-    """One way to calibrate.
-
-    Parameters
-    ----------
-    key
-        In documents.
-    label
-        In tables.
-    settings
-        Of the calibration.
-    every
-        Takes each n-th frame only.
-    start
-        `ground`, or `batch` for a start at the batch's own result (E Figures 3b and 4).
-    sensors
-        Sensors it is run for.
-    repeated
-        Whether it is run on the further sets too, for its statistics.
-    """
+    """One way to calibrate."""
 
     key: str
     label: str
@@ -152,17 +134,7 @@ DRAWN = ("history", "observability", "matching")
 
 @dataclass(frozen=True)
 class Trial:
-    """One set to run.
-
-    Parameters
-    ----------
-    sensor
-        1 to 6.
-    index
-        0 is the set that the tables and figures show; further ones differ in their noise and serve the statistics.
-    frames, validation_frames
-        Sizes of the calibration and of the validation set.
-    """
+    """One set to run."""
 
     sensor: int
     index: int

@@ -23,13 +23,7 @@ Record = dict[str, Any]
 
 @dataclass(frozen=True)
 class Pooled:
-    """The records of a study.
-
-    Parameters
-    ----------
-    records
-        One a sensor, set and estimator.
-    """
+    """The records of a study."""
 
     records: Sequence[Record]
 
@@ -46,13 +40,7 @@ class Pooled:
         return None
 
     def shown(self, sensor: int, estimator: str) -> Record:
-        """Return the same of a sensor that was run.
-
-        Raises
-        ------
-        ValueError
-            When it was not.
-        """
+        """Return the same of a sensor that was run."""
         record = self.first(sensor, estimator)
         if record is None:
             raise ValueError(f"Expected a record of {estimator} on sensor {sensor}, received none")

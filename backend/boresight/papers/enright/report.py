@@ -37,13 +37,7 @@ DRAW: dict[str, Callable[[Mapping[str, Any]], go.Figure]] = {
 
 
 def write(document: Document, out: Path) -> list[Path]:
-    """Write every file of a study into a folder, made where it is not there; returns their paths.
-
-    Raises
-    ------
-    RefusedInputError
-        When a file cannot be written.
-    """
+    """Write every file of a study into a folder, made where it is not there; returns their paths."""
     files = {
         "enright.html": render(document).encode(),
         "enright.json": json_bytes(document),

@@ -32,15 +32,7 @@ PAPER = "Enright, Jovanovic, Vaz, â€œAutonomous Recalibration of Star Trackersâ€
 
 
 def document(plan: dict[str, Any], records: Sequence[document_Record]) -> dict[str, Any]:
-    """Write a study as JSON values.
-
-    Parameters
-    ----------
-    plan
-        As `study.Plan` describes it.
-    records
-        One a sensor, set and estimator, in order.
-    """
+    """Write a study as JSON values."""
     pooled = Pooled(records)
     made, drawn = [table_document(table) for table in tables(pooled)], drawings(pooled)
     return {
@@ -83,21 +75,7 @@ Report = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Plan:
-    """How large a study is.
-
-    Parameters
-    ----------
-    quick
-        Whether its sizes are the quick ones; said in the report.
-    sensors
-        Numbers of E Table I.
-    frames, validation_frames
-        A calibration and a validation set.
-    sets
-        Sets a sensor: one for tables and figures, the further ones for statistics.
-    processes
-        Trials at a time; 1 runs them in this process.
-    """
+    """How large a study is."""
 
     quick: bool = False
     sensors: tuple[int, ...] = SENSOR_NUMBERS
@@ -107,13 +85,7 @@ class Plan:
     processes: int = 2
 
     def check(self) -> None:
-        """Refuse sensors that the paper does not have.
-
-        Raises
-        ------
-        RefusedInputError
-            Names the sensor.
-        """
+        """Refuse sensors that the paper does not have."""
         for number in self.sensors:
             if number not in SENSOR_NUMBERS:
                 raise RefusedInputError(f"The paper has no sensor {number}: choose from 1 to {max(SENSOR_NUMBERS)}.")
@@ -128,22 +100,7 @@ class Plan:
 
 
 def run(plan: Plan, catalogue_folder: Path | None, report: Report | None = None) -> dict[str, Any]:
-    """Run the study; returns its document, schema `boresight.reproduction/1`.
-
-    Parameters
-    ----------
-    plan
-        How large.
-    catalogue_folder
-        Where the trimmed star catalogue is cached, or None.
-    report
-        Told what ended and the fraction done.
-
-    Raises
-    ------
-    RefusedInputError
-        When the plan names a sensor that the paper does not have.
-    """
+    """Run the study; returns its document, schema `boresight.reproduction/1`."""
     plan.check()
     trials, records = plan.trials(), dict[Trial, list[Record]]()
     for trial, found in run_all(run_trial, trials, catalogue_folder, plan.processes):

@@ -24,18 +24,8 @@ ARCSEC_PER_RAD = 180 * 3600 / np.pi
 class Judges:
     """The images that judge a calibration.
 
-    Parameters
-    ----------
-    fields
-        Without noise.
-    row_px, col_px
-        (n_stars,) the same with noise.
-    pair
-        (n_pairs, 2) stars of every pair of an image.
-    image
-        (n_pairs,) whose they are.
-    angle
-        (n_pairs,) of the catalogue, rad.
+    `row_px`, `col_px`: (n_stars,) the same with noise. `pair`: (n_pairs, 2) stars of every pair of an image. `image`:
+    (n_pairs,) whose they are. `angle`: (n_pairs,) of the catalogue, rad.
     """
 
     fields: StarFields

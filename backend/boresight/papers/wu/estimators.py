@@ -70,17 +70,7 @@ FIRST_FRAMES = 20
 
 @dataclass(frozen=True)
 class Estimator:
-    """One way to calibrate.
-
-    Parameters
-    ----------
-    method
-        `svd` or `angular`.
-    weights
-        `full` or `diagonal`.
-    selection
-        Of `svd`.
-    """
+    """One way to calibrate."""
 
     method: str
     weights: str
@@ -112,14 +102,8 @@ class Estimator:
 class Run:
     """A filter's states and what it claims at its end.
 
-    Parameters
-    ----------
-    states
-        (n_frames, 6), SI.
-    sigmas
-        (n_frames, 6) claimed standard deviations, SI; of diagonal weights the last only, NaN before.
-    P
-        (6, 6) covariance at the end in units of `START_SIGMA`.
+    `states`: (n_frames, 6), SI. `sigmas`: (n_frames, 6) claimed standard deviations, SI; of diagonal weights the last
+    only, NaN before. `P`: (6, 6) covariance at the end in units of `START_SIGMA`.
     """
 
     states: FloatArray

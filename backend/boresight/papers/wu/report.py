@@ -27,13 +27,7 @@ HEAD = ("set", "magnitude_limit", "noise_px", "stars", "estimator", "weights")
 
 
 def write(document: Document, out: Path) -> list[Path]:
-    """Write every file of a study into a folder, made where it is not there; returns their paths.
-
-    Raises
-    ------
-    RefusedInputError
-        When a file cannot be written.
-    """
+    """Write every file of a study into a folder, made where it is not there; returns their paths."""
     files = {
         "wu.html": render(document).encode(),
         "wu.json": json_bytes(document),

@@ -27,17 +27,7 @@ CONSISTENT = (("svd-4-23", "full"), ("angular", "full"), ("svd-4-23", "diagonal"
 
 
 def document(plan: dict[str, Any], records: Sequence[Record], timing: dict[str, Any]) -> dict[str, Any]:
-    """Write a study as JSON values.
-
-    Parameters
-    ----------
-    plan
-        As `study.Plan` describes it.
-    records
-        One a set, group, noise and estimator, in order.
-    timing
-        By the clock.
-    """
+    """Write a study as JSON values."""
     pooled = Pooled(records)
     made, drawn = [table_document(table) for table in tables(pooled)], drawings(pooled)
     wrong = errata(pooled)
@@ -80,19 +70,7 @@ Report = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Plan:
-    """How large a study is.
-
-    Parameters
-    ----------
-    quick
-        Whether its sizes are the quick ones; said in the report.
-    frames, judges
-        Images that calibrate, and that judge.
-    sets
-        Simulated sets of each group.
-    processes
-        Sets at a time; 1 runs them in this process. The clock has a process of its own, with one thread.
-    """
+    """How large a study is."""
 
     quick: bool = False
     frames: int = 2400
@@ -102,22 +80,7 @@ class Plan:
 
 
 def run(plan: Plan, catalogue_folder: Path | None, report: Report | None = None) -> dict[str, Any]:
-    """Run the study; returns its document, schema `boresight.reproduction/1`.
-
-    Parameters
-    ----------
-    plan
-        How large.
-    catalogue_folder
-        Where the trimmed star catalogue is cached, or None.
-    report
-        Told what ended and the fraction done.
-
-    Raises
-    ------
-    RefusedInputError
-        When the images are too few to take R anew.
-    """
+    """Run the study; returns its document, schema `boresight.reproduction/1`."""
     if plan.frames <= FIRST_FRAMES:
         raise RefusedInputError(f"{plan.frames} images are too few: the study needs more than {FIRST_FRAMES}.")
     trials, records = (

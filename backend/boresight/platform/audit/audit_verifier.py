@@ -57,13 +57,7 @@ def read(line: bytes) -> Optional[Dict[str, Any]]:  # noqa: UP006, UP045 - Pytho
 
 
 def verify(export: BinaryIO, expected_head: Optional[str] = None) -> Tuple[bool, str]:  # noqa: UP006, UP045 - Python 3.8
-    """Walk through an export.
-
-    Returns
-    -------
-    tuple of bool and str
-        Whether all is as it was written, and the finding in words.
-    """
+    """Walk through an export."""
     previous, last_id, count, met = FIRST_HASH, 0, 0, expected_head in (None, FIRST_HASH)
     digest = hashlib.sha256()
     for number, line in enumerate(export, start=1):

@@ -45,14 +45,7 @@ WRITTEN = "audit records were written"
 
 
 def compute_hash(previous_hash: str, raw: Mapping[str, Any]) -> str:
-    """Return the hash that chains a record to the one before.
-
-    Parameters
-    ----------
-    raw
-        The record's columns as they are stored, documents as their text: a document whose text was altered without
-        altering its meaning is another record.
-    """
+    """Return the hash that chains a record to the one before."""
     parts = [
         f'"{name}":{_value(name, raw[name])}'
         for name in HASHED
@@ -161,13 +154,7 @@ def head(session: Session) -> str:
 
 
 def seal(session: Session) -> None:
-    """Write what waits before a commit.
-
-    Raises
-    ------
-    ValueError
-        A programming error: a sealed row was touched, and the transaction appended no audit record.
-    """
+    """Write what waits before a commit."""
     session.flush()
     noted = session.info.get(journals.NOTED)
     if noted and not pending(session):

@@ -39,13 +39,7 @@ def verifier() -> str:
 
 
 def write_export(session: Session, stream: IO[bytes], form: str, policy: Policy) -> None:
-    """Write the whole log to a stream, as a `zip` with its verifier or as `jsonl` alone.
-
-    Raises
-    ------
-    RefusedInputError
-        When the form is neither.
-    """
+    """Write the whole log to a stream, as a `zip` with its verifier or as `jsonl` alone."""
     if form not in FORMS:
         raise RefusedInputError(f"An export is a zip or jsonl, not {form!r}.")
     if form == "jsonl":

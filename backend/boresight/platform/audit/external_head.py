@@ -32,13 +32,7 @@ class ExternalHead:
 
 
 def refuse_place(file: Path, data_folder: Path) -> None:
-    """Refuse a place that is lost together with the data.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file is in the data folder.
-    """
+    """Refuse a place that is lost together with the data."""
     if file.resolve().is_relative_to(data_folder.resolve()):
         raise RefusedInputError(
             f"BORESIGHT_AUDIT_HEAD_FILE names {file}, which is in the data folder and would be lost with it: name a file elsewhere."
@@ -46,13 +40,7 @@ def refuse_place(file: Path, data_folder: Path) -> None:
 
 
 def write_head(file: Path, head: ExternalHead) -> None:
-    """Add a line, and have it on the disk.
-
-    Raises
-    ------
-    UnavailableError
-        When it cannot be written.
-    """
+    """Add a line, and have it on the disk."""
     line = json.dumps(asdict(head)).encode()
     try:
         handle = os.open(file, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o640)
@@ -69,13 +57,7 @@ def write_head(file: Path, head: ExternalHead) -> None:
 
 
 def read_head(file: Path) -> ExternalHead | None:
-    """Return the head of the last whole line; None where there is no file yet.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file cannot be read, or holds lines and none of them is whole.
-    """
+    """Return the head of the last whole line; None where there is no file yet."""
     try:
         with file.open("rb") as stream:
             stream.seek(max(0, file.stat().st_size - TAIL_BYTES))

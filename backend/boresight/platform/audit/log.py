@@ -34,31 +34,7 @@ HEAD_KEPT, HEAD_FILE = "head kept", "audit-head"  # the record that a file was g
 
 @dataclass(frozen=True)
 class ChainReport:
-    """What a verification found.
-
-    Parameters
-    ----------
-    ok
-        Whether every record and every sealed row is as it was written, and the expected head is in the chain.
-    records
-        How many records were found good, from the first on.
-    head
-        Hash of the last good record.
-    first_broken_id
-        The first record that is not as it was written, or whose row is not as it left it; None when all are.
-    sentence
-        The finding in words.
-    rows
-        How many sealed rows were held against the chain.
-    first_broken_row
-        The row that is not as the chain has it, as `table/id`; None when all are.
-    last_id
-        Number of the last good record.
-    files
-        How many stored files were held against their addresses; 0 where that was not asked.
-    bad_files
-        What is wrong with which, the first `BAD_FILES_NAMED`.
-    """
+    """What a verification found."""
 
     ok: bool
     records: int
@@ -81,19 +57,7 @@ def append(
     after: Mapping[str, Any] | None = None,
     reason: str | None = None,
 ) -> AuditRecord:
-    """Put one record at the end of the chain; it is written with the commit of the caller's transaction.
-
-    Parameters
-    ----------
-    action
-        What happened, in the past: `submitted`, `promoted`, `was disabled`.
-    subject
-        What it happened to, as its REST address: `parameter-sets/3`.
-    before, after
-        What changed, as JSON documents; None where there was nothing.
-    reason
-        In the actor's words.
-    """
+    """Put one record at the end of the chain; it is written with the commit of the caller's transaction."""
     session.flush()
     return chain.append(
         session,
@@ -157,13 +121,7 @@ def list_records(
 
 
 def get_record(session: Session, record_id: int) -> AuditRecord:
-    """Return a record.
-
-    Raises
-    ------
-    NotFoundError
-        When there is none with this number.
-    """
+    """Return a record."""
     record = rows.record(session, record_id)
     if record is None:
         raise NotFoundError(f"There is no audit record {record_id}.")
@@ -183,13 +141,7 @@ def sought(
     since: str | None = None,
     until: str | None = None,
 ) -> Mapping[str, str | None]:
-    """Say what a list of records is narrowed to; times in ISO 8601, UTC where they name no zone.
-
-    Raises
-    ------
-    RefusedInputError
-        When a time cannot be read.
-    """
+    """Say what a list of records is narrowed to; times in ISO 8601, UTC where they name no zone."""
     return {
         "object": object,
         "actor": actor,
@@ -213,21 +165,7 @@ def verify(
     head_file: Path | None = None,
     again: bool = True,
 ) -> ChainReport:
-    """Walk the whole chain, every sealed row, journal and stored file, and name the first that is not as it was written.
-
-    Parameters
-    ----------
-    expected_head
-        A head from an earlier export; not finding it means that the tail was cut and rewritten.
-    blobs
-        The stored files; None leaves them out.
-    kept
-        The head that is kept elsewhere; not finding it means that records were lost or rewritten.
-    head_file
-        Where it was looked for: that there is none, although the log says that heads were kept there, is a finding.
-    again
-        Read every file, also those that this process has seen to be intact.
-    """
+    """Walk the whole chain, every sealed row, journal and stored file, and name the first that is not as it was written."""
     found = verification.verify(session, expected_head, None if kept is None else kept.hash)
     looked_at = [] if blobs is None else list(files.bad_files(session, blobs, again=again))
     bad = [str(one) for one in looked_at if one is not None]

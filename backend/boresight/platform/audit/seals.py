@@ -115,13 +115,7 @@ def _left_out(model: type[Base], state: str | None) -> frozenset[str]:
 
 
 def refuse_bulk(state: ORMExecuteState) -> None:
-    """Refuse a bulk change of a sealed table that says nothing of its seals.
-
-    Raises
-    ------
-    ValueError
-        A programming error: the change would later look as if it was made by hand.
-    """
+    """Refuse a bulk change of a sealed table that says nothing of its seals."""
     changes = state.is_insert or state.is_update or state.is_delete
     if not changes or state.bind_mapper is None or not BULK.items().isdisjoint(state.execution_options.items()):
         return

@@ -64,13 +64,7 @@ class Trigger:
 def find_changed_triggers(
     connection: sa.Connection, migrated: Callable[[sa.Connection], None]
 ) -> list[tuple[str, str]]:
-    """Return the triggers that are not as the migrations make them, each with what was done: removed, inserted or changed.
-
-    Parameters
-    ----------
-    migrated
-        Brings an empty database to the newest schema.
-    """
+    """Return the triggers that are not as the migrations make them, each with what was done: removed, inserted or changed."""
     expected, postgresql = _expected(migrated), connection.dialect.name == "postgresql"
     found = {trigger.name: trigger for trigger in _found(connection, postgresql=postgresql)}
     if postgresql:
@@ -140,17 +134,7 @@ Seal = tuple[int, str, int]  # key of a row, its digest, the record that it is i
 
 @dataclass(frozen=True)
 class RowMismatch:
-    """A row that is not as the chain has it.
-
-    Parameters
-    ----------
-    row
-        `table/id`.
-    what
-        changed, removed, inserted, or parted from a row that it refers to.
-    record_id
-        The record that sealed it last; None where none did.
-    """
+    """A row that is not as the chain has it."""
 
     row: str
     what: str
@@ -159,27 +143,7 @@ class RowMismatch:
 
 @dataclass
 class VerificationFindings:
-    """What a walk along the chain and through the tables found.
-
-    Parameters
-    ----------
-    records, head
-        How many records were found good, from the first on, and the hash of the last good one.
-    last_id
-        Its number; 0 where there is none.
-    broken_id
-        The first record that is not as it was written; then no row is looked at.
-    unmet
-        Heads that were expected, and are not in the chain.
-    rows
-        How many sealed rows were looked at.
-    misfits
-        How many of them are not as the chain has them.
-    misfit
-        The one with the oldest record; one that was inserted only where none has a record.
-    guards
-        Triggers that are not as the migrations make them.
-    """
+    """What a walk along the chain and through the tables found."""
 
     records: int = 0
     head: str = chain.FIRST_HASH

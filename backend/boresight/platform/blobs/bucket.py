@@ -72,15 +72,7 @@ class ObjectBlobStore(BlobStore):
         self._keep_here(written, sha256, size)
 
     def refuse_unusable(self) -> None:
-        """Ask the store for something that is not there: who answers that is there and lets us in.
-
-        Raises
-        ------
-        UnavailableError
-            When the store does not answer, or what was fetched cannot be kept here.
-        ForbiddenError
-            When it does not let us in.
-        """
+        """Ask the store for something that is not there: who answers that is there and lets us in."""
         super().refuse_unusable()
         with self._asking(""), suppress(FileNotFoundError):
             obstore.head(self._looking, LOOKED_FOR)
@@ -93,19 +85,7 @@ class ObjectBlobStore(BlobStore):
             return None
 
     def path(self, sha256: str) -> Path:
-        """Return a file with the bytes of an address, fetched the first time, to be read only.
-
-        Raises
-        ------
-        NotFoundError
-            When the bytes are not in the bucket.
-        CorruptFileError
-            When the bytes in the bucket are not those of the address.
-        UnavailableError
-            When the store does not answer.
-        ForbiddenError
-            When it does not let us in.
-        """
+        """Return a file with the bytes of an address, fetched the first time, to be read only."""
         place = self._place(sha256)
         try:
             if not integrity.is_intact(place, sha256):

@@ -19,17 +19,7 @@ ALTERED, MISSING, RESIZED = "altered", "missing", "another size than its row say
 
 @dataclass(frozen=True)
 class BadFile:
-    """A file that is not what its row says, and whose it is.
-
-    Parameters
-    ----------
-    sha256
-        Its address.
-    what
-        `ALTERED`, `MISSING` or `RESIZED`.
-    used_by
-        The rows that name it: `telemetry-sets/3`.
-    """
+    """A file that is not what its row says, and whose it is."""
 
     sha256: str
     what: str

@@ -45,18 +45,7 @@ class BlobStore:
         self._opened: Opened | None = None
 
     def put(self, content: bytes | Path) -> str:
-        """Store bytes, or a copy of a file, and return their address.
-
-        Returns
-        -------
-        str
-            The SHA-256 in hexadecimal.
-
-        Raises
-        ------
-        UnavailableError
-            When the folder cannot be written.
-        """
+        """Store bytes, or a copy of a file, and return their address."""
         with _opened(content) as source, self._writing():
             self._enter()
             digest = hashlib.sha256()
@@ -78,11 +67,6 @@ class BlobStore:
 
         A folder that comes back is used again; another in its place, such as the empty one under a disk that is not
         mounted, is refused.
-
-        Raises
-        ------
-        StorageError
-            When it cannot be made or is not there.
         """
         with self._writing():
             if make:
@@ -108,13 +92,7 @@ class BlobStore:
             ) from error
 
     def refuse_unusable(self) -> None:
-        """Refuse a folder that is not there any more, and write a file that is gone at once.
-
-        Raises
-        ------
-        UnavailableError
-            When that cannot be done.
-        """
+        """Refuse a folder that is not there any more, and write a file that is gone at once."""
         with self._writing():
             self._enter()
             with tempfile.TemporaryFile(dir=self.folder) as file:
@@ -147,15 +125,7 @@ class BlobStore:
         return self.folder / sha256[:2] / sha256[2:4] / sha256
 
     def path(self, sha256: str) -> Path:
-        """Return the file of an address, which has its bytes, to be read only.
-
-        Raises
-        ------
-        NotFoundError
-            When the bytes are not in the folder.
-        CorruptFileError
-            When the file there does not have the bytes of the address.
-        """
+        """Return the file of an address, which has its bytes, to be read only."""
         return self._checked(self._located(sha256), sha256)
 
     def _located(self, sha256: str) -> Path:
@@ -188,20 +158,7 @@ class BlobStore:
         return location
 
     def check(self, sha256: str, *, again: bool) -> int:
-        """Hold the bytes of an address against it; return how many they are.
-
-        Parameters
-        ----------
-        again
-            Read them now, whatever this process knows of them.
-
-        Raises
-        ------
-        NotFoundError
-            When they are not kept.
-        CorruptFileError
-            When they are not those of the address.
-        """
+        """Hold the bytes of an address against it; return how many they are."""
         return self._checked(self._located(sha256), sha256, again=again).stat().st_size
 
     def size(self, sha256: str) -> int:

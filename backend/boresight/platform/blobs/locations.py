@@ -13,15 +13,7 @@ SCHEMES = ("s3", "gs", "az", "abfs", "memory")
 
 @dataclass(frozen=True)
 class BlobLocation:
-    """An address, and the folder in which a machine keeps what it fetched from there.
-
-    Parameters
-    ----------
-    address
-        A folder's path, or a URL such as `s3://bucket/prefix`.
-    cache_folder, cache_bytes
-        Used with a URL only: where files that were fetched are kept, and about how much of them.
-    """
+    """An address, and the folder in which a machine keeps what it fetched from there."""
 
     address: str
     cache_folder: Path
@@ -34,13 +26,7 @@ class BlobLocation:
 
 
 def parse_address(text: str) -> str:
-    """Return an address of files in one spelling: an absolute path, or the URL.
-
-    Raises
-    ------
-    RefusedInputError
-        When the URL is of no known kind, names no bucket, or holds a password, which would get into logs.
-    """
+    """Return an address of files in one spelling: an absolute path, or the URL."""
     if "://" not in text:
         return str(Path(text).expanduser().resolve())
     parts = urlsplit(text)

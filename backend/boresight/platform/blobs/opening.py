@@ -10,18 +10,7 @@ from boresight.platform.blobs.locations import BlobLocation
 
 
 def open_blobs(place: BlobLocation, *, make: bool = True) -> BlobStore:
-    """Open the files at a place; those of an object store are opened once a process.
-
-    Parameters
-    ----------
-    make
-        Whether the first use may make a folder that is not there; else it is refused now.
-
-    Raises
-    ------
-    RefusedInputError
-        When it is an object store, and the library that speaks to it is not installed.
-    """
+    """Open the files at a place; those of an object store are opened once a process."""
     if place.is_folder:
         blobs = BlobStore(Path(place.address))
         if not make:

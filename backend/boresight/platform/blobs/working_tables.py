@@ -21,17 +21,7 @@ CONVERTED = "converted"
 
 
 def working_table(blobs: BlobStore, sha256: str) -> tuple[Path, str]:
-    """Return the mapped table of an address, and the SHA-256 of its bytes.
-
-    Raises
-    ------
-    NotFoundError
-        When the bytes are not there.
-    CorruptFileError
-        When they are not those of the address.
-    RefusedInputError
-        When a table stored before is damaged.
-    """
+    """Return the mapped table of an address, and the SHA-256 of its bytes."""
     path = blobs.path(sha256)
     if is_working_table(path):
         return path, sha256

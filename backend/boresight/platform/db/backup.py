@@ -54,18 +54,7 @@ ROWS = 500  # at once
 
 
 def copy_rows(source: Engine, target: Engine) -> int:
-    """Copy every row; bring both schemas up to date first.
-
-    Returns
-    -------
-    int
-        How many rows there were.
-
-    Raises
-    ------
-    ConflictError
-        When the target holds rows already.
-    """
+    """Copy every row; bring both schemas up to date first."""
     migrate(source)
     migrate(target)
     with _seen_in_one_state(source).connect() as origin, target.begin() as copy:
@@ -149,13 +138,7 @@ class BackupManifest:
 
     @classmethod
     def from_json(cls, text: bytes) -> BackupManifest:
-        """Read it.
-
-        Raises
-        ------
-        RefusedInputError
-            When it is not one.
-        """
+        """Read it."""
         try:
             found = json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -212,20 +195,6 @@ def write_backup(url: str, blobs: BlobStore, head: str, archive: Path, *, keep_g
 
     The database is copied first. Then every stored file that the copy names or that is in the folder is held against its address,
     and again while it is packed: a backup of a corrupt or missing one would be found out when it is needed.
-
-    Parameters
-    ----------
-    url
-        The database's address.
-    head
-        Of the audit chain, taken before: the restored chain must still hold it.
-    keep_going
-        Leave corrupt and missing files out, and name them, instead of refusing.
-
-    Raises
-    ------
-    CorruptFileError
-        When stored files are corrupt or missing; they are named.
     """
     with tempfile.TemporaryDirectory(prefix=".backup-", dir=archive.absolute().parent) as folder:
         copy, written = Path(folder) / DATABASE, Path(folder) / "backup.zip"
@@ -331,13 +300,6 @@ def read_backup(archive: Path, url: str, blobs: BlobStore) -> BackupSummary:
     """Lay a backup down where nothing is yet; the database appears last, when all else is there.
 
     The database at the address may be on the other engine than that of the backup; of PostgreSQL it must exist, empty.
-
-    Raises
-    ------
-    ConflictError
-        When there is a database already, or files are not as they were backed up; all of them are named.
-    RefusedInputError
-        When the file is no backup.
     """
     database = _find_file(url)
     if database is not None and database.exists():
@@ -371,13 +333,7 @@ def _opened(archive: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def is_of_now(archive: Path, engine: Engine) -> bool:
-    """Whether an archive holds, whole, the database as it is: the audit log and the journals end alike.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file is no backup, or cannot be read.
-    """
+    """Whether an archive holds, whole, the database as it is: the audit log and the journals end alike."""
     with _opened(archive) as backup, tempfile.TemporaryDirectory(prefix="boresight-") as folder:
         manifest = _manifest(backup)
         _refuse_too_large(backup, Path(folder))

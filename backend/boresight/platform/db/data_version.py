@@ -28,13 +28,7 @@ QUESTIONS = {"sqlite": "PRAGMA data_version", "postgresql": "SELECT pg_current_s
 
 
 class DataVersionReader:
-    """Reads the data version of one store over a connection of its own.
-
-    Parameters
-    ----------
-    engine
-        The store.
-    """
+    """Reads the data version of one store over a connection of its own."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
@@ -109,13 +103,7 @@ class DataVersionReader:
 
 
 class VersionedCache(Generic[T]):
-    """A cache of query results, valid until the next commit.
-
-    Parameters
-    ----------
-    marks
-        Of the store.
-    """
+    """A cache of query results, valid until the next commit."""
 
     def __init__(self, data_versions: DataVersionReader) -> None:
         self._marks = data_versions
@@ -145,13 +133,7 @@ LARGEST_SHARE = 4  # of the limit, so that one large thing does not push everyth
 
 
 class SizeLimitedCache(Generic[Value]):
-    """Values by key; many threads may ask at once, and two that ask for the same at once both make it.
-
-    Parameters
-    ----------
-    limit_bytes
-        How much is kept, counted as the callers count it.
-    """
+    """Values by key; many threads may ask at once, and two that ask for the same at once both make it."""
 
     def __init__(self, limit_bytes: int) -> None:
         self.limit_bytes = limit_bytes

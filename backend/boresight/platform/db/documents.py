@@ -26,13 +26,7 @@ MOST_NUMBER = 1 << 31
 
 
 def canonical(document: Any) -> str:
-    """Return the one spelling of a JSON document.
-
-    Raises
-    ------
-    ValueError
-        When a number is NaN or infinite.
-    """
+    """Return the one spelling of a JSON document."""
     return json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 

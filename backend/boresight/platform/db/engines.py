@@ -60,11 +60,6 @@ def open_engine(url: str) -> Engine:
     """Open the store at a SQLAlchemy address, `sqlite:///path` or `postgresql://user@host/name`.
 
     What is executed on it raises UnavailableError when the database does not answer, or stays locked.
-
-    Raises
-    ------
-    RefusedInputError
-        When the address is not one of these two engines, or the PostgreSQL driver is not installed.
     """
     try:
         address = sa.make_url(url)
@@ -196,12 +191,6 @@ def be_the_only_writer(connection: sa.Connection, *, wait_s: int = WAIT_S) -> No
 
 
 def refuse_unwritable_store(engine: Engine) -> None:
-    """Refuse a SQLite database whose file, folder or disk cannot take a write now; PostgreSQL looks after its own.
-
-    Raises
-    ------
-    StorageError
-        When a write would fail.
-    """
+    """Refuse a SQLite database whose file, folder or disk cannot take a write now; PostgreSQL looks after its own."""
     if engine.dialect.name == "sqlite":
         refuse_unwritable(Path(str(engine.url.database)).expanduser())

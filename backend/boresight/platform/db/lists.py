@@ -17,21 +17,7 @@ Condition = Callable[[Any], sa.ColumnElement[bool]]
 
 @dataclass(frozen=True)
 class List:
-    """What a list is made of.
-
-    Parameters
-    ----------
-    table
-        The declared table of its rows.
-    keys
-        What it is sorted by: an expression of each name.
-    filters
-        What it is narrowed by: a condition on the given value.
-    unread
-        Columns that no page shows and that would be most of what is read.
-    large
-        Columns that nothing that lists shows.
-    """
+    """What a list is made of."""
 
     table: Any
     keys: Mapping[str, Any]

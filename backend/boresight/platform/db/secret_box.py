@@ -29,13 +29,7 @@ def is_sealed(stored: str) -> bool:
 
 
 class SecretBox:
-    """Encrypts and decrypts what the database keeps for later use.
-
-    Parameters
-    ----------
-    file
-        Where the keys are, one a line, the newest first.
-    """
+    """Encrypts and decrypts what the database keeps for later use."""
 
     def __init__(self, file: Path) -> None:
         self.file = file

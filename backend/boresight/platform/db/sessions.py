@@ -68,17 +68,7 @@ sa.event.listen(Session, "after_rollback", forget)
 
 @contextmanager
 def open_store(url: str) -> Iterator[Engine]:
-    """Open the store at an address for one command, its schema brought up to date; it is closed at the end.
-
-    Raises
-    ------
-    RefusedInputError
-        When there can be no store at the address.
-    ConflictError
-        When the database was written by a newer version of Boresight.
-    UnavailableError
-        When the database does not answer.
-    """
+    """Open the store at an address for one command, its schema brought up to date; it is closed at the end."""
     engine = open_engine(url)
     try:
         migrate(engine)
@@ -150,11 +140,6 @@ def _changing_schema(engine: Engine) -> Iterator[sa.Connection]:
     """Open a transaction for a migration: alone, all or nothing, with SQLite's foreign keys checked at its end.
 
     SQLite alters a table by copying and dropping it, which with foreign keys on would take the rows that refer to it.
-
-    Raises
-    ------
-    ConflictError
-        When the database was written by a newer version of Boresight, or its rows would no longer refer to anything.
     """
     with engine.execution_options(begin="IMMEDIATE").connect() as connection:
         sqlite = connection.dialect.name == "sqlite"
@@ -177,13 +162,7 @@ def _changing_schema(engine: Engine) -> Iterator[sa.Connection]:
 
 
 def migrate(engine: Engine) -> None:
-    """Bring the schema up to date; does nothing when it is. Rows from before there were seals are sealed as they are.
-
-    Raises
-    ------
-    ConflictError
-        When the database was written by a newer version of Boresight.
-    """
+    """Bring the schema up to date; does nothing when it is. Rows from before there were seals are sealed as they are."""
     with _changing_schema(engine) as connection:
         before = MigrationContext.configure(connection).get_current_revision()
         command.upgrade(_config(connection), "head")
@@ -199,15 +178,7 @@ def upgrade_tables(connection: sa.Connection) -> None:
 
 
 def downgrade(engine: Engine, revision: str) -> None:
-    """Take the schema back to a revision; `base` removes every table.
-
-    Raises
-    ------
-    RefusedInputError
-        When there is no such revision on the way back; names those there are.
-    ConflictError
-        When the database was written by a newer version of Boresight.
-    """
+    """Take the schema back to a revision; `base` removes every table."""
     _refuse_unknown_revision(engine, revision)
     with _changing_schema(engine) as connection:
         command.downgrade(_config(connection), revision)
@@ -235,13 +206,7 @@ class _DryRunError(Exception):
 
 
 def list_downgrade_losses(engine: Engine, revision: str) -> list[DowngradeLoss]:
-    """Go back to a revision, see what is gone, and undo it: both engines do so with tables too.
-
-    Raises
-    ------
-    RefusedInputError, ConflictError
-        As `downgrade`.
-    """
+    """Go back to a revision, see what is gone, and undo it: both engines do so with tables too."""
     found: list[DowngradeLoss] = []
     _refuse_unknown_revision(engine, revision)
     with suppress(_DryRunError), _changing_schema(engine) as connection:

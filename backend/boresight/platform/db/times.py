@@ -30,13 +30,7 @@ def utc_text(moment: datetime) -> str:
 
 
 def read_time(text: str) -> str:
-    """Read a time that was given, ISO 8601 and UTC where it names no zone, as the store writes it.
-
-    Raises
-    ------
-    RefusedInputError
-        When it is no time, or its zone takes it out of the calendar of the years 1 to 9999.
-    """
+    """Read a time that was given, ISO 8601 and UTC where it names no zone, as the store writes it."""
     try:
         return utc_text(datetime.fromisoformat(text.strip()))
     except (ValueError, OverflowError) as error:

@@ -14,19 +14,7 @@ log = logging.getLogger(__name__)
 
 
 class PeriodicThread:
-    """A thread that runs its steps periodically.
-
-    Parameters
-    ----------
-    name
-        What the thread is for, in its name and in the log: `heartbeat`.
-    steps
-        What is done in every round, in this order.
-    rest_s
-        Returns the seconds between two rounds.
-    least_s
-        Between two rounds however often it is nudged: what many commits ask for is done once for all of them.
-    """
+    """A thread that runs its steps periodically."""
 
     def __init__(
         self, name: str, steps: Sequence[Callable[[], None]], rest_s: Callable[[], float], least_s: float = 0.0

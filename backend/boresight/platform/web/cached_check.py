@@ -11,13 +11,7 @@ LOOK_AGAIN_S = 5.0
 
 
 class CachedCheck:
-    """Something that is usable or not.
-
-    Parameters
-    ----------
-    refuse
-        Looks, and raises a refusal whose sentence says what is wrong.
-    """
+    """Something that is usable or not."""
 
     def __init__(self, refuse: Callable[[], None]) -> None:
         self._refuse = refuse

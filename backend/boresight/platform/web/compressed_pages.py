@@ -21,17 +21,7 @@ TOKEN_GAP, NAME_GAP = (f"gap-{secrets.token_hex(16)}" for _ in range(2))  # sent
 
 
 class CompressedPage:
-    """A page with gaps.
-
-    Parameters
-    ----------
-    page
-        In which each of the gaps may stand any number of times.
-    gaps
-        How each is marked in the page.
-    compressed
-        Whether it is to be sent compressed.
-    """
+    """A page with gaps."""
 
     def __init__(self, page: bytes, gaps: Sequence[bytes], *, compressed: bool) -> None:
         pieces = re.split(b"(" + b"|".join(map(re.escape, gaps)) + b")", page)

@@ -50,15 +50,7 @@ LENT_S = 0.25
 
 
 class RequestQueue:
-    """The turns of one kind of requests, given to those that were waited for longest.
-
-    Parameters
-    ----------
-    most
-        At once.
-    lent_s
-        After so long the next has a turn too.
-    """
+    """The turns of one kind of requests, given to those that were waited for longest."""
 
     def __init__(self, most: int, lent_s: float = LENT_S) -> None:
         self._free = most
@@ -67,14 +59,7 @@ class RequestQueue:
 
     @asynccontextmanager
     async def turn(self, waited_s: Callable[[float], float] | None = None) -> AsyncIterator[None]:
-        """Wait for a turn, and have it.
-
-        Parameters
-        ----------
-        waited_s
-            Tells how long, at a time of the monotonic clock, was waited for what will be done in it, by all who wait for that; by
-            whoever asks alone, where not given.
-        """
+        """Wait for a turn, and have it."""
         if self._free:
             self._free -= 1
         else:
@@ -129,19 +114,7 @@ READERS, WRITERS = 2, 2  # worked on at once; of the writers, all but one wait f
 
 @dataclass(frozen=True)
 class ConcurrencyLimits:
-    """How many requests of each kind may run at once.
-
-    Parameters
-    ----------
-    known
-        Requests of people and keys under way at once.
-    unknown, unknown_each
-        Requests of who is not known: of all, and of one address.
-    large, large_each
-        Large bodies: of all, and of one person.
-    unknown_body_s
-        How long the body of who is not known may take.
-    """
+    """How many requests of each kind may run at once."""
 
     known: int = 512
     unknown: int = 64
@@ -152,15 +125,7 @@ class ConcurrencyLimits:
 
 
 class Slots:
-    """A number of slots for requests of one kind.
-
-    Parameters
-    ----------
-    most
-        Of all.
-    most_each
-        Of those with one key.
-    """
+    """A number of slots for requests of one kind."""
 
     def __init__(self, most: int, most_each: int) -> None:
         self.most = most
@@ -185,19 +150,7 @@ class Slots:
 
 
 class ConcurrencyLimit:
-    """The middleware that counts requests.
-
-    Parameters
-    ----------
-    refuse
-        Makes the answer to who is turned away; must need no thread and no store.
-    identify
-        Returns the number of the person whose credentials a request carries, and None where they do not hold.
-    limits
-        How many requests of each kind may run at once.
-    begin
-        Called when a request has its turn, before it is worked on.
-    """
+    """The middleware that counts requests."""
 
     def __init__(
         self, app: ASGIApp, refuse: Refuse, identify: Identify, begin: Begin, limits: ConcurrencyLimits | None = None

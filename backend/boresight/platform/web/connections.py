@@ -37,19 +37,7 @@ LONGEST_HEAD_BYTES = 64 << 10
 
 @dataclass(frozen=True)
 class Deadlines:
-    """How long a connection may take.
-
-    Parameters
-    ----------
-    head_s
-        From its opening, or from the first byte of a further request, until a request's head is there.
-    idle_s
-        Between the answer and the next request.
-    linger_s
-        To go on sending a body that was answered before it had come whole.
-    stuck_s
-        Without taking anything of an answer that waits to be sent.
-    """
+    """How long a connection may take."""
 
     head_s: float = 10.0
     idle_s: float = 15.0
@@ -63,15 +51,7 @@ class Deadlines:
 
 
 class Connections:
-    """All connections of one server.
-
-    Parameters
-    ----------
-    most
-        As many as there may be.
-    deadlines
-        How long each may take.
-    """
+    """All connections of one server."""
 
     def __init__(self, most: int = MOST_OPEN, deadlines: Deadlines | None = None) -> None:
         self.most = most

@@ -13,13 +13,7 @@ from boresight.platform.db.data_version import DataVersion, DataVersionReader
 
 
 class DataVersionPoller:
-    """Polls the data version.
-
-    Parameters
-    ----------
-    marks
-        Of the store.
-    """
+    """Polls the data version."""
 
     def __init__(self, marks: DataVersionReader) -> None:
         self._marks = marks

@@ -40,15 +40,7 @@ class FigureCache:
         self._recent: SizeLimitedCache[bytes] = SizeLimitedCache(limit_bytes)
 
     def answer(self, request: Request, parts: Sequence[str] | None, draw: Callable[[], bytes]) -> Response:
-        """Answer with a figure.
-
-        Parameters
-        ----------
-        parts
-            All that the figure depends on; None where that may change at any moment.
-        draw
-            Makes the figure's JSON.
-        """
+        """Answer with a figure."""
         if parts is None:
             return Response(draw(), media_type="application/json", headers={"Cache-Control": "no-store"})
         digest = hashlib.sha256("\0".join((figures_version(), *parts)).encode()).hexdigest()[:32]

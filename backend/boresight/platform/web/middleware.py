@@ -96,23 +96,7 @@ def get_request_id(headers: Headers) -> str:
 
 
 class RequestMiddleware:
-    """The outermost layer.
-
-    Parameters
-    ----------
-    observe
-        Told scope, status and seconds of every request.
-    refuse
-        Makes the answer to an error.
-    upload_limit_mb
-        Largest telemetry file.
-    four_eyes
-        Whether a second person is asked for here, at the moment of an answer.
-    pace
-        How fast a body must come.
-    https_only
-        Whether browsers are told to ask this server over HTTPS alone.
-    """
+    """The outermost layer."""
 
     def __init__(
         self,
@@ -296,13 +280,7 @@ SPELLINGS = (b"gzip", b"x-gzip")  # RFC 9110, 8.4.1.3
 
 @lru_cache(maxsize=64)  # browsers and programs send few different ones
 def takes_gzip(accepted: bytes) -> bool:
-    """Say whether an answer may be sent with gzip.
-
-    Parameters
-    ----------
-    accepted
-        The value of `Accept-Encoding`; several of them joined by commas; empty where there is none.
-    """
+    """Say whether an answer may be sent with gzip."""
     weights = dict(_parse_coding(element) for element in accepted.lower().split(b","))
     named = [weights[name] for name in SPELLINGS if name in weights]
     weight = max(named) if named else weights.get(b"*", 0.0)

@@ -26,15 +26,7 @@ SENTENCE = "This request was made by a page of another site; make it from Boresi
 
 
 class OriginCheck:
-    """The layer that refuses what pages of other sites send.
-
-    Parameters
-    ----------
-    refuse
-        Makes the answer; must need no thread and no store.
-    public_url
-        Where people find this server, when that is not what `Host` says; empty otherwise.
-    """
+    """The layer that refuses what pages of other sites send."""
 
     def __init__(self, app: ASGIApp, refuse: Callable[[Request, Exception], Response], public_url: str = "") -> None:
         self.app = app

@@ -35,15 +35,7 @@ CLOSE = {"Connection": "close"}  # what still comes is not read
 
 @dataclass(frozen=True)
 class BodyRate:
-    """How fast a body must come.
-
-    Parameters
-    ----------
-    window_s, floor_bytes
-        So much at least in each such time.
-    slowest_bytes_per_s
-        Decides, with the largest body, how long all of it may take beyond one window.
-    """
+    """How fast a body must come."""
 
     window_s: float = 30.0
     floor_bytes: int = 64 << 10
@@ -55,19 +47,7 @@ class BodyRate:
 
 
 class RequestBody:
-    """A body on its way in.
-
-    Parameters
-    ----------
-    receive
-        Gives its pieces.
-    limit_bytes
-        The largest that is taken.
-    too_large
-        The sentence that refuses a larger one.
-    announced_bytes
-        Its length, where it was announced.
-    """
+    """A body on its way in."""
 
     def __init__(
         self, receive: Receive, pace: BodyRate, limit_bytes: int, too_large: str, announced_bytes: int = 0
@@ -83,14 +63,7 @@ class RequestBody:
         self._ended = False
 
     async def receive(self) -> Message:
-        """Return the next piece.
-
-        Raises
-        ------
-        HTTPException
-            When the body is too large or too slow. In the framework's words: it takes any other exception of a body for a body
-            that it cannot parse.
-        """
+        """Return the next piece."""
         if self._ended:
             return await self._receive()  # now it is told when the asker leaves, which has no deadline
         if self._received > self._limit_bytes:
@@ -127,13 +100,7 @@ class RequestBody:
 
 
 async def read_body(receive: Receive) -> Receive | None:
-    """Read a body before anybody works on it; None where its sender has left.
-
-    Returns
-    -------
-    Receive
-        Gives the body at once.
-    """
+    """Read a body before anybody works on it; None where its sender has left."""
     pieces = bytearray()
     while True:
         message = await receive()
@@ -162,13 +129,7 @@ Refuse = Callable[[Request, Exception], Awaitable[Response]]
 
 
 class RequestValidation:
-    """The layer that turns away what is no text and no JSON.
-
-    Parameters
-    ----------
-    refuse
-        Makes the answer to an error.
-    """
+    """The layer that turns away what is no text and no JSON."""
 
     def __init__(self, app: ASGIApp, refuse: Refuse) -> None:
         self.app = app
@@ -228,13 +189,7 @@ def _giving(first: Message, receive: Receive) -> Receive:
 
 
 def read_json(body: bytes) -> Any:
-    """Read JSON as RFC 8259 has it.
-
-    Raises
-    ------
-    RequestValidationError
-        When it is none, is nested too deeply, or holds a number or a character that cannot be kept.
-    """
+    """Read JSON as RFC 8259 has it."""
     try:
         document = orjson.loads(body.removeprefix(BYTE_ORDER_MARK))
     except orjson.JSONDecodeError as error:

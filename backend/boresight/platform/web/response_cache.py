@@ -102,22 +102,7 @@ class CacheRequest:
 
 @dataclass(frozen=True)
 class CredentialProof:
-    """That credentials hold.
-
-    Parameters
-    ----------
-    until_s
-        Until when by the clock.
-    use
-        What is to be done whenever they are used; whether they hold still.
-    unchanged
-        Whether the rows that they follow from say the same now; may be asked anywhere, for it takes some microseconds.
-    person, roles
-        Of a log-in: whose it is, and in which roles, each with what its cookies say besides; a page that is the same for one
-        person, or for these roles, is the same wherever these are.
-    gaps
-        What stands in the pages of this log-in alone, as it is written there: its token, and the name of its person.
-    """
+    """That credentials hold."""
 
     until_s: float
     use: SessionUse
@@ -133,25 +118,7 @@ class CredentialProof:
 
 @dataclass(frozen=True)
 class CachedResponse:
-    """An answer as it is sent.
-
-    Parameters
-    ----------
-    headers
-        Of the answer in full, without its length.
-    body
-        As it is sent, compressed or not; with gaps where it stands for more than one log-in.
-    tag
-        Its entity tag; empty where it is not to be stored by anybody.
-    whole
-        Whether the tag changes with everything in the body, so that it may stand for it.
-    mark, beside, made_s
-        The store before it was read, what else it depends on, and when it was made.
-    route
-        Of the endpoint, by which it is counted.
-    is_older
-        Whether part of it was read before a commit that came before the mark: good for who asked before, and not kept.
-    """
+    """An answer as it is sent."""
 
     headers: tuple[tuple[bytes, bytes], ...]
     body: bytes | CompressedPage
@@ -184,13 +151,7 @@ def matches_tag(known_tags: bytes, tag: bytes) -> bool:
 
 @dataclass(eq=False)
 class PendingResponse:
-    """An answer that is being made, or waits for its turn, and how long who asked for it has waited.
-
-    Parameters
-    ----------
-    key
-        Under which it will be kept.
-    """
+    """An answer that is being made, or waits for its turn, and how long who asked for it has waited."""
 
     key: Hashable
     answer: asyncio.Future[CachedResponse | None]
@@ -216,17 +177,7 @@ def waited_s(scope: Scope) -> Callable[[float], float] | None:
 
 
 class ResponseCache:
-    """The response cache of one server.
-
-    Parameters
-    ----------
-    changes
-        Asks for the store's mark.
-    prove
-        Proves a request's credentials by the store, as its endpoint would; None where they do not hold.
-    beside
-        What answers for one person depend on besides the store.
-    """
+    """The response cache of one server."""
 
     def __init__(
         self,

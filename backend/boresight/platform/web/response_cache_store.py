@@ -46,13 +46,7 @@ VARY = b"Accept-Encoding, Authorization, Cookie"
 
 
 async def same_for_all(request: Request) -> None:
-    """Let whoever is known read what is the same for all: the answer follows from address and store alone.
-
-    Raises
-    ------
-    UnauthenticatedError
-        When nobody is logged in, the log-in has ended, or the key is not valid.
-    """
+    """Let whoever is known read what is the same for all: the answer follows from address and store alone."""
     await get_actor(request)
     request.scope["state"][SAME_FOR] = FOR_ALL
 

@@ -72,21 +72,7 @@ def addresses_of_this_machine() -> frozenset[Address]:
 
 @dataclass(frozen=True)
 class WebhookTargets:
-    """What an installation lets its webhooks reach.
-
-    Parameters
-    ----------
-    local
-        Whether messages may go to this machine and its link.
-    private
-        Whether they may go to private networks.
-    hosts
-        The only hosts they may go to, exact or `*.suffix`; none: any.
-    listening
-        The address that the server listens on.
-    own
-        Returns the addresses of this machine.
-    """
+    """What an installation lets its webhooks reach."""
 
     local: bool = False
     private: bool = False
@@ -95,13 +81,7 @@ class WebhookTargets:
     own: Callable[[], frozenset[Address]] = addresses_of_this_machine
 
     def refuse_host(self, host: str) -> None:
-        """Refuse a host that is not on the list, where there is one.
-
-        Raises
-        ------
-        RefusedInputError
-            When the host is not named.
-        """
+        """Refuse a host that is not on the list, where there is one."""
         if self.hosts and not any(_matches(plain_host(host), entry) for entry in self.hosts):
             raise RefusedInputError(
                 f"{host} is not one of the hosts that webhooks may go to, which is not allowed: choose one of "
@@ -109,15 +89,7 @@ class WebhookTargets:
             )
 
     def addresses(self, host: str, port: int) -> list[str]:
-        """Return every address that a name leads to now, if all of them are allowed.
-
-        Raises
-        ------
-        RefusedInputError
-            When the host or one of its addresses is not allowed.
-        OSError
-            When the name leads nowhere.
-        """
+        """Return every address that a name leads to now, if all of them are allowed."""
         self.refuse_host(host)
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
         texts = list(dict.fromkeys(str(known[4][0]) for known in found))
@@ -152,13 +124,7 @@ class WebhookTargets:
 
 
 def read_hosts(text: str) -> tuple[str, ...]:
-    """Read a list of hosts, exact or `*.suffix`, separated by commas or spaces.
-
-    Raises
-    ------
-    ValueError
-        When an entry is no host.
-    """
+    """Read a list of hosts, exact or `*.suffix`, separated by commas or spaces."""
     entries = [plain_host(entry) for entry in text.replace(",", " ").split()]
     for entry in entries:
         bare = entry.removeprefix("*.")
@@ -204,13 +170,7 @@ def _within(address: Address, networks: Iterable[Network]) -> bool:
 
 
 def parsed(url: str) -> tuple[str, int]:
-    """Return host and port of an address that a webhook may have.
-
-    Raises
-    ------
-    RefusedInputError
-        When it is no address of a web server.
-    """
+    """Return host and port of an address that a webhook may have."""
     wrong = RefusedInputError(f"{url!r} is no address; write it like https://mission.example/hooks.")
     try:
         parts = urlsplit(url)
@@ -235,11 +195,6 @@ def refuse_address(url: str, targets: WebhookTargets) -> None:
 
     A name that leads nowhere now may lead somewhere when there is something to tell, and is judged again then. This looks
     names up, so it belongs outside a writing transaction.
-
-    Raises
-    ------
-    RefusedInputError
-        Says what is wrong with it.
     """
     host, port = parsed(url)
     targets.refuse_host(host)

@@ -14,13 +14,7 @@ _VARIATION_SELECTORS = (range(0x180B, 0x1810), range(0xFE00, 0xFE10), range(0xE0
 
 
 def refuse_control_characters(**texts: str) -> None:
-    """Refuse control characters other than tab and line ends: nobody sees them, and they end a text early elsewhere.
-
-    Raises
-    ------
-    RefusedInputError
-        Says which text has one and where.
-    """
+    """Refuse control characters other than tab and line ends: nobody sees them, and they end a text early elsewhere."""
     for name, text in texts.items():
         for place, letter in enumerate(text, start=1):
             if unicodedata.category(letter) in {"Cc", "Cs"} and letter not in LAYOUT:
@@ -35,18 +29,6 @@ def normal_name(what: str, text: str, longest: int = LONGEST_NAME) -> str:
 
     Two names that look alike because one is composed, full-width or spaced differently have the same form, so a
     constraint on what is stored keeps them apart.
-
-    Parameters
-    ----------
-    what
-        What the name is of, as the refusal calls it: "file name".
-    longest
-        Characters that the normal form may have.
-
-    Raises
-    ------
-    RefusedInputError
-        When it is too long, or has a character that is not seen or that changes the direction of writing.
     """
     if len(text) <= 4 * longest:  # longer ones are refused anyhow: no work for them
         text = _normal_form(text)

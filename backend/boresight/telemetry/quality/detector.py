@@ -117,13 +117,7 @@ class OffDetector:
         self._faults.absorb(later._faults)
 
     def refuse(self) -> None:
-        """Raise when too many stars lie off the detector.
-
-        Raises
-        ------
-        RefusedInputError
-            Names the first twenty rows, and how many would have been left out.
-        """
+        """Raise when too many stars lie off the detector."""
         if self.too_many:
             self._faults.subject = (
                 f"The telemetry does not fit the sensor, {self.beyond_cut:,} of its {self.matched:,} matched stars lie off the "
@@ -156,13 +150,7 @@ class OffDetector:
 
 
 def check_against_sensor(telemetry: Telemetry, sensor: Sensor) -> OffDetector:
-    """Return which matched stars lie off the sensor's detector and are left out of use.
-
-    Raises
-    ------
-    RefusedInputError
-        When they are too many; names the first twenty rows.
-    """
+    """Return which matched stars lie off the sensor's detector and are left out of use."""
     off = OffDetector()
     off.look_at(telemetry, sensor)
     off.refuse()
@@ -180,16 +168,8 @@ def _past_the_edge(telemetry: Telemetry, sensor: Sensor) -> FloatArray:
 def detector_coverage(telemetry: Telemetry, sensor: Sensor, rows: BoolArray) -> dict[str, Any]:
     """Count stars in cells of the detector.
 
-    Parameters
-    ----------
-    telemetry, sensor
-        The set and the detector it lies on.
-    rows
-        (n_rows,) which rows count.
-
-    Returns
-    -------
-    `row_edges_px` (n + 1), `col_edges_px` (m + 1) and `counts` (n, m), as lists; cells are about square.
+    `rows`: (n_rows,) which rows count. Returns `row_edges_px` (n + 1), `col_edges_px` (m + 1) and `counts` (n, m), as
+    lists; cells are about square.: .
     """
     columns = max(1, round(_GRID_ROWS * sensor.columns / sensor.rows))
     row_edges = np.linspace(-0.5, sensor.rows - 0.5, _GRID_ROWS + 1)
@@ -203,12 +183,7 @@ def detector_coverage(telemetry: Telemetry, sensor: Sensor, rows: BoolArray) -> 
 
 
 def radial_coverage(telemetry: Telemetry, sensor: Sensor, rows: BoolArray) -> dict[str, Any]:
-    """Count stars by their distance from the detector's centre.
-
-    Returns
-    -------
-    `edges_px` (n + 1) up to the corner, `counts` (n), `largest_radius_px` (None without stars), `corner_radius_px`.
-    """
+    """Count stars by their distance from the detector's centre."""
     centre_row, centre_col = (sensor.rows - 1) / 2.0, (sensor.columns - 1) / 2.0
     radius = np.hypot(telemetry.row_px[rows] - centre_row, telemetry.col_px[rows] - centre_col)
     corner = float(np.hypot(sensor.rows, sensor.columns)) / 2.0

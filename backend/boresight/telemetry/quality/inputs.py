@@ -33,14 +33,7 @@ class StarNumbers(Protocol):
 class QualityInputs:
     """A telemetry set with its sensor and, where there is one, the catalogue.
 
-    Parameters
-    ----------
-    telemetry, sensor
-        The set and whose it is.
-    catalogue
-        Says which stars exist; None = every number counts as known.
-    rows
-        (n_rows,) number of every row in the file, where the set is only stretches of it; None = they follow on.
+    `rows`: (n_rows,) number of every row in the file, where the set is only stretches of it.
     """
 
     telemetry: Telemetry

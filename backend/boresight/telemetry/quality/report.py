@@ -58,21 +58,7 @@ MAGNITUDE_STEP = 0.5
 
 
 def quality_report(telemetry: Telemetry, sensor: Sensor, catalogue: StarNumbers | None = None) -> dict[str, Any]:
-    """Report on a telemetry set.
-
-    Parameters
-    ----------
-    telemetry
-        The set.
-    sensor
-        Whose it is.
-    catalogue
-        Says which stars exist; None leaves unknown stars out of the report.
-
-    Returns
-    -------
-    The document of the module docstring.
-    """
+    """Report on a telemetry set."""
     inputs = QualityInputs(telemetry, sensor, catalogue)
     off = inputs.off_detector
     return make_document(list_findings(inputs), compute_totals(inputs), _time(inputs), _unknown_ids(inputs), off)
@@ -232,15 +218,7 @@ MOST_ROWS = 1_000_000
 
 
 class QualityParts:
-    """A quality report on its way.
-
-    Parameters
-    ----------
-    sensor
-        Whose the set is.
-    catalogue
-        Says which stars exist; None leaves unknown stars out of the report.
-    """
+    """A quality report on its way."""
 
     def __init__(self, sensor: Sensor, catalogue: StarNumbers | None = None) -> None:
         self._sensor, self._catalogue = sensor, catalogue

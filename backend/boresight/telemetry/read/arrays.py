@@ -32,15 +32,7 @@ def check_columns(present: Sequence[str], faults: Faults) -> None:
 
 
 def make_arrays(table: pa.Table, faults: Faults) -> Telemetry:
-    """Turn a table in which every column is there that must be into arrays.
-
-    Parameters
-    ----------
-    table
-        Columns by the contract's names, numbers or text.
-    faults
-        Receives cells that cannot be read; the row of the table's first is its `first_row`.
-    """
+    """Turn a table in which every column is there that must be into arrays."""
     return Telemetry(
         frame=_complete(integers(table["frame"], "frame", faults), "frame", faults),
         exposure=_complete(integers(table["exposure"], "exposure", faults), "exposure", faults),

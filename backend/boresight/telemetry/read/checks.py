@@ -31,15 +31,7 @@ _MOST_HELD = 50 * MOST_FAULTS
 
 
 class Faults:
-    """Faults of one input in the order of its rows.
-
-    Parameters
-    ----------
-    subject
-        What is being read, as the refusal names it: a file's or a sensor's name.
-    first_row
-        Row of entry 0, as an editor counts.
-    """
+    """Faults of one input in the order of its rows."""
 
     def __init__(self, subject: str, first_row: int = 1) -> None:
         self.subject = subject
@@ -49,13 +41,7 @@ class Faults:
         self._last: int | None = None  # row from which on a fault is none of the first, once there are enough
 
     def add(self, detail: str, *, column: str | None = None, row: int | None = None) -> None:
-        """Add one fault; `row` as an editor counts.
-
-        Raises
-        ------
-        RefusedInputError
-            When there are more than are counted.
-        """
+        """Add one fault; `row` as an editor counts."""
         self.count += 1
         if self.count > MOST_COUNTED:
             self.refuse()
@@ -74,13 +60,7 @@ class Faults:
         self._keep(other._kept)
 
     def refuse(self) -> None:
-        """Raise what was collected, if anything was.
-
-        Raises
-        ------
-        RefusedInputError
-            Its sentence is the first fault and the number of the others; its faults are the first twenty.
-        """
+        """Raise what was collected, if anything was."""
         if self.count:
             raise self.refusal()
 
@@ -113,13 +93,6 @@ class Checks:
     """Checks of a set that comes in parts of whole frames.
 
     Exposures lie within a frame, so a part has all that belongs together; only the order of the frames runs over the seams.
-
-    Parameters
-    ----------
-    subject
-        The file's name, as the refusal names it.
-    most_stars
-        That an exposure may have.
     """
 
     def __init__(self, subject: str, most_stars: int = LIMITS.stars) -> None:
@@ -150,13 +123,7 @@ class Checks:
         _check_noise(telemetry, self._others)
 
     def refuse(self) -> None:
-        """Raise what was collected; an exposure counts as torn only where the frames are in order.
-
-        Raises
-        ------
-        RefusedInputError
-            When there is anything.
-        """
+        """Raise what was collected; an exposure counts as torn only where the frames are in order."""
         faults = self._order if self._order.count else self._torn
         faults.absorb(self._others)
         faults.refuse()

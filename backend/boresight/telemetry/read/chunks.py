@@ -34,31 +34,7 @@ MOST_ROWS, MOST_BYTES = 1_000_000, 200_000_000
 def read_chunks(
     path: Path, name: str | None = None, *, frames: int = CHUNK_FRAMES, limits: Limits = LIMITS
 ) -> Iterator[Telemetry]:
-    """Read a telemetry file in parts of whole frames.
-
-    Parameters
-    ----------
-    path
-        Where it is.
-    name
-        What its sender called it, and refusals call it; None for the name it has. The suffix says CSV, JSON Lines or
-        Parquet; without one a file is what its bytes are.
-    frames
-        Of a part; the last one has fewer, and so have parts of frames with thousands of detections.
-    limits
-        How much the file may hold.
-
-    Returns
-    -------
-    Parts in file order, with the same columns each; `first_row` counts in the whole file. Each owns its arrays or shares
-    them with no other part.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file cannot be used, and mostly not before the end; the first twenty faults name row and column. Parts before
-        the first fault have come out by then, so whoever must not use half a file waits for the end.
-    """
+    """Read a telemetry file in parts of whole frames."""
     name = name or path.name
     return iterate_chunks(open_tables(path, name, limits), name, frames, limits)
 
@@ -87,13 +63,7 @@ def iterate_chunks(tables: Tables, name: str, frames: int, limits: Limits = LIMI
 
 
 def rows_in(path: Path) -> int | None:
-    """Return how many rows a file has where that is told cheaply, as Parquet does; None for text.
-
-    Raises
-    ------
-    RefusedInputError
-        When there is no such file, or it is damaged.
-    """
+    """Return how many rows a file has where that is told cheaply, as Parquet does; None for text."""
     return rows_of_parquet(path, path.name) if format_at(path, path.name) == "Parquet" else None
 
 
@@ -127,15 +97,7 @@ def _with_every_column(table: pa.Table, columns: tuple[str, ...]) -> pa.Table:
 
 
 class _Waiting:
-    """Rows that wait for their frame to be whole.
-
-    Parameters
-    ----------
-    frames
-        That go out together.
-    name
-        The file's name, for refusals.
-    """
+    """Rows that wait for their frame to be whole."""
 
     def __init__(self, frames: int, name: str) -> None:
         self._frames, self._name = max(frames, 1), name

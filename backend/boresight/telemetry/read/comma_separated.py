@@ -34,24 +34,7 @@ _CELL = re.compile(rb'(?:"(?:[^"]|"")*+"[^,]*+|(?!")[^,]*+)(?:,|$)')
 
 
 def csv_tables(path: Path, name: str, limits: Limits = LIMITS, *, as_text: bool = False) -> Tables:
-    """Open a CSV file whose known columns are read as numbers or, in a piece where some cell is not one, as text.
-
-    Parameters
-    ----------
-    path
-        Where it is.
-    name
-        Its name, for refusals.
-    limits
-        How much it may hold.
-    as_text
-        Read every cell as text.
-
-    Raises
-    ------
-    RefusedInputError
-        For a header that is unusable or beyond the limits, and for a file without rows.
-    """
+    """Open a CSV file whose known columns are read as numbers or, in a piece where some cell is not one, as text."""
     form = FormFaults(name)
     pieces = text_pieces(path, name, limits)
     first = next(pieces)

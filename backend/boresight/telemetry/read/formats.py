@@ -44,20 +44,7 @@ def worth_threads(size_bytes: int) -> bool:
 
 
 def format_at(path: Path, name: str) -> str:
-    """Return `CSV`, `JSON Lines` or `Parquet` for a file, looking at its first bytes only.
-
-    Parameters
-    ----------
-    path
-        Where it is.
-    name
-        What refusals of its content call it; its suffix must agree.
-
-    Raises
-    ------
-    RefusedInputError
-        As `read_bytes` does, and when the suffix promises something else than the bytes hold.
-    """
+    """Return `CSV`, `JSON Lines` or `Parquet` for a file, looking at its first bytes only."""
     with _opened(path) as file:
         head = file.read(_HEAD_BYTES)
         _refuse_emptiness(name, head, file)
@@ -65,20 +52,7 @@ def format_at(path: Path, name: str) -> str:
 
 
 def read_bytes(path: Path, name: str) -> bytes:
-    """Return the content of a file.
-
-    Parameters
-    ----------
-    path
-        Where it is.
-    name
-        What refusals of its content call it.
-
-    Raises
-    ------
-    RefusedInputError
-        When there is no such file, it is a folder, it cannot be read, or it holds nothing.
-    """
+    """Return the content of a file."""
     with _opened(path) as file:
         data = file.read()
         _refuse_emptiness(name, data, file)
@@ -86,15 +60,7 @@ def read_bytes(path: Path, name: str) -> bytes:
 
 
 def read_json(path: Path, name: str) -> Any:
-    """Return what a JSON file holds.
-
-    Raises
-    ------
-    RefusedInputError
-        As `read_bytes` and `read_text` do, and when it is larger than any document.
-    JSONDecodeError
-        When it is not JSON, or holds numbers or nesting that none of our documents has.
-    """
+    """Return what a JSON file holds."""
     with _opened(path) as file:
         if file.seek(0, 2) > LONGEST_DOCUMENT_BYTES:
             raise RefusedInputError(
@@ -104,13 +70,7 @@ def read_json(path: Path, name: str) -> Any:
 
 
 def parse_json(text: bytes | str) -> Any:
-    """Return what a JSON text holds.
-
-    Raises
-    ------
-    JSONDecodeError
-        When it is not JSON, or holds numbers or nesting that none of our documents has.
-    """
+    """Return what a JSON text holds."""
     try:
         document = json.loads(text)
     except json.JSONDecodeError:
@@ -157,11 +117,6 @@ def detect_format(name: str, data: bytes) -> str:
     """Return `CSV`, `JSON Lines` or `Parquet`.
 
     A file without one of the known suffixes is what its bytes are; content-addressed files have no suffix.
-
-    Raises
-    ------
-    RefusedInputError
-        When the bytes are of another kind, or the suffix promises something else than they hold.
     """
     refuse_other_kinds(name, data)
     if _is_wide_text(data):
@@ -178,13 +133,7 @@ def detect_format(name: str, data: bytes) -> str:
 
 
 def read_text(name: str, data: bytes) -> bytes:
-    """Return the text of a JSON file as UTF-8 with plain line ends, without byte-order mark and closing blank lines.
-
-    Raises
-    ------
-    RefusedInputError
-        When it is a file of another kind, or not UTF-8.
-    """
+    """Return the text of a JSON file as UTF-8 with plain line ends, without byte-order mark and closing blank lines."""
     refuse_no_json(name, data)
     data = data.removeprefix(BYTE_ORDER_MARK)
     if not data.isascii():
@@ -262,33 +211,14 @@ class FormFaults:
         self._blank.count += max(len(rows) - MOST_FAULTS, 0)
 
     def refuse(self) -> None:
-        """Raise what was collected.
-
-        Raises
-        ------
-        RefusedInputError
-            When there is anything.
-        """
+        """Raise what was collected."""
         self._blank.refuse()
         self.rows.refuse()
 
 
 @dataclass(frozen=True)
 class Tables:
-    """A telemetry file.
-
-    Parameters
-    ----------
-    columns
-        Names of all columns, in the file's order.
-    first_row
-        Number of the first row, as an editor counts.
-    read
-        Yields the rows in tables of bounded size; a column may be missing in one where it is absent there. What is wrong
-        with the form goes into `form`; after that, tables are no longer complete.
-    form
-        What was wrong so far.
-    """
+    """A telemetry file."""
 
     columns: tuple[str, ...]
     first_row: int

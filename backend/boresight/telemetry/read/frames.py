@@ -26,14 +26,7 @@ TABLES_KEPT = 8
 class FrameIndex:
     """Where the frames of a table are.
 
-    Parameters
-    ----------
-    table
-        The table.
-    frame
-        (n_frames,) frame numbers, ascending.
-    first_row
-        (n_frames + 1,) first row of each, and the end.
+    `frame`: (n_frames,) frame numbers, ascending. `first_row`: (n_frames + 1,) first row of each, and the end.
     """
 
     table: WorkingTable
@@ -45,13 +38,7 @@ class FrameIndex:
         return len(self.frame)
 
     def find_place(self, frame: int) -> int:
-        """Return the place of a frame number in `frame`.
-
-        Raises
-        ------
-        NotFoundError
-            When the table has no such frame.
-        """
+        """Return the place of a frame number in `frame`."""
         place = int(np.searchsorted(self.frame, frame))
         if place == len(self.frame) or self.frame[place] != frame:
             raise NotFoundError(
@@ -80,13 +67,7 @@ class FrameIndex:
 
 @lru_cache(maxsize=TABLES_KEPT)
 def frame_index(path: Path) -> FrameIndex:
-    """Find the frames of a table that never changes under its path.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file is damaged.
-    """
+    """Find the frames of a table that never changes under its path."""
     table = WorkingTable(path)
     frame = np.concatenate([part.frame for part in table.parts()])
     first = np.append(0, np.flatnonzero(np.diff(frame)) + 1)
@@ -95,15 +76,7 @@ def frame_index(path: Path) -> FrameIndex:
 
 @dataclass(frozen=True)
 class Sample:
-    """Frames of a set that stand for all.
-
-    Parameters
-    ----------
-    telemetry
-        Their rows.
-    frames, frames_in_set
-        How many frames these are, and how many the set has.
-    """
+    """Frames of a set that stand for all."""
 
     telemetry: Telemetry
     frames: int
@@ -116,20 +89,7 @@ def evenly(n: int, most: int) -> IntArray:
 
 
 def read_sample(path: Path, most_frames: int, most_stars: int) -> Sample:
-    """Read some frames of a stored table.
-
-    Parameters
-    ----------
-    path
-        The table.
-    most_frames, most_stars
-        Fewer frames are taken where their stars would be more than so many.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file is damaged.
-    """
+    """Read some frames of a stored table."""
     index = frame_index(path)
     most = min(most_frames, max(1, most_stars * len(index) // len(index.table)))
     taken = evenly(len(index), most)

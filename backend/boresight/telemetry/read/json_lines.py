@@ -39,24 +39,7 @@ _KEYS = {column: re.compile(rf'"{column}"\s*:'.encode()) for column in _TYPES}
 
 
 def json_tables(path: Path, name: str, limits: Limits = LIMITS, *, as_text: bool = False) -> Tables:
-    """Open a JSON Lines file whose known columns are read as numbers or, in a piece where some cell is not one, as text.
-
-    Parameters
-    ----------
-    path
-        Where it is.
-    name
-        Its name, for refusals.
-    limits
-        How much it may hold.
-    as_text
-        Read every cell as text.
-
-    Raises
-    ------
-    RefusedInputError
-        For blank lines, lines that are not one JSON object, and what is beyond the limits.
-    """
+    """Open a JSON Lines file whose known columns are read as numbers or, in a piece where some cell is not one, as text."""
     form = FormFaults(name)
     tables = _tables(path, name, form, limits, as_text=as_text)
     first = next(tables)

@@ -14,21 +14,7 @@ from boresight.errors import RefusedInputError
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of one telemetry file.
-
-    Parameters
-    ----------
-    rows, columns
-        Of the whole file; sites with larger sets raise them.
-    name_bytes
-        Of a column's name.
-    cell_bytes, line_bytes
-        Of one text, and of one line of CSV or JSON Lines.
-    expanded_bytes, expansion
-        What a file may need when it is read: so many bytes in any case, and so many times its size.
-    stars
-        Of one exposure: matching and all-pairs methods compare each star with each.
-    """
+    """Limits of one telemetry file."""
 
     rows: int = 50_000_000
     columns: int = 1_000
@@ -44,24 +30,12 @@ class Limits:
         return self.expanded_bytes + self.expansion * file_bytes
 
     def refuse_rows(self, name: str, rows: int) -> None:
-        """Refuse more rows than may be.
-
-        Raises
-        ------
-        RefusedInputError
-            Says how many may be.
-        """
+        """Refuse more rows than may be."""
         if rows > self.rows:
             raise RefusedInputError(f"{name} has over {self.rows:,} rows: split it, or raise BORESIGHT_TELEMETRY_ROWS.")
 
     def refuse_columns(self, name: str, columns: int) -> None:
-        """Refuse more columns than may be.
-
-        Raises
-        ------
-        RefusedInputError
-            Says how many may be.
-        """
+        """Refuse more columns than may be."""
         if columns > self.columns:
             raise RefusedInputError(
                 f"{name} has {columns:,} columns, at most {self.columns:,} are read: export only the columns that are needed, or "
@@ -69,13 +43,7 @@ class Limits:
             )
 
     def refuse_names(self, name: str, columns: tuple[str, ...]) -> None:
-        """Refuse names of columns that are too long.
-
-        Raises
-        ------
-        RefusedInputError
-            Names the column by its number.
-        """
+        """Refuse names of columns that are too long."""
         for number, column in enumerate(columns, start=1):
             if len(column.encode("utf-8", "surrogatepass")) > self.name_bytes:
                 raise RefusedInputError(
@@ -83,13 +51,7 @@ class Limits:
                 )
 
     def refuse_expansion(self, name: str, needed: int, file_bytes: int) -> None:
-        """Refuse a file that needs too many bytes when it is read.
-
-        Raises
-        ------
-        RefusedInputError
-            Says how many it may need.
-        """
+        """Refuse a file that needs too many bytes when it is read."""
         if needed > self.expanded(file_bytes):
             raise RefusedInputError(
                 f"{name} would take over {self.expanded(file_bytes) / 1e6:,.0f} MB when read, more than {self.expansion} times its "

@@ -59,19 +59,7 @@ class DamagedPageError(ValueError):
 
 @dataclass(frozen=True)
 class Page:
-    """One page: what its header says.
-
-    Parameters
-    ----------
-    is_dictionary
-        Whether it holds the different values of a column; another holds values, or what is passed over.
-    uncompressed_bytes
-        What it takes when decompressed; as much is allocated.
-    values
-        In it.
-    encoding
-        Of the values, by its number in the format; -1 for none.
-    """
+    """One page: what its header says."""
 
     is_dictionary: bool
     uncompressed_bytes: int
@@ -89,13 +77,7 @@ class Chunk:
 
 
 def list_chunks(file: mmap.mmap | bytes) -> list[list[Chunk]]:
-    """The columns of every group of rows, as the footer says.
-
-    Raises
-    ------
-    DamagedPageError
-        When it cannot be read.
-    """
+    """The columns of every group of rows, as the footer says."""
     end = len(file) - 8
     start = end - int.from_bytes(file[end : end + 4], "little")
     if start < 0:
@@ -125,13 +107,7 @@ def _structs(value: object) -> list[dict[int, object]]:
 
 
 def iterate_pages(file: mmap.mmap | bytes, start: int, size: int) -> Iterator[Page]:
-    """Yield the pages of a column chunk that lies at these bytes.
-
-    Raises
-    ------
-    DamagedPageError
-        When a header cannot be read, or a page ends beyond its chunk.
-    """
+    """Yield the pages of a column chunk that lies at these bytes."""
     end = start + size
     if start < 0 or size < 0 or end > len(file):
         raise DamagedPageError("a column lies beyond the file")
@@ -260,19 +236,7 @@ _DEEPEST_SCHEMA = 16
 
 @dataclass(frozen=True)
 class Layout:
-    """What a file's footer and page headers say of how it can be read.
-
-    Parameters
-    ----------
-    columns
-        Names.
-    rows
-        How many.
-    texts
-        Columns of texts or bytes, which are read as the different ones and a number each row.
-    batch_rows
-        Rows that are decoded at a time.
-    """
+    """What a file's footer and page headers say of how it can be read."""
 
     columns: tuple[str, ...]
     rows: int
@@ -281,22 +245,7 @@ class Layout:
 
 
 def parquet_tables(path: Path, name: str, limits: Limits = LIMITS) -> Tables:
-    """Open a Parquet file.
-
-    Parameters
-    ----------
-    path
-        Where it is.
-    name
-        Its name, for refusals.
-    limits
-        How much it may hold.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file is truncated or damaged, has a column twice or one of lists, or holds more than the limits let pass.
-    """
+    """Open a Parquet file."""
     layout = read_layout(path, name, limits)
     return rows_of_file(path, name, layout, range(layout.rows), limits)
 
@@ -314,13 +263,7 @@ def rows_of_parquet(path: Path, name: str) -> int:
 
 
 def read_layout(path: Path, name: str, limits: Limits = LIMITS) -> Layout:
-    """Look at footer and page headers, and refuse what is beyond the limits.
-
-    Raises
-    ------
-    RefusedInputError
-        As `parquet_tables`.
-    """
+    """Look at footer and page headers, and refuse what is beyond the limits."""
     with open_parquet(path, name) as file:
         metadata, schema = file.metadata, file.schema_arrow
         limits.refuse_columns(name, metadata.num_columns)
@@ -379,13 +322,7 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def _look_at_pages(path: Path, name: str, file: arrow_parquet.ParquetFile, texts: set[str], limits: Limits) -> float:
-    """Walk the headers of all pages; returns the most bytes that a row takes in memory.
-
-    Raises
-    ------
-    RefusedInputError
-        When headers are damaged, or what they announce is beyond the limits.
-    """
+    """Walk the headers of all pages; returns the most bytes that a row takes in memory."""
     metadata, names = file.metadata, file.schema_arrow.names
     if metadata.num_row_groups * len(names) > _MOST_CHUNKS:
         raise RefusedInputError(

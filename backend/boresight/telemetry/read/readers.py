@@ -56,13 +56,7 @@ def read_telemetry(path: Path, name: str | None = None, limits: Limits = LIMITS)
 
 
 def read_table(path: Path, name: str, limits: Limits = LIMITS) -> pa.Table:
-    """Return the columns of a telemetry file as they stand in it.
-
-    Raises
-    ------
-    RefusedInputError
-        When it is no table; what its cells hold is not looked at.
-    """
+    """Return the columns of a telemetry file as they stand in it."""
     tables = open_tables(path, name, limits)
     parts = list(tables.read())
     if any(part.schema != parts[0].schema for part in parts):  # some cell is no number: then every cell is a text
@@ -84,17 +78,7 @@ PARTS = 4
 
 @dataclass(frozen=True)
 class Stretch:
-    """Consecutive rows of a Parquet file, whole frames.
-
-    Parameters
-    ----------
-    path, name
-        The file, and what refusals call it.
-    begins, ends
-        Its rows begins <= k < ends.
-    layout, limits
-        Of the whole file.
-    """
+    """Consecutive rows of a Parquet file, whole frames."""
 
     path: Path
     name: str
@@ -111,18 +95,7 @@ class Stretch:
 
 
 def stretches(path: Path, name: str, frames: int, limits: Limits = LIMITS) -> list[Stretch]:
-    """Cut a file into stretches of at least `PARTS * frames` frames.
-
-    Returns
-    -------
-    None at all for a file that must be read from its start: text, one whose rows are compressed all in one, and one whose frames
-    are not numbers that ascend.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file is damaged, has a column twice, or holds more than the limits let pass.
-    """
+    """Cut a file into stretches of at least `PARTS * frames` frames."""
     if format_at(path, name) != "Parquet":
         return []
     layout = read_layout(path, name, limits)

@@ -94,25 +94,13 @@ def detect_kind(head: bytes) -> Kind | None:
 
 
 def refuse_other_kinds(name: str, head: bytes) -> None:
-    """Refuse a file that cannot be telemetry, by its first bytes.
-
-    Raises
-    ------
-    RefusedInputError
-        Says what the file is and what to make of it.
-    """
+    """Refuse a file that cannot be telemetry, by its first bytes."""
     if (kind := detect_kind(head)) is not None:
         raise RefusedInputError(f"{name} is {kind.name}: {kind.remedy}.")
 
 
 def refuse_no_json(name: str, head: bytes) -> None:
-    """Refuse a file that is known to be no JSON text, by its first bytes.
-
-    Raises
-    ------
-    RefusedInputError
-        Says what the file is.
-    """
+    """Refuse a file that is known to be no JSON text, by its first bytes."""
     kind = Kind("a Parquet file", "") if head.startswith(_PARQUET) else detect_kind(head)
     if kind is not None:
         raise RefusedInputError(f"{name} is {kind.name}, where a JSON text is expected: give the JSON file.")

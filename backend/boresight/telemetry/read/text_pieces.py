@@ -19,22 +19,7 @@ PIECE_BYTES = 8_000_000
 
 
 def text_pieces(path: Path, name: str, limits: Limits = LIMITS) -> Iterator[bytes]:
-    """Yield the rows of a text file, some hundred thousand at a time.
-
-    Parameters
-    ----------
-    path
-        Where the file is.
-    name
-        Its name, for refusals.
-    limits
-        How long a row may be.
-
-    Raises
-    ------
-    RefusedInputError
-        When it is not UTF-8, or a row is longer than may be, or a run of blank ones is longer than a piece.
-    """
+    """Yield the rows of a text file, some hundred thousand at a time."""
     row, waiting = 1, b""
     for block, is_last in _blocks(path):
         waiting += block

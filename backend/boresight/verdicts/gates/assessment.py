@@ -37,13 +37,7 @@ def ground_set(sensor: Sensor) -> dict[str, Any]:
 
 
 def as_set(document: Document, sensor: Sensor) -> dict[str, Any]:
-    """Return parameters from a file as a set; without a covariance they are known as a ground calibration's are.
-
-    Raises
-    ------
-    RefusedInputError
-        When they are not all given and plausible.
-    """
+    """Return parameters from a file as a set; without a covariance they are known as a ground calibration's are."""
     x, _ = parse_parameters(document, sensor, "The incumbent")
     declared = ground_set(sensor)
     covariance = document.get("covariance") or declared["covariance"]
@@ -69,26 +63,7 @@ def assess(
     profile: Profile,
     frames: tuple[Telemetry, Catalogue] | None = None,
 ) -> dict[str, Any]:
-    """Judge a calibration JSON.
-
-    Parameters
-    ----------
-    result
-        The calibration.
-    sensor
-        Whose it is.
-    incumbent
-        What it would replace.
-    profile
-        The limits.
-    frames
-        Held-out frames with the catalogue for their directions; None takes the calibration's own validation where that
-        compares with the incumbent.
-
-    Returns
-    -------
-    The gate report.
-    """
+    """Judge a calibration JSON."""
     held_out, why = None, NO_FRAMES
     if frames is not None:
         settings = CalibrationSettings.parse((result.get("inputs") or {}).get("settings") or {})

@@ -19,27 +19,7 @@ Document = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class GateInputs:
-    """Everything a verdict rests on.
-
-    Parameters
-    ----------
-    sensor
-        As it is registered now.
-    candidate
-        The set that is judged: `sensor`, `camera_model`, `parameters`, `sigma`, `covariance`, `status`.
-    incumbent
-        The set that it would replace, in the same form; None where it would replace none.
-    result
-        The calibration JSON of the run behind it; None for a ground calibration.
-    made_with
-        The sensor document at that run's launch; None where there was no run.
-    held_out
-        Scores on held-out frames, of `gates.held_out`; None where there are none.
-    no_held_out
-        Why there are none and what would give some; empty where there are.
-    definition
-        The table definition in force; None where there is none.
-    """
+    """Everything a verdict rests on."""
 
     sensor: Sensor
     candidate: Document

@@ -21,23 +21,7 @@ DIRECTIONS = ("below", "above", "around", "met")
 
 @dataclass(frozen=True)
 class Gate:
-    """One question that a parameter set is asked.
-
-    Parameters
-    ----------
-    name
-        As profiles, reports and addresses spell it.
-    title, question
-        As a person reads it, and what is asked, a sentence.
-    direction
-        Of `DIRECTIONS`.
-    unit
-        Of value and limit; empty for a plain number.
-    lowest, highest
-        Between which a limit makes sense.
-    critical
-        Whether nobody can waive it.
-    """
+    """One question that a parameter set is asked."""
 
     name: str
     title: str

@@ -50,26 +50,7 @@ def compute_validation_scores(
     settings: CalibrationSettings,
     cache_folder: Path | None = None,
 ) -> dict[str, Score | int]:
-    """See held-out frames under both sets and score them.
-
-    Parameters
-    ----------
-    telemetry, sensor, catalogue
-        The frames, whose they are, and where directions come from that they do not give.
-    incumbent, candidate
-        Parameters with their covariance, as `calibration.parameter_file` reads them.
-    settings
-        What matching looks at, as in the candidate's run.
-
-    Returns
-    -------
-    A score a gate, by the gate's name, and `frames`.
-
-    Raises
-    ------
-    RefusedInputError
-        When the parameters or the frames cannot be used.
-    """
+    """See held-out frames under both sets and score them."""
     states = [
         parse_parameters(incumbent, sensor, "The incumbent"),
         parse_parameters(candidate, sensor, "The set"),
@@ -135,10 +116,7 @@ def _mean(counts: NDArray[np.int64], incumbent: float | None = None) -> Score:
 def change_of_share(before: NDArray[np.bool_], after: NDArray[np.bool_], rng: np.random.Generator) -> Score:
     """Change of the share of frames that are available, with its interval.
 
-    Parameters
-    ----------
-    before, after
-        (n_frames,) whether each frame is available with the incumbent, and with the set.
+    `before`, `after`: (n_frames,) whether each frame is available with the incumbent, and with the set.
     """
     steps = after.astype(np.float64) - before
     length = bootstrap.block_length(steps)

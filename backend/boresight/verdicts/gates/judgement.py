@@ -34,32 +34,14 @@ STATUSES = ("PASS", "MARGINAL", "NO-DATA", "FAIL")  # the worst last
 
 
 def judge(profile: Profile, measurements: Mapping[str, Measurement]) -> dict[str, Any]:
-    """Answer every gate of a profile.
-
-    Parameters
-    ----------
-    measurements
-        By gate; one that is absent was not measured.
-
-    Returns
-    -------
-    The report without what it is bound to: `schema`, `verdict`, `blocking`, `waived`, `words` and `gates`, an answer each.
-    """
+    """Answer every gate of a profile."""
     nothing = Measurement(None, "This was not measured.")
     answers = [_answer(threshold, measurements.get(threshold.name, nothing)) for threshold in profile.thresholds]
     return summarise({"schema": SCHEMA, "gates": answers}, (), ())
 
 
 def summarise(report: Mapping[str, Any], waived: Collection[str], ever_waived: Collection[str]) -> dict[str, Any]:
-    """Return a report as it stands with waivers.
-
-    Parameters
-    ----------
-    waived
-        Gates with a waiver that holds now.
-    ever_waived
-        Gates that were ever waived for this set; they stay in the words of the verdict.
-    """
+    """Return a report as it stands with waivers."""
     answers = [{**answer, "waived": answer["name"] in waived} for answer in report["gates"]]
     counted = [answer for answer in answers if not answer["observe_only"]]
     blocking = [answer["name"] for answer in counted if _blocks(answer)]

@@ -54,23 +54,7 @@ NO_DEFINITION = "There is no table definition: an administrator or analyst adds 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What was measured for one gate.
-
-    Parameters
-    ----------
-    value
-        In the gate's unit; None where there is nothing to measure.
-    sentence
-        What the value says, or why there is none and what would give one.
-    interval
-        95 % interval of the value; an end is None where it is unbounded. None for a value that no sample stands behind.
-    bounds
-        95 % bounds of the value of a sound set, for a gate that asks for a ratio around 1.
-    incumbent
-        The same quantity of the incumbent, where it has one.
-    met
-        The answer of a gate that has no number: PASS, MARGINAL or FAIL.
-    """
+    """What was measured for one gate."""
 
     value: float | None
     sentence: str

@@ -31,21 +31,7 @@ THRESHOLDS = ("limit", "marginal")
 
 @dataclass(frozen=True)
 class Threshold:
-    """What one gate allows.
-
-    Parameters
-    ----------
-    name, direction, critical
-        Of the gate; a profile repeats them for its readers and cannot change them.
-    limit, marginal
-        Thresholds in the gate's unit; None is never crossed.
-    waivable
-        Whether a person may let a set pass in spite of it.
-    must_have_data
-        Whether a set is blocked when there is nothing to judge it by.
-    observe_only
-        Whether it is measured and shown but counts for nothing, to try a limit.
-    """
+    """What one gate allows."""
 
     name: str
     limit: float | None
@@ -108,13 +94,7 @@ DEFAULT_PROFILE: dict[str, Any] = {
 
 
 def parse_profile(document: Mapping[str, Any]) -> Profile:
-    """Read a profile; gates and keys that are left out are as in `DEFAULT_PROFILE`.
-
-    Raises
-    ------
-    RefusedInputError
-        Names the gate and the key, and says what is allowed.
-    """
+    """Read a profile; gates and keys that are left out are as in `DEFAULT_PROFILE`."""
     for key in document:
         if key not in {"schema", "gates"}:
             raise RefusedInputError(f"A gate profile has no key {key!r}: give `gates`, a list.")

@@ -14,22 +14,7 @@ SHARES = ("of frames", "of regions")
 
 @dataclass(frozen=True)
 class GateRow:
-    """One gate of a report, in words.
-
-    Parameters
-    ----------
-    name, title, status, sentence
-        As in the report.
-    value, interval, limit, marginal, incumbent, margin
-        Numbers in the unit, shares with their sign of per cent; a dash where there is none. The interval is the value's, or
-        where a ratio should be 1 that of sound sets.
-    unit
-        Of all of them; empty for shares and plain numbers.
-    notes
-        What is special: critical, only observed, waived, must have data.
-    blocking, waivable
-        Whether it stops the set now, and whether a person could let it pass.
-    """
+    """One gate of a report, in words."""
 
     name: str
     title: str

@@ -116,13 +116,7 @@ def list_gate_lines(typed: Mapping[str, Any]) -> list[GateLine]:
 
 
 def read_profile_form(typed: Mapping[str, Any]) -> dict[str, Any]:
-    """Read the form's fields as a profile.
-
-    Raises
-    ------
-    RefusedInputError
-        When a threshold is no number; names the gate.
-    """
+    """Read the form's fields as a profile."""
     entries = []
     for name, gate in GATES.items():
         entry: dict[str, Any] = {"name": name}

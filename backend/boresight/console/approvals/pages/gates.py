@@ -58,35 +58,7 @@ class TypedWaiver:
 
 @dataclass(frozen=True)
 class GatesPanel:
-    """Everything that the panel shows.
-
-    Parameters
-    ----------
-    set
-        Whose gates these are.
-    report
-        The report that is shown; None where the set was never assessed.
-    moved
-        What moved of all that it rests on; empty while it holds.
-    words, verdict
-        The verdict with its waivers, and without.
-    rows
-        The gates, in words.
-    assessed_by
-        Printed name of who assessed the set.
-    profile_number
-        Version of the limits in force.
-    given
-        Every waiver that the set was ever given, and whether it holds now.
-    may_assess, may_waive
-        None where the actor may, else why not.
-    waivable
-        Gates that block and that a person may waive.
-    codes, least_letters, longest_days
-        What a waiver needs.
-    typed
-        What stands in the form.
-    """
+    """Everything that the panel shows."""
 
     set: ParameterSet
     report: GateReport | None
@@ -118,15 +90,7 @@ def make_gates_panel(
     typed: TypedWaiver | None = None,
     report_sha256: str | None = None,
 ) -> GatesPanel:
-    """Fill the panel of a set, as an actor sees it.
-
-    Parameters
-    ----------
-    typed
-        What a refused form held.
-    report_sha256
-        Of the report to show, as a request binds it; the newest where none is named.
-    """
+    """Fill the panel of a set, as an actor sees it."""
     report = gates.newest_report(session, row.id, report_sha256)
     moved = [] if report is None else gates.moved_since(session, report)
     document = None if report is None else gates.with_waivers(session, report)

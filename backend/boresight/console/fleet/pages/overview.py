@@ -168,17 +168,7 @@ def _converged(one: SensorStatus) -> bool:
 
 @dataclass(frozen=True)
 class RecentCalibrations:
-    """How a sensor's calibrations went lately.
-
-    Parameters
-    ----------
-    rms
-        Arc RMS of the newest runs, oldest first: of the tail where a run has one, else of all frames.
-    availability
-        Of the newest run with a validation set; None where there is none.
-    drift
-        The open alarm of its drift; None where there is none.
-    """
+    """How a sensor's calibrations went lately."""
 
     rms: Sparkline | None
     availability: float | None
@@ -199,27 +189,7 @@ class RecentEvent:
 
 @dataclass(frozen=True, eq=False)
 class FleetView:
-    """What the overview shows to everybody; read once after a commit, whoever looks.
-
-    Parameters
-    ----------
-    standings
-        How every sensor stands, by name.
-    tiles
-        The sensors that are drawn: all, or of a large fleet those that stand worst.
-    courses, waiting
-        By sensor that is drawn: how its calibrations went lately, and the number of its open request.
-    queue
-        How many runs are in each state.
-    events
-        What happened last, newest first.
-    open_requests, open_proposals
-        How many wait for whoever may sign or decide.
-    submitters
-        Whose requests came back.
-    by_roles
-        What waits for those of the same roles; found for the first who looks.
-    """
+    """What the overview shows to everybody; read once after a commit, whoever looks."""
 
     standings: Sequence[SensorStatus]
     tiles: Sequence[SensorTile]

@@ -77,19 +77,7 @@ class ScoreRow:
 
 @dataclass(frozen=True)
 class BeforeAfter:
-    """The newest result of a sensor, judged on a set.
-
-    Parameters
-    ----------
-    run
-        The run it is of.
-    judged_on
-        `validation` or `calibration`.
-    scores
-        The table.
-    tolerance_urad
-        Of the simulated check of the flight code, as printed; a dash where there was none.
-    """
+    """The newest result of a sensor, judged on a set."""
 
     run: Run
     judged_on: str
@@ -210,17 +198,7 @@ sensor_router = APIRouter(dependencies=[Depends(csrf)])
 
 @dataclass(frozen=True)
 class Optics:
-    """What a detector and a focal length see.
-
-    Parameters
-    ----------
-    rows_deg, columns_deg, diagonal_deg
-        Full field of view along each side and corner to corner.
-    pixel_urad
-        What one pixel sees at the centre.
-    principal_row_px, principal_col_px
-        Where the boresight meets the detector.
-    """
+    """What a detector and a focal length see."""
 
     rows_deg: float
     columns_deg: float

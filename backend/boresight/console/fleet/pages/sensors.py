@@ -108,13 +108,7 @@ FIELDS = (
 
 
 def read_document(text: str) -> dict[str, Any]:
-    """Read a typed sensor file.
-
-    Raises
-    ------
-    RefusedInputError
-        When it is empty or no JSON object; names line and column.
-    """
+    """Read a typed sensor file."""
     if not text.strip():
         raise RefusedInputError("There is no sensor file: paste its JSON or choose the file.")
     try:
@@ -128,13 +122,7 @@ def read_document(text: str) -> dict[str, Any]:
 
 
 async def typed_document(form: FormData) -> str:
-    """Return what the form holds as text: the chosen file where there is one, else what was typed.
-
-    Raises
-    ------
-    RefusedInputError
-        When the file is no UTF-8 text; names what it is where its first bytes tell, an image say.
-    """
+    """Return what the form holds as text: the chosen file where there is one, else what was typed."""
     chosen = form.get("file")
     if isinstance(chosen, UploadFile) and chosen.filename:
         content = await chosen.read()

@@ -170,19 +170,7 @@ class MethodLine:
 
 @dataclass(frozen=True)
 class MethodPanel:
-    """What the panel shows.
-
-    Parameters
-    ----------
-    refusal
-        Why methods cannot be told apart here, or None.
-    unlike
-        What else differs between the runs, in words; empty where nothing does.
-    lines
-        Rows of the table.
-    when
-        Title of each method and when to use it.
-    """
+    """What the panel shows."""
 
     refusal: str | None
     unlike: str

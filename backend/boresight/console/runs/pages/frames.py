@@ -60,25 +60,7 @@ class DetectionMark:
 
 @dataclass(frozen=True)
 class FrameDrawing:
-    """Everything that the template draws, px of the detector.
-
-    Parameters
-    ----------
-    width, height
-        Columns and rows.
-    margin
-        For the axes, on the left and below.
-    scale
-        How many times longer than life residuals are drawn.
-    bar_px
-        What the scale bar stands for.
-    marks, missed
-        Detections, and catalogue stars that were not detected.
-    x_ticks, y_ticks
-        Round columns and rows.
-    names
-        Under which parameters residuals are drawn.
-    """
+    """Everything that the template draws, px of the detector."""
 
     width: int
     height: int
@@ -93,17 +75,7 @@ class FrameDrawing:
 
 
 def draw_frame(view: Mapping[str, Any], exposure: Mapping[str, Any], names: Sequence[str], scale: int) -> FrameDrawing:
-    """Lay an exposure out.
-
-    Parameters
-    ----------
-    view, exposure
-        Of `console.runs.frames.get_frame`.
-    names
-        Which of `old` and `new` to draw residuals of.
-    scale
-        How many times longer than life.
-    """
+    """Lay an exposure out."""
     return FrameDrawing(
         width=view["columns"],
         height=view["rows"],
@@ -185,27 +157,7 @@ GONE = "No frame can be shown: {}"
 
 @dataclass(frozen=True)
 class FramePage:
-    """What the template draws.
-
-    Parameters
-    ----------
-    why
-        Why no frame is shown, None where one is.
-    view
-        The frame, of `console.runs.frames.get_frame`.
-    exposure
-        The one of its exposures that is drawn.
-    drawing
-        It on the detector.
-    attitude
-        Its attitude as rows: what, old, new.
-    stars
-        Its detections as rows of text.
-    worst
-        Frames to go to, the worst explained first.
-    address
-        The query that the view is made of.
-    """
+    """What the template draws."""
 
     why: str | None = None
     view: Mapping[str, Any] | None = None

@@ -119,13 +119,7 @@ class TypedForm:
         return any(self[name] != DEFAULTS[name] for name in FIELDS if not OPTIONS[name].usual)
 
     def settings(self) -> dict[str, Any]:
-        """Return the settings document of the calibration.
-
-        Raises
-        ------
-        RefusedInputError
-            When a number cannot be read; says which.
-        """
+        """Return the settings document of the calibration."""
         free = list(self.free.get(whole(self.sensor_id, "sensor"), ()))
         if not free:
             raise RefusedInputError("No parameter is free: tick at least one to estimate.")
@@ -195,19 +189,7 @@ class LaunchOrigin:
 
 @dataclass(frozen=True)
 class OfferedData:
-    """What the form offers.
-
-    Parameters
-    ----------
-    choices
-        The sensors to choose from.
-    fleet
-        Those whose sets and parameters the form holds.
-    sets
-        The sets in use of these, newest first.
-    is_whole
-        Whether the form holds every sensor, and none has to be asked for.
-    """
+    """What the form offers."""
 
     choices: SensorChoices
     fleet: Sequence[Sensor]

@@ -129,13 +129,7 @@ class RunNames:
 
 
 def read_names(session: Session, found: Iterable[Run] = (), *, sensors_of: Iterable[Any] | None = ()) -> RunNames:
-    """Read the names of every person, and of the sensors and telemetry sets of these runs.
-
-    Parameters
-    ----------
-    sensors_of
-        Other rows whose sensors are named; None names the whole fleet, as a file of many rows needs it.
-    """
+    """Read the names of every person, and of the sensors and telemetry sets of these runs."""
     found = list(found)
     used = {set_id for run in found for set_id in (run.telemetry_set_id, run.validation_set_id) if set_id is not None}
     if sensors_of is None:

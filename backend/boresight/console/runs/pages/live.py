@@ -51,19 +51,7 @@ NOT_THERE = "No worker is there yet: this server's are still starting, or its sc
 
 @dataclass(frozen=True)
 class StateNotice:
-    """A sentence above the verdict.
-
-    Parameters
-    ----------
-    level
-        How grave it is.
-    sentence
-        What is so.
-    lines
-        The end of the log that belongs to it.
-    links
-        (address, words) of what to do next; the first is a button.
-    """
+    """A sentence above the verdict."""
 
     level: str
     sentence: str
@@ -74,15 +62,7 @@ class StateNotice:
 def list_notices(
     session: Session, run: Run, log: Sequence[RunEvent], workers: Mapping[str, Any] | None = None
 ) -> list[StateNotice]:
-    """Say what a run's state means.
-
-    Parameters
-    ----------
-    log
-        The run's log in order.
-    workers
-        What the engine of this server says of itself; None where there is none.
-    """
+    """Say what a run's state means."""
     telling = {
         "QUEUED": lambda: [StateNotice("standby", _queue_sentence(session, run, workers)), *_of_attempts(log)],
         "RUNNING": lambda: [*_of_attempts(log), *_of_silence(run)],
@@ -247,13 +227,7 @@ SYMBOLS = {"info": "off", "warning": "caution", "error": "serious"}
 
 
 def filter_lines(rows: Sequence[RunEvent], level: str) -> list[RunEvent]:
-    """Return the lines that are at least as grave as a level.
-
-    Raises
-    ------
-    RefusedInputError
-        When there is no such level.
-    """
+    """Return the lines that are at least as grave as a level."""
     if level not in LEVELS:
         raise RefusedInputError(f"A log has no level {level[:40]}; choose from {', '.join(LEVELS)}.")
     order = list(LEVELS)

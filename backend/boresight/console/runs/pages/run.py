@@ -129,17 +129,7 @@ SCALES = ("log", "linear")
 
 @dataclass(frozen=True)
 class RunView:
-    """What the address asks for, as far as it can be had.
-
-    Parameters
-    ----------
-    align, aligns
-        What the axis of a sequential run counts, and what it may count; nothing to choose for a batch.
-    scale
-        Of the axes that can be seen on both, log or linear.
-    tail_from
-        Where the tail begins, None where the run itself says.
-    """
+    """What the address asks for, as far as it can be had."""
 
     align: str
     aligns: Mapping[str, str]
@@ -263,13 +253,7 @@ def sight_facts(result: Result | None) -> tuple[Rows, list[str]]:
 
 @dataclass(frozen=True)
 class RunReview:
-    """What a part is gathered from: who looks at which run, and what it has found so far.
-
-    Parameters
-    ----------
-    result
-        The calibration JSON, complete or so far; None where there is none, or where it does not count.
-    """
+    """What a part is gathered from: who looks at which run, and what it has found so far."""
 
     request: Request
     session: Session

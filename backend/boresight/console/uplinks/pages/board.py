@@ -34,19 +34,7 @@ LONGEST_NUMBER = 8
 
 @dataclass(frozen=True)
 class UplinkLine:
-    """One sensor: what is said of it, how bad that is, and the newest record.
-
-    Parameters
-    ----------
-    known
-        What holds now.
-    level, word
-        The status and how it is printed.
-    shown
-        Of the sets on board the one to look at, with its newest record: the mismatch, else the active, else the newest.
-    how
-        What that record rests on.
-    """
+    """One sensor: what is said of it, how bad that is, and the newest record."""
 
     known: AsOf
     level: str
@@ -66,13 +54,7 @@ def make_uplink_line(known: AsOf) -> UplinkLine:
 
 
 def find_worst_known(baseline_id: int | None, on_board: Sequence[tuple[int, str]]) -> tuple[str, str]:
-    """Return the worst of what is known, as a level and a word.
-
-    Parameters
-    ----------
-    on_board
-        The number of every set of which anything was recorded, with what was recorded last.
-    """
+    """Return the worst of what is known, as a level and a word."""
     states = {state for _, state in on_board}
     active = next((set_id for set_id, state in on_board if state == "ACTIVE"), None)
     if "MISMATCH" in states:

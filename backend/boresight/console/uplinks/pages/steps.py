@@ -52,17 +52,7 @@ LADDER = ("SENT", "LOADED", "VERIFIED", "ACTIVE")
 
 @dataclass(frozen=True)
 class UplinkStep:
-    """One rung of the ladder.
-
-    Parameters
-    ----------
-    name
-        What it is called.
-    level, word
-        `normal` when it is taken, `critical` when the read-back failed there, `standby` when it is next, else `off`.
-    at_utc, who, source, how
-        Of the record that took it; empty before.
-    """
+    """One rung of the ladder."""
 
     name: str
     level: str
@@ -74,15 +64,7 @@ class UplinkStep:
 
 
 def list_steps(exported: Package | None, records: Sequence[Uplink], names: RunNames) -> list[UplinkStep]:
-    """Lay out the present climb.
-
-    Parameters
-    ----------
-    exported
-        The package that the climb carries.
-    records
-        Everything recorded of the set, newest first.
-    """
+    """Lay out the present climb."""
     progress = find_uplink_progress(records)
     taken = [_exported(exported, names), *(_taken(progress, state, names) for state in LADDER)]
     following = next((place for place, step in enumerate(taken) if step is None), len(taken))
@@ -103,13 +85,7 @@ def find_uplink_progress(records: Sequence[Uplink]) -> Sequence[Uplink]:
 
 
 def find_exported_package(packages: Sequence[Package], records: Sequence[Uplink]) -> Package | None:
-    """Return the package that the present climb carries: the one that was sent, before that the newest; None where none is.
-
-    Parameters
-    ----------
-    packages, records
-        Of the set, newest first.
-    """
+    """Return the package that the present climb carries: the one that was sent, before that the newest; None where none is."""
     named = [
         (row.evidence or {}).get("package") for row in find_uplink_progress(records) if row.onboard_state == "SENT"
     ]

@@ -20,21 +20,7 @@ _MOST_ROWS = 20
 
 @dataclass(frozen=True)
 class Finding:
-    """A fact about a telemetry set that an operator should know.
-
-    Parameters
-    ----------
-    code
-        Stable name, for machines.
-    severity
-        NORMAL: to know. CAUTION: the result may suffer. SERIOUS: unusable as it is.
-    sentence
-        What was found, what it does, what to do.
-    count
-        How many rows, exposures or gaps the sentence speaks of.
-    rows
-        The first twenty rows in question, as an editor counts; empty where it is not of rows.
-    """
+    """A fact about a telemetry set that an operator should know."""
 
     code: str
     severity: Severity
