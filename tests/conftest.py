@@ -100,3 +100,10 @@ def postgresql() -> Iterator[Engine]:
     yield engine
     engine.dispose()
     server.drop(name)
+
+
+@pytest.fixture
+def sqlite(tmp_path: Path) -> Iterator[Engine]:
+    engine = stores.open_migrated(f"sqlite:///{tmp_path}/store.sqlite3")
+    yield engine
+    engine.dispose()

@@ -36,7 +36,7 @@ HTTP = {
     "access.dependencies",
     "access.password_checks",
     "administration.documentation",
-    "approvals.measured",
+    "approvals.gate_assessment",
     "telemetry.uploads",
 }
 SQL = {"runs.presets"}

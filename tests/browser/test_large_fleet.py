@@ -12,7 +12,7 @@ from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
 from tests.browser.installation import Installation
 from tests.browser.people import PRINTED_NAMES, People, password_of
-from tests.services.fleets import add_fleet
+from tests.console.fleet.fleets import add_fleet
 from tests.stores import url_in
 
 pytestmark = pytest.mark.browser

@@ -11,10 +11,10 @@ import time
 from pathlib import Path
 
 from boresight.sky.catalogue import load_catalogue
-from tests.api.conftest import house_in
 from tests.fuzz.judge import Tally
 from tests.fuzz.run import fuzz
 from tests.fuzz.world import furnished
+from tests.served import house_in
 
 TELL_EVERY_S = 30
 

@@ -20,9 +20,9 @@ import requests
 
 from boresight.calibration.options import CalibrationSettings
 from boresight.verdicts.gates.profile import DEFAULT_PROFILE
-from tests.api.conftest import House
 from tests.fuzz.judge import Asker, Tally, bare_case
 from tests.fuzz.world import World
+from tests.served import House
 
 KIND = "documents"
 ODD: tuple[Any, ...] = (

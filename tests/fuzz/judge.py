@@ -17,7 +17,7 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from tests.api.conftest import PASSWORD
+from tests.served import PASSWORD
 
 CHECKS = [
     not_a_server_error,

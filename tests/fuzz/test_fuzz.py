@@ -8,11 +8,11 @@ from contextlib import closing
 import pytest
 
 from boresight.sky.catalogue import load_catalogue
-from tests.api.conftest import house_in
 from tests.effort import effort
 from tests.fuzz.documents import KINDS, ODD, changed, places
 from tests.fuzz.run import fuzz
 from tests.fuzz.world import furnished
+from tests.served import house_in
 
 REQUESTS = effort(800, 3000)
 

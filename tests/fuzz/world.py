@@ -11,9 +11,9 @@ import requests
 import schemathesis
 from schemathesis import APIOperation
 
-from tests.api.conftest import PASSWORD, PEOPLE, House
-from tests.api.operations import GOOD, ask
+from tests.console.operations import GOOD, ask
 from tests.fuzz.judge import Asker
+from tests.served import PASSWORD, PEOPLE, House
 
 ASKERS = ("adele", "ada", None)  # administrator, analyst, anonymous
 FURNITURE = (

@@ -14,8 +14,7 @@ from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
-
-from .installation import Evidence
+from tests.transitions.installation import Evidence
 
 SCENARIO = dataclasses.replace(calibration_scenario(1), frames=30)
 

@@ -25,12 +25,11 @@ from boresight.platform.audit import log as audit
 from boresight.platform.db.declared import Base
 from boresight.platform.db.sessions import open_reading, open_writing, utc_now
 from boresight.sky.catalogue import Catalogue
-from tests.api.conftest import serving, settings_in
-from tests.api.operations import OPENAPI
+from tests.console.operations import OPENAPI
 from tests.passwords import new_password, proved
-
-from .installation import CHEAP_HASH, PASSWORD, WORDS, Evidence, Installation, tag
-from .moves import ACTORS, ALLOWED, FORBIDDEN, MOVES, OF_REQUEST, PLACES, TRANSITIONS, Move
+from tests.served import serving, settings_in
+from tests.transitions.installation import CHEAP_HASH, PASSWORD, WORDS, Evidence, Installation, tag
+from tests.transitions.moves import ACTORS, ALLOWED, FORBIDDEN, MOVES, OF_REQUEST, PLACES, TRANSITIONS, Move
 
 PEOPLE = {
     **{role: (role,) for role in ROLES},

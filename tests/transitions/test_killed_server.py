@@ -25,11 +25,10 @@ from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Session, open_reading
-from tests.api.conftest import settings_in
 from tests.effort import effort
+from tests.served import settings_in
 from tests.stores import environment_in
-
-from .installation import WORDS, Evidence, Installation, tag
+from tests.transitions.installation import WORDS, Evidence, Installation, tag
 
 TRANSITIONS, KILLS, DRIVERS = effort(60, 200), effort(1, 3), 4
 SENSORS, SETS = 2, 6

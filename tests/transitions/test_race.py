@@ -25,10 +25,9 @@ from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.sky.catalogue import Catalogue
-from tests.api.conftest import serving, settings_in
 from tests.passwords import proved
-
-from .installation import PASSWORD, WORDS, Evidence, Installation, tag
+from tests.served import serving, settings_in
+from tests.transitions.installation import PASSWORD, WORDS, Evidence, Installation, tag
 
 AT_ONCE = 50
 FORMER, READY = 6, 14  # sets that were baseline, and that are asked for

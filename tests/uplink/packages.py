@@ -7,8 +7,7 @@ import sys
 from boresight.telemetry.sensors import sensor_document
 from boresight.uplink.archive import canonical_bytes
 from boresight.uplink.package import build_package
-
-from .tables import INITIAL, definition_of, sensor_of
+from tests.uplink.tables import INITIAL, definition_of, sensor_of
 
 SIGNATURE = {
     "printed_name": "Cy <b>Approver</b>",

@@ -5,8 +5,7 @@ import json
 import pytest
 
 from boresight.uplink.parameter_files import alignment_json
-
-from .packages import set_of
+from tests.uplink.packages import set_of
 
 FOUND = {"sentence": "Loading these parameters turns the reported attitude by 4.1 arcsec.", "c_sd_update": [[1.0]]}
 

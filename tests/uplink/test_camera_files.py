@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from boresight.cameras import CAMERA_MODELS
 from boresight.uplink.camera_files import camera_files
 from tests.effort import effort
-
-from .tables import INITIAL, sensor_of
+from tests.uplink.tables import INITIAL, sensor_of
 
 
 def _matrix(text, name):

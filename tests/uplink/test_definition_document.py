@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from boresight.errors import RefusedInputError
 from boresight.uplink.table_definition import decode, encode, parse_definition
 from tests.effort import effort
-
-from .tables import INITIAL, definition_of, sensor_of
+from tests.uplink.tables import INITIAL, definition_of, sensor_of
 
 IDS = {name: 4096 + place for place, name in enumerate(("s", "f_m", "u0_px", "v0_px", "k1", "k2"))}
 

@@ -16,9 +16,8 @@ import pytest
 
 from boresight.errors import RefusedInputError
 from boresight.uplink.package import build_package
-
-from .packages import GATE, inputs_of, set_of
-from .tables import INITIAL, definition_of
+from tests.uplink.packages import GATE, inputs_of, set_of
+from tests.uplink.tables import INITIAL, definition_of
 
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = sorted(INITIAL)

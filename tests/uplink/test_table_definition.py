@@ -17,8 +17,7 @@ from boresight.uplink.table_definition import (
     table_crc,
 )
 from tests.effort import effort
-
-from .tables import INITIAL, definition_of, definitions, sensor_of
+from tests.uplink.tables import INITIAL, definition_of, definitions, sensor_of
 
 PINHOLE = INITIAL["pinhole_radial"]
 

@@ -15,8 +15,7 @@ from boresight.uplink.parameter_service import application_data, type_code
 from boresight.uplink.table_definition import encode, parse_definition
 from boresight.uplink.table_files import table_files
 from tests.effort import effort
-
-from .tables import INITIAL, definition_of, definitions, sensor_of
+from tests.uplink.tables import INITIAL, definition_of, definitions, sensor_of
 
 PINHOLE = INITIAL["pinhole_radial"]
 CFE = {"table_name": "STR_APP.CAMERA", "spacecraft_id": 66, "processor_id": 1, "application_id": 9}

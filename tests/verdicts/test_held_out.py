@@ -13,8 +13,7 @@ from boresight.verdicts.gates import judge, parse_profile
 from boresight.verdicts.gates.assessment import assess, ground_set
 from boresight.verdicts.gates.held_out import change_of_share, compute_validation_scores, of_result
 from boresight.verdicts.gates.measurements import Measurement, ends
-
-from .evidence_cases import NAMES, SENSOR
+from tests.verdicts.evidence_cases import NAMES, SENSOR
 
 GIVEN = CalibrationSettings(match="given")
 TRUTH = st16_truth(1)

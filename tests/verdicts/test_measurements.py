@@ -12,8 +12,7 @@ from boresight.verdicts.gates import GATES, judge, measure, parse_profile
 from boresight.verdicts.gates.assessment import as_set, ground_set, started_from
 from boresight.verdicts.gates.measurements import MEASURES
 from tests.effort import effort
-
-from .evidence_cases import NAMES, SENSOR, SIGMA, a_result, a_set, evidence
+from tests.verdicts.evidence_cases import NAMES, SENSOR, SIGMA, a_result, a_set, evidence
 
 
 def found(name, **changed):

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import piecework
 import pytest
+from services import Services, listens, wait_for
 
 from benchmarks.servers import free_port
 from boresight.errors import CancelledError, RefusedInputError
 from boresight.workers.cluster import SchedulerClient
-from services import Services, listens, wait_for
 
 EXPECTED = [number * number for number in range(piecework.COUNT)]
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from services import Services, listens, loops, wait_for
 
 from benchmarks.servers import free_port
 from boresight.workers.cluster import SchedulerClient
-from services import Services, listens, loops, wait_for
 
 
 def test_a_scheduler_that_does_not_answer_costs_no_thread_however_often_it_is_asked():

@@ -1,6 +1,6 @@
 """A run of a table that was altered on the disk ends FAILED with that cause, once, and whoever raises alarms is told which file."""
 
-from tests.store.test_corrupt_files import _flip
+from tests.platform.blobs.test_corrupt_files import _flip
 
 
 def test_a_run_of_a_corrupt_table_fails_with_that_cause_and_is_not_tried_again(make_store, start_engine) -> None:

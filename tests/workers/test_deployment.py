@@ -14,13 +14,13 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
+from services import wait_for
 
 from benchmarks.servers import free_port
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
-from services import wait_for
 from tests.postgresql import server
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "deployment.md").read_text()

@@ -5,12 +5,12 @@ from __future__ import annotations
 import socket
 
 import pytest
+from services import Services, wait_for
 
 import boresight
 from benchmarks.servers import free_port
 from boresight.workers.cluster import SchedulerClient
 from boresight.workers.dispatched_tasks import UNFIT_TOPIC, WorkerCheck, find_worker_fault
-from services import Services, wait_for
 
 
 def test_a_worker_of_the_same_version_that_sees_the_folder_is_fit(tmp_path):

@@ -13,9 +13,9 @@ from pathlib import Path
 import httpx
 import psutil
 import pytest
+from services import Services, listens, wait_for
 
 from benchmarks.servers import free_port
-from services import Services, listens, wait_for
 
 INTRUDER = Path(__file__).parent / "intruder.py"
 NOBODY = 65534

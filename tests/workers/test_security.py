@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 from distributed import Security
+from services import Services, loops
 
 from benchmarks.servers import free_port
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
 from boresight.workers.cluster import SchedulerClient
 from boresight.workers.security import issue, make_security
-from services import Services, loops
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "deployment.md").read_text()
 MADE, EXPORTS = re.findall(r"^```sh certificates\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)

@@ -18,7 +18,7 @@ from boresight.simulation.scenes import simulate
 from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
-from tests.api.conftest import PASSWORD, SCENARIO, add_people, serving, settings_in
+from tests.served import PASSWORD, SCENARIO, add_people, serving, settings_in
 
 NAME = "boresight_typed_client"
 CONFIG = {"post_hooks": [], "content_type_overrides": {"application/zip": "application/octet-stream"}}

@@ -1,0 +1,82 @@
+"""The administration page: how people, keys, workers, approval, audit and backup are at."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import pytest
+
+from boresight.console.access import users
+from boresight.console.access.tables import ApiKey, User
+from boresight.console.administration.pages import keys_at, warnings
+from boresight.platform.db.sessions import open_writing
+from tests.passwords import new_password
+
+
+@pytest.fixture
+def site(site):
+    site.app.state.workers = SimpleNamespace(
+        state=lambda: {"owner": "host/1", "connected": True, "tasks": 0}, notify=lambda: None
+    )
+    return site
+
+
+NOW, SOON, LATER = ("2026-11-21T00:00:00.000000Z", "2026-12-01T00:00:00.000000Z", "2027-11-21T00:00:00.000000Z")
+
+
+def _person(*roles: str, disabled_utc: str | None = None) -> User:
+    return User(name="x", printed_name="X", roles=list(roles), disabled_utc=disabled_utc)
+
+
+def test_the_page_says_who_must_set_a_password_and_how_to_back_up(site, read):
+    with open_writing(site.engine) as session:
+        users.change_password(session, site.actor("adele"), 5, new_password("a given password"))
+    page = read(site.visitor("adele").get("/administration"))
+    assert "Must set a password of their own: Victor Viewer." in page
+    assert "boresight backup --out FILE.zip" in page
+    assert "FOUR-EYES ON" in page
+
+
+def test_a_single_user_install_says_so_on_every_page(site, read):
+    visitor = site.visitor("ada")
+    assert "Four-eyes is OFF" not in read(visitor.get("/sensors"))
+    site.app.state.policy = dataclasses.replace(site.app.state.policy, four_eyes=False)
+    for path in ("/", "/sensors", "/audit", "/administration"):
+        assert "Four-eyes is OFF: in this installation one person may submit and sign alone." in read(visitor.get(path))
+
+
+def test_where_one_person_works_alone_every_download_says_so(site):
+    visitor, report = site.visitor("ada"), "/api/v1/runs/1/report"
+    addresses = ["/runs.csv", "/runs/1/log", "/runs/1/sensor.json", "/api/v1/runs/1/figures/radial/data", report]
+    addresses += ["/api/v1/runs/1/result", "/api/v1/parameter-sets/1", "/api/v1/audit/export", "/api/v1/runs/999"]
+    for four_eyes in (True, False):
+        site.app.state.policy = dataclasses.replace(site.app.state.policy, four_eyes=four_eyes)
+        for address in addresses:
+            answer = visitor.send("GET", address)
+            assert answer.headers.get("boresight-four-eyes") == (None if four_eyes else "off"), address
+            named = answer.headers.get("content-disposition")
+            assert named is None or ('filename="four-eyes-off-' in named) is not four_eyes, named
+        assert ("FOUR EYES ARE OFF" in visitor.send("GET", report).text) is not four_eyes
+
+
+def test_what_would_hold_up_work_is_said():
+    people = [_person("analyst", "approver"), _person("operator"), _person("administrator", disabled_utc=NOW)]
+    said = warnings(people, four_eyes=True)
+    assert "There is one approver only: nobody stands in." in said
+    assert "There is no administrator." in said
+    assert "Every approver is an analyst too: whoever submits needs another to sign." in said
+    assert (
+        warnings([_person(role) for role in ("analyst", "operator", "approver", "administrator") * 2], four_eyes=True)
+        == []
+    )
+
+
+def test_keys_are_counted_by_what_needs_a_look():
+    keys = [
+        ApiKey(expires_utc=None),
+        ApiKey(expires_utc=LATER, last_used_utc=NOW),
+        ApiKey(expires_utc="2026-11-25T00:00:00.000000Z"),
+        ApiKey(expires_utc=None, revoked_utc=NOW),
+        ApiKey(expires_utc=NOW),
+    ]
+    found = keys_at(keys, NOW, SOON)
+    assert (found.valid, found.unused, found.expiring, found.endless) == (3, 2, 1, 1)

@@ -1,0 +1,315 @@
+"""Every operation of the OpenAPI document, and for each a request that succeeds.
+
+An operation that is not in GOOD fails by name, so a new route cannot come without its test.
+"""
+
+import re
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+from pydantic import BaseModel
+
+from boresight.platform.web.paging import Page
+from boresight.server import create_app
+from tests.console.alarms import alarms
+from tests.console.approvals import gates
+from tests.console.campaigns import campaigns
+from tests.console.change_proposals import proposals
+from tests.console.uplinks import routes as onboard
+from tests.served import PASSWORD, House, settings_in
+
+with tempfile.TemporaryDirectory() as _folder:
+    OPENAPI = create_app(settings_in(Path(_folder))).openapi()
+OPERATIONS = {
+    operation["operationId"]: {"method": method.upper(), "path": path, **operation}
+    for path, methods in OPENAPI["paths"].items()
+    for method, operation in methods.items()
+}
+OPEN = ("health", "readiness", "metrics", "log_in")  # ask nobody who acts
+TRANSITIONS = [name for name, operation in OPERATIONS.items() if "428" in operation["responses"]]
+UNSAFE = [name for name, operation in OPERATIONS.items() if operation["method"] != "GET" and name != "log_in"]
+WITH_ID = [name for name, operation in OPERATIONS.items() if "_id}" in operation["path"]]
+
+HOOK = {"label": "Chat", "url": "https://mission.invalid/hooks"}  # a name that leads nowhere
+
+Made = tuple[str, dict[str, Any]]  # who asks, and path values with request options
+
+
+def _versioned(row: dict[str, Any]) -> dict[str, str]:
+    return {"If-Match": f'"v{row["version"]}"'}
+
+
+def _upload(house: House) -> Made:
+    files = {"file": ("t.csv", house.telemetry_csv)}
+    return "ada", {"data": {"sensor_id": str(house.new_sensor()["id"])}, "files": files}
+
+
+def _launch(house: House) -> Made:
+    sensor_id, set_id = house.ready_sensor()
+    return "ada", {"json": {"sensor_id": sensor_id, "telemetry_set_id": set_id}}
+
+
+def _edit(house: House) -> Made:
+    row = house.new_sensor()
+    return "ada", {"sensor_id": row["id"], "json": row["document"], "headers": _versioned(row)}
+
+
+def _submit(house: House) -> Made:
+    row = house.candidate()
+    return "ada", {"parameter_set_id": row["id"], "json": {"reason": "It moved."}, "headers": _versioned(row)}
+
+
+def _withdraw(house: House) -> Made:
+    approval = house.submitted()
+    client = house.person("ada")
+    row = client.get(f"/api/v1/parameter-sets/{approval['parameter_set_id']}").json()
+    return "ada", {"parameter_set_id": row["id"], "headers": _versioned(row)}
+
+
+def _promote(house: House) -> Made:
+    row = house.approved()
+    return "olga", {"parameter_set_id": row["id"], "headers": _versioned(row)}
+
+
+def _sign(house: House) -> Made:
+    approval = house.submitted()
+    body = {"meaning": "I have read it.", "comment": "Seen.", "password": PASSWORD}
+    return "alan", {"approval_id": approval["id"], "json": body, "headers": _versioned(approval)}
+
+
+def _sign_beside(house: House) -> Made:
+    _, options = _sign(house)
+    return "victor", {**options, "json": {**options["json"], "name": "alan", "decision": "APPROVE"}}
+
+
+def _roll_back(house: House) -> Made:
+    row = house.approved()
+    client = house.person("olga")
+    client.post(f"/api/v1/parameter-sets/{row['id']}:promote", headers=_versioned(row))
+    found = client.get("/api/v1/parameter-sets", params={"sensor_id": row["sensor_id"]}).json()["items"]
+    former = next(one for one in found if one["ground_state"] == "SUPERSEDED")
+    return "olga", {"parameter_set_id": former["id"], "json": {"reason": "It drifts."}, "headers": _versioned(former)}
+
+
+def _assign(house: House) -> Made:
+    approval = house.submitted()
+    alan = house.person("alan").get("/api/v1/sessions/current").json()["user_id"]
+    return "ada", {"approval_id": approval["id"], "json": {"user_id": alan}, "headers": _versioned(approval)}
+
+
+def _record(house: House) -> Made:
+    client = house.person("ada")
+    sensor = house.new_sensor()
+    found = client.get("/api/v1/parameter-sets", params={"sensor_id": sensor["id"]}).json()["items"][0]
+    step = {"parameter_set_id": found["id"], "onboard_state": "SENT", "source": "Pass 1"}
+    return "olga", {"json": step, "headers": _versioned(found)}
+
+
+def _define(house: House) -> Made:
+    row = house.new_sensor()
+    fields = [
+        {"name": f"F{place}", "parameter": name, "offset_bytes": 4 * place, "type": "float32"}
+        for place, name in enumerate(row["document"]["initial"])
+    ]
+    document = {"table_id": "T", "flight_software_version": "1", "length_bytes": 32, "fields": fields}
+    body = {"document": document, "reason": "Flight software 1."}
+    return "ada", {"sensor_id": row["id"], "json": body, "headers": {"If-Match": '"v0"'}}
+
+
+def _export(house: House) -> Made:
+    sensor = house.new_sensor()
+    found = house.person("ada").get("/api/v1/parameter-sets", params={"sensor_id": sensor["id"]}).json()["items"][0]
+    return "olga", {"parameter_set_id": found["id"], "json": {}}
+
+
+def _package(house: House) -> Made:
+    number = _export(house)[1]["parameter_set_id"]
+    made = house.person("olga").post(f"/api/v1/parameter-sets/{number}:export")
+    return "victor", {"package_id": made.json()["id"]}
+
+
+def _new_user(house: House) -> dict[str, Any]:
+    name = house.sensor_file()["name"]
+    return {"name": name, "printed_name": f"Someone {name}", "password": PASSWORD, "roles": ["viewer"]}
+
+
+def _user(house: House, **options: Any) -> Made:
+    client = house.person("adele")
+    made = client.post("/api/v1/users", json=_new_user(house))
+    return "adele", {"user_id": made.json()["id"], "headers": {"If-Match": made.headers["etag"]}, **options}
+
+
+def _archive(house: House) -> Made:
+    number = house.ready_sensor()[1]
+    read = house.person("ada").get(f"/api/v1/telemetry-sets/{number}")
+    return "ada", {"telemetry_set_id": number, "headers": {"If-Match": read.headers["etag"]}}
+
+
+def _cancel(house: House) -> Made:
+    number = house.launched()["id"]
+    read = house.person("ada").get(f"/api/v1/runs/{number}")
+    return "ada", {"run_id": number, "headers": {"If-Match": read.headers["etag"]}}
+
+
+def _key(house: House) -> Made:
+    client = house.person("ada")
+    return "ada", {"key_id": client.post("/api/v1/api-keys", json={"label": "x"}).json()["id"]}
+
+
+def _session(house: House) -> Made:
+    listed = house.log_in("victor").get("/api/v1/sessions").json()["items"]
+    return "victor", {"session_id": listed[0]["id"]}
+
+
+def _webhook(house: House, **options: Any) -> Made:
+    return "adele", {"webhook_id": house.person("adele").post("/api/v1/webhooks", json=HOOK).json()["id"], **options}
+
+
+def _delivery(house: House) -> Made:
+    number = _webhook(house)[1]["webhook_id"]
+    return "adele", {"delivery_id": house.person("adele").post(f"/api/v1/webhooks/{number}:try").json()["id"]}
+
+
+def _compare(house: House) -> Made:
+    return "victor", {"params": {"runs": f"{house.finished()},{house.finished()}"}}
+
+
+GOOD: dict[str, Callable[[House], Made]] = {
+    **alarms.GOOD,
+    "compare_runs": _compare,
+    "compare_runs_data": _compare,
+    "draw_radial_contrast": _compare,
+    "get_radial_contrast_data": _compare,
+    "health": lambda _: ("victor", {}),
+    "readiness": lambda _: ("victor", {}),
+    "metrics": lambda _: ("victor", {}),
+    "list_sensors": lambda _: ("victor", {}),
+    "register_sensor": lambda house: ("ada", {"json": house.sensor_file()}),
+    "get_sensor": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
+    "edit_sensor": _edit,
+    "get_sensor_at": lambda house: (
+        "victor",
+        {"sensor_id": house.new_sensor()["id"], "params": {"at": "2099-01-01T00:00:00Z"}},
+    ),
+    "get_sensor_as_of": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
+    "list_sensor_timeline": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
+    "list_telemetry_sets": lambda _: ("victor", {}),
+    "upload_telemetry_set": _upload,
+    "get_telemetry_set": lambda house: ("victor", {"telemetry_set_id": house.ready_sensor()[1]}),
+    "get_telemetry_file": lambda house: ("victor", {"telemetry_set_id": house.ready_sensor()[1]}),
+    "archive_telemetry_set": _archive,
+    "list_runs": lambda _: ("victor", {}),
+    "launch_run": _launch,
+    "get_run": lambda house: ("victor", {"run_id": house.launched()["id"]}),
+    "cancel_run": _cancel,
+    "get_run_result": lambda house: ("victor", {"run_id": house.finished()}),
+    "get_run_log": lambda house: ("victor", {"run_id": house.finished()}),
+    "get_run_report": lambda house: ("victor", {"run_id": house.finished()}),
+    "list_frames": lambda house: ("victor", {"run_id": house.finished()}),
+    "get_frame": lambda house: ("victor", {"run_id": house.finished(), "frame": 1}),
+    **campaigns.GOOD,
+    "list_figures": lambda house: ("victor", {"run_id": house.finished()}),
+    "get_figure": lambda house: ("victor", {"run_id": house.finished(), "name": "radial"}),
+    "get_figure_data": lambda house: ("victor", {"run_id": house.finished(), "name": "radial"}),
+    "list_parameter_sets": lambda _: ("victor", {}),
+    "create_parameter_set": lambda house: ("ada", {"json": {"run_id": house.finished()}}),
+    "get_parameter_set": lambda house: ("victor", {"parameter_set_id": house.candidate()["id"]}),
+    "convert_parameter_set": lambda house: (
+        "victor",
+        {"parameter_set_id": house.candidate()["id"], "params": {"to": "pinhole_radial", "allow_px": 100}},
+    ),
+    "submit_parameter_set": _submit,
+    "withdraw_parameter_set": _withdraw,
+    "promote_parameter_set": _promote,
+    "roll_back_parameter_set": _roll_back,
+    "list_gate_profiles": lambda house: ("victor", {"sensor_id": house.new_sensor()["id"]}),
+    "set_gate_profile": gates.set_profile,
+    "try_gate_profile": gates.try_profile,
+    "assess_parameter_set": lambda house: ("ada", {"parameter_set_id": house.candidate()["id"]}),
+    "get_gate_report": lambda house: ("victor", {"parameter_set_id": gates.blocked(house)["id"]}),
+    "waive_gate": gates.waive,
+    "list_table_definitions": lambda house: ("victor", {"sensor_id": _define(house)[1]["sensor_id"]}),
+    "set_table_definition": _define,
+    **proposals.GOOD,
+    "export_parameter_set": _export,
+    "list_packages": lambda _: ("victor", {}),
+    "get_package": _package,
+    "get_package_content": _package,
+    "list_signers": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
+    "list_approvals": lambda _: ("victor", {}),
+    "get_approval": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
+    "approve": _sign,
+    "refuse": _sign,
+    "sign_over_the_shoulder": _sign_beside,
+    "assign_approval": _assign,
+    "list_remarks": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
+    "remark": lambda house: ("ada", {"approval_id": house.submitted()["id"], "json": {"text": "Was the heater on?"}}),
+    "list_openings": lambda house: ("victor", {"approval_id": house.submitted()["id"]}),
+    "record_opening": lambda house: ("alan", {"approval_id": house.submitted()["id"], "json": {"evidence": "radial"}}),
+    "list_uplinks": lambda _: ("victor", {}),
+    "record_uplink": _record,
+    "get_uplink": onboard.uplink,
+    "get_uplink_dump": onboard.uplink,
+    "read_back": onboard.read_back,
+    "activate_parameter_set": onboard.activate,
+    "stream_events": lambda _: ("victor", {}),
+    "list_audit": lambda _: ("victor", {}),
+    "verify_audit": lambda _: ("victor", {}),
+    "export_audit": lambda _: ("victor", {}),
+    "get_audit_verifier": lambda _: ("victor", {}),
+    "list_users": lambda _: ("adele", {}),
+    "create_user": lambda house: ("adele", {"json": _new_user(house)}),
+    "get_user": lambda _: ("adele", {"user_id": 1}),
+    "change_roles": lambda house: _user(house, json={"roles": ["operator"]}),
+    "disable_user": _user,
+    "enable_user": _user,
+    "change_password": lambda house: _user(house, json={"password": "another good one"}),
+    "end_sessions": _user,
+    "list_api_keys": lambda _: ("ada", {}),
+    "create_api_key": lambda _: ("ada", {"json": {"label": "nightly"}}),
+    "revoke_api_key": _key,
+    "list_webhooks": lambda _: ("adele", {}),
+    "create_webhook": lambda _: ("adele", {"json": HOOK}),
+    "get_webhook": _webhook,
+    "disable_webhook": _webhook,
+    "enable_webhook": _webhook,
+    "renew_webhook_secret": lambda house: _webhook(house, json={}),
+    "try_webhook": _webhook,
+    "list_webhook_deliveries": _webhook,
+    "redeliver": _delivery,
+    "log_in": lambda _: ("victor", {"json": {"name": "victor", "password": PASSWORD}}),
+    "get_session": lambda _: ("victor", {}),
+    "list_sessions": lambda _: ("victor", {}),
+    "end_session": _session,
+    "end_other_sessions": lambda _: ("victor", {}),
+    "log_out": lambda _: ("victor", {}),
+}
+
+
+def ask(client: httpx.Client, name: str, options: dict[str, Any]) -> httpx.Response:
+    operation = OPERATIONS[name]
+    inside = re.findall(r"{(\w+)}", operation["path"])
+    path = operation["path"].format(**{key: options.get(key, 1) for key in inside})
+    kept = {key: value for key, value in options.items() if key not in inside}
+    if name != "stream_events":
+        return client.request(operation["method"], path, **kept)
+    with client.stream(operation["method"], path, **kept) as answer:
+        return answer
+
+
+def _shapes(shape: type[BaseModel] = BaseModel) -> dict[str, type[BaseModel]]:
+    found = {one.__name__: one for one in shape.__subclasses__() if one.__module__.startswith("boresight.")}
+    return found | {name: each for one in shape.__subclasses__() for name, each in _shapes(one).items()}
+
+
+SHAPES = _shapes()
+
+
+def documented_shape(name: str, status: int) -> Any:
+    content = OPERATIONS[name]["responses"][str(status)].get("content", {})
+    named = content.get("application/json", {}).get("schema", {}).get("$ref", "").rsplit("/", 1)[-1]
+    listed = re.fullmatch(r"Page_(\w+)_", named)
+    return Page[SHAPES[listed[1]]] if listed else SHAPES.get(named)

@@ -1,0 +1,127 @@
+"""A disk that takes no write is 503 with Retry-After by every form of every page, and no fault of what was typed."""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import pytest
+from fastapi.routing import APIRoute
+
+from boresight.console import pages
+from boresight.console.approvals.pages import gates as gate_report
+from boresight.console.pages import rendering as attempts
+from boresight.console.telemetry import pages as telemetry
+from boresight.console.webhooks import service as webhooks
+from boresight.disks import full
+from boresight.errors import StorageError
+from tests.console.alarms.test_pages import drifting  # noqa: F401 - a fixture
+from tests.console.campaigns.test_pages import FORM as CAMPAIGN
+from tests.console.change_proposals.test_pages import _proposed, asking  # noqa: F401 - a fixture
+from tests.sites import PASSWORD
+
+SIGNED = {"decision": "APPROVE", "meaning": "m", "comment": "Seen.", "version": "1", "password": PASSWORD}
+FORMS = {  # who sends which form to which page
+    "/users": ("adele", {"name": "zoe", "printed_name": "Zoe", "password": "kestrel over the moor 41"}),
+    "/users/{user_id}/roles": ("adele", {"roles": ["viewer"]}),
+    "/users/{user_id}/disable": ("adele", {}),
+    "/users/{user_id}/enable": ("adele", {}),
+    "/users/{user_id}/password": ("adele", {"password": "kestrel over the moor 41"}),
+    "/users/{user_id}/end-sessions": ("adele", {}),
+    "/sessions/{session_id:int}/end": ("ada", {}),
+    "/sessions/end-others": ("ada", {}),
+    "/users/keys": ("ada", {"label": "k", "scopes": ["read"]}),
+    "/users/keys/{key_id}/revoke": ("ada", {}),
+    "/change-proposals/{proposal_id:int}/decide": ("agnes", {"action": "confirm", "version": "1"}),
+    "/telemetry": ("ada", {"sensor_id": "1", "purpose": "calibration"}),
+    "/parameter-sets/{set_id:int}/uplink/package": ("olga", {}),
+    "/parameter-sets/{set_id:int}/uplink/record": ("olga", {"onboard_state": "LOADED", "source": "pass 9"}),
+    "/parameter-sets/{set_id:int}/uplink/read-back": ("olga", {"crc": "0", "source": "pass 9"}),
+    "/parameter-sets/{set_id:int}/uplink/activate": ("olga", {"source": "pass 9", "password": PASSWORD}),
+    "/login": ("ada", {"name": "ada", "password": PASSWORD}),
+    "/logout": ("ada", {}),
+    "/sensors/{sensor_id:int}/gates": ("adele", {"action": "set", "reason": "x"}),
+    "/alarms/{alarm_id:int}/{step}": ("ada", {"text": "Seen.", "version": "1"}),
+    "/sensors/{sensor_id:int}/table-definition": ("adele", {"action": "set", "document": "{}", "reason": "x"}),
+    "/password": (
+        "ada",
+        {"current": PASSWORD, "password": "kestrel over the moor 41", "repeated": "kestrel over the moor 41"},
+    ),
+    "/runs/new": ("ada", {"intent": "queue", "sensor_id": "1", "telemetry_set_id": "1", "method": "batch"}),
+    "/presets/{preset_id:int}/archive": ("ada", {}),
+    "/telemetry/{set_id}/archive": ("ada", {}),
+    "/sensors": ("ada", {"document": "{}"}),
+    "/campaigns/{campaign_id:int}/cancel": ("ada", {"reason": "x"}),
+    "/campaigns/{campaign_id:int}/launch-failed": ("ada", {}),
+    "/approvals/{approval_id:int}/open": ("alan", {"evidence": "trust"}),
+    "/approvals/{approval_id:int}/remarks": ("alan", {"text": "Why?"}),
+    "/approvals/{approval_id:int}/assign": ("ada", {"person": "", "version": "1"}),
+    "/parameter-sets/{set_id:int}/assess": ("ada", {}),
+    "/parameter-sets/{set_id:int}/waive": ("alan", {"gate": "x", "password": PASSWORD}),
+    "/notes/{kind}/{subject_id:int}": ("ada", {"text": "A note."}),
+    "/runs/{run_id:int}/parameter-set": ("ada", {}),
+    "/runs/{run_id:int}/cancel": ("ada", {}),
+    "/webhooks": ("adele", {"label": "h", "url": "https://203.0.113.7/hook"}),
+    "/webhooks/{webhook_id:int}/try": ("adele", {}),
+    "/webhooks/{webhook_id:int}/renew-secret": ("adele", {}),
+    "/webhooks/{webhook_id:int}/disable": ("adele", {}),
+    "/webhooks/{webhook_id:int}/enable": ("adele", {}),
+    "/webhooks/{webhook_id:int}/deliveries/{delivery_id:int}/redeliver": ("adele", {}),
+    "/parameter-sets/{set_id:int}/submit": ("ada", {"reason": "x", "version": "1"}),
+    "/parameter-sets/{set_id:int}/roll-back": ("ada", {"reason": "x", "version": "1"}),
+    "/parameter-sets/{set_id:int}/withdraw": ("ada", {"version": "1"}),
+    "/parameter-sets/{set_id:int}/promote": ("olga", {"version": "1"}),
+    "/approvals/{approval_id:int}/sign": ("alan", SIGNED),
+    "/approvals/{approval_id:int}/sign-over-the-shoulder": ("ada", {**SIGNED, "name": "alan"}),
+    "/campaigns/new": ("ada", {**CAMPAIGN, "intent": "queue"}),
+    "/sensors/{sensor_id}": ("ada", {"document": "{}", "version": "1"}),
+}
+
+
+def _forms() -> set[str]:
+    routes = [route for module in pages.modules() for router in pages.routers(module) for route in router.routes]
+    return {route.path for route in routes if isinstance(route, APIRoute) and "POST" in route.methods}
+
+
+def test_every_form_of_a_page_is_tried() -> None:
+    assert set(FORMS) == _forms()
+
+
+@pytest.mark.parametrize("route", FORMS)
+def test_a_full_disk_is_503_with_retry_after_by_every_form(request, site, monkeypatch, route):
+    name, form = FORMS[route]
+    if route.startswith("/alarms"):
+        request.getfixturevalue("drifting")
+    if route.startswith("/change-proposals"):
+        request.getfixturevalue("asking")
+        _proposed(site)
+    if "{approval_id" in route:
+        ada = site.visitor("ada")
+        place = ada.post("/runs/1/parameter-set").headers["location"]
+        version = ada.get(place).split('name="version" value="')[1].split('"')[0]
+        assert ada.post(f"{place}/submit", version=version, reason="x").status_code == 303
+    if route == "/telemetry":
+
+        @asynccontextmanager
+        async def nothing_to_prepare(_made: object) -> AsyncIterator[None]:
+            yield None
+
+        monkeypatch.setattr(telemetry, "contextmanager_in_threadpool", nothing_to_prepare)
+        monkeypatch.setattr(telemetry, "_store", lambda *_: None)
+    monkeypatch.setattr(gate_report, "_examine", lambda *_: None)
+    monkeypatch.setattr(webhooks, "judge_address", lambda *_: None)
+
+    @asynccontextmanager
+    async def on_a_full_disk(_request: object) -> AsyncIterator[None]:
+        raise StorageError(full("the database"))
+        yield
+
+    visitor = site.visitor(name)
+    monkeypatch.setattr(attempts, "_transaction", on_a_full_disk)
+    path = route.replace("{step}", "acknowledge").replace("{kind}", "runs")
+    path = "/".join("1" if part.startswith("{") else part for part in path.split("/"))
+    given = {"headers": {"Accept": "text/html"}}
+    data = {"csrf_token": visitor.csrf_token, **form}
+    if route == "/telemetry":
+        given["files"] = {"file": ("pass.csv", b"frame\n1\n")}
+    answer = visitor.send("POST", path, data=data, **given)
+    assert (answer.status_code, answer.headers.get("retry-after")) == (503, "30"), answer.text[-1500:]
+    assert "is full" in answer.text or "/uplink/" in route  # a step that the set has not reached shows no form

@@ -1,0 +1,127 @@
+"""The comparison of runs."""
+
+from urllib.parse import parse_qsl
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from boresight.console.runs.comparisons import MOST_RUNS, read_run_ids
+from boresight.console.runs.pages.compare import read_view
+from boresight.errors import RefusedInputError
+from boresight.figures import FIGURES
+
+
+def test_every_figure_overlays_the_other_runs_on_the_reference(site):
+    page = site.visitor("victor").get("/compare?runs=1,2&reference=2")
+    for name in FIGURES:
+        assert f'src="/api/v1/runs/2/figures/{name}?compare=1"' in page
+        assert f'href="/api/v1/runs/2/figures/{name}/data?compare=1" download="run-2-1-{name}.csv"' in page
+        assert f'data-figure-table="/api/v1/runs/2/figures/{name}/data?compare=1"' in page
+
+
+def test_only_what_differs_is_shown_unless_asked_for(site, read):
+    victor = site.visitor("victor")
+    few, all_rows = read(victor.get("/compare?runs=1,2")), read(victor.get("/compare?runs=1,2&all=1"))
+    assert "Square-root filter" in few
+    assert "Calibration set" not in few
+    assert "Calibration set" in all_rows
+
+
+def test_a_batch_has_no_innovations_to_compare(site, read):
+    text = read(site.visitor("victor").get("/compare?runs=1,2"))
+    assert "NIS mean not applicable" in text
+
+
+def test_repeated_fields_of_the_list_s_form_are_read_as_a_list(site):
+    assert 'src="/api/v1/runs/1/figures/rms?compare=2"' in site.visitor("victor").get("/compare?runs=1&runs=2")
+
+
+def test_unlike_camera_models_are_refused_with_both_named(site, read, results):
+    other = site.add_run(state="SUCCEEDED", result=results["batch"], sensor_document={"camera_model": "pinhole_radial"})
+    text = read(site.visitor("victor").get(f"/compare?runs=1,{other}", status=422))
+    assert f"Run #1 uses the camera model inverted_wang and run #{other} uses pinhole_radial" in text
+
+
+def test_one_run_alone_asks_for_another(site, read):
+    assert "Choose two or more runs" in read(site.visitor("victor").get("/compare?runs=1"))
+    assert "Choose two or more runs" in read(site.visitor("victor").get("/compare"))
+
+
+def test_a_run_without_a_result_is_compared_as_far_as_it_has_come(site, read):
+    queued = site.add_run()
+    text = read(site.visitor("victor").get(f"/compare?runs=1,{queued}"))
+    assert "QUEUED" in text
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [(["1,x"], "'x' is no run number"), ([",".join(map(str, range(30)))], f"at most {MOST_RUNS}")],
+)
+def test_what_cannot_be_compared_is_refused_in_one_sentence(asked, said):
+    with pytest.raises(RefusedInputError, match=said):
+        read_run_ids(asked)
+
+
+@given(st.lists(st.integers(1, 99), max_size=MOST_RUNS))
+def test_each_run_is_compared_once_in_the_order_given(numbers):
+    read = read_run_ids([",".join(map(str, numbers))])
+    assert read == list(dict.fromkeys(numbers))
+
+
+@given(
+    st.lists(st.integers(1, 99), min_size=2, max_size=MOST_RUNS, unique=True),
+    st.sampled_from(["", "1", "7", "x"]),
+    st.booleans(),
+    st.sampled_from(["", "frame", "time", "update", "moon"]),
+    st.sampled_from(["", "lines", "band", "table", "pie"]),
+)
+def test_the_address_of_a_view_opens_the_same_view(numbers, reference, everything, align, overlay):
+    view = read_view(numbers, reference, "1" if everything else "", align, overlay)
+    asked = dict(parse_qsl(view.query()))
+    again = read_view(
+        read_run_ids([asked["runs"]]),
+        asked.get("reference", ""),
+        asked.get("all", ""),
+        asked.get("align", ""),
+        asked.get("overlay", ""),
+    )
+    assert again == view
+
+
+def test_the_view_is_in_every_address_of_the_page(site):
+    victor = site.visitor("victor")
+    page = victor.get("/compare?runs=1,2&reference=2&align=update&overlay=band")
+    assert 'src="/api/v1/runs/2/figures/rms?compare=1&amp;align=update&amp;overlay=band"' in page
+    assert 'href="/compare?runs=1,2&amp;reference=2&amp;all=1&amp;align=update&amp;overlay=band"' in page
+    assert '<option value="update" selected>' in page
+
+
+def test_two_methods_on_one_set_differ_by_no_noise_and_the_page_says_on_what_that_rests(site, read):
+    text = read(site.visitor("victor").get("/compare?runs=1,2"))
+    assert "the same data, TS-calibration" in text
+    assert "not noise" in text
+    assert "Runs of separate data: the variances add up." in text
+
+
+def test_tables_only_draws_nothing(site):
+    page = site.visitor("victor").get("/compare?runs=1,2&overlay=table")
+    assert "<plot-figure" not in page
+    assert "Parameters of the runs" in page
+
+
+def test_more_than_eight_runs_are_warned_of_with_the_table_and_the_band_at_hand(site, results):
+    runs = [1, 2, *(site.add_run(state="SUCCEEDED", result=results["batch"]) for _ in range(7))]
+    page = site.visitor("victor").get(f"/compare?runs={','.join(map(str, runs))}")
+    assert "More than eight runs" in page
+    assert 'overlay=table">Tables only' in page
+    assert 'overlay=band">Band of the lowest' in page
+
+
+def test_unlike_models_are_refused_with_a_set_to_convert(site, results):
+    other = site.add_run(state="SUCCEEDED", result=results["batch"], sensor_document={"camera_model": "pinhole_radial"})
+    ada = site.visitor("ada")
+    made = ada.send("POST", "/api/v1/parameter-sets", json={"run_id": 1}, headers={"X-CSRF-Token": ada.csrf_token})
+    assert made.status_code == 201
+    page = ada.get(f"/compare?runs=1,{other}", status=422)
+    assert f'<a href="/parameter-sets/{made.json()["id"]}">' in page

@@ -1,0 +1,194 @@
+"""Generated from the route table: every operation succeeds as documented, and every guard holds on every operation."""
+
+import re
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+
+from boresight.console.routes import NOUNS, routers
+from boresight.platform.db.declared import Base
+from boresight.platform.db.sessions import open_reading
+from boresight.platform.web.openapi import ProblemDocument
+from tests.console.alarms import alarms
+from tests.console.operations import GOOD, OPEN, OPERATIONS, TRANSITIONS, UNSAFE, WITH_ID, ask, documented_shape
+from tests.served import PASSWORD, House
+
+
+def test_the_openapi_document_lists_every_route() -> None:
+    routes = {
+        (method, route.path)
+        for noun in NOUNS
+        for router in routers(noun)
+        for route in router.routes
+        for method in route.methods
+        if method != "HEAD"
+    }
+    listed = {(operation["method"], operation["path"]) for operation in OPERATIONS.values()}
+    assert routes <= listed
+    assert {path for _, path in listed - routes} == {"/healthz", "/readyz", "/metrics"}
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_every_operation_succeeds_as_documented(name: str, house: House) -> None:
+    assert name in GOOD, f"Give {name} a request that succeeds, in GOOD"
+    who, options = GOOD[name](house)
+    client = house.log_in(who) if name in {"log_in", "log_out"} else house.person(who)
+    answer = ask(client, name, options)
+    documented = [int(status) for status in OPERATIONS[name]["responses"] if status.startswith("2")]
+    assert answer.status_code in documented, answer.read()
+    if (shape := documented_shape(name, answer.status_code)) is not None:
+        written = shape.model_validate(answer.json()).model_dump(mode="json", by_alias=True, exclude_unset=True)
+        assert written == answer.json()
+
+
+@pytest.mark.parametrize("name", [name for name in OPERATIONS if name not in OPEN])
+def test_nobody_unknown_is_served(name: str, house: House) -> None:
+    answer = ask(house.anybody(), name, {})
+    assert answer.status_code == 401, answer.read()
+    assert answer.headers["www-authenticate"] == "Bearer"
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+@pytest.mark.parametrize("name", UNSAFE)
+def test_a_cookie_without_its_csrf_token_changes_nothing(name: str, house: House) -> None:
+    client = house.anybody()
+    client.cookies = house.person("adele").cookies
+    answer = ask(client, name, {"json": {}})
+    assert answer.status_code == 403
+    assert "X-CSRF-Token" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("name", TRANSITIONS)
+def test_a_transition_without_a_version_is_refused_with_428(name: str, house: House) -> None:
+    who, options = GOOD[name](house)
+    options.pop("headers")
+    client = house.person(who)
+    answer = ask(client, name, options)
+    assert answer.status_code == 428
+    assert "If-Match" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("name", TRANSITIONS)
+def test_a_transition_from_an_older_version_is_refused_with_412(name: str, house: House) -> None:
+    who, options = GOOD[name](house)
+    options["headers"] = {"If-Match": '"v77"'}
+    client = house.person(who)
+    answer = ask(client, name, options)
+    assert answer.status_code == 412
+    assert "changed since" in answer.json()["detail"]
+
+
+@pytest.mark.parametrize("name", TRANSITIONS)
+def test_the_document_asks_for_if_match_where_the_operation_does(name: str) -> None:
+    named = {parameter["name"]: parameter for parameter in OPERATIONS[name]["parameters"]}
+    assert (named["If-Match"]["in"], named["If-Match"]["required"]) == ("header", True)
+
+
+TRIED = [name for name in UNSAFE if name != "log_out"]
+
+
+@pytest.mark.parametrize("name", TRIED)
+def test_validate_only_answers_200_and_changes_nothing(name: str, house: House) -> None:
+    who, options = GOOD[name](house)
+    client = house.person(who)
+    before = _written(house)
+    options["params"] = {"validate_only": "true"}
+    answer = ask(client, name, {**options, "headers": {"Idempotency-Key": "try", **options.get("headers", {})}})
+    assert answer.status_code == 200, answer.text
+    assert name == "edit_sensor" or answer.headers["x-validate-only"] == "true"
+    assert _written(house) == before
+
+
+def _written(house: House) -> list[int]:
+    with open_reading(house.app.state.engine) as session:
+        tables = [table for table in Base.metadata.sorted_tables if table.name != "webhook_deliveries"]
+        return [session.scalar(sa.select(sa.func.count()).select_from(table)) or 0 for table in tables]
+
+
+@pytest.mark.parametrize("name", WITH_ID)
+def test_a_number_that_no_row_can_have_is_refused(name: str, house: House) -> None:
+    number = next(word for word in re.findall(r"{(\w+)}", OPERATIONS[name]["path"]) if word.endswith("_id"))
+    options = {**BODIES.get(name, {}), number: 10**25, "headers": {"If-Match": '"v1"'}}
+    answer = ask(house.person("ada"), name, options)
+    assert answer.status_code == 422, answer.text
+
+
+ABLE = {
+    "approve": "alan",
+    "refuse": "alan",
+    "promote_parameter_set": "olga",
+    "read_back": "olga",
+    "activate_parameter_set": "olga",
+    "set_gate_profile": "adele",
+    **dict.fromkeys(
+        (
+            "get_webhook",
+            "disable_webhook",
+            "enable_webhook",
+            "try_webhook",
+            "renew_webhook_secret",
+            "list_webhook_deliveries",
+            "redeliver",
+        ),
+        "adele",
+    ),
+}  # who may do it, where not the analyst
+BODIES: dict[str, dict[str, Any]] = {
+    **alarms.BODIES,
+    "convert_parameter_set": {"params": {"to": "pinhole_radial"}},
+    "edit_sensor": {"json": {"name": "x"}},
+    "submit_parameter_set": {"json": {"reason": "x"}},
+    "approve": {"json": {"meaning": "x", "password": PASSWORD}},
+    "refuse": {"json": {"meaning": "x", "password": PASSWORD, "comment": "x"}},
+    "set_gate_profile": {"json": {"gates": [], "reason": "x"}},
+    "set_table_definition": {"json": {"document": {}, "reason": "x"}},
+    "try_gate_profile": {"json": {"gates": []}},
+    "waive_gate": {
+        "json": {"gate": "coverage", "code": "other", "reason": "x", "expires_utc": "2026-01-01", "password": PASSWORD}
+    },
+    "roll_back_parameter_set": {"json": {"reason": "x"}},
+    "sign_over_the_shoulder": {
+        "json": {"meaning": "x", "password": PASSWORD, "comment": "x", "name": "alan", "decision": "APPROVE"}
+    },
+    "assign_approval": {"json": {"user_id": None}},
+    "remark": {"json": {"text": "x"}},
+    "refuse_change": {"json": {"comment": "x"}},
+    "record_opening": {"json": {"evidence": "x"}},
+    "change_roles": {"json": {"roles": []}},
+    "change_password": {"json": {"password": "another good one"}},
+    "read_back": {"data": {"source": "x", "crc": "1"}},
+    "activate_parameter_set": {"json": {"source": "x", "meaning": "x", "password": PASSWORD}},
+    "get_sensor_at": {"params": {"at": "2026-01-01"}},
+    "get_figure": {"name": "radial"},
+    "get_figure_data": {"name": "radial"},
+}
+
+
+@pytest.mark.parametrize("name", WITH_ID)
+def test_what_does_not_exist_is_not_found(name: str, house: House) -> None:
+    number = next(word for word in re.findall(r"{(\w+)}", OPERATIONS[name]["path"]) if word.endswith("_id"))
+    options = {**BODIES.get(name, {}), number: 987654, "headers": {"If-Match": '"v1"'}}
+    answer = ask(house.person(ABLE.get(name, "adele" if "user_id" in number else "ada")), name, options)
+    problem = ProblemDocument.model_validate(answer.json())
+    assert (answer.status_code, problem.status) == (404, 404), answer.text
+    assert "987654" in problem.detail
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_every_operation_is_documented_with_its_refusals(name: str) -> None:
+    operation = OPERATIONS[name]
+    assert operation["summary"]
+    assert operation["description"]
+    assert operation["tags"]
+    if name in OPEN:
+        return
+    assert {"401", "403", "422"} <= set(operation["responses"])
+    for status, answer in operation["responses"].items():
+        if status.startswith(("4", "5")):
+            assert list(answer["content"]) == ["application/problem+json"]
+
+
+def test_operation_ids_are_the_names_of_the_endpoints() -> None:
+    assert len(OPERATIONS) == len(set(OPERATIONS))
+    assert all(re.fullmatch(r"[a-z_]+", name) for name in OPERATIONS)

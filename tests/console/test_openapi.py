@@ -1,0 +1,100 @@
+"""The OpenAPI document: valid, every answer typed, and what every method of every address answers."""
+
+import re
+from typing import Any
+
+import pytest
+from openapi_spec_validator import OpenAPIV31SpecValidator
+
+from boresight.calibration.options import OPTIONS
+from boresight.platform.actors import SCOPES
+from tests.console.operations import GOOD, OPEN, OPENAPI, OPERATIONS, ask
+from tests.served import House
+
+PROBLEM = "application/problem+json"
+VERBS = [operation for operation in OPERATIONS.values() if ":" in operation["path"]]
+LOOSE: tuple[Any, ...] = (None, {}, {"type": "object", "additionalProperties": True})
+
+
+def test_the_document_is_valid() -> None:
+    assert OPENAPI["openapi"].startswith("3.1")
+    assert [error.message for error in OpenAPIV31SpecValidator(OPENAPI).iter_errors()] == []
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_every_success_of_every_operation_is_typed(name: str) -> None:
+    answers = {status: one for status, one in OPERATIONS[name]["responses"].items() if status.startswith("2")}
+    assert answers
+    for status, answer in answers.items():
+        assert status == "204" or answer["content"], status
+        for media_type, content in answer.get("content", {}).items():
+            assert content.get("schema") not in LOOSE, (status, media_type)
+
+
+@pytest.mark.parametrize("name", [name for name in OPERATIONS if name not in OPEN])
+def test_every_operation_says_what_every_request_may_meet(name: str) -> None:
+    operation = OPERATIONS[name]
+    documented = set(operation["responses"])
+    assert {"400", "401", "403", "408", "422", "431", "503"} <= documented
+    assert "requestBody" not in operation or {"413", "415"} <= documented
+    assert "{" not in operation["path"] or "404" in documented
+    assert operation["method"] == "GET" or "409" in documented
+    assert "Retry-After" in operation["responses"]["503"]["headers"]
+    for status, answer in operation["responses"].items():
+        if status[0] in "45":
+            assert answer["content"][PROBLEM]["schema"] == {"$ref": "#/components/schemas/ProblemDocument"}
+
+
+def test_no_two_shapes_have_one_name() -> None:
+    assert [name for name in OPENAPI["components"]["schemas"] if "__" in name] == []
+
+
+@pytest.mark.parametrize("operation", ["runs", "campaigns", "presets"])
+def test_every_choice_of_a_calibration_is_described_where_settings_are_given(operation: str) -> None:
+    body = OPENAPI["paths"][f"/api/v1/{operation}"]["post"]["requestBody"]["content"]["application/json"]["schema"]
+    shape = OPENAPI["components"]["schemas"][body["$ref"].rpartition("/")[2]]
+    assert set(shape["properties"]["settings"]["properties"]) == set(OPTIONS)
+
+
+def test_scopes_are_an_enumeration() -> None:
+    scopes = OPENAPI["components"]["schemas"]["NewKey"]["properties"]["scopes"]
+    assert scopes["items"]["enum"] == list(SCOPES)
+
+
+@pytest.mark.parametrize("name", [name for name in OPERATIONS if name not in {"log_in", "log_out", "stream_events"}])
+def test_every_answer_has_the_media_type_that_is_documented(name: str, house: House) -> None:
+    who, options = GOOD[name](house)
+    answer = ask(house.person(who), name, options)
+    documented = OPERATIONS[name]["responses"][str(answer.status_code)].get("content", {})
+    media_type = answer.headers.get("content-type", "").partition(";")[0]
+    assert media_type in {one.partition(";")[0] for one in documented} or (answer.status_code, documented) == (204, {})
+
+
+@pytest.mark.parametrize("verb", VERBS, ids=lambda operation: operation["operationId"])
+def test_get_of_a_verb_is_405_and_says_what_it_takes(verb: dict[str, Any], house: House) -> None:
+    path = re.sub(r"{\w+}", "1", verb["path"])
+    for method in ("GET", "HEAD", "PUT", "DELETE"):
+        answer = house.person("ada").request(method, path)
+        assert (answer.status_code, answer.headers["allow"]) == (405, "POST, OPTIONS"), (method, path)
+
+
+@pytest.mark.parametrize(
+    ("path", "takes"),
+    [
+        ("/api/v1/sensors", "GET, POST, HEAD, OPTIONS"),
+        ("/api/v1/sensors/1", "GET, PUT, HEAD, OPTIONS"),
+        ("/api/v1/runs/1:cancel", "POST, OPTIONS"),
+        ("/api/v1/runs/1", "GET, HEAD, OPTIONS"),
+        ("/healthz", "GET, HEAD, OPTIONS"),
+        ("/login", "GET, POST, HEAD, OPTIONS"),
+    ],
+)
+def test_allow_names_every_method_of_an_address(path: str, takes: str, house: House) -> None:
+    refused, asked = house.person("ada").request("PATCH", path), house.anybody().request("OPTIONS", path)
+    assert (refused.status_code, refused.headers["allow"]) == (405, takes)
+    assert (asked.status_code, asked.headers["allow"]) == (204, takes)
+
+
+def test_a_verb_that_there_is_not_is_not_found(house: House) -> None:
+    assert house.person("ada").post("/api/v1/runs/1:fly").status_code == 404
+    assert house.person("ada").get("/api/v1/runs/1:fly").status_code == 404

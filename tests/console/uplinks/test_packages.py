@@ -1,0 +1,229 @@
+"""Uplink packages out of the store: for whom, of what, and the same bytes again."""
+
+import io
+import json
+import zipfile
+
+import pytest
+
+from boresight.console import transitions
+from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals import service as approvals
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.uplinks import packages, table_definitions
+from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError, StaleError
+from boresight.platform.actors import Policy
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import open_writing
+from tests.console.conftest import PASSWORD, SENSOR
+from tests.passwords import approve, proved
+
+DEFINITION = {
+    "table_id": "STR_CAM",
+    "flight_software_version": "4.2.1",
+    "length_bytes": 72,
+    "fields": [
+        {"name": f"F{place}", "parameter": name, "offset_bytes": 8 * place, "type": "float64"}
+        for place, name in enumerate(SENSOR["initial"])
+    ],
+    "crc": {"name": "CRC-32", "offset_bytes": 64},
+}
+
+
+def _unpacked(content):
+    with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        return {name: packed.read(name) for name in packed.namelist()}
+
+
+@pytest.fixture
+def build(engine, people, blobs):
+    def act(row, who="dee", **said):
+        with open_writing(engine) as session:
+            package = packages.build(session, people[who], blobs, row.id, **said)
+            return package, _unpacked(packages.read(session, blobs, package.id))
+
+    return act
+
+
+@pytest.fixture
+def define(engine, people):
+    def act(document=DEFINITION, seen=0, who="ana", reason="first table"):
+        with open_writing(engine) as session:
+            return table_definitions.set_definition(session, people[who], 1, document, reason, seen)
+
+    return act
+
+
+@pytest.fixture
+def promoted(engine, people, approved):
+    def make():
+        row = approved()
+        with open_writing(engine) as session:
+            return promotions.promote(session, people["dee"], row.id, row.version)
+
+    return make
+
+
+def test_built_again_it_is_the_package_that_exists(build, approved, define):
+    define()
+    row = approved()
+    first, again = build(row)[0], build(row, "ana")[0]
+    assert (again.id, again.sha256) == (first.id, first.sha256)
+
+
+def test_its_inputs_alone_make_its_bytes(engine, blobs, build, approved, define):
+    define()
+    package, _ = build(approved())
+    with open_writing(engine) as session:
+        content = packages.read(session, blobs, package.id)
+    assert packages.rebuild(json.loads(json.dumps(package.inputs))) == content
+
+
+def test_bytes_that_the_folder_lost_are_laid_down_again(blobs, build, approved):
+    row = approved()
+    package, files = build(row)
+    blobs.path(package.sha256).unlink()
+    assert build(row)[1] == files
+
+
+def test_it_names_the_audit_head_of_its_first_building(engine, build, approved):
+    row = approved()
+    with open_writing(engine) as session:
+        head = audit.head(session)
+    build(row)
+    _, files = build(row)
+    assert json.loads(files["MANIFEST.json"])["audit"]["head"] == head
+
+
+def test_the_way_back_of_an_approved_set_is_the_baseline(build, approved):
+    manifest = json.loads(build(approved())[1]["MANIFEST.json"])
+    assert manifest["backout"]["name"] == "PS-ST16-1-0"
+    assert "the current baseline" in manifest["backout"]["sentence"]
+
+
+def test_the_way_back_of_the_baseline_is_the_baseline_before(build, promoted):
+    promoted()
+    manifest = json.loads(build(promoted())[1]["MANIFEST.json"])
+    assert manifest["backout"]["name"] == "PS-ST16-1-1"
+    assert "the baseline before" in manifest["backout"]["sentence"]
+
+
+def test_the_first_baseline_is_its_own_way_back(engine, build):
+    with open_writing(engine) as session:
+        row = transitions.get_parameter_set(session, 1)
+    files = build(row)[1]
+    assert files["backout/parameters.json"] == files["parameters.json"]
+    assert "nothing earlier" in json.loads(files["MANIFEST.json"])["backout"]["sentence"]
+
+
+def test_signatures_and_their_meaning_travel_with_it(build, approved):
+    files = build(approved())[1]
+    signature = json.loads(files["MANIFEST.json"])["approval"]["signatures"][0]
+    assert (signature["printed_name"], signature["meaning"]) == ("Cy", "I approve")
+    assert b"I approve" in files["verification_sheet.html"]
+
+
+def test_who_gave_a_signer_s_password_stands_under_the_printed_name(build, approved):
+    files = build(approved())[1]
+    said = json.loads(files["MANIFEST.json"])["approval"]["signatures"][0]["password_by"]
+    assert said.startswith("given by Command line at")
+    assert f"Cy<br>Password {said}." in files["verification_sheet.html"].decode()
+
+
+def test_an_installation_without_four_eyes_says_so(build, approved):
+    files = build(approved(), policy=Policy(four_eyes=False))[1]
+    assert json.loads(files["MANIFEST.json"])["four_eyes"]["enforced"] is False
+    assert b"FOUR EYES ARE OFF" in files["verification_sheet.html"]
+
+
+def test_a_candidate_is_not_exported(build, candidate):
+    with pytest.raises(ConflictError, match="is CANDIDATE"):
+        build(candidate())
+
+
+@pytest.mark.parametrize("who", ["cy", "eve", "root"])
+def test_who_neither_operates_nor_analyses_does_not_export(build, approved, who):
+    with pytest.raises(ForbiddenError):
+        build(approved(), who)
+
+
+@pytest.mark.parametrize(("key", "value"), [("flight_software_version", "4.3.0"), ("table_id", "OTHER")])
+def test_it_is_refused_for_another_version_or_table(build, approved, define, key, value):
+    define()
+    row = approved()
+    build(row, flight_software_version="4.2.1", table_id="STR_CAM")
+    with pytest.raises(ConflictError, match=f"not for {key.replace('_', ' ')} {value}"):
+        build(row, **{key: value})
+
+
+def test_without_a_definition_there_is_no_table_and_no_version(build, approved):
+    row = approved()
+    _, files = build(row)
+    assert not [name for name in files if name.startswith("table")]
+    with pytest.raises(ConflictError, match="no table definition"):
+        build(row, flight_software_version="4.2.1")
+
+
+def test_another_definition_makes_the_request_stale(engine, define, approved):
+    row = approved()
+    define()
+    with open_writing(engine) as session:
+        assert transitions.get_parameter_set(session, row.id).ground_state == "CANDIDATE"
+
+
+def test_a_definition_needs_what_was_seen_a_reason_and_a_change(define):
+    define()
+    with pytest.raises(RefusedInputError, match="in force: change something"):
+        define(seen=1)
+    with pytest.raises(RefusedInputError, match="Give the reason"):
+        define(DEFINITION | {"fill": 255}, seen=1, reason=" ")
+    assert define(DEFINITION | {"fill": 255}, seen=1).number == 2
+
+
+def test_an_exported_package_is_on_record(engine, build, approved):
+    package, _ = build(approved())
+    with open_writing(engine) as session:
+        record = audit.last_change(session, f"packages/{package.id}")
+    assert (record.action, record.after["sha256"]) == ("exported", package.sha256)
+
+
+def test_there_is_no_package_of_an_unknown_number(engine, blobs):
+    with open_writing(engine) as session, pytest.raises(NotFoundError):
+        packages.read(session, blobs, 99)
+
+
+def test_the_turn_of_the_attitude_travels_where_the_run_began_at_the_set_replaced(
+    engine, people, blobs, build, finished_run
+):
+    found = {"sentence": "Loading these parameters turns the attitude.", "c_sd_update": [[1.0]]}
+    with open_writing(engine) as session:
+        run = finished_run(session, people["ana"].user_id, alignment=found)
+        row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
+        request = submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
+        approve(session, people["cy"], request)
+    files = build(row)[1]
+    assert json.loads(files["c_sd.json"])["alignment"] == found
+    assert json.loads(files["parameters.json"])["provenance"]["run"]["launched_by"] == "Ana"
+
+
+def test_what_was_signed_with_fewer_eyes_is_said_for_ever(engine, people, build, candidate, blobs):
+    alone = Policy(four_eyes=False)
+    row = candidate("bo")
+    with open_writing(engine) as session:
+        request = submissions.submit(session, people["bo"], blobs, row.id, "better", row.version, policy=alone)
+        words = (request.id, "APPROVE", "I approve", "", proved(session, people["bo"], PASSWORD), request.version)
+        approvals.sign(session, people["bo"], *words, policy=alone)
+    four_eyes = json.loads(build(row)[1]["MANIFEST.json"])["four_eyes"]
+    assert (four_eyes["enforced"], four_eyes["kept"]) == (True, False)
+    assert four_eyes["sentence"].startswith("FOUR EYES WERE NOT KEPT")
+
+
+def test_an_approved_set_whose_evidence_moved_is_not_exported(engine, people, build, approved, candidate):
+    row, other = approved(), candidate()
+    with open_writing(engine) as session:  # as if the incumbent had been exchanged past the services
+        for number, state in ((1, "SUPERSEDED"), (other.id, "BASELINE")):
+            session.get_one(ParameterSet, number).ground_state = state
+            audit.append(session, people["root"], "exchanged", f"parameter-sets/{number}")
+    with pytest.raises(StaleError, match="incumbent moved"):
+        build(row)

@@ -1,0 +1,247 @@
+"""Uplink: the fleet on the ground and on board, and a set's steps to the spacecraft."""
+
+import re
+from html import unescape
+
+import pytest
+from sqlalchemy import select
+
+from boresight.console.fleet import timeline
+from boresight.console.fleet.pages.sensors import EXAMPLE
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.pages.list import RunNames
+from boresight.console.uplinks import packages
+from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.pages import board as uplink
+from boresight.console.uplinks.pages.board import find_worst_known, make_uplink_line
+from boresight.console.uplinks.pages.steps import LADDER, find_exported_package, list_package_members, list_steps
+from boresight.console.uplinks.service import add_entry
+from boresight.console.uplinks.tables import Package, Uplink
+from boresight.platform.db.sessions import open_reading, open_writing
+from tests.console.uplinks.pages import climb, define, send_dump, table, version
+from tests.sites import PASSWORD
+
+NAMES = RunNames({}, {}, {1: "Olga Operator"})
+STEPS = "/parameter-sets/1/uplink"
+
+
+def _records(*states: str) -> list[Uplink]:
+    return [
+        Uplink(id=place, onboard_state=state, source="x", recorded_utc=f"2026-01-01T00:00:{place:02}Z", recorded_by=1)
+        for place, state in enumerate(states)
+    ][::-1]
+
+
+@pytest.mark.parametrize(
+    ("states", "words"),
+    [
+        ((), ["next", "to come", "to come", "to come", "to come"]),
+        (("SENT",), ["next", "done", "to come", "to come", "to come"]),
+        (("SENT", "LOADED", "MISMATCH"), ["to come", "done", "done", "MISMATCH", "to come"]),
+        (("SENT", "LOADED", "MISMATCH", "SENT"), ["next", "done", "to come", "to come", "to come"]),
+        (("SENT", "LOADED", "MISMATCH", "VERIFIED"), ["next", "done", "done", "done", "to come"]),
+        (("SENT", "UNKNOWN"), ["to come", "done", "to come", "to come", "to come"]),
+        (LADDER, ["next", "done", "done", "done", "done"]),
+    ],
+)
+def test_the_ladder_shows_the_present_climb(states, words):
+    assert [step.word for step in list_steps(None, _records(*states), NAMES)] == words
+
+
+def test_the_exported_package_is_the_one_that_was_sent_and_before_that_the_newest():
+    built = [Package(id=2), Package(id=1)]
+    assert find_exported_package(built, []).id == 2
+    assert find_exported_package([], []) is None
+    records = _records("SENT", "LOADED")
+    assert find_exported_package(built, records).id == 2
+    records[1].evidence = {"package": {"id": 1, "sha256": "ab"}}
+    assert find_exported_package(built, records).id == 1
+
+
+def test_the_fleet_shows_ground_and_board_side_by_side_and_active_only_where_it_was_recorded(site, read):
+    visitor = site.visitor("victor")
+    assert re.search(r"NOT SENT .*PS-ST16-1-0 .*nothing recorded", read(visitor.get("/uplink")))
+    climb(site, *LADDER)
+    assert re.search(r"THE SAME .*PS-ST16-1-0 .*ACTIVE .*pass for ACTIVE signed", read(visitor.get("/uplink")))
+
+
+def test_a_set_that_was_only_promoted_is_never_shown_as_active(site):
+    page = site.visitor("victor").get("/uplink")
+    assert "ACTIVE" not in page.split("<main")[1].split("</main>")[0]
+
+
+def test_a_mismatch_comes_before_everything(site, read):
+    visitor = site.visitor("ada")
+    text = EXAMPLE.replace("ST16-7", "A-1")
+    assert visitor.post("/sensors", document=text).status_code == 303
+    assert re.search(r"A-1 .*ST16-1", read(visitor.get("/uplink")))
+    climb(site, "SENT", "MISMATCH")
+    assert re.search(r"ST16-1 MISMATCH .*A-1", read(visitor.get("/uplink")))
+
+
+@pytest.fixture
+def fleet(site):
+    visitor = site.visitor("ada")
+    climbs = {
+        "B-sent": ("SENT",),
+        "C-mismatch": ("SENT", "MISMATCH"),
+        "D-unknown": ("SENT", "UNKNOWN"),
+        "E-loaded": LADDER[:2],
+    }
+    for name, states in climbs.items():
+        assert visitor.post("/sensors", document=EXAMPLE.replace("ST16-7", name)).status_code == 303
+        with open_reading(site.engine) as session:
+            (row,) = session.scalars(select(ParameterSet).where(ParameterSet.name == f"PS-{name}-0"))
+        climb(site, *states, set_id=row.id)
+    return ["C-mismatch", "D-unknown", "B-sent", "E-loaded", "ST16-1"]
+
+
+def names_of(page):
+    return re.findall(r'<th scope="row" class="nowrap"><a href="/sensors/\d+">([^<]*)</a>', page)
+
+
+def test_the_fleet_is_ordered_and_narrowed_as_its_lines_say(site, fleet):
+    visitor = site.visitor("victor")
+    assert names_of(visitor.get("/uplink")) == fleet
+    assert names_of(visitor.get("/uplink?q=-&status=SENT")) == ["B-sent"]
+    assert names_of(visitor.get("/uplink?status=nonsense&page=nonsense&q=D")) == ["D-unknown", "E-loaded"]
+    assert names_of(visitor.get("/uplink?q=nobody")) == []
+    with open_reading(site.engine) as session:
+        for board in timeline.read_situations(session):
+            line = make_uplink_line(timeline.get_state_at(session, board.sensor_id))
+            assert (board.name, find_worst_known(board.baseline_id, board.on_board)) == (
+                line.known.sensor.name,
+                (line.level, line.word),
+            )
+
+
+def test_a_large_fleet_comes_page_by_page(site, fleet, monkeypatch):
+    monkeypatch.setattr(uplink, "ROWS_A_PAGE", 2)
+    visitor, address, seen = site.visitor("victor"), "/uplink", []
+    while address:
+        page = visitor.get(address)
+        seen += names_of(page)
+        following = re.search(r'<a href="([^"]*)" rel="next">', page)
+        address = following and unescape(following[1])
+    assert seen == fleet
+    assert 'href="/uplink?page=2" rel="prev"' in page
+    assert 'href="/uplink" rel="prev"' in visitor.get("/uplink?page=2")
+    assert "data-sortable" not in page
+
+
+def test_every_page_says_that_this_tool_commands_nothing(site, read):
+    for address in ("/uplink", STEPS):
+        assert "This tool does not command the spacecraft." in read(site.visitor("olga").get(address))
+
+
+def test_a_dump_with_a_flipped_bit_is_a_mismatch_that_the_page_names(site, read):
+    define(site)
+    climb(site, "SENT", "LOADED")
+    visitor, sent = site.visitor("olga"), table(site)
+    answer = send_dump(site, visitor, sent[:17] + bytes([sent[17] ^ 0x10]) + sent[18:])
+    assert answer.status_code == 303
+    page = visitor.get(STEPS)
+    words = read(page)
+    assert "bit 3 of byte 17 (mask 0x10), in N0_PX" in words
+    assert re.search(r"N0_PX 16 [\d.]+ [0-9A-F]{16} [-+.e\d]+ [0-9A-F]{16}", words)
+    assert 'class="failed"' in page
+    assert send_dump(site, visitor, sent).status_code == 303
+    assert "What was read back matches, byte for byte." in read(visitor.get(STEPS))
+
+
+def test_a_typed_crc_verifies_and_the_page_says_that_it_was_by_crc(site, read):
+    define(site)
+    climb(site, "SENT", "LOADED")
+    visitor, crc = site.visitor("olga"), table(site)[64:66].hex()
+    answer = visitor.post(f"{STEPS}/read-back", crc=crc, source="TM 1", version=version(site))
+    assert answer.status_code == 303
+    assert "matches, by CRC" in (words := read(visitor.get(STEPS)))
+    assert "compared by CRC" in words
+
+
+def test_a_signed_entry_makes_it_active_with_name_and_meaning(site, read):
+    climb(site, "SENT", "LOADED", "VERIFIED")
+    visitor = site.visitor("olga")
+    page = visitor.get(STEPS)
+    assert "VERIFIED by statement" not in read(page)
+    assert [state for state in uplinks.NEXT if f'<option value="{state}"' in page] == ["SENT", "MISMATCH", "UNKNOWN"]
+    entry = {"source": "TM page 2", "meaning": "I saw it in telemetry.", "version": version(site)}
+    wrong = visitor.post(f"{STEPS}/activate", password="guess", **entry)
+    assert wrong.status_code == 401
+    assert "TM page 2" in wrong.text
+    assert "guess" not in wrong.text
+    assert visitor.post(f"{STEPS}/activate", password=PASSWORD, **entry).status_code == 303
+    assert re.search(r"Active done .*Olga Operator TM page 2 signed", read(visitor.get(STEPS)))
+
+
+def test_what_was_verified_by_word_alone_is_to_be_read_back_before_it_is_signed(site, read):
+    climb(site, "SENT", "LOADED")
+    with open_writing(site.engine) as session:
+        add_entry(session, site.actor("olga"), session.get_one(ParameterSet, 1), "VERIFIED", "pass 1")
+    visitor = site.visitor("olga")
+    assert "VERIFIED by statement alone: read it back before you sign." in read(visitor.get(STEPS))
+
+
+def test_loaded_is_not_offered_while_a_dump_stands_against_it(site):
+    define(site)
+    climb(site, "SENT", "LOADED")
+    visitor, sent = site.visitor("olga"), table(site)
+    send_dump(site, visitor, bytes([sent[0] ^ 1]) + sent[1:])
+    climb(site, "UNKNOWN")
+    assert '<option value="LOADED"' not in visitor.get(STEPS)
+    send_dump(site, visitor, sent)
+    climb(site, "UNKNOWN")
+    assert '<option value="LOADED"' in visitor.get(STEPS)
+
+
+def test_a_refused_step_says_why_in_place_and_keeps_what_was_typed(site):
+    climb(site, "SENT")
+    visitor = site.visitor("olga")
+    stale = visitor.post(f"{STEPS}/record", onboard_state="LOADED", source="pass 9", version="1")
+    assert stale.status_code == 412
+    assert 'value="pass 9"' in stale.text
+    assert visitor.post(f"{STEPS}/record", onboard_state="LOADED", source="pass 9").status_code == 422
+    early = visitor.post(f"{STEPS}/record", onboard_state="ACTIVE", source="pass 9", version=version(site))
+    assert early.status_code == 409
+
+
+@pytest.mark.parametrize("name", ["victor", "ada", "alan", "adele"])
+def test_who_is_no_operator_is_told_who_may_and_refused_by_the_server(site, name):
+    climb(site, "SENT")
+    visitor = site.visitor(name)
+    page = visitor.get(STEPS)
+    assert 'action="/parameter-sets/1/uplink/record"' not in page
+    answer = visitor.post(f"{STEPS}/record", onboard_state="LOADED", source="x", version=version(site))
+    assert answer.status_code == 403
+
+
+def test_a_candidate_is_told_that_only_the_baseline_is_sent(site, read):
+    with open_writing(site.engine) as session:
+        row = parameter_sets.create_from_run(session, site.actor("ada"), site.blobs, 1)
+    words = read(site.visitor("olga").get(f"/parameter-sets/{row.id}/uplink"))
+    assert f"{row.name} is CANDIDATE: only the baseline is sent." in words
+
+
+def test_without_a_table_definition_the_page_says_who_sets_one(site, read):
+    climb(site, "SENT", "LOADED")
+    assert "have an analyst or an administrator set one" in read(site.visitor("olga").get(STEPS))
+
+
+def test_the_package_is_built_once_and_listed_with_hashes_and_the_way_back(site, read):
+    define(site)
+    visitor = site.visitor("olga")
+    for _ in range(2):
+        assert visitor.post(f"{STEPS}/package").status_code == 303
+    words = read(visitor.get(STEPS))
+    assert "Exported done" in words
+    assert "Way back PS-ST16-1-0" in words
+    assert "SHA256SUMS" in words
+    with open_reading(site.engine) as session:
+        (package,) = packages.list_packages(session)
+        members = list_package_members(packages.read(session, site.blobs, package.id))
+    assert {"MANIFEST.json", "parameters.json"} <= {member.name.rpartition("/")[2] for member in members}
+
+
+def test_a_set_that_does_not_exist_has_no_steps(site):
+    assert site.visitor("olga").send("GET", "/parameter-sets/99/uplink").status_code == 404

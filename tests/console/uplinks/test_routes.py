@@ -1,0 +1,150 @@
+"""On board over REST: read-backs as forms, the signed entry, what held at a time, the timeline page by page."""
+
+from typing import Any
+
+import httpx
+import pytest
+
+from boresight.platform.db.sessions import utc_after
+from tests.console.uplinks import routes as onboard
+from tests.served import PASSWORD, House
+
+
+def _read_back(client: httpx.Client, row: dict[str, Any], **given: Any) -> httpx.Response:
+    headers = {"If-Match": f'"v{row["version"]}"', **given.pop("headers", {})}
+    return client.post(f"/api/v1/parameter-sets/{row['id']}:read-back", headers=headers, **given)
+
+
+def _seen(house: House, row: dict[str, Any]) -> dict[str, Any]:
+    return house.person("olga").get(f"/api/v1/parameter-sets/{row['id']}").json()
+
+
+def test_a_flipped_bit_comes_back_named_and_its_dump_can_be_fetched(house: House) -> None:
+    row = onboard.at(house, "SENT", "LOADED")
+    table = onboard.table(house, row)
+    damaged = table[:17] + bytes([table[17] ^ 0x10]) + table[18:]
+    client = house.person("olga")
+    made = _read_back(client, row, data={"source": "TM 1"}, files={"file": ("dump.bin", damaged)})
+    assert made.status_code == 201, made.text
+    body = made.json()
+    assert (body["onboard_state"], body["method"]) == ("MISMATCH", "bytes")
+    assert "bit 3 of byte 17 (mask 0x10), in " in body["evidence"]["sentence"]
+    assert client.get(made.headers["location"]).json() == body
+    fetched = client.get(f"{made.headers['location']}/dump")
+    assert (fetched.content, fetched.headers["etag"]) == (damaged, f'"{body["evidence"]["dump"]["sha256"]}"')
+    again = _read_back(client, _seen(house, row), data={"source": "TM 2"}, files={"file": ("dump.bin", table)})
+    assert again.json()["onboard_state"] == "VERIFIED"
+
+
+def test_the_same_form_under_one_key_is_one_record_though_its_text_differs(house: House) -> None:
+    row = onboard.at(house, "SENT", "LOADED")
+    table = onboard.table(house, row)
+    client, headers = house.person("olga"), {"Idempotency-Key": f"read-{row['id']}"}
+    form = {"data": {"source": "TM 1"}, "files": {"file": ("dump.bin", table)}, "headers": headers}
+    first, second = (_read_back(client, row, **form) for _ in range(2))
+    assert first.request.headers["content-type"] != second.request.headers["content-type"]
+    assert (second.json(), second.headers["idempotent-replayed"]) == (first.json(), "true")
+    other = _read_back(client, row, data={"source": "TM 2"}, files=form["files"], headers=headers)
+    assert other.status_code == 422
+
+
+@pytest.mark.parametrize(
+    ("given", "status", "says"),
+    [
+        ({"data": {"source": "x"}}, 422, "the dump or the CRC"),
+        ({"data": {"source": "x", "crc": "1"}, "files": {"file": ("d", b"1")}}, 422, "the dump or the CRC"),
+        ({"data": {"source": "x"}, "files": {"file": ("d", bytes(300_000))}}, 422, "over 200,000 bytes"),
+        ({"data": {"source": "x"}, "files": {"file": ("d", bytes(1_100_000))}}, 413, "over 1,000,000 bytes"),
+        ({"json": {"source": "x", "crc": "1"}}, 422, "the dump or the CRC"),
+        ({"data": {f"field{n}": "x" for n in range(20)}, "files": {"file": ("d", b"1")}}, 400, "Too many fields"),
+    ],
+)
+def test_what_is_no_read_back_is_refused(house: House, given: dict[str, Any], status: int, says: str) -> None:
+    row = onboard.at(house, "SENT", "LOADED")
+    answer = _read_back(house.person("olga"), row, **given)
+    assert answer.status_code == status, answer.text
+    assert says in answer.json()["detail"]
+
+
+def test_a_key_reads_back_and_does_not_sign(house: House) -> None:
+    row = onboard.at(house, "SENT", "LOADED")
+    key, table = house.key("olga", "uplinks"), onboard.table(house, row)
+    assert _read_back(key, row, data={"source": "TM 1"}, files={"file": ("d", table)}).status_code == 201
+    row = _seen(house, row)
+    entry = {"source": "TM 1", "meaning": "I saw it.", "password": PASSWORD}
+    address, headers = f"/api/v1/parameter-sets/{row['id']}:activate", {"If-Match": f'"v{row["version"]}"'}
+    refused = key.post(address, json=entry, headers=headers)
+    assert (refused.status_code, "in" in refused.json()["detail"]) == (403, True)
+    client = house.person("olga")
+    signed = client.post(address, json=entry, headers=headers)
+    assert (signed.status_code, signed.json()["printed_name"]) == (201, "Olga")
+
+
+def _stated(client: httpx.Client, row: dict[str, Any], state: str, **given: Any) -> httpx.Response:
+    step = {"parameter_set_id": row["id"], "onboard_state": state, "source": "TM 1", **given}
+    return client.post("/api/v1/uplinks", json=step, headers={"If-Match": f'"v{row["version"]}"'})
+
+
+def test_verified_and_active_are_nobodys_to_state(house: House) -> None:
+    row = onboard.at(house, "SENT", "LOADED")
+    key, olga = house.key("olga", "uplinks"), house.person("olga")
+    asked = [(who, state) for who in (olga, key) for state in ("VERIFIED", "ACTIVE")]
+    answers = [_stated(who, row, state) for who, state in asked]
+    assert [answer.status_code for answer in answers] == [409, 409, 409, 403]
+    doors = [":read-back", ":activate", ":read-back", "Only a person who is logged in"]
+    assert all(door in answer.json()["detail"] for door, answer in zip(doors, answers, strict=True))
+    assert _seen(house, row)["onboard_state"] == "LOADED"
+    as_of = olga.get(f"/api/v1/sensors/{row['sensor_id']}/as-of").json()
+    assert as_of["sentence"].endswith("on board no set known to be active")
+
+
+def test_the_old_address_takes_the_signed_entry_of_a_person_and_of_no_key(house: House) -> None:
+    row, signature = onboard.verified(house), {"meaning": "I saw it.", "password": PASSWORD}
+    olga = house.person("olga")
+    assert _stated(house.key("olga", "uplinks"), row, "ACTIVE", **signature).status_code == 403
+    assert _stated(olga, row, "ACTIVE", **signature | {"password": "wrong"}).status_code == 401
+    assert _stated(olga, row, "ACTIVE", password=PASSWORD).status_code == 422
+    assert _stated(olga, row, "UNKNOWN", **signature).status_code == 422
+    assert _seen(house, row)["onboard_state"] == "VERIFIED"
+    made = _stated(olga, row, "ACTIVE", **signature)
+    assert made.status_code == 201, made.text
+    body = made.json()
+    assert (body["onboard_state"], body["printed_name"], body["meaning"]) == ("ACTIVE", "Olga", "I saw it.")
+    assert body["evidence"]["shown_sha256"]
+
+
+def test_what_held_is_answered_for_any_time_and_the_old_address_still_answers(house: House) -> None:
+    row = onboard.at(house, "SENT")
+    between = utc_after(0.0)
+    client, address = house.person("victor"), f"/api/v1/sensors/{row['sensor_id']}"
+    operator = house.person("olga")
+    step = {"parameter_set_id": row["id"], "onboard_state": "LOADED", "source": "Pass 2"}
+    operator.post("/api/v1/uplinks", json=step, headers={"If-Match": f'"v{row["version"]}"'})
+    then = client.get(f"{address}/as-of", params={"time": between}).json()
+    now = client.get(f"{address}/as-of").json()
+    states = [[known["record"]["onboard_state"] for known in answer["on_board"]] for answer in (then, now)]
+    assert states == [["SENT"], ["LOADED"]]
+    assert now["baseline"]["name"] == row["name"]
+    assert now["sentence"] == f"baseline {row['name']}, on board no set known to be active"
+    before = client.get(f"{address}/as-of", params={"time": "2000-01-01"}).json()
+    assert (before["baseline"], before["promotion"], before["on_board"]) == (None, None, [])
+    assert client.get(f"{address}/history", params={"at": between}).json()["baseline"]["id"] == row["id"]
+    assert client.get(f"{address}/as-of", params={"time": "yesterday"}).status_code == 422
+
+
+def test_the_timeline_is_read_page_by_page_and_its_cursor_is_of_one_sensor(house: House) -> None:
+    row, other = onboard.at(house, "SENT", "LOADED", "UNKNOWN"), house.new_sensor()
+    client, address = house.person("victor"), f"/api/v1/sensors/{row['sensor_id']}/timeline"
+    whole = client.get(address).json()
+    assert [event["state"] for event in whole["items"]] == ["UNKNOWN", "LOADED", "SENT", "BASELINE"]
+    found, cursor = [], None
+    while True:
+        page = client.get(address, params={"limit": 1} | ({} if cursor is None else {"cursor": cursor})).json()
+        found += page["items"]
+        cursor = page["next"]
+        if cursor is None:
+            break
+    assert found == whole["items"]
+    first = client.get(address, params={"limit": 1}).json()["next"]
+    foreign = client.get(f"/api/v1/sensors/{other['id']}/timeline", params={"cursor": first})
+    assert foreign.status_code == 422

@@ -1,0 +1,222 @@
+"""What holds for every answer, and the server's own routes: health, readiness, metrics, static files, documentation."""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+import re
+import socket
+from pathlib import Path
+
+import httpx
+import plotly
+import pytest
+import uvicorn
+from playwright.sync_api import sync_playwright
+
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.web.cached_check import CachedCheck
+from boresight.platform.web.middleware import SECURITY_HEADERS, SECURITY_POLICY
+from boresight.server import _Server, create_app
+from tests.served import House, serving, settings_in
+
+ANSWERS = [
+    "/healthz",
+    "/docs",
+    "/static/shared/style.css",
+    "/api/v1/runs",
+    "/nothing",
+    "/login",
+    "/api/v1/openapi.json",
+]
+
+
+@pytest.mark.parametrize("path", ANSWERS)
+def test_every_answer_carries_the_security_headers_and_a_request_id(house: House, path: str) -> None:
+    answer = house.anybody().get(path)
+    for name, value in SECURITY_HEADERS.items():
+        assert answer.headers[name] == value
+    assert re.fullmatch(r"[0-9a-f]{32}", answer.headers["X-Request-ID"])
+    assert "server" not in answer.headers
+
+
+def test_the_policy_allows_no_inline_script_no_other_host_and_no_frame() -> None:
+    rules = dict(rule.split(" ", 1) for rule in SECURITY_POLICY.split("; "))
+    assert rules["default-src"] == rules["script-src"] == "'self'"
+    assert rules["frame-ancestors"] == rules["object-src"] == rules["base-uri"] == "'none'"
+    assert "unsafe-inline" not in rules["style-src"]
+    assert "http" not in SECURITY_POLICY
+    assert "*" not in SECURITY_POLICY
+
+
+@pytest.mark.parametrize("given", ["run-42.a_B", "x" * 64])
+def test_a_request_id_is_taken_over(house: House, given: str) -> None:
+    assert house.anybody().get("/healthz", headers={"X-Request-ID": given}).headers["X-Request-ID"] == given
+
+
+@pytest.mark.parametrize("given", ["", "x" * 65, "a b", "<script>"])
+def test_a_request_id_that_could_not_stand_in_a_log_is_replaced(house: House, given: str) -> None:
+    assert house.anybody().get("/healthz", headers={"X-Request-ID": given}).headers["X-Request-ID"] != given
+
+
+def test_health_asks_nothing_and_readiness_says_what_it_looked_at(house: House) -> None:
+    assert house.anybody().get("/healthz").json() == {"status": "ok"}
+    ready = house.anybody().get("/readyz")
+    assert ready.status_code == 200
+    assert ready.json()["checks"]["store"]["revision"] == ready.json()["checks"]["store"]["expected"]
+    assert ready.json()["checks"]["workers"]["expected"] is False
+
+
+def test_a_server_whose_workers_are_not_there_is_not_ready(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path, scheduler="tcp://127.0.0.1:1")
+    with serving(settings) as (address, _):
+        answer = httpx.get(f"{address}/readyz", timeout=60)
+        assert httpx.get(f"{address}/healthz", timeout=60).status_code == 200
+    assert answer.status_code == 503
+    assert answer.json()["checks"]["workers"]["ready"] is False
+
+
+def test_a_server_that_no_worker_has_joined_yet_is_not_ready(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    state = house.app.state
+    monkeypatch.setitem(state._state, "settings", dataclasses.replace(state.settings, workers=2))
+    told = {"connected": True, "joined": False, "threads": 0}
+    monkeypatch.setattr(state.workers, "state", lambda: told)
+    assert house.anybody().get("/readyz").status_code == 503
+    told |= {"joined": True, "threads": 2}
+    assert house.anybody().get("/readyz").status_code == 200
+    told |= {"threads": 0}  # its only worker has died and is being replaced
+    assert house.anybody().get("/readyz").status_code == 200
+
+
+def test_a_server_that_cannot_write_its_files_is_not_ready_and_refuses_an_upload_in_a_sentence(
+    house: House, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert house.anybody().get("/readyz").json()["checks"]["files"] == {"ready": True}
+    sensor_id = house.new_sensor()["id"]
+    nowhere = BlobStore(tmp_path / "file" / "blobs")
+    nowhere.folder.parent.write_text("no folder")
+    instead = {"blobs": nowhere, "blobs_watched": CachedCheck(nowhere.refuse_unusable)}
+    for name, part in instead.items():
+        monkeypatch.setitem(house.app.state._state, name, part)
+    unready = house.anybody().get("/readyz")
+    refused = house.upload(house.person("ada"), sensor_id)
+    assert (unready.status_code, refused.status_code) == (503, 503)
+    for sentence in (unready.json()["checks"]["files"]["detail"], refused.json()["detail"]):
+        assert f"The folder of files {nowhere.folder} cannot be written (Not a directory)" in sentence
+
+
+def test_files_are_looked_at_once_in_some_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[None] = []
+    watched = CachedCheck(lambda: looks.append(None))
+    assert [watched.fault() for _ in range(5)] == [""] * 5
+    assert len(looks) == 1
+    monkeypatch.setattr("boresight.platform.web.cached_check.LOOK_AGAIN_S", -1.0)
+    watched.fault()
+    assert len(looks) == 2
+
+
+def test_a_server_says_that_it_is_there_when_it_is(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path)
+    answers: list[int] = []
+    config = uvicorn.Config(create_app(settings), port=0, log_level="warning")
+
+    def ask() -> None:
+        host, port = server.servers[0].sockets[0].getsockname()[:2]
+        socket.create_connection((host, port), 5).close()
+        answers.append(port)
+        server.should_exit = True
+
+    server = _Server(config, ask)
+    server.run()
+    assert len(answers) == 1
+
+
+def test_metrics_count_requests_by_route_and_runs_by_state(house: House) -> None:
+    run = house.launched()
+    house.person("ada").get(f"/api/v1/runs/{run['id']}")
+    text = house.anybody().get("/metrics").text
+    assert re.search(r'boresight_http_requests_total{method="GET",route="[^"]*{run_id}",status="200"} \d', text)
+    assert f"runs/{run['id']}" not in text
+    assert re.search(r'boresight_runs{state="QUEUED"} [1-9]', text)
+    assert "boresight_event_streams 0.0" in text
+
+
+def test_large_answers_are_compressed_and_small_ones_are_not(house: House) -> None:
+    large = house.person("ada").get(f"/api/v1/runs/{house.finished()}/result", headers={"Accept-Encoding": "gzip"})
+    assert large.headers["content-encoding"] == "gzip"
+    assert "content-encoding" not in house.anybody().get("/healthz").headers
+
+
+def test_a_static_file_is_sent_once_and_confirmed_afterwards(house: House) -> None:
+    client = house.anybody()
+    first = client.get("/static/shared/style.css")
+    again = client.get("/static/shared/style.css", headers={"If-None-Match": first.headers["etag"]})
+    assert first.headers["cache-control"] == "public, no-cache"
+    assert (again.status_code, again.content) == (304, b"")
+    assert not first.headers["etag"].startswith("W/")
+
+
+def test_plotly_comes_from_the_python_package(house: House) -> None:
+    shipped = (Path(plotly.__file__).parent / "package_data" / "plotly.min.js").read_bytes()
+    answer = house.anybody().get("/static/plotly.min.js")
+    assert answer.content == shipped
+    assert answer.headers["content-type"] == "text/javascript; charset=utf-8"
+    with house.anybody().stream("GET", "/static/plotly.min.js") as raw:
+        assert gzip.decompress(b"".join(raw.iter_raw())) == shipped
+
+
+def test_compressed_and_plain_have_tags_of_their_own(house: House) -> None:
+    plain = house.anybody().get("/static/shared/style.css", headers={"Accept-Encoding": "identity"})
+    assert plain.headers["etag"] != house.anybody().get("/static/shared/style.css").headers["etag"]
+    assert plain.headers["vary"] == "Accept-Encoding"
+
+
+@pytest.mark.parametrize(
+    "name", ["../templates/frame.html", "%2e%2e/templates/frame.html", "..%2f..%2fpyproject.toml", ""]
+)
+def test_nothing_outside_the_static_folder_is_sent(house: House, name: str) -> None:
+    assert house.anybody().get(f"/static/{name}").status_code == 404
+
+
+FIGURE_PAGE = """<!doctype html><html lang="en"><title>t</title><link rel="stylesheet" href="/static/shared/style.css">
+<div id="d"></div>"""
+DRAW = """async () => {
+  await new Promise((done, failed) => document.head.append(
+    Object.assign(document.createElement("script"), {src: "/static/plotly.min.js", onload: done, onerror: failed})));
+  const figure = await Plotly.newPlot("d", [{x: [1, 2, 3], y: [2, 1, 3], name: "a"}], {title: {text: "t"}});
+  const picture = await Plotly.toImage(figure, {format: "png", width: 300, height: 200});
+  return [document.querySelectorAll("#d svg path").length, picture.slice(0, 22)];
+}"""
+
+
+@pytest.mark.browser
+def test_plotly_draws_and_exports_under_the_policy_without_a_word_in_the_console(house: House) -> None:
+    said: list[str] = []
+    with sync_playwright() as playwright:
+        options = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-component-update"]
+        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=options)
+        page = browser.new_page()
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.route(
+            "**/figure-under-policy",
+            lambda route: route.fulfill(
+                body=FIGURE_PAGE, content_type="text/html", headers={"Content-Security-Policy": SECURITY_POLICY}
+            ),
+        )
+        page.goto(f"{house.address}/figure-under-policy")
+        paths, picture = page.evaluate(DRAW)
+        browser.close()
+    assert paths > 5
+    assert picture == "data:image/png;base64,"
+    assert said == []
+
+
+@pytest.mark.sqlite("the modes of its files")
+def test_nobody_else_reads_the_database(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path / "data")
+    with serving(settings):
+        modes = {path.name: path.stat().st_mode & 0o777 for path in settings.data_folder.glob("*.sqlite3*")}
+    assert modes
+    assert set(modes.values()) == {0o600}
+    assert settings.data_folder.stat().st_mode & 0o777 == 0o700
