@@ -11,7 +11,7 @@ import hmac
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 from fastapi import Depends, Header, Query
 from fastapi.concurrency import contextmanager_in_threadpool
@@ -20,7 +20,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.console.access import sessions, users
-from boresight.console.access.credentials import bearer, get_actor
+from boresight.console.access.credentials import LogInCookie, bearer, get_actor
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import NO_PROOF, PasswordProof
 from boresight.console.access.sessions import ClientAddress
@@ -176,8 +176,21 @@ async def seen_version(given: Annotated[Seen, Depends(seen)]) -> int:
     return version
 
 
+class WorkerControl(Protocol):
+    """What endpoints use of the workers; there are none until the server has started."""
+
+    def notify(self) -> None:
+        """Look for runs at once."""
+
+    def state(self) -> dict[str, Any]:
+        """Return how the workers are."""
+
+
 def of_server(name: str) -> Any:
-    """Return a dependency on a part of the server, by its name in the state of the application."""
+    """Return a dependency on a part of the server, by its name in the state of the application.
+
+    A part of a noun over this one is declared where its class is.
+    """
 
     async def part(request: Request) -> Any:
         return getattr(request.app.state, name)
@@ -231,8 +244,10 @@ MaybeSeenTag = Annotated[Seen, Depends(maybe_seen)]
 Blobs = Annotated[BlobStore, of_server("blobs")]
 Database = Annotated[Engine, of_server("engine")]
 Drawings = Annotated[FigureCache, of_server("drawn")]
-PasswordChecked = Annotated[Policy, of_server("policy")]
+ServerPolicy = Annotated[Policy, of_server("policy")]
 PasswordChecks = Annotated[PasswordWorker, of_server("passwords")]
 ServerSettings = Annotated[Settings, of_server("settings")]
 DryRunSight = Annotated[ForecastSources, of_server("sight")]
 Stars = Annotated[Callable[[], Catalogue], of_server("catalogue")]
+Cookie = Annotated[LogInCookie, of_server("log_in_cookie")]
+Workers = Annotated[WorkerControl | None, of_server("workers")]

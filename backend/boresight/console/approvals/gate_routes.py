@@ -15,9 +15,9 @@ from boresight.console.access.dependencies import (
     Database,
     DryRunSight,
     IsDryRun,
-    PasswordChecked,
     Reading,
     SeenVersion,
+    ServerPolicy,
     Who,
     Writing,
     own_password,
@@ -76,7 +76,7 @@ def list_gate_profiles(sensor_id: Id, session: Reading, page: Paged) -> Answer:
     responses=PROPOSED,
 )
 def set_gate_profile(
-    sensor_id: Id, profile: NewProfile, actor: Who, seen: SeenVersion, policy: PasswordChecked, session: Writing
+    sensor_id: Id, profile: NewProfile, actor: Who, seen: SeenVersion, policy: ServerPolicy, session: Writing
 ) -> GateProfile | TableDefinition | Answer:
     """Put other limits into force. The sensor's undecided requests become STALE, for their verdict may be another.
 

@@ -12,10 +12,10 @@ from pydantic import BaseModel, ConfigDict, Field, SecretStr
 from starlette.requests import Request
 
 from boresight.console.access.dependencies import (
-    PasswordChecked,
     PasswordChecks,
     Reading,
     SeenVersion,
+    ServerPolicy,
     Who,
     Writing,
     get_client,
@@ -91,7 +91,7 @@ def get_approval(approval_id: Id, session: Reading) -> Beside:
 
 
 @router.get("/{approval_id}/signers", summary="List who may sign", response_model=Page[schemas.Signer])
-def list_signers(approval_id: Id, policy: PasswordChecked, session: Reading) -> Listing[dict[str, Any]]:
+def list_signers(approval_id: Id, policy: ServerPolicy, session: Reading) -> Listing[dict[str, Any]]:
     """List every approver with whether they may sign this request, and if not, which part in the set excludes them."""
     found = approvals.who_may_sign(session, approval_id, policy=policy)
     return Listing(
@@ -115,7 +115,7 @@ def approve(
     actor: Who,
     seen: SeenVersion,
     proof: Proven,
-    policy: PasswordChecked,
+    policy: ServerPolicy,
     session: Writing,
 ) -> Beside:
     """Approve, as a second person: neither who submitted or created the set nor who launched its run; no administrator, no key."""
@@ -130,7 +130,7 @@ def refuse(
     actor: Who,
     seen: SeenVersion,
     proof: Proven,
-    policy: PasswordChecked,
+    policy: ServerPolicy,
     session: Writing,
 ) -> Beside:
     """Refuse with a comment; one refusal blocks, also after an approval, until the set is promoted."""
@@ -147,7 +147,7 @@ def sign_over_the_shoulder(
     actor: Who,
     seen: SeenVersion,
     proof: Annotated[PasswordProof, Depends(proven_beside)],
-    policy: PasswordChecked,
+    policy: ServerPolicy,
     session: Writing,
 ) -> Beside:
     """Approve or refuse as a second person who gives name and password where another is logged in."""
@@ -183,7 +183,7 @@ class NewOpening(BaseModel):
 
 @discussion_router.post(":assign", summary="Ask a person to decide", response_model=schemas.Approval)
 def assign_approval(
-    approval_id: Id, assignment: Assignment, actor: Who, seen: SeenVersion, policy: PasswordChecked, session: Writing
+    approval_id: Id, assignment: Assignment, actor: Who, seen: SeenVersion, policy: ServerPolicy, session: Writing
 ) -> Beside:
     """Ask a person who may sign it to decide on an open request."""
     row = approvals.assign(session, actor, approval_id, assignment.user_id, seen, policy=policy)

@@ -11,7 +11,7 @@ from fastapi import Query
 from starlette.background import BackgroundTask
 from starlette.responses import FileResponse
 
-from boresight.console.access.dependencies import Blobs, PasswordChecked, Reading
+from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy
 from boresight.console.audit import schemas
 from boresight.console.operation import operations
 from boresight.platform.audit import export as audit_export
@@ -70,7 +70,7 @@ def verify_audit(
 )
 def export_audit(
     session: Reading,
-    policy: PasswordChecked,
+    policy: ServerPolicy,
     form: Annotated[Form, Query(description="A ZIP with its verifier, or the JSON Lines alone.")] = Form.ZIP,
 ) -> FileResponse:
     """Export every record as JSON Lines, with the program that verifies them without Boresight."""

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
 from boresight.console import transitions
-from boresight.console.access.dependencies import Blobs, PasswordChecked, Reading, SeenVersion, Who, Writing
+from boresight.console.access.dependencies import Blobs, Reading, SeenVersion, ServerPolicy, Who, Writing
 from boresight.console.approvals import promotions, submissions
 from boresight.console.approvals import schemas as approval_schemas
 from boresight.console.approvals.gate_assessment import AssessedBefore
@@ -111,7 +111,7 @@ def submit_parameter_set(
     actor: Who,
     seen: SeenVersion,
     measured: AssessedBefore,
-    policy: PasswordChecked,
+    policy: ServerPolicy,
     session: Writing,
     blobs: Blobs,
 ) -> Beside:
@@ -132,7 +132,7 @@ def roll_back_parameter_set(
     actor: Who,
     seen: SeenVersion,
     measured: AssessedBefore,
-    policy: PasswordChecked,
+    policy: ServerPolicy,
     session: Writing,
     blobs: Blobs,
 ) -> Beside:
@@ -152,7 +152,7 @@ def withdraw_parameter_set(
 
 @router.post("/{parameter_set_id}:promote", summary="Make it the baseline", response_model=schemas.ParameterSet)
 def promote_parameter_set(
-    parameter_set_id: Id, actor: Who, seen: SeenVersion, policy: PasswordChecked, session: Writing
+    parameter_set_id: Id, actor: Who, seen: SeenVersion, policy: ServerPolicy, session: Writing
 ) -> ParameterSet:
     """Make an approved set the sensor's baseline; the one before is superseded in the same transaction."""
     return promotions.promote(session, actor, parameter_set_id, seen, policy=policy)

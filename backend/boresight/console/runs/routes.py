@@ -20,9 +20,9 @@ from boresight.console.access.dependencies import (
     Blobs,
     DryRunSight,
     IsDryRun,
-    PasswordChecked,
     Reading,
     SeenTag,
+    ServerPolicy,
     ServerSettings,
     Stars,
     Who,
@@ -149,7 +149,7 @@ def get_run_log(run_id: Id, session: Reading, page: Paged) -> Listing[RunEvent]:
 
 
 @router.get("/{run_id}/report", summary="Read the report", response_class=HTMLResponse)
-def get_run_report(run_id: Id, session: Reading, blobs: Blobs, policy: PasswordChecked) -> HTMLResponse:
+def get_run_report(run_id: Id, session: Reading, blobs: Blobs, policy: ServerPolicy) -> HTMLResponse:
     """Read the report of a run that has ended: one HTML file that needs nothing else, figures included."""
     report = render_report(runs.final_result(session, blobs, run_id), four_eyes=policy.four_eyes)
     headers = {"Content-Disposition": f'attachment; filename="run-{run_id}-report.html"'}

@@ -26,9 +26,9 @@ from boresight.console import schemas as console_schemas
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import (
     Blobs,
-    PasswordChecked,
     Reading,
     SeenVersion,
+    ServerPolicy,
     Who,
     Writing,
     own_password,
@@ -260,7 +260,7 @@ class Export(BaseModel):
 def export_parameter_set(
     parameter_set_id: Id,
     actor: Who,
-    policy: PasswordChecked,
+    policy: ServerPolicy,
     session: Writing,
     blobs: Blobs,
     export: Export | None = None,
@@ -344,7 +344,7 @@ def set_table_definition(
     definition: NewTableDefinition,
     actor: Who,
     seen: SeenVersion,
-    policy: PasswordChecked,
+    policy: ServerPolicy,
     session: Writing,
 ) -> GateProfile | TableDefinition | Answer:
     """Put another layout into force. The sensor's undecided requests become STALE, for they would be other bytes.
