@@ -1,9 +1,11 @@
 """The lists as SQLite means to read them: the first views sort nothing, and the filters of every day have their index."""
 
 import pytest
+from sqlalchemy import event
 
 from boresight.console import list_queries as lists
 from boresight.console.list_queries import LISTS, ListQuery
+from boresight.platform.db.lists import newest_rows
 from boresight.platform.db.sessions import open_reading
 from tests.stores import open_migrated
 
@@ -25,17 +27,60 @@ def session(tmp_path):
     engine.dispose()
 
 
+def explain(session, text, parameters=()):
+    return [row[3] for row in session.connection().exec_driver_sql(f"EXPLAIN QUERY PLAN {text}", parameters)]
+
+
 def plan(session, name, asked):
     query = lists._ids(session, LISTS[name], asked).limit(51)
-    text = str(query.compile(session.get_bind(), compile_kwargs={"literal_binds": True}))
-    return [row[3] for row in session.connection().exec_driver_sql(f"EXPLAIN QUERY PLAN {text}")]
+    return explain(session, str(query.compile(session.get_bind(), compile_kwargs={"literal_binds": True})))
+
+
+def plan_of_newest(session, name, **asked):
+    """Return how SQLite reads the newest rows of a list, by the statement that was sent."""
+    sent = []
+    engine = session.get_bind()
+
+    def note(_connection, _cursor, statement, parameters, _context, _many):
+        sent.append((statement, parameters))
+
+    event.listen(engine, "before_cursor_execute", note)
+    newest_rows(session, LISTS[name], limit=51, **asked)
+    event.remove(engine, "before_cursor_execute", note)
+    return [
+        step
+        for statement, parameters in sent
+        if statement.startswith("SELECT")
+        for step in explain(session, statement, parameters)
+    ]
+
+
+@pytest.mark.parametrize("before_id", [None, 30])
+@pytest.mark.parametrize("name", FIRST)
+def test_the_first_view_of_a_list_reads_its_page_and_sorts_nothing(session, name, before_id):
+    steps = plan(session, name, ListQuery({}, FIRST[name], before_id))
+    assert not any("TEMP B-TREE" in step for step in steps), steps
+
+
+def test_every_list_that_is_sorted_by_keys_has_a_first_view():
+    assert set(FIRST) == {name for name, known in LISTS.items() if known.keys}
 
 
 @pytest.mark.parametrize("before_id", [None, 30])
 @pytest.mark.parametrize("name", LISTS)
-def test_the_first_view_of_a_list_reads_its_page_and_sorts_nothing(session, name, before_id):
-    steps = plan(session, name, ListQuery({}, FIRST[name], before_id))
-    assert not any("TEMP B-TREE" in step for step in steps), steps
+def test_the_newest_rows_of_a_list_are_read_in_the_order_of_their_ids_and_sorted_by_nothing(session, name, before_id):
+    steps = plan_of_newest(session, name, before_id=before_id)
+    assert len(steps) == 1
+    assert "TEMP B-TREE" not in steps[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "where"), [("alarms", "sensor"), ("packages", "set"), ("uplinks", "set"), ("deliveries", "webhook")]
+)
+def test_the_newest_rows_of_one_owner_come_in_the_order_of_their_index(session, name, where):
+    steps = plan_of_newest(session, name, **{where: 1})
+    assert len(steps) == 1
+    assert "USING INDEX" in steps[0]
 
 
 @pytest.mark.parametrize(
