@@ -7,9 +7,8 @@ import pytest
 
 from boresight.columns import write_columns
 from boresight.errors import CorruptFileError
-from boresight.telemetry.read.limits import LIMITS
-from boresight.telemetry.read.parquet import Layout
-from boresight.telemetry.read.readers import Stretch
+from boresight.telemetry.working_table import WorkingTable, write_working_table
+from tests.calibration.judged import field
 
 
 def test_a_flipped_bit_in_a_working_copy_is_refused(tmp_path: Path) -> None:
@@ -24,8 +23,8 @@ def test_a_flipped_bit_in_a_working_copy_is_refused(tmp_path: Path) -> None:
         columns.read()
 
 
-def test_a_stretch_of_a_table_that_was_altered_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "table").write_bytes(b"PAR1")
+def test_a_part_of_a_stored_table_that_was_altered_is_refused(tmp_path: Path) -> None:
+    write_working_table(field(1, frames=2), tmp_path / "table")
     with pytest.raises(CorruptFileError) as refused:
-        next(Stretch(tmp_path / "table", "table", 0, 1, Layout((), 0, (), 1), LIMITS, "0" * 64).chunks(1))
+        WorkingTable(tmp_path / "table", "0" * 64).part(0)
     assert refused.value.sha256 == "0" * 64

@@ -22,8 +22,9 @@ REAL_SKY = Path(os.environ.get("BORESIGHT_REAL_SKY", Path(__file__).parents[3] /
 
 
 def _foretold(telemetry, sensor, catalogue, tmp_path, frames=MOST_FRAMES, **settings):
-    write_working_table(telemetry, tmp_path / "table")
-    sample = read_sample(tmp_path / "table", frames, MOST_STARS)
+    table = tmp_path / str(len(list(tmp_path.iterdir())))  # a stored table never changes under its path
+    write_working_table(telemetry, table)
+    sample = read_sample(table, frames, MOST_STARS)
     return forecast(sample, sensor, catalogue, CalibrationSettings(**{"match": "given", **settings}))
 
 
