@@ -49,7 +49,7 @@ def test_scale_and_tail_are_in_the_address_so_that_a_second_person_sees_the_same
     desk.figures_drawn()
     assert desk.page.evaluate(AXIS) == "log"
     desk.page.get_by_label("Cost and step").select_option("linear")
-    desk.page.get_by_role("form", name="View of the course").get_by_role("button", name="Show").click()
+    desk.page.get_by_role("form", name="View of the history").get_by_role("button", name="Show").click()
     desk.page.wait_for_url("**scale=linear**")
     desk.figures_drawn()
     assert desk.page.evaluate(AXIS) == "linear"

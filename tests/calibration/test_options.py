@@ -37,6 +37,7 @@ def test_every_setting_survives_its_document():
 @pytest.mark.parametrize(
     ("document", "sentence"),
     [
+        ({"method": ["batch"]}, "choose from"),
         ({"method": "svd", "star_model": 5}, "give a whole number from 1 to 4"),
         ({"method": "svd", "singular_values": [0]}, r"give some of 1, 2, 3, as \[2, 3\]"),
         ({"method": "svd", "singular_values": [2, 2]}, "give some of 1, 2, 3"),

@@ -138,7 +138,7 @@ class Option:
 
     def _allows(self, value: Any) -> bool:
         if self.kind == "word":
-            return value in self.words
+            return isinstance(value, str) and value in self.words
         if self.kind == "yes or no" or isinstance(value, bool):
             return self.kind == "yes or no" and isinstance(value, bool)
         if self.kind in ("whole", "number"):

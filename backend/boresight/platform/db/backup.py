@@ -84,10 +84,11 @@ def _copy_table(origin: sa.Connection, copy: sa.Connection, table: sa.Table) -> 
     names = [column.name for column in table.columns]
     query = sa.select(*plain.columns).order_by(*(plain.columns[column.name] for column in table.primary_key))
     copied = 0
-    for rows in origin.execution_options(yield_per=ROWS).execute(query).partitions():
-        values: list[dict[str, Any]] = [dict(zip(names, row, strict=True)) for row in rows]
-        copy.execute(plain.insert(), values)
-        copied += len(values)
+    with closing(origin.execution_options(yield_per=ROWS).execute(query)) as found:
+        for rows in found.partitions():
+            values: list[dict[str, Any]] = [dict(zip(names, row, strict=True)) for row in rows]
+            copy.execute(plain.insert(), values)
+            copied += len(values)
     return copied
 
 
