@@ -53,7 +53,7 @@ from boresight.platform.db.sessions import migrate, open_writing, utc_now
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.sensors import sensor_document
-from boresight.verdicts.summary import summary_of
+from boresight.verdicts.verdict import summary_of
 
 Rows = dict[str, dict[str, Any]]
 

@@ -38,7 +38,7 @@ from boresight.simulation.scenes import calibration_scenario, simulate, validati
 from boresight.simulation.sensors import st16_truth
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sensors import sensor_document
-from boresight.verdicts.summary import summary_of
+from boresight.verdicts.verdict import summary_of
 from tests.passwords import add_person
 from tests.stores import copied, environment_in
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import shutil
 import tempfile
 from collections.abc import Iterable, Mapping
@@ -10,17 +11,21 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote_to_bytes
 
+import numpy as np
+import orjson
 import plotly.graph_objects as go
 from playwright.sync_api import sync_playwright
 from plotly.offline import get_plotlyjs
 from plotly.subplots import make_subplots
 
 from benchmarks import ROOT
-from boresight.figures import FIGURES, WIDE, figure_json
-from boresight.figures.example_calibration import PLACE, get_example_calibrations, make_example_calibration
-from boresight.figures.guide import guide_page, name_image
+from boresight.calibration.calibrate import calibrate
+from boresight.calibration.options import CalibrationSettings
+from boresight.figures import CHAPTERS, FIGURES, Figure, figure_json
+from boresight.figures.example_calibration import PLACE, get_example_calibrations
 from boresight.figures.notebook import draw
-from boresight.sky.catalogue import load_catalogue
+from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
+from boresight.sky.catalogue import Catalogue, load_catalogue
 
 DOCS = ROOT / "docs"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -29,6 +34,28 @@ DRAW = """([text, format, width]) => {
     const { data, layout } = JSON.parse(text);
     return Plotly.toImage({ data, layout }, { format, width, height: layout.height, scale: 1 });
 }"""
+
+#: The example: frames that calibrate and that judge it, of two seeds, in numbers of so many digits.
+FRAMES, HELD_OUT_FRAMES = 60, 30
+SEEDS = (1, 2)
+DIGITS = 7
+HEAD = """# The figures
+
+Every figure of Boresight is a pure function of a calibration's JSON: the same drawing stands on the run page, in the
+report and, by one call, in a notebook:
+
+```python
+from boresight.figures.notebook import draw, table
+
+draw("result.json", "radial")  # white; theme="dark" for the console's surface
+draw({"batch": "batch.json", "filter": "filter.json"}, "rms")  # several over one another
+table("result.json", "radial")  # the numbers behind it, in SI, as columns
+```
+
+`result.json` is what `boresight calibrate --json` writes. The images show simulated frames of one sensor; the page
+`/gallery` of every installation has the same figures to hover over, in every state and theme. This page and its images
+are written by `python -m benchmarks.pages --figures`.
+"""
 
 
 def growth_figure(document: Mapping[str, Any]) -> go.Figure:
@@ -66,7 +93,7 @@ def write_figures(*, renew: bool) -> None:
         (
             figure_json(draw(get_example_calibrations()["filter"], figure.name)).decode(),
             "webp",
-            WIDE_PX if figure.name in WIDE else WIDTH_PX,
+            WIDE_PX if figure.wide else WIDTH_PX,
             DOCS / name_image(figure),
         )
         for figure in FIGURES.values()
@@ -86,3 +113,42 @@ def _write(drawings: Iterable[tuple[str, str, int, Path]]) -> None:
             from_base64 = head.endswith("base64")
             path.write_bytes(base64.b64decode(content) if from_base64 else unquote_to_bytes(content))
         browser.close()
+
+
+def guide_page() -> str:
+    """Write `docs/figures.md`: each figure by chapter, with its name, how to read it, and its image."""
+    chapters = (f"## {name.capitalize()}\n\n{''.join(map(_entry, figures))}" for name, figures in CHAPTERS.items())
+    return HEAD + "\n" + "\n".join(chapters)
+
+
+def name_image(figure: Figure) -> str:
+    """Name the image of a figure, beside the page."""
+    return f"figures/{figure.name}.webp"
+
+
+def _entry(figure: Figure) -> str:
+    guide = figure.guide.replace("<", "&lt;").replace(">", "&gt;")
+    return f"### {figure.title}\n\n`{figure.name}`. {guide}\n\n![{figure.title}]({name_image(figure)})\n\n"
+
+
+def make_example_calibration(catalogue: Catalogue) -> bytes:
+    """Calibrate a simulated sensor anew and return the text of `specimen.json`."""
+    scenario = dataclasses.replace(calibration_scenario(1), frames=FRAMES)
+    held_out = dataclasses.replace(validation_scenario(1), frames=HELD_OUT_FRAMES)
+    sets = [simulate(s, np.random.default_rng(k), catalogue) for s, k in zip((scenario, held_out), SEEDS, strict=True)]
+    made = {
+        name: calibrate(sets[0], scenario.sensor, catalogue, CalibrationSettings(method=method), validation=sets[1])
+        for name, method in (("batch", "batch"), ("filter", "sqrf"))
+    }
+    return orjson.dumps(_shortened(made)) + b"\n"
+
+
+def _shortened(value: Any) -> Any:
+    """Keep seven digits of every number in a document."""
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}")
+    if isinstance(value, dict):
+        return {key: _shortened(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_shortened(item) for item in value]
+    return value

@@ -5,8 +5,7 @@ import pytest
 
 from boresight.figures import FIGURES, Trace
 from boresight.figures.charts import radial as radial_contrast
-from boresight.figures.history import settled_step
-from boresight.figures.rms_tail import summarise_tail, tailed
+from boresight.figures.history import settled_step, summarise_tail, tailed
 from boresight.figures.style.axes import EXTRAPOLATED
 from boresight.verdicts.verdict import sigma_of_rms
 

@@ -2,8 +2,9 @@
 
 import pytest
 
+from benchmarks.pages.drawings import _shortened
 from boresight.figures import FIGURES
-from boresight.figures.example_calibration import PLACE, _shortened, get_example_calibrations, make_example_traces
+from boresight.figures.example_calibration import PLACE, get_example_calibrations, make_example_traces
 
 EVERY_FIGURE = pytest.mark.parametrize("figure", FIGURES.values(), ids=FIGURES.keys())
 MOST_BYTES = 400_000

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.pages.drawings import guide_page, name_image
 from boresight.figures import FIGURES
-from boresight.figures.guide import guide_page, name_image
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 MOST_BYTES = 1_000_000

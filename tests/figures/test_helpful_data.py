@@ -3,7 +3,7 @@
 import pytest
 
 from boresight.estimation.statistics.observability import WEAK
-from boresight.figures.charts.helpful_data import helpful_data, weakest_words
+from boresight.figures.charts.observability import helpful_data, weakest_words
 
 
 def seen(direction, sigma, frames=200, **rest):

@@ -7,7 +7,7 @@ import pytest
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
 from boresight.figures.report import command, render_report
-from boresight.figures.tables.parameter_table import digits, printed_rows
+from boresight.figures.tables import digits, printed_rows
 from boresight.verdicts.verdict import make_verdict, trust_doubts
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"

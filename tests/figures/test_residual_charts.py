@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.figures import FIGURES, Trace
-from boresight.figures.charts.trust.residual_distribution import shares
-from boresight.figures.charts.trust.residual_outliers import reasons
-from boresight.figures.charts.trust.residual_quiver import CIRCLE, MeanCells, choose_scale, read_cells
+from boresight.figures.charts.residual_distribution import shares
+from boresight.figures.charts.residual_map import CIRCLE, MeanCells, choose_scale, read_cells
+from boresight.figures.charts.residual_outliers import reasons
 
 
 def draw(name, result):

@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.figures import CHAPTERS, FIGURES, Trace
+from boresight.figures.charts.innovations import running_mean
+from boresight.figures.charts.more_data import round_ticks
+from boresight.figures.charts.residual_map import CLEAR_SIGMA, ArrowField, cell_means
 from boresight.figures.charts.rms import compute_axis_residuals, running
-from boresight.figures.charts.trust.innovations import running_mean
-from boresight.figures.charts.trust.more_data import round_ticks
-from boresight.figures.charts.trust.residual_map import CLEAR_SIGMA, ArrowField, cell_means
 
 PART_OF = {
     "two-halves": "two_halves",

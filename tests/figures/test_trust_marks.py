@@ -3,8 +3,7 @@
 import pytest
 
 from boresight.figures.report import MOST_STARS, render_report
-from boresight.figures.tables.matching_table import flight_rows, match_counts, reason_tables
-from boresight.figures.tables.star_table import star_rows, to_flag
+from boresight.figures.tables import flight_rows, match_counts, reason_tables, star_rows, to_flag
 from boresight.verdicts.verdict import prospects, trust_doubts, trust_level, trust_marks
 
 

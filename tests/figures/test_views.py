@@ -8,11 +8,10 @@ from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES, Trace, figure_json
-from boresight.figures.charts.alignment import ALIGNMENTS, aligned, name_axis
-from boresight.figures.focus import POINT_BUDGET, focus
-from boresight.figures.style.envelope import as_band, find_span
+from boresight.figures.style.axes import ALIGNMENTS
 from boresight.figures.style.theme import run_styles
 from boresight.figures.style.thinning import keep_extremes, thinning
+from boresight.figures.views import POINT_BUDGET, aligned, as_band, find_span, focus
 from tests.figures.conftest import batch, sequential
 
 LONG = 30_000
@@ -66,7 +65,6 @@ def test_a_run_without_times_cannot_be_aligned_by_them_and_says_what_else_there_
 def test_every_figure_is_drawn_along_every_axis_and_none_still_says_frame(name, along):
     traces = [Trace("a", timed(sequential(50))), Trace("b", batch())]
     figure = FIGURES[name].draw(aligned(traces, along))
-    name_axis(figure, along)
     titles = [figure.layout[axis].title.text or "" for axis in figure.layout if axis.startswith("xaxis")]
     if name in {"convergence", "rms", "innovations"}:
         assert any(title.startswith(ALIGNMENTS[along]) for title in titles)

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from boresight.errors import RefusedInputError
 from boresight.papers import enright
 from boresight.papers.documents import CAUSES, VERDICTS, Cell, Conclusion, judge
-from boresight.papers.enright import printed, report
+from boresight.papers.enright import printed
+from boresight.papers.enright import study as report
 from boresight.papers.enright.estimators import ESTIMATORS, _thinned, estimators_for
 from boresight.papers.enright.pooled import Pooled
 from boresight.simulation.sensors import CHANGES, NOMINAL, TYPICAL_SIGMA

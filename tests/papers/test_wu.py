@@ -9,16 +9,17 @@ from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters.history import start
 from boresight.estimation.singular_values import Selection
-from boresight.figures.charts import wu as wu_criteria
 from boresight.papers import wu
-from boresight.papers.documents import CAUSES, VERDICTS
-from boresight.papers.reports import number, printed_digits
-from boresight.papers.wu import printed, report
-from boresight.papers.wu.criteria import ARCSEC_PER_RAD, Judges
+from boresight.papers.documents import CAUSES, VERDICTS, number, printed_digits
+from boresight.papers.wu import printed
+from boresight.papers.wu import study as report
+from boresight.papers.wu.drawings import draw_criteria
 from boresight.papers.wu.estimators import (
+    ARCSEC_PER_RAD,
     FREE,
     START_SIGMA,
     Estimator,
+    Judges,
     Trial,
     draw_fields,
     estimators,
@@ -224,7 +225,7 @@ def test_every_row_of_a_table_fills_the_columns_that_its_headings_name(study):
 @pytest.mark.parametrize(("values", "axis"), [([15.0, 0.1], "log"), ([17.8, 10.6], "linear")])
 def test_a_criterion_within_one_decade_has_an_even_axis_whose_numbers_show(values, axis):
     curve = {"label": "SVD, full R", "frame": [1, 2], "criterion_arcsec": values}
-    assert wu_criteria.draw({"number": "6b", "curves": [curve]}).layout.yaxis.type == axis
+    assert draw_criteria({"number": "6b", "curves": [curve]}).layout.yaxis.type == axis
 
 
 def test_nought_is_printed_without_a_sign():

@@ -10,8 +10,13 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import st16_truth
 from boresight.verdicts.gates import judge, parse_profile
-from boresight.verdicts.gates.assessment import assess, ground_set
-from boresight.verdicts.gates.held_out import change_of_share, compute_validation_scores, of_result
+from boresight.verdicts.gates.assessment import (
+    assess,
+    change_of_share,
+    compute_validation_scores,
+    ground_set,
+    of_result,
+)
 from boresight.verdicts.gates.measurements import Measurement, ends
 from tests.verdicts.evidence_cases import NAMES, SENSOR
 

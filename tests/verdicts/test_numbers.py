@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.verdicts.numbers import MINUS, to_second_digit, with_reach
-from boresight.verdicts.quantities import QUANTITIES, quantity
+from boresight.verdicts.numbers import MINUS, QUANTITIES, quantity, to_second_digit, with_reach
 
 
 @given(

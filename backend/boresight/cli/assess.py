@@ -90,7 +90,7 @@ def _read_object(path: Path, what: str) -> dict[str, Any]:
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:
     """Lay a report out for a terminal: the table, then a sentence for every gate that does not pass."""
-    from boresight.verdicts.gates.table import gate_rows
+    from boresight.verdicts.gates.judgement import gate_rows
 
     rows = gate_rows(document)
     head = ("gate", "answer", "measured", "95 %", "limit", "marginal from", "incumbent", "unit")

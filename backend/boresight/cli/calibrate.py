@@ -157,7 +157,7 @@ def _sha256(path: Path) -> str:
 
 def _lines(result: dict[str, Any]) -> Iterator[str]:
     """Lay a result out for a terminal."""
-    from boresight.figures.tables.parameter_table import HEADINGS, printed_rows
+    from boresight.figures.tables import HEADINGS, printed_rows
 
     words = [result["method"], result["variant"], result["status"].replace("_", " ")]
     left_out = "; ".join(f"{item['count']:,} {item['what']}: {item['reason']}" for item in result["left_out"])

@@ -21,17 +21,22 @@ Table = dict[str, list[Any]]
 
 @dataclass(frozen=True)
 class Trace:
-    """One run to draw; several make a comparison."""
+    """One run to draw; several make a comparison.
+
+    `short`: What stands for the label over a narrow map. `along`: What the axis of frames counts, one of `ALIGNMENTS`.
+    """
 
     label: str
     result: Result
+    short: str = ""
+    along: str = "frame"
 
 
 @dataclass(frozen=True)
 class Figure:
     """One chart of the registry.
 
-    `table`: One calibration result to the columns of its CSV: complete, in SI, never thinned.
+    `table`: One calibration result to the columns of its CSV: complete, in SI, never thinned. `wide`: It takes a page's width.
     """
 
     name: str
@@ -39,6 +44,7 @@ class Figure:
     guide: str
     draw: Callable[[Sequence[Trace]], go.Figure]
     table: Callable[[Result], Table]
+    wide: bool = False
 
 
 def figure_json(figure: go.Figure) -> bytes:

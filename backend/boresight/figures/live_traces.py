@@ -1,6 +1,6 @@
 """Live traces: what a page needs to extend a running run's curves with the points of the event feed.
 
-A curve of parameter p shows y = (p - p_0) f for the points (frame, p, sigma) of the course; its band is y +- 3 sigma f. Each
+A curve of parameter p shows y = (p - p_0) f for the points (frame, p, sigma) of the history; its band is y +- 3 sigma f. Each
 trace that can grow says so in `meta.follow`: `column` and `index` of the value in a point, `origin` p_0, `factor` f, and
 `band`, the number of sigmas of an outline; `share` says that its sigma is that share of the value. A line of two points
 at one level only grows longer: `level`. Only the figure of one running run is marked; all others carry nothing of it.
@@ -9,51 +9,39 @@ at one level only grows longer: `level`. Only the figure of one running run is m
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from math import sqrt
-from typing import Any, Protocol
+from typing import Any
 
 import plotly.graph_objects as go
 
 from boresight.figures.chart import Trace
 from boresight.figures.history import History, read_history
-from boresight.verdicts.quantities import Quantity
+from boresight.verdicts.numbers import Quantity
 
 
-class LivePanel(Protocol):
-    """What is asked of a parameter's subplot."""
+@dataclass(frozen=True)
+class Panel:
+    """One parameter's subplot: its unit on the page, the SI value that changes are counted from, row and column from 0."""
 
-    @property
-    def name(self) -> str:
-        """The parameter."""
-
-    @property
-    def item(self) -> Quantity:
-        """Its unit on the page."""
-
-    @property
-    def origin(self) -> float:
-        """The value in SI that its changes are counted from."""
-
-    @property
-    def row(self) -> int:
-        """The row, from 0."""
-
-    @property
-    def column(self) -> int:
-        """The column, from 0."""
+    name: str
+    item: Quantity
+    origin: float
+    row: int
+    column: int
 
 
-def make_running_history(traces: Sequence[Trace]) -> History | None:
-    """Return the course of the one run of a figure that is still a filter on its way, else None."""
+def find_running_history(traces: Sequence[Trace]) -> History | None:
+    """Return the history of the one run of a figure that is still a filter on its way, else None."""
     if len(traces) != 1 or traces[0].result.get("status") != "running":
         return None
     history = read_history(traces[0].result)
     return history if history is not None and history.axis == "frame" else None
 
 
-def follow_parameters(figure: go.Figure, panels: Iterable[LivePanel], traces: Sequence[Trace]) -> None:
+def follow_parameters(figure: go.Figure, panels: Iterable[Panel], traces: Sequence[Trace]) -> None:
     """Mark the curves, bands and levels of the parameters' subplots."""
-    history = make_running_history(traces)
+    history = find_running_history(traces)
     for panel in panels if history else ():
         if history and panel.name in history.names:
             how = {"column": "parameters", "index": history.names.index(panel.name)}
@@ -62,14 +50,14 @@ def follow_parameters(figure: go.Figure, panels: Iterable[LivePanel], traces: Se
 
 
 def follow_column(figure: go.Figure, place: tuple[int, int], column: str, traces: Sequence[Trace]) -> None:
-    """Mark the curve of a subplot (row and column from 1) that shows a column of the course as it is."""
-    if make_running_history(traces):
+    """Mark the curve of a subplot (row and column from 1) that shows a column of the history as it is."""
+    if find_running_history(traces):
         _mark(figure.select_traces(row=place[0], col=place[1]), {"column": column, "factor": 1.0})
 
 
 def follow_errors(figure: go.Figure, factor: float, traces: Sequence[Trace]) -> go.Figure:
     """Mark the curves of tail and aggregate error; the tail's sigma is its share 1 / sqrt(2 n) of n pairs."""
-    if make_running_history(traces):
+    if find_running_history(traces):
         pairs = traces[0].result.get("pairs")
         share = {"share": 1 / sqrt(2 * pairs)} if pairs else {}
         for trace in figure.select_traces({"type": "scatter"}):

@@ -26,16 +26,18 @@ from boresight.figures.chart import Result, Trace, figure_json
 from boresight.figures.charts.matching import why_no_matching
 from boresight.figures.notebook import calibrate_command
 from boresight.figures.style.theme import LIGHT_TEMPLATE, TOKENS, declared
-from boresight.figures.tables.matching_table import (
+from boresight.figures.tables import (
+    HEADINGS,
     flight_rows,
     flight_tolerance,
     match_counts,
     match_facts,
+    printed_rows,
     reason_tables,
     side_by_side,
+    star_rows,
+    to_flag,
 )
-from boresight.figures.tables.parameter_table import HEADINGS, printed_rows
-from boresight.figures.tables.star_table import star_rows, to_flag
 from boresight.resources import folder
 from boresight.verdicts.verdict import make_verdict, prospects, trust_marks, why_absent
 

@@ -12,6 +12,11 @@ The way back of a set that is not baseline yet is the current baseline; of the b
 baseline itself is what may have to be taken back; a sensor's first baseline has none before it and is its own.
 
 `inputs` is one JSON document, kept with the package: no clock, no database and no setting is asked here.
+
+The sheet that people take to the console: what changes, who said so, what to compare, and blanks for what was done.
+
+One HTML file that stands alone, made for printing. Everything in it is escaped by the template; a content security policy
+in it forbids scripts and connections.
 """
 
 from __future__ import annotations
@@ -20,15 +25,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
+from boresight.resources import folder
 from boresight.telemetry.sensors import Sensor, parse_sensor
 from boresight.uplink.archive import archive, canonical_bytes, json_bytes, sums
 from boresight.uplink.camera_files import camera_files, why_not
-from boresight.uplink.parameter_files import alignment_json, parameters_csv, parameters_json
+from boresight.uplink.parameter_files import alignment_json, changes, parameters_csv, parameters_json
 from boresight.uplink.table_definition import TableDefinition, parse_definition, quantisation_effect, quantised
 from boresight.uplink.table_files import held_by, table_facts, table_files
-from boresight.uplink.verification_sheet import verification_sheet
 
 SCHEMA = "boresight.uplink-package/1"
 SIMULATED = "SIMULATED: this sensor's telemetry is made here; do not load this package into a spacecraft."
@@ -44,11 +51,11 @@ def build_package(inputs: Inputs) -> bytes:
     sets = {"": subject, "backout/": backout, "on_board/": inputs["active"]}
     tables = {folder: _tables(definition, sensor, one) for folder, one in sets.items() if one is not None}
     files: dict[str, bytes] = {}
-    for folder, made in tables.items():
-        before = None if alone else backout if folder == "" else subject
-        said = _said(inputs, folder) | {"back_to": tables["backout/"].facts}
-        held = _files(sensor, definition, sets[folder], before, made, said)
-        files |= {f"{folder}{name}": content for name, content in held.items()}
+    for place, made in tables.items():
+        before = None if alone else backout if place == "" else subject
+        said = _said(inputs, place) | {"back_to": tables["backout/"].facts}
+        held = _files(sensor, definition, sets[place], before, made, said)
+        files |= {f"{place}{name}": content for name, content in held.items()}
     if definition is not None:
         files["table_definition.json"] = json_bytes(definition.document)
     files["MANIFEST.json"] = json_bytes(_manifest(inputs, sensor, tables))
@@ -187,3 +194,67 @@ def _manifest(inputs: Inputs, sensor: Sensor, tables: Mapping[str, _Tables]) -> 
         "inputs": inputs,
         "checks": "sha256sum -c SHA256SUMS; sha256sum parameter_set.json is the hash of the parameter set",
     }
+
+
+Step = tuple[str, str, str]  # what is done, how, what must be seen
+
+
+def verification_sheet(
+    subject: Mapping[str, Any],
+    before: Mapping[str, Any] | None,
+    definition: TableDefinition | None,
+    facts: Mapping[str, Any] | None,
+    quantisation: Mapping[str, Any] | None,
+    *,
+    said: Mapping[str, Any],
+) -> bytes:
+    """Write the sheet of a set."""
+    environment = Environment(
+        loader=FileSystemLoader(folder("frontend") / "templates"), autoescape=True, undefined=StrictUndefined
+    )
+    return (
+        environment.get_template("uplinks/verification_sheet.html")
+        .render(
+            subject=subject,
+            before=before,
+            rows=changes(subject, before),
+            definition=definition,
+            facts=facts,
+            quantisation=quantisation,
+            steps=_steps(definition, facts),
+            number=_number,
+            **said,
+        )
+        .encode()
+    )
+
+
+def _number(value: Any) -> str:
+    """Write a number with the digits that a person compares, or a dash."""
+    return "–" if value is None else f"{value:.10g}" if isinstance(value, int | float) else str(value)
+
+
+def _steps(definition: TableDefinition | None, facts: Mapping[str, Any] | None) -> list[Step]:
+    """List what is done, in order."""
+    steps: list[Step] = [("Check the package", "sha256sum -c SHA256SUMS", "every file OK")]
+    if definition is None or facts is None:
+        return [
+            *steps,
+            ("Load", "by the mission's own procedure: no table definition is configured here", "accepted"),
+            ("Check", "by the mission's own procedure, before it is used", "agrees with parameters.json"),
+            ("Activate", "command by the mission's own procedure", "accepted"),
+            ("Dump and compare", "read the parameters back and compare each", "agrees with parameters.json"),
+        ]
+    name = definition.table_id if definition.cfe is None else definition.cfe.table_name
+    file = "table.bin" if definition.cfe is None else "table.tbl"
+    told = facts["crc_told"]
+    check = f"{told['name']} {told['value']}" if told else "agrees with the mission's own check"
+    return [
+        *steps,
+        ("Check the software", "flight software version in telemetry", definition.flight_software_version),
+        ("Load", f"{file} into the inactive image of {name}", f"{facts['bytes']} bytes accepted"),
+        ("Check", f"validate the inactive image of {name}; its CRC in telemetry", check),
+        ("Activate", f"activate {name}; not before the check passed", "accepted"),
+        ("Dump", f"dump the active image of {name} to a file", f"{facts['bytes']} bytes"),
+        ("Compare", "upload the dump: every byte and field is compared", "VERIFIED, by bytes"),
+    ]

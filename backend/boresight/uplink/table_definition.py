@@ -10,20 +10,254 @@ its own; cFE Table Services keep it in telemetry instead, taken of the whole ima
 A table to begin with: a camera model's parameters in single precision, big-endian, one after the other, with a CRC.
 
 Length and place of everything follow from the model; a mission changes what its flight software has otherwise.
+
+A mission's table definition: one JSON object, every entry of it checked, so that a slip is refused and not flown.
+
+::
+
+    {"table_id": "STR_CAM", "flight_software_version": "4.2.1", "byte_order": "big", "length_bytes": 40, "fill": 0,
+     "fields": [{"name": "VERSION", "constant": 3, "offset_bytes": 0, "type": "uint16"},
+                {"name": "FOCAL_LENGTH", "parameter": "f_m", "offset_bytes": 4, "type": "float32", "scale": 0.001}, ...],
+     "crc": {"name": "CRC-16/CCITT-FALSE", "offset_bytes": 38, "over": [0, 38]},
+     "cfe": {"table_name": "STR_APP.CAMERA"},
+     "pus": {"id_type": "uint16", "count_type": "uint8", "parameter_ids": {"f_m": 4096, ...}}}
+
+`offset_bits` may stand for `offset_bytes`; `byte_order` may stand in a field; `crc`, `cfe` and `pus` may be left out. A CRC of
+another name gives `width`, `poly`, `init`, `refin`, `refout` and `xorout`, and may give `check` to be held to.
+
+What the number format on board does to the camera: the same star, seen with and without rounding.
+
+At each place p of a grid over the detector, corners included, the camera has a direction s(x, p). The parameters x' that the
+table holds give that place another direction, and that direction another place:
+
+    angle = 2 asin(|s(x', p) - s(x, p)| / 2)        shift = |project(x', s(x, p)) - project(x, s(x, p))|
+
+Both are taken whole, a common rotation included, because the star tracker on board knows no other camera.
 """
 
 from __future__ import annotations
 
+import itertools
+import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from dataclasses import field as attribute
+from pathlib import Path
 from typing import Any
 
-from boresight.cameras import CAMERA_MODELS
+import numpy as np
+
+from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
+from boresight.telemetry.read.checks import Faults
+from boresight.telemetry.read.formats import read_json
+from boresight.telemetry.sensors import Sensor
+from boresight.uplink.cfe import CfeHeaders, parse_cfe
 from boresight.uplink.checksum import CHECKSUMS, Checksum
-from boresight.uplink.definition_document import TableDefinition, parse_definition, read_definition
+from boresight.uplink.definition_entries import MOST_BYTES, Entries, parse_checksum
 from boresight.uplink.fields import Field
-from boresight.uplink.quantisation import quantisation_effect
+from boresight.uplink.parameter_service import ParameterService, parse_pus
+
+PLACES = 41
+ARCSEC_PER_RAD = 3600 * 180 / math.pi
+
+
+def quantisation_effect(
+    camera_model: CameraModel, sensor: Sensor, parameters: Mapping[str, float], quantised: Mapping[str, float]
+) -> dict[str, float]:
+    """Return the greatest shift over the detector, `max_px` pixels and `max_arcsec` seconds of arc.
+
+    `parameters`, `quantised`: Every parameter of the camera model before and after the table, SI.
+    """
+    row, col = np.meshgrid(
+        np.linspace(-0.5, sensor.rows - 0.5, PLACES), np.linspace(-0.5, sensor.columns - 0.5, PLACES), indexing="ij"
+    )
+    names, pitch = camera_model.parameter_names, sensor.pixel_pitch_m
+    exact, rounded = (np.array([values[name] for name in names], float) for values in (parameters, quantised))
+    with np.errstate(all="ignore"):
+        s = camera_model.directions(exact, row.ravel(), col.ravel(), pitch)
+        seen = camera_model.directions(rounded, row.ravel(), col.ravel(), pitch)
+        rows, cols = camera_model.project(exact, s, pitch)
+        moved_rows, moved_cols = camera_model.project(rounded, s, pitch)
+    angle = 2 * np.arcsin(np.minimum(np.linalg.norm(seen - s, axis=-1) / 2, 1.0))
+    shift = np.hypot(moved_rows - rows, moved_cols - cols)
+    if not (np.isfinite(angle).all() and np.isfinite(shift).all()):
+        raise RefusedInputError(
+            "The numbers that the table can hold make a camera without directions for a part of the detector: "
+            "give its fields more digits."
+        )
+    return {"max_px": float(shift.max()), "max_arcsec": float(angle.max() * ARCSEC_PER_RAD)}
+
+
+KEYS = (
+    "schema",
+    "table_id",
+    "flight_software_version",
+    "byte_order",
+    "length_bytes",
+    "fill",
+    "fields",
+    "crc",
+    "cfe",
+    "pus",
+)
+FIELD_KEYS = (
+    "name", "parameter", "constant", "offset_bytes", "offset_bits", "type", "byte_order", "scale", "offset",
+)  # fmt: skip
+MOST_FIELDS = 512
+ORDERS = ("big", "little")
+WHOLE = (8, 16, 32, 64)
+SCHEMA = "boresight.table-definition/1"
+
+
+@dataclass(frozen=True)
+class TableDefinition:
+    """A table on board."""
+
+    table_id: str
+    flight_software_version: str
+    length_bytes: int
+    fill: int
+    fields: tuple[Field, ...]
+    crc: Checksum | None
+    crc_over: tuple[int, int]
+    crc_field: Field | None
+    cfe: CfeHeaders | None
+    pus: ParameterService | None
+    document: Mapping[str, Any] = attribute(repr=False)
+
+
+def read_definition(path: Path, sensor: Sensor) -> TableDefinition:
+    """Read a sensor's table definition from a file."""
+    try:
+        document = read_json(path, path.name)
+    except json.JSONDecodeError as error:
+        raise RefusedInputError(f"{path.name} is not JSON: a table definition is one JSON object.") from error
+    return parse_definition(document, sensor)
+
+
+def parse_definition(document: Mapping[str, Any], sensor: Sensor) -> TableDefinition:
+    """Read a sensor's table definition."""
+    if not isinstance(document, Mapping):
+        raise RefusedInputError("A table definition is one JSON object with a table_id and fields.")
+    faults = Faults("The table definition")
+    entries = Entries(document, "", KEYS, faults)
+    if document.get("schema", SCHEMA) != SCHEMA:
+        faults.add(f"schema is {document['schema']!r}: write {SCHEMA}, or leave it out")
+    length = entries.whole("length_bytes", 1, MOST_BYTES)
+    little = entries.word("byte_order", ORDERS, "big") == "little"
+    fields = _fields(document.get("fields"), little, sensor, faults)
+    crc, crc_field, over = _crc(document.get("crc"), length, little, faults)
+    definition = TableDefinition(
+        table_id=entries.text("table_id"),
+        flight_software_version=entries.text("flight_software_version"),
+        length_bytes=length,
+        fill=entries.whole("fill", 0, 255, 0),
+        fields=fields,
+        crc=crc,
+        crc_over=over,
+        crc_field=crc_field,
+        cfe=parse_cfe(document.get("cfe"), faults),
+        pus=parse_pus(document.get("pus"), fields, faults),
+        document=dict(document),
+    )
+    faults.refuse()
+    _check_layout(definition, sensor, faults)
+    faults.refuse()
+    return definition
+
+
+def _fields(listed: Any, little: bool, sensor: Sensor, faults: Faults) -> tuple[Field, ...]:
+    """Read every field, in the order of the table."""
+    if not isinstance(listed, list) or not 0 < len(listed) <= MOST_FIELDS:
+        faults.add(f"fields is no list of 1 to {MOST_FIELDS} objects: list what lies in the table")
+        return ()
+    fields = [_field(entry, f"fields[{place}]", little, sensor, faults) for place, entry in enumerate(listed)]
+    return tuple(sorted(fields, key=lambda one: one.bit))
+
+
+def _field(document: Any, place: str, little: bool, sensor: Sensor, faults: Faults) -> Field:
+    """Read one field."""
+    entries = Entries(document, place, FIELD_KEYS, faults)
+    kind = entries.kind("type")
+    parameter = entries.optional_word("parameter", CAMERA_MODELS[sensor.camera_model].parameter_names)
+    constant = entries.constant("constant") if parameter is None else None
+    if parameter is not None and entries.has("constant"):
+        faults.add(f"{place} names a parameter and a constant: leave one of them out")
+    field = Field(
+        name=entries.name("name"),
+        parameter=parameter,
+        bit=entries.position(),
+        kind=kind,
+        little=entries.word("byte_order", ORDERS, "little" if little else "big") == "little",
+        scale=entries.number("scale", 1.0),
+        offset=entries.number("offset", 0.0),
+        constant=constant,
+    )
+    if field.scale == 0:
+        faults.add(f"{place}.scale is 0: give the step of one raw unit")
+    elif constant is not None and not faults.count:
+        _check_constant(field, place, faults)
+    if field.floating and field.bit % 8:
+        faults.add(
+            f"{place} is a {kind} that begins inside a byte: ground systems read floats from a whole byte on only"
+        )
+    if field.little and (field.bit % 8 or field.bits not in WHOLE):
+        faults.add(f"{place} is little-endian, which needs 8, 16, 32 or 64 bits from a whole byte: give byte_order big")
+    return field
+
+
+def _check_constant(field: Field, place: str, faults: Faults) -> None:
+    """Note a constant that its field cannot hold."""
+    try:
+        field.pack(field.constant or 0)
+    except RefusedInputError as error:
+        faults.add(f"{place}: {error}")
+
+
+def _crc(
+    document: Any, length: int, little: bool, faults: Faults
+) -> tuple[Checksum | None, Field | None, tuple[int, int]]:
+    """Read the algorithm, where it is stored, and the bytes that it is over."""
+    if document is None:
+        return None, None, (0, 0)
+    crc, entries = parse_checksum(document, faults)
+    offset = entries.whole("offset_bytes", 0, MOST_BYTES, None)
+    over = document.get("over", [0, length if offset is None else offset]) if isinstance(document, Mapping) else [0, 0]
+    whole = isinstance(over, list) and len(over) == 2 and all(type(end) is int for end in over)
+    if not whole or not 0 <= over[0] < over[1] <= length:
+        faults.add(f"crc.over is {over!r}: give the first byte and the first one after, inside {length} bytes")
+        over = [0, 0]
+    order = entries.word("byte_order", ORDERS, "little" if little else "big")
+    if offset is None:
+        return crc, None, (over[0], over[1])
+    if over[0] < offset + crc.width // 8 and offset < over[1]:
+        faults.add(f"crc is stored at byte {offset}, inside what it is taken of: give `over` without it")
+    return crc, Field("CRC", None, 8 * offset, f"uint{crc.width}", order == "little"), (over[0], over[1])
+
+
+def _check_layout(definition: TableDefinition, sensor: Sensor, faults: Faults) -> None:
+    """Note fields that overlap or reach past the end, names twice, and parameters that are not there once."""
+    stored = () if definition.crc_field is None else (definition.crc_field,)
+    placed = sorted((*definition.fields, *stored), key=lambda one: one.bit)
+    for before, after in itertools.pairwise(placed):
+        if after.bit < before.end:
+            faults.add(f"{after.name} begins at bit {after.bit}, inside {before.name}: move one of them")
+    for field in placed:
+        if field.end > 8 * definition.length_bytes:
+            faults.add(f"{field.name} ends at bit {field.end}, past the {definition.length_bytes} bytes of the table")
+    names = [field.name.upper() for field in placed]  # ground systems know no other letters
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        faults.add(f"{name} is the name of {names.count(name)} fields: name each once")
+    held = [field.parameter for field in definition.fields]
+    for parameter in CAMERA_MODELS[sensor.camera_model].parameter_names:
+        if held.count(parameter) != 1:
+            faults.add(
+                f"the parameter {parameter} lies in {held.count(parameter)} fields, expected one: "
+                f"the table must hold a whole {sensor.camera_model} camera"
+            )
+
 
 __all__ = [
     "Decoded",
@@ -147,7 +381,7 @@ CRC_BYTES = 2
 
 
 def plain_definition(camera_model: str) -> dict[str, Any]:
-    """Return a table definition that holds a camera model, as `boresight.uplink.definition_document` reads it."""
+    """Return a table definition that holds a camera model, as `boresight.uplink.table_definition` reads it."""
     names = CAMERA_MODELS[camera_model].parameter_names
     length = BYTES_A_NUMBER * (len(names) + 1)  # the CRC stands at the end of the last word
     fields = [

@@ -35,7 +35,7 @@ from boresight.settings import Settings, read_settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import parse_sensor
-from boresight.verdicts.summary import summary_of
+from boresight.verdicts.verdict import summary_of
 from boresight.workers.cluster_executor import ClusterExecutor, make_scratch_folder
 from boresight.workers.link import Link
 

@@ -3,7 +3,7 @@
 import pytest
 
 from boresight.console.approvals.pages.approval import list_warnings
-from boresight.figures.tables.parameter_table import parameter_rows
+from boresight.figures.tables import parameter_rows
 
 PASSWORD = "correct horse battery"
 WORDS = {"decision": "APPROVE", "meaning": "I approve this set for baseline.", "comment": "Read all of it."}

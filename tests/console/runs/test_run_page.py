@@ -5,7 +5,7 @@ import re
 import pytest
 
 from boresight.console.runs.tables import RunEvent
-from boresight.figures.tables.parameter_table import parameter_rows
+from boresight.figures.tables import parameter_rows
 from boresight.platform.db.sessions import open_writing, utc_now
 from boresight.verdicts.verdict import make_verdict_marks
 

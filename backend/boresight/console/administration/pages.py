@@ -28,7 +28,7 @@ from boresight.console.runs import service as runs
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import CHAPTERS, FIGURES, WIDE, figure_json
 from boresight.figures.example_calibration import get_example_calibrations, make_example_traces
-from boresight.figures.tables.parameter_table import parameter_rows
+from boresight.figures.tables import parameter_rows
 from boresight.platform.db.sessions import Session, utc_after, utc_now
 from boresight.verdicts.verdict import LEVELS, make_verdict_marks
 

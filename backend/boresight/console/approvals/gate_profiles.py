@@ -28,8 +28,7 @@ from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts import gates
 from boresight.verdicts.gates import Measurement, Profile
-from boresight.verdicts.gates.assessment import ground_set
-from boresight.verdicts.gates.held_out import of_result
+from boresight.verdicts.gates.assessment import ground_set, of_result
 
 DEFAULT = gates.parse_profile({}).document()
 DEFAULT_SHA256 = compute_sha256(DEFAULT)

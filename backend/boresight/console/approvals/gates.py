@@ -67,8 +67,7 @@ from boresight.telemetry.sensors import Sensor, parse_sensor
 from boresight.telemetry.working_table import WorkingTable
 from boresight.verdicts import gates
 from boresight.verdicts.gates import GATES
-from boresight.verdicts.gates.assessment import started_from
-from boresight.verdicts.gates.held_out import compute_validation_scores, of_result
+from boresight.verdicts.gates.assessment import compute_validation_scores, of_result, started_from
 
 
 @dataclass(frozen=True)

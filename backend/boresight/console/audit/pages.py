@@ -38,8 +38,7 @@ from boresight.errors import RefusedInputError
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.blobs.files import total_bytes
-from boresight.verdicts.numbers import MISSING, parameter
-from boresight.verdicts.quantities import QUANTITIES
+from boresight.verdicts.numbers import MISSING, QUANTITIES, parameter
 
 LONGEST_VALUE = 120
 HASH = re.compile(r"[0-9a-f]{64}")

@@ -24,8 +24,7 @@ from boresight.console.fleet.trend import Trend, TrendPoint
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import FALSE_ALARM_RATE, Epoch, RegressionLine
-from boresight.verdicts.numbers import fixed, number
-from boresight.verdicts.quantities import quantity
+from boresight.verdicts.numbers import fixed, number, quantity
 
 DAY_S = 86400.0
 GROUND_SHIFTED = "The ground calibration does not hold any more: promote a calibration made on orbit."

@@ -22,13 +22,13 @@ from boresight.verdicts.numbers import (
     parameter,
     percent,
     plus_minus,
+    quantity,
     sigma,
     sigmas,
     size,
     unit,
     urad,
 )
-from boresight.verdicts.quantities import quantity
 from boresight.verdicts.verdict import LEVEL_OF_STATUS, LEVELS
 
 

@@ -52,7 +52,7 @@ from boresight.console.runs.pages.list import RunNames, read_names
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.uplinks import service as uplinks
 from boresight.errors import RefusedInputError
-from boresight.figures.tables.parameter_table import set_rows
+from boresight.figures.tables import set_rows
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.response_cache_store import same_for_roles

@@ -25,11 +25,9 @@ from boresight.console.runs.routes import result_so_far
 from boresight.console.runs.tables import Run
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import FIGURES, Figure, Table, Trace, figure_json
-from boresight.figures.charts.alignment import aligned, name_axis
-from boresight.figures.focus import focus
-from boresight.figures.rms_tail import tailed
-from boresight.figures.style.envelope import as_band
+from boresight.figures.history import tailed
 from boresight.figures.style.thinning import thinning
+from boresight.figures.views import aligned, as_band, focus
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.media import CsvFile, csv_response
@@ -66,7 +64,6 @@ class View:
             raise RefusedInputError("Give both ends of the window, x_from and x_to, or none.")
         with thinning(whole=self.x_from is not None) as watched:
             drawn = figure.draw(tailed(aligned(traces, self.align), self.tail_from))
-        name_axis(drawn, self.align)
         if self.overlay == "band":
             as_band(drawn, traces)
         if self.x_from is not None and self.x_to is not None:
@@ -113,7 +110,8 @@ def get_figure(
 
     def draw() -> bytes:
         results = [_beside_baseline(session, blobs, run) for run in asked]
-        return seen.draw(figure, [Trace(label, result) for label, result in zip(labels, results, strict=True)])
+        named = zip(labels, results, asked, strict=True)
+        return seen.draw(figure, [Trace(label, result, f"Run {run.id}") for label, result, run in named])
 
     known = None if None in sources else [name, repr(seen), *labels, *map(str, sources)]
     return drawings.answer(request, known, draw)

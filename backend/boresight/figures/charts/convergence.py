@@ -7,10 +7,7 @@ comparison with frames on the axis a batch run is drawn as a level with its band
 The first bands are the a-priori ones and would flatten all that follows, so the window of each panel holds what
 follows the first steps, the median band, the truth, and the initial level where that is near; a double click shows all.
 
-The dotted line is where a run settled, and the last two panels judge it as a whole: `convergence_judge` has both.
-
-The last two panels of the convergence chart, which judge the run as a whole: its cost, and how far it still steps.
-
+The dotted line is where a run settled, and the last two panels judge it as a whole: its cost, and how far it still steps.
 A batch run has its cost, half of chi-square, a filter its normalised innovation squared, sum nis / sum dof of the frames so
 far, which is 1 where the covariance is honest. The step norm is the root mean square over the n free parameters of
 (x_k - x_{k-1}) / sigma, in sigmas of the end for a batch and of the moment for a filter: a batch at rest steps by nothing, a
@@ -32,11 +29,11 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.history import History, free_names, read_history, settled_step
-from boresight.figures.live_traces import follow_column, follow_parameters
+from boresight.figures.live_traces import Panel, follow_column, follow_parameters
 from boresight.figures.style import theme
-from boresight.figures.style.axes import offer_log, share_cursor
+from boresight.figures.style.axes import axis_title, counted, offer_log, share_cursor
 from boresight.figures.style.thinning import keep_extremes
-from boresight.verdicts.quantities import Quantity, change_label, quantity
+from boresight.verdicts.numbers import change_label, quantity
 
 PANELS = 2
 POINT_BUDGET = 1200  # a panel, of all runs together
@@ -131,14 +128,9 @@ REFERENCES = {
 
 
 @dataclass(frozen=True)
-class ConvergencePanel:
-    """One parameter's subplot: its unit, where it starts from, and what its window must hold."""
+class ConvergencePanel(Panel):
+    """One parameter's subplot, and what its window must hold."""
 
-    name: str
-    item: Quantity
-    origin: float
-    row: int
-    column: int
     seen: list[float]
 
     def change(self, value: FloatArray | float) -> FloatArray:
@@ -174,7 +166,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     follow_parameters(figure, panels, traces)
     follow_column(figure, _place(len(panels), columns), "nis_per_dof", traces)
     mark_settled(figure, along, traces, n_panels)
-    return share_cursor(figure, axis)
+    return share_cursor(figure, counted(axis, traces))
 
 
 def _columns(n_panels: int) -> int:
@@ -197,7 +189,7 @@ def _dress(figure: go.Figure, traces: Sequence[Trace], axis: str, n_rows: int, n
             figure.update_xaxes(visible=False, row=row + 1, col=column + 1)
             figure.update_yaxes(visible=False, row=row + 1, col=column + 1)
         elif place + columns >= n_panels:
-            figure.update_xaxes(title_text=axis, row=row + 1, col=column + 1)
+            figure.update_xaxes(title_text=axis_title(axis, traces), row=row + 1, col=column + 1)
     return figure
 
 
@@ -331,4 +323,5 @@ CONVERGENCE = Figure(
     ),
     draw=draw,
     table=table,
+    wide=True,
 )

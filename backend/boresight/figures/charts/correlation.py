@@ -14,41 +14,39 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Result, Table, Trace
 from boresight.figures.style import theme
-from boresight.verdicts.quantities import quantity
+from boresight.figures.trust_parts import Part, make_figure
+from boresight.verdicts.numbers import quantity
 
-TITLE = "Parameter correlations"
 STRONG = 0.9  # from here on two parameters are read together
 MAX_MAPS = 3
 ROW_PX, LEAST_PX = 34, 200
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(found: Sequence[Part]) -> go.Figure:
     """Draw one map a run, beside each other, up to three."""
-    drawn = [(trace, found) for trace in traces if (found := correlations(trace.result)) is not None][:MAX_MAPS]
-    if not drawn:
-        return theme.missing(TITLE, "Correlations come with a covariance, which is there when the run ends.")
-    titles = [theme.escape(trace.label) for trace, _ in drawn] if len(drawn) > 1 else None
+    drawn = found[:MAX_MAPS]
+    titles = [style.label for _, style, _ in drawn] if len(drawn) > 1 else None
     figure = make_subplots(1, len(drawn), subplot_titles=titles, horizontal_spacing=0.08)
-    for place, (trace, (names, rho)) in enumerate(drawn, start=1):
+    for place, (trace, _, (names, rho, _)) in enumerate(drawn, start=1):
         figure.add_trace(_map(trace, names, rho, scale=place == len(drawn)), row=1, col=place)
-    height = LEAST_PX + ROW_PX * max(len(names) for _, (names, _) in drawn)
-    theme.dress(figure, title=_headline(*drawn[0]), height_px=height, legend=False, hovermode="closest")
+    height = LEAST_PX + ROW_PX * max(len(one[2][0]) for one in drawn)
+    theme.dress(figure, title=_headline(drawn[0]), height_px=height, legend=False, hovermode="closest")
     figure.update_xaxes(showgrid=False, type="category", side="bottom")
     figure.update_yaxes(showgrid=False, type="category", autorange="reversed")
     return figure
 
 
-def correlations(result: Result) -> tuple[list[str], FloatArray] | None:
-    """Read names and rho (n, n) out of a result's covariance; None where it has none."""
+def correlations(result: Result) -> tuple[list[str], FloatArray, FloatArray] | None:
+    """Read names, rho and P (n, n) each out of a result's covariance; None where it has none."""
     covariance = result.get("covariance") or {}
     names = list(covariance.get("names") or ())
     P = np.array(covariance.get("matrix") or [], dtype=np.float64)
     if not names or P.shape != (len(names), len(names)):
         return None
     sigma = np.sqrt(np.where(np.diag(P) > 0, np.diag(P), np.nan))
-    return names, P / np.outer(sigma, sigma)
+    return names, P / np.outer(sigma, sigma), P
 
 
 def strongest(names: Sequence[str], rho: FloatArray) -> tuple[str, str, float] | None:
@@ -85,8 +83,9 @@ def _map(trace: Trace, names: Sequence[str], rho: FloatArray, *, scale: bool) ->
     )
 
 
-def _headline(trace: Trace, found: tuple[list[str], FloatArray]) -> str:
-    pair = strongest(*found)
+def _headline(one: Part) -> str:
+    trace, _, (names, rho, _) = one
+    pair = strongest(names, rho)
     if pair is None:
         return "One parameter was estimated: there is no correlation"
     first, second = (quantity(name, trace.result).markup for name in pair[:2])
@@ -94,13 +93,9 @@ def _headline(trace: Trace, found: tuple[list[str], FloatArray]) -> str:
     return f"Strongest: {first} and {second}, ρ = {theme.signed(pair[2])}: {advice}"
 
 
-def table(result: Result) -> Table:
+def table(found: tuple[list[str], FloatArray, FloatArray]) -> Table:
     """List one pair a row: the two parameters, their correlation and their covariance in SI."""
-    found = correlations(result)
-    if found is None:
-        return {}
-    names, rho = found
-    P = np.array(result["covariance"]["matrix"], dtype=np.float64)
+    names, rho, P = found
     rows, columns = np.triu_indices(len(names), 0)
     return {
         "parameter": [names[i] for i in rows],
@@ -110,14 +105,16 @@ def table(result: Result) -> Table:
     }
 
 
-CORRELATION = Figure(
+CORRELATION = make_figure(
+    draw,
+    table,
+    correlations,
+    lambda _: "Correlations come with a covariance, which is there when the run ends.",
     name="correlation",
-    title=TITLE,
+    title="Parameter correlations",
     guide=(
         "Each cell is how far the errors of two parameters go together: blue the same way, orange against each other, "
         "empty not at all. A pair near ±1 is known only as a sum or a difference: do not read its two sigmas one by "
         "one, but look at the distortion and at the weakest direction."
     ),
-    draw=draw,
-    table=table,
 )

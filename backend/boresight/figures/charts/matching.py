@@ -12,11 +12,10 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Result, Table
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import column
+from boresight.figures.trust_parts import Part, column, make_figure
 
-TITLE = "Matching cycles"
 PANELS = (
     ("matched", "matched stars", 1.0),
     ("changed", "changed matches", 1.0),
@@ -28,20 +27,16 @@ NOT_YET = "Matching is reported when the run ends; it is not there yet."
 NO_CYCLES = "This run matched its stars without cycles."
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw matched stars, changed matches and RMS by cycle, a bar a run."""
-    styled = zip(traces, theme.run_styles(traces), strict=True)
-    drawn = [(style, cycles) for trace, style in styled if (cycles := read_cycles(trace.result))]
-    if not drawn:
-        return theme.missing(TITLE, why_no_matching(traces[0].result) or NO_CYCLES)
     figure = make_subplots(1, len(PANELS), horizontal_spacing=0.1)
     for place, (key, _, factor) in enumerate(PANELS, start=1):
-        for style, cycles in drawn:
+        for _, style, cycles in drawn:
             values = factor * column([cycle.get(key) for cycle in cycles])
             figure.add_trace(_bars(style, cycles, values, labelled=len(drawn) == 1), row=1, col=place)
-    many, most = len(drawn) > 1, max(len(cycles) for _, cycles in drawn)
+    many, most = len(drawn) > 1, max(len(cycles) for _, _, cycles in drawn)
     room = [0.4, max(most, LEAST_CYCLES) + 0.6]
-    theme.dress(figure, title=_headline(traces), height_px=340, legend=many, hovermode="closest", barmode="group")
+    theme.dress(figure, title=_headline(drawn), height_px=340, legend=many, hovermode="closest", barmode="group")
     for place, (_, title, _) in enumerate(PANELS, start=1):
         figure.update_xaxes(title_text="cycle", dtick=1, range=room, showgrid=False, row=1, col=place)
         figure.update_yaxes(title_text=title, rangemode="tozero", nticks=5, row=1, col=place)
@@ -81,30 +76,31 @@ def _bars(style: theme.RunStyle, cycles: Sequence[Result], values: FloatArray, *
     )
 
 
-def _headline(traces: Sequence[Trace]) -> str:
-    if len(traces) > 1:
-        return f"Matching cycles of {len(traces)} runs"
-    matching = traces[0].result["matching"]
-    n_cycles = len(read_cycles(traces[0].result))
+def _headline(drawn: Sequence[Part]) -> str:
+    if len(drawn) > 1:
+        return f"Matching cycles of {len(drawn)} runs"
+    matching = drawn[0][0].result["matching"]
+    n_cycles = len(drawn[0][2])
     said = f"{n_cycles} cycle{'s' * (n_cycles != 1)}"
     return f"The matches rested after {said}" if matching.get("rested") else f"The matches had not rested after {said}"
 
 
-def table(result: Result) -> Table:
+def table(cycles: Sequence[Result]) -> Table:
     """List one cycle a row: stars matched, matches changed, RMS in rad."""
-    cycles = read_cycles(result)
-    keys = ("cycle", "matched", "changed", "rms_arc_rad")
-    return {key: [cycle.get(key) for cycle in cycles] for key in keys} if cycles else {}
+    return {key: [cycle.get(key) for cycle in cycles] for key in ("cycle", "matched", "changed", "rms_arc_rad")}
 
 
-MATCHING = Figure(
+MATCHING = make_figure(
+    draw,
+    table,
+    read_cycles,
+    lambda result: why_no_matching(result) or NO_CYCLES,
     name="matching",
-    title=TITLE,
+    title="Matching cycles",
     guide=(
         "Each bar is one cycle of fitting and matching again: how many stars are matched, how many matches changed since "
         "the cycle before, and the error that is left. Changes that fall to zero are good; matches that never rest "
         "hang between two stars, and the parameters with them."
     ),
-    draw=draw,
-    table=table,
+    wide=True,
 )

@@ -25,11 +25,12 @@ import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
 from boresight.estimation.statistics.consistency import ChiSquare, chi_square, nees
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Result, Table, Trace
 from boresight.figures.history import History, read_history, settled_step
 from boresight.figures.style import theme
-from boresight.figures.style.axes import share_cursor
+from boresight.figures.style.axes import axis_title, counted, share_cursor
 from boresight.figures.style.thinning import keep_extremes
+from boresight.figures.trust_parts import Part, make_figure
 from boresight.verdicts.numbers import number
 from boresight.verdicts.verdict import read_part, why_absent
 
@@ -137,7 +138,6 @@ def _settled(result: Result) -> int | None:
     return 1 + round(first * (frames - 1) / max(len(history.x) - 1, 1))
 
 
-TITLE = "Error against the bound"
 POINT_BUDGET = 8000  # of all runs together
 
 
@@ -150,32 +150,23 @@ class _Convergence:
     true: FloatArray
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw every run's claimed and true error over frames, or over iterations when every run is a batch."""
-    styled = zip(traces, theme.run_styles(traces), strict=True)
-    drawn = [(trace, style, way) for trace, style in styled if (way := _approach(trace.result)) is not None]
-    if not drawn:
-        return theme.missing(TITLE, why_absent(traces[0].result, "efficiency"))
     axis = "frame" if any(way.course.axis == "frame" for _, _, way in drawn) else "iteration"
-    along = np.concatenate([way.course.x for _, _, way in drawn if way.course.axis == axis])
-    span = np.array([along.min(), along.max()])
+    x = np.concatenate([way.course.x for _, _, way in drawn if way.course.axis == axis])
+    span = np.array([x.min(), x.max()])
     figure = go.Figure()
+    limit = POINT_BUDGET // (2 * len(drawn))
     for trace, style, way in drawn:
-        _draw_run(
-            figure,
-            trace,
-            style,
-            way if way.course.axis == axis else _level(way),
-            span,
-            POINT_BUDGET // (2 * len(drawn)),
-        )
+        _draw_run(figure, trace, style, way if way.course.axis == axis else _level(way), span, limit)
     known = any(np.isfinite(way.true).any() for _, _, way in drawn)
     title = "Error over the Cramér-Rao bound: claimed" + (", and true (dotted)" if known else "")
     theme.dress(figure, title=title, height_px=460, hovermode="closest")
     figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.4})
-    figure.update_xaxes(title_text=axis)
+    along = [trace for trace, _, _ in drawn]
+    figure.update_xaxes(title_text=axis_title(axis, along))
     figure.update_yaxes(title_text="error / bound", type="log", exponentformat="power")
-    return share_cursor(figure, axis)
+    return share_cursor(figure, counted(axis, along))
 
 
 def _approach(result: Result) -> _Convergence | None:
@@ -217,11 +208,8 @@ def _draw_run(
         figure.add_trace(dots)
 
 
-def table(result: Result) -> Table:
+def table(way: _Convergence) -> Table:
     """List every step: claimed and true error in sigmas of the bound."""
-    way = _approach(result)
-    if way is None:
-        return {}
     return {
         way.course.axis: [int(step) for step in way.course.x],
         "claimed_over_bound": theme.plain(way.claimed),
@@ -229,14 +217,17 @@ def table(result: Result) -> Table:
     }
 
 
-METHODS = Figure(
+METHODS = make_figure(
+    draw,
+    table,
+    _approach,
+    lambda result: why_absent(result, "efficiency"),
     name="methods",
-    title=TITLE,
+    title="Error against the bound",
     guide=(
         "The line is the sigma that the method claims after so many frames, the dots its true error where a simulation knows "
         "it, both over the smallest error that the whole set allows (one) and averaged over the free parameters. A good "
         "method brings its line down to one with the dots about it; dots that stay above their line are a claim too bold."
     ),
-    draw=draw,
-    table=table,
+    wide=True,
 )

@@ -3,12 +3,18 @@
 H' = U S V^T is the whitened Jacobian in typical sigmas. Each column of the chart is one direction: above, its singular
 value s, so that 1/s is its sigma in typical sigmas; below, the parameters it is made of, the column of V. The result
 holds V^T, one direction a row.
+
+Which data would tell apart what these data cannot: read off the weakest directions, the coverage and the square-root law.
+
+A direction is made of parameters that do alike to the stars at hand. Focal length and distortion do alike where stars fill a narrow
+range of radii; principal point and tilts do alike unless stars stand far out on both sides; an aspect factor needs arcs along
+rows and along columns. More frames like these divide the sigma of a direction by the square root of their number.
 """
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,29 +22,28 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.estimation.statistics.observability import WEAK
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.estimation.statistics.observability import NAMED, WEAK
+from boresight.figures.chart import Result, Table
 from boresight.figures.style import theme
-from boresight.verdicts.numbers import number
-from boresight.verdicts.quantities import quantity
+from boresight.figures.trust_parts import Part, make_figure
+from boresight.verdicts.numbers import count, number, percent, quantity
 
-TITLE = "Observability"
 THRESHOLD = 1.0 / WEAK
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def read_observability(result: Result) -> Result | None:
+    """Read what the data can tell apart, with the result's own names; None where that was not computed."""
+    seen = result.get("observability") or {}
+    names = tuple(seen.get("parameter_names") or result.get("free") or ())
+    return {**seen, "parameter_names": names} if seen.get("singular_values") else None
+
+
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw singular values as bars on a log axis, over the heat map of the first run's directions."""
-    drawn = [
-        (trace, style)
-        for trace, style in zip(traces, theme.run_styles(traces), strict=True)
-        if (trace.result.get("observability") or {}).get("singular_values")
-    ]
-    if not drawn:
-        return theme.missing(TITLE, "Observability is computed when the run ends; it is not there yet.")
     figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.4, 0.6], vertical_spacing=0.07)
-    for trace, style in drawn:
-        figure.add_trace(_bars(trace.result["observability"], style, labelled=len(drawn) == 1), row=1, col=1)
-    figure.add_trace(_directions(drawn[0][0].result), row=2, col=1)
+    for _, style, seen in drawn:
+        figure.add_trace(_bars(seen, style, labelled=len(drawn) == 1), row=1, col=1)
+    figure.add_trace(_directions(drawn[0][0].result, drawn[0][2]), row=2, col=1)
     _dress(figure, drawn)
     return figure
 
@@ -64,12 +69,10 @@ def _bars(seen: Result, style: theme.RunStyle, *, labelled: bool) -> go.Bar:
     )
 
 
-def _directions(result: Result) -> go.Heatmap:
+def _directions(result: Result, seen: Result) -> go.Heatmap:
     """Draw V: rows are parameters, columns are directions from the best known to the weakest."""
-    seen = result["observability"]
-    names = _names(result)
-    n_modes = len(seen["singular_values"])
-    V = _vectors(result)
+    names, n_modes = seen["parameter_names"], len(seen["singular_values"])
+    V = _vectors(seen)
     if V is None:
         V = np.full((len(names), n_modes), np.nan)
     return go.Heatmap(
@@ -88,27 +91,21 @@ def _directions(result: Result) -> go.Heatmap:
     )
 
 
-def _vectors(result: Result) -> FloatArray | None:
+def _vectors(seen: Result) -> FloatArray | None:
     """Read V (n_parameters, n_modes), the largest share of each direction positive; None where the result has none."""
-    seen = result["observability"]
     V = np.array(seen.get("right_singular_vectors") or [], dtype=np.float64).T
-    if V.shape != (len(_names(result)), len(seen["singular_values"])):
+    if V.shape != (len(seen["parameter_names"]), len(seen["singular_values"])):
         return None
     largest = np.argmax(np.abs(V), axis=0)
     return np.asarray(V * np.where(V[largest, np.arange(V.shape[1])] < 0, -1.0, 1.0))
 
 
-def _names(result: Result) -> tuple[str, ...]:
-    return tuple(result["observability"].get("parameter_names") or result.get("free") or ())
-
-
-def _dress(figure: go.Figure, drawn: Sequence[tuple[Trace, theme.RunStyle]]) -> None:
+def _dress(figure: go.Figure, drawn: Sequence[Part]) -> None:
     """Title with the condition number, and the weakest direction in words below."""
-    result = drawn[0][0].result
-    condition = result["observability"].get("condition_number")
+    condition = drawn[0][2].get("condition_number")
     size = f"{condition:.4g}" if condition is not None else "infinite: a direction is not determined at all"
     whose = f" ({drawn[0][1].label})" if len(drawn) > 1 else ""
-    sentence = _sentence(result)
+    sentence = _sentence(drawn[0][2])
     layout: dict[str, Any] = {"hovermode": "closest", "barmode": "group", "legend": len(drawn) > 1}
     theme.dress(figure, title=f"Condition number {size}{whose}", height_px=520, **layout)
     figure.update_layout(margin={"b": 84 + 18 * sentence.count("<br>")})
@@ -130,25 +127,22 @@ def _draw_threshold(figure: go.Figure) -> None:
     figure.add_hline(y=THRESHOLD, line=line, **words, row=1, col=1)
 
 
-def _window(drawn: Sequence[tuple[Trace, theme.RunStyle]]) -> list[float]:
+def _window(drawn: Sequence[Part]) -> list[float]:
     """Choose the decades of the log axis: every bar can be seen, and the threshold too."""
-    values = np.concatenate([trace.result["observability"]["singular_values"] for trace, _ in drawn])
+    values = np.concatenate([seen["singular_values"] for _, _, seen in drawn])
     known = values[values > 0]
     low, high = float(np.min(known, initial=THRESHOLD)), float(np.max(known, initial=THRESHOLD))
     return [float(np.log10(low)) - 0.5, float(np.log10(high)) + 0.5]
 
 
-def _sentence(result: Result) -> str:
-    weakest = result["observability"].get("weakest") or {}
+def _sentence(seen: Result) -> str:
+    weakest = seen.get("weakest") or {}
     words = theme.escape(str(weakest.get("sentence") or ""))
     return "<br>".join(textwrap.wrap(f"Weakest direction: {words}", 88)) if words else ""
 
 
-def table(result: Result) -> Table:
+def table(seen: Result) -> Table:
     """List one direction a row: singular value, sigma in typical sigmas, and the parameters' shares."""
-    seen = result.get("observability") or {}
-    if not seen.get("singular_values"):
-        return {}
     values = np.array(seen["singular_values"], dtype=np.float64)
     with np.errstate(divide="ignore"):
         spread = np.where(values > 0, 1.0 / values, np.nan)
@@ -157,20 +151,101 @@ def table(result: Result) -> Table:
         "singular_value": theme.plain(values),
         "sigma_of_direction": theme.plain(spread),
     }
-    V = _vectors(result)
+    V = _vectors(seen)
     if V is not None:
-        columns |= {name: theme.plain(row) for name, row in zip(_names(result), V, strict=True)}
+        columns |= {name: theme.plain(row) for name, row in zip(seen["parameter_names"], V, strict=True)}
     return columns
 
 
-OBSERVABILITY = Figure(
+OBSERVABILITY = make_figure(
+    draw,
+    table,
+    read_observability,
+    lambda _: "Observability is computed when the run ends; it is not there yet.",
     name="observability",
-    title=TITLE,
+    title="Observability",
     guide=(
         "Each column is one direction in parameter space: the bar is how strongly the stars determine it, the "
         "colours below are the parameters it mixes. Short bars on the right are what these data cannot separate; "
         "a singular value below the dotted threshold leaves a direction hardly better known than the spread from unit to unit."
     ),
-    draw=draw,
-    table=table,
+    wide=True,
 )
+
+
+REACH_ENOUGH = 0.95  # of the way to the corner
+MOST_TIMES = 100.0  # more frames than so many times these are no advice
+FAMILIES: tuple[tuple[frozenset[str], str], ...] = (
+    (
+        frozenset({"f_m", "b4_per_m4", "b2_per_m2", "k1", "k2"}),
+        "stars at all radii, near the centre and in the corners: they part focal length from distortion",
+    ),
+    (
+        frozenset({"m0_px", "n0_px", "u0_px", "v0_px", "a1_rad", "a2_rad"}),
+        "stars far out on opposite sides of the detector: they part the principal point from the tilts",
+    ),
+    (
+        frozenset({"g_y", "s"}),
+        "pairs of stars along rows and along columns: they part the aspect from the focal length",
+    ),
+)
+
+
+def weakest_words(result: Result) -> str:
+    """Write the weakest direction as a sum of parameters, such as `0.82 m0 + 0.55 a2`; empty where it is not known."""
+    shares = _shares(result)
+    named = {name: share for name, share in shares.items() if abs(share) >= NAMED}
+    terms = sorted(named.items(), key=lambda item: -abs(item[1]))
+    text = " ".join(
+        f"{'−' if share < 0 else '+'} {abs(share):.2f} {quantity(name, result).symbol}" for name, share in terms
+    )
+    return text.removeprefix("+ ")
+
+
+def helpful_data(result: Result) -> list[str]:
+    """Say in a sentence each which data would help the weakest direction most; none where observability is not known."""
+    shares = _shares(result)
+    if not shares:
+        return []
+    named = {name for name, share in shares.items() if abs(share) >= NAMED}
+    wanted = [f"Frames with {words}." for family, words in FAMILIES if named & family]
+    return [*wanted, *_reach(result), *_frames(result)]
+
+
+def _shares(result: Result) -> Mapping[str, float]:
+    """Read the weakest direction's components by parameter."""
+    seen: Mapping[str, Any] = result.get("observability") or {}
+    direction = (seen.get("weakest") or {}).get("direction") or {}
+    return {name: float(share) for name, share in direction.items() if share is not None}
+
+
+def _reach(result: Result) -> list[str]:
+    """Say where on the detector no star was."""
+    said = []
+    radial, coverage = result.get("radial") or {}, result.get("coverage") or {}
+    reached, radii = radial.get("data_radius_px"), radial.get("radius_px") or [0.0]
+    if reached is not None and radii[-1] > 0 and reached < REACH_ENOUGH * radii[-1]:
+        said.append(f"Stars reach {percent(reached / radii[-1], 0)} of the way to the farthest corner: go farther out.")
+    counts = np.array(coverage.get("counts") or [], dtype=np.float64)
+    empty = int((counts == 0).sum())
+    if empty:
+        said.append(
+            f"{count(empty)} of {count(counts.size)} cells of the detector have no star: point so that they get some."
+        )
+    return said
+
+
+def _frames(result: Result) -> list[str]:
+    """Say how many frames like these would make the weakest direction known, by the square-root law."""
+    spread = (result.get("observability") or {}).get("sigma_of_direction") or []
+    frames = result.get("frames")
+    if not spread or not frames:
+        return []
+    if spread[-1] is None:
+        return ["More frames like these would leave the weakest direction as open as it is."]
+    times = (float(spread[-1]) / WEAK) ** 2
+    if times <= 1:
+        return ["Every direction is known: more frames narrow all sigmas by the square root of their number."]
+    if times > MOST_TIMES:
+        return [f"Frames like these alone would not do: it would take {count(round(times))} times as many."]
+    return [f"About {count(np.ceil(times * frames))} frames like these, in place of {count(frames)}, would do as well."]

@@ -10,31 +10,24 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Result, Table
 from boresight.figures.history import free_names
 from boresight.figures.style import theme
-from boresight.verdicts.quantities import quantity
+from boresight.figures.trust_parts import Part, make_figure
+from boresight.verdicts.numbers import quantity
 
-TITLE = "Parameter changes"
 SIGNIFICANT = 3.0
 FLOOR = 0.1  # the log axis starts here: a smaller change cannot be seen in the noise at all
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw |delta| / sigma as bars on a log axis, and delta in typical sigmas with 3-sigma error bars."""
-    drawn = [
-        (trace, style)
-        for trace, style in zip(traces, theme.run_styles(traces), strict=True)
-        if trace.result.get("parameters") and trace.result.get("initial")
-    ]
-    if not drawn:
-        return theme.missing(TITLE, "No parameters have been estimated yet.")
     figure = make_subplots(1, 2, shared_yaxes=True, horizontal_spacing=0.06)
-    names = list(dict.fromkeys(name for trace, _ in drawn for name in free_names(trace.result)))
-    for trace, style in drawn:
-        shown = [name for name in names if name in free_names(trace.result)]
-        figure.add_trace(_bars(trace.result, shown, style, labelled=len(drawn) == 1), row=1, col=1)
-        figure.add_trace(_points(trace.result, shown, style), row=1, col=2)
+    names = list(dict.fromkeys(name for _, _, result in drawn for name in free_names(result)))
+    for _, style, result in drawn:
+        shown = [name for name in names if name in free_names(result)]
+        figure.add_trace(_bars(result, shown, style, labelled=len(drawn) == 1), row=1, col=1)
+        figure.add_trace(_points(result, shown, style), row=1, col=2)
     _dress(figure, drawn, len(names))
     return figure
 
@@ -100,12 +93,12 @@ def _points(result: Result, names: Sequence[str], style: theme.RunStyle) -> go.S
     )
 
 
-def _dress(figure: go.Figure, drawn: Sequence[tuple[Trace, theme.RunStyle]], n_names: int) -> None:
+def _dress(figure: go.Figure, drawn: Sequence[Part], n_names: int) -> None:
     height = 150 + n_names * max(34, 18 * len(drawn))
     layout: dict[str, Any] = {"hovermode": "closest", "barmode": "group", "scattermode": "group"}
     theme.dress(figure, title=_headline(drawn), height_px=height, legend=len(drawn) > 1, **layout)
     figure.update_yaxes(autorange="reversed", type="category", showgrid=False)
-    largest = max(SIGNIFICANT, *(_largest(trace.result) for trace, _ in drawn))
+    largest = max(SIGNIFICANT, *(_largest(result) for _, _, result in drawn))
     span = [float(np.log10(FLOOR)), float(np.log10(largest)) + 0.5]
     figure.update_xaxes(title_text="|Δ| / σ", type="log", range=span, dtick=1, row=1, col=1)
     figure.update_xaxes(title_text="Δ in typical σ, bar ±3σ", zeroline=True, row=1, col=2)
@@ -119,10 +112,10 @@ def _largest(result: Result) -> float:
     return float(np.max(worth[np.isfinite(worth)], initial=SIGNIFICANT))
 
 
-def _headline(drawn: Sequence[tuple[Trace, theme.RunStyle]]) -> str:
+def _headline(drawn: Sequence[Part]) -> str:
     if len(drawn) > 1:
         return f"Change since the initial parameters, {len(drawn)} runs"
-    result = drawn[0][0].result
+    result = drawn[0][2]
     names = free_names(result)
     worth = np.abs(_ratio(_change(result, names), _column(result, "sigma", names)))
     moved = int(np.sum(worth >= SIGNIFICANT))
@@ -131,9 +124,7 @@ def _headline(drawn: Sequence[tuple[Trace, theme.RunStyle]]) -> str:
 
 def table(result: Result) -> Table:
     """List every parameter in SI: initial, final, change, sigma and the two ratios."""
-    names = tuple(result.get("parameters") or ())
-    if not names or not result.get("initial"):
-        return {}
+    names = tuple(result["parameters"])
     change, sigma = _change(result, names), _column(result, "sigma", names)
     return {
         "parameter": list(names),
@@ -146,15 +137,17 @@ def table(result: Result) -> Table:
     }
 
 
-PARAMETERS = Figure(
+PARAMETERS = make_figure(
+    draw,
+    table,
+    lambda result: result if result.get("parameters") and result.get("initial") else None,
+    lambda _: "No parameters have been estimated yet.",
     name="parameters",
-    title=TITLE,
+    title="Parameter changes",
     guide=(
         "On the left is each change in units of its own sigma, on a log axis: beyond the dotted line at three it "
         "is more than noise, and paler bars are not. On the right is the same change in typical sigmas, the "
         "spread from unit to unit, with a ±3σ bar: a wide bar means that the data say little, a far point that "
         "the sensor or the matches deserve a look."
     ),
-    draw=draw,
-    table=table,
 )

@@ -8,6 +8,11 @@ Distortion of runs against a reference run: displacement along the radius with i
 
 f and the coefficients of the distortion trade against each other, so two runs may differ in each of them and agree on the
 detector. The band is that of the difference, which knows what data the runs share; where that leaves no noise there is none.
+
+What the optics bend: the radial displacement under the old and under the new parameters (E Fig. 5 shows their difference).
+
+Both are counted from one pinhole, that of the old focal length, so that new minus old is the radial difference of the
+chart below, to the last digit. The band is that of the new curve; of the old parameters no uncertainty is on record.
 """
 
 from __future__ import annotations
@@ -20,32 +25,32 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Result, Table, Trace
 from boresight.figures.style import theme
 from boresight.figures.style.axes import hatch, share_cursor
 from boresight.figures.style.thinning import keep_extremes
-from boresight.figures.trust_parts import column as radial_contrast_column
+from boresight.figures.trust_parts import Part, column, make_figure
 
 TITLE = "Radial difference"
+CONTRAST_COLUMNS = ("radius_px", "difference_px", "sigma_px", "difference_arcsec", "sigma_arcsec")
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def read_radial(result: Result) -> Result | None:
+    """Read the radial difference of a result; None where it has none."""
+    radial: Result = result.get("radial") or {}
+    return radial if radial.get("radius_px") else None
+
+
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw radial difference curves over the coverage histogram."""
-    drawn = [
-        (trace, style)
-        for trace, style in zip(traces, theme.run_styles(traces), strict=True)
-        if (trace.result.get("radial") or {}).get("radius_px")
-    ]
-    if not drawn:
-        return theme.missing(TITLE, "The radial difference is computed when the run ends; it is not there yet.")
     figure = make_subplots(
         2, 1, shared_xaxes=True, row_heights=[0.7, 0.3], vertical_spacing=0.05, specs=[[{"secondary_y": True}], [{}]]
     )
     seen = [0.0]
-    for trace, style in drawn:
-        seen += _draw_run(figure, trace.result["radial"], style)
-    theme.dress(figure, title=_headline(drawn[0][0]), height_px=460)
-    radials = [trace.result["radial"] for trace, _ in drawn]
+    for _, style, radial in drawn:
+        seen += _draw_run(figure, radial, style)
+    radials = [radial for _, _, radial in drawn]
+    theme.dress(figure, title=_headline(radials[0]), height_px=460)
     _hatch_extrapolation(figure, radials, compute_window(seen))
     _scale(figure, compute_window(seen), arcsec_per_px(radials))
     return share_cursor(figure, "radius_px")
@@ -57,7 +62,7 @@ def compute_window(seen: Sequence[float]) -> list[float]:
     return [min(seen) - margin, max(seen) + margin]
 
 
-def column(radial: Result, key: str) -> FloatArray:
+def series(radial: Result, key: str) -> FloatArray:
     """Read a series over the radii, (n_radii,), NaN where it is not there."""
     n_points = len(radial["radius_px"])
     values = np.array(radial.get(key) or [], dtype=np.float64)
@@ -66,10 +71,10 @@ def column(radial: Result, key: str) -> FloatArray:
 
 def _draw_run(figure: go.Figure, radial: Result, style: theme.RunStyle) -> list[float]:
     """Add one run's curve, band and histogram; return what the axis must hold where there are stars."""
-    radius, change = column(radial, "radius_px"), column(radial, "difference_px")
-    reach = 3 * column(radial, "sigma_px")
+    radius, change = series(radial, "radius_px"), series(radial, "difference_px")
+    reach = 3 * series(radial, "sigma_px")
     kept = keep_extremes([change, reach])
-    angles = np.stack([column(radial, "difference_arcsec"), 3 * column(radial, "sigma_arcsec")])[:, kept]
+    angles = np.stack([series(radial, "difference_arcsec"), 3 * series(radial, "sigma_arcsec")])[:, kept]
     seen = np.concatenate([change, change - reach, change + reach])
     radius, change, reach = radius[kept], change[kept], reach[kept]
     figure.add_trace(theme.band(style, radius, change - reach, change + reach), row=1, col=1)
@@ -128,8 +133,8 @@ def arcsec_per_px(radials: Sequence[Result]) -> float | None:
     """Read the plate scale on the axis out of the curves, or None where the runs do not share one."""
     scales = []
     for radial in radials:
-        pixels = np.concatenate([column(radial, "sigma_px"), column(radial, "difference_px")])
-        angles = np.concatenate([column(radial, "sigma_arcsec"), column(radial, "difference_arcsec")])
+        pixels = np.concatenate([series(radial, "sigma_px"), series(radial, "difference_px")])
+        angles = np.concatenate([series(radial, "sigma_arcsec"), series(radial, "difference_arcsec")])
         usable = np.isfinite(pixels) & np.isfinite(angles) & (np.abs(pixels) > 1e-12)
         if not usable.any():
             return None
@@ -153,29 +158,28 @@ def _scale(figure: go.Figure, window: list[float], arcsec_per_px: float | None) 
     figure.update_yaxes(fixedrange=True, row=1, col=1)  # zoom along the radius: the two scales stay tied
 
 
-def _headline(trace: Trace) -> str:
-    radial = trace.result["radial"]
-    change, radius = column(radial, "difference_px"), column(radial, "radius_px")
+def _headline(radial: Result) -> str:
+    change, radius = series(radial, "difference_px"), series(radial, "radius_px")
     reached = radial.get("data_radius_px")
     within = np.isfinite(change) & (radius <= (np.inf if reached is None else float(reached)))
     if not within.any():
         return TITLE
     worst = int(np.argmax(np.where(within, np.abs(change), -1.0)))
-    reach = 3 * column(radial, "sigma_px")[worst]
+    reach = 3 * series(radial, "sigma_px")[worst]
     spread = f" ±{reach:.2g}" if np.isfinite(reach) else ""
     return f"Largest change where stars reach: {theme.signed(change[worst])}{spread} px (3σ) at {radius[worst]:.0f} px"
 
 
-def table(result: Result) -> Table:
+def table(radial: Result) -> Table:
     """List the curve: radius and difference in px, and the difference as an angle."""
-    radial = result.get("radial") or {}
-    if not radial.get("radius_px"):
-        return {}
-    keys = ("radius_px", "difference_px", "sigma_px", "difference_arcsec", "sigma_arcsec")
-    return {key: theme.plain(column(radial, key)) for key in keys}
+    return {key: theme.plain(series(radial, key)) for key in CONTRAST_COLUMNS}
 
 
-RADIAL = Figure(
+RADIAL = make_figure(
+    draw,
+    table,
+    read_radial,
+    lambda _: "The radial difference is computed when the run ends; it is not there yet.",
     name="radial",
     title=TITLE,
     guide=(
@@ -183,8 +187,7 @@ RADIAL = Figure(
         "±3σ band; the histogram below counts the stars at that radius. Trust it where stars stand and the band "
         "is narrow: in the hatched part no star was seen and the curve is extrapolation."
     ),
-    draw=draw,
-    table=table,
+    wide=True,
 )
 
 
@@ -211,38 +214,30 @@ def draw_radial_contrast(
         )
     figure = go.Figure()
     for style, curve in shown:
-        _radial_contrast_draw_run(figure, style, curve, banded=len(shown) <= CROWDED)
-    told = any(np.isfinite(radial_contrast_column(curve["sigma_px"])).any() for _, curve in shown)
+        _draw_contrast(figure, style, curve, banded=len(shown) <= CROWDED)
+    told = any(np.isfinite(column(curve["sigma_px"])).any() for _, curve in shown)
     words = "±3σ of the difference" if told else "the same data and equal sigmas: what differs is not noise"
     theme.dress(figure, title=f"Against {theme.escape(labels[reference])}, {words}", height_px=420)
     figure.update_xaxes(title_text="radius from the principal point (px)")
     figure.update_yaxes(title_text="run − reference (px)", zeroline=True)
     figure.layout.meta = {**(figure.layout.meta or {}), "axis": "radius_px"}
-    _radial_contrast_hatch_extrapolation(figure, [curve for _, curve in shown])
+    _hatch_unshared(figure, [curve for _, curve in shown])
     return figure
 
 
-def _radial_contrast_draw_run(
-    figure: go.Figure, style: theme.RunStyle, curve: Mapping[str, Any], *, banded: bool
-) -> None:
+def _draw_contrast(figure: go.Figure, style: theme.RunStyle, curve: Mapping[str, Any], *, banded: bool) -> None:
     """Add one run's curve, and its band where there is one."""
-    radius, change, reach = (
-        radial_contrast_column(curve["radius_px"]),
-        radial_contrast_column(curve["difference_px"]),
-        3 * radial_contrast_column(curve["sigma_px"]),
-    )
+    radius, change, sigma, angle, sigma_angle = (column(curve[key]) for key in CONTRAST_COLUMNS)
+    reach = 3 * sigma
     if banded and np.isfinite(reach).any():
         figure.add_trace(theme.band(style, radius, change - reach, change + reach))
-    angles = np.stack(
-        [radial_contrast_column(curve["difference_arcsec"]), 3 * radial_contrast_column(curve["sigma_arcsec"]), reach],
-        axis=-1,
-    )
+    angles = np.stack([angle, 3 * sigma_angle, reach], axis=-1)
     spread = (" ±%{customdata[2]:.3f}", " ±%{customdata[1]:.2f}") if np.isfinite(reach).any() else ("", "")
     hover = f"%{{y:+.3f}}{spread[0]} px, %{{customdata[0]:+.2f}}{spread[1]}″<extra>{style.label}</extra>"
     figure.add_trace(theme.line(style, radius, change, customdata=theme.short(angles), hovertemplate=hover))
 
 
-def _radial_contrast_hatch_extrapolation(figure: go.Figure, curves: Sequence[Mapping[str, Any]]) -> None:
+def _hatch_unshared(figure: go.Figure, curves: Sequence[Mapping[str, Any]]) -> None:
     """Hatch the radii that no star of both runs reached, over the height of what is drawn."""
     end = max(float(curve["radius_px"][-1]) for curve in curves)
     reached = [float(curve["data_radius_px"]) for curve in curves if curve["data_radius_px"] is not None]
@@ -258,11 +253,113 @@ def _radial_contrast_hatch_extrapolation(figure: go.Figure, curves: Sequence[Map
 
 def table_radial_contrast(run_ids: Sequence[int], curves: Sequence[Mapping[str, Any] | None]) -> Table:
     """List every curve below the other, the run's number first."""
-    names = ("radius_px", "difference_px", "sigma_px", "difference_arcsec", "sigma_arcsec")
-    listed: Table = {"run": [], **{name: [] for name in names}}
+    listed: Table = {"run": [], **{name: [] for name in CONTRAST_COLUMNS}}
     for run_id, curve in zip(run_ids, curves, strict=True):
         if curve is not None:
             listed["run"] += [run_id] * len(curve["radius_px"])
-            for name in names:
+            for name in CONTRAST_COLUMNS:
                 listed[name] += curve[name]
     return listed
+
+
+OLDER = (
+    "This result was made before the curves of old and new were kept: clone its run and start it again to have them."
+)
+NOT_YET = "The distortion is computed when the run ends; it is not there yet."
+
+
+def draw_distortion(drawn: Sequence[Part]) -> go.Figure:
+    """Draw every run's new curve with its band, and the old curve of the first as a reference."""
+    figure = make_subplots(1, 1, specs=[[{"secondary_y": True}]])
+    seen = [0.0]
+    for _, style, radial in drawn:
+        seen += _draw_new(figure, radial, style)
+    radials = [radial for _, _, radial in drawn]
+    seen += _draw_old(figure, radials[0])
+    theme.dress(figure, title=_outermost(radials[0]), height_px=400)
+    _tie_scales(figure, radials, compute_window(seen))
+    return share_cursor(figure, "radius_px")
+
+
+def read_distortion(result: Result) -> Result | None:
+    """Read the curves of a result; None where it was made before they were kept."""
+    radial: Result = result.get("radial") or {}
+    return radial if radial.get("displacement_px") else None
+
+
+def _displacement(radial: Result, which: str) -> FloatArray:
+    """Read one curve, (n_radii,), px."""
+    return np.array(radial["displacement_px"][which], dtype=np.float64)
+
+
+def _draw_new(figure: go.Figure, radial: Result, style: theme.RunStyle) -> list[float]:
+    """Add one run's curve and band; return what the axis must hold."""
+    radius, y, reach = series(radial, "radius_px"), _displacement(radial, "final"), 3 * series(radial, "sigma_px")
+    kept = keep_extremes([y, reach])
+    radius, y, reach = radius[kept], y[kept], reach[kept]
+    figure.add_trace(theme.band(style, radius, y - reach, y + reach), row=1, col=1)
+    hover = f"new %{{y:+.3f}} ±%{{customdata:.3f}} px<extra>{style.label}</extra>"
+    options = {"customdata": theme.short(reach), "hovertemplate": hover}
+    figure.add_trace(theme.line(style, radius, y, **options), row=1, col=1)
+    both = np.concatenate([y - reach, y + reach, y])
+    return [float(value) for value in both[np.isfinite(both)]]
+
+
+def _draw_old(figure: go.Figure, radial: Result) -> list[float]:
+    old = theme.RunStyle("old: at launch", theme.REFERENCE_COLOUR, "dot")
+    y = _displacement(radial, "initial")
+    hover = "old %{y:+.3f} px<extra></extra>"
+    figure.add_trace(theme.line(old, series(radial, "radius_px"), y, hovertemplate=hover), row=1, col=1)
+    return [float(value) for value in y[np.isfinite(y)]]
+
+
+def _tie_scales(figure: go.Figure, radials: Sequence[Result], window: list[float]) -> None:
+    """Hatch what is extrapolated, and tie arcseconds on the right to pixels on the left where one plate scale holds."""
+    reached, end = reached_px(radials)
+    figure.update_xaxes(range=[0, end], title_text="radius from the principal point (px)")
+    figure.update_yaxes(title_text="displacement (px)", range=window, secondary_y=False, fixedrange=True)
+    if reached < end:
+        hatch(figure, (reached, end), (window[0], window[1]), named=True, row=1, col=1)
+    scale = arcsec_per_px(radials)
+    if scale is None:
+        figure.update_yaxes(visible=False, secondary_y=True)
+        return
+    figure.add_trace(go.Scatter(x=[0], y=[0], opacity=0, showlegend=False, hoverinfo="skip"), 1, 1, secondary_y=True)
+    right = {"title_text": "arcsec, on axis", "range": [edge * scale for edge in window], "showgrid": False}
+    figure.update_yaxes(**right, tickmode="auto", zeroline=False, fixedrange=True, secondary_y=True)
+
+
+def _outermost(radial: Result) -> str:
+    radius, new, old = series(radial, "radius_px"), _displacement(radial, "final"), _displacement(radial, "initial")
+    reached, _ = reached_px([radial])
+    last = int(np.flatnonzero(radius <= reached)[-1])
+    return (
+        f"At the outermost star, {reached:.0f} px: {theme.signed(old[last])} px old, {theme.signed(new[last])} "
+        f"±{3 * series(radial, 'sigma_px')[last]:.2g} px new (3σ)"
+    )
+
+
+def table_distortion(radial: Result) -> Table:
+    """List radius, old and new displacement and the new one's sigma, in px."""
+    return {
+        "radius_px": theme.plain(series(radial, "radius_px")),
+        "old_px": theme.plain(_displacement(radial, "initial")),
+        "new_px": theme.plain(_displacement(radial, "final")),
+        "sigma_px": theme.plain(series(radial, "sigma_px")),
+    }
+
+
+DISTORTION = make_figure(
+    draw_distortion,
+    table_distortion,
+    read_distortion,
+    lambda result: OLDER if result.get("radial") else NOT_YET,
+    name="distortion",
+    title="Radial distortion, old and new",
+    guide=(
+        "Each curve is how far the optics bend a star along the radius away from a pinhole of the old focal length: the "
+        "old parameters dotted, the new ones with their ±3σ band. The two should have one shape and differ by what a "
+        "launch or a change of temperature can do; in the hatched part no star was seen and both are extrapolation."
+    ),
+    wide=True,
+)

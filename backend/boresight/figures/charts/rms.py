@@ -28,14 +28,13 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.cameras import CAMERA_MODELS
 from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.history import History, read_history
+from boresight.figures.history import History, read_history, tail_start
 from boresight.figures.live_traces import follow_errors
-from boresight.figures.rms_tail import tail_start
 from boresight.figures.style import theme
-from boresight.figures.style.axes import share_cursor
+from boresight.figures.style.axes import axis_title, counted, share_cursor
 from boresight.figures.style.thinning import keep_extremes
-from boresight.figures.trust_parts import absent, column, parts
-from boresight.verdicts.verdict import read_part
+from boresight.figures.trust_parts import Part, column, make_figure
+from boresight.verdicts.verdict import read_part, why_absent
 
 TITLE = "Tail and aggregate RMS"
 URAD_PER_RAD = 1e6
@@ -110,11 +109,7 @@ def _draw_run(figure: go.Figure, panel: _Panel, history: History, style: theme.R
             "hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>",
             "mode": "lines" if history.axis == "frame" else "lines+markers",
         }
-        figure.add_trace(
-            theme.line(curve, x[kept], y[kept], **settings),
-            row=1,
-            col=panel.column,
-        )
+        figure.add_trace(theme.line(curve, x[kept], y[kept], **settings), row=1, col=panel.column)
         panel.seen.extend((float(y.min()), float(y.max())))
 
 
@@ -139,17 +134,18 @@ def _draw_levels(figure: go.Figure, panel: _Panel, result: Result, style: theme.
 def _dress(figure: go.Figure, panels: list[_Panel], traces: Sequence[Trace], axis: str) -> go.Figure:
     """Choose log or linear by the range of each panel, and say what the panels show."""
     theme.dress(figure, title=_headline(traces), height_px=380)
+    title = axis_title(axis, traces)
     for panel in panels:
         scale: dict[str, Any] = {"type": "linear"}
         if panel.seen and 0 < min(panel.seen) < max(panel.seen) / LOG_RATIO:
             scale = {"type": "log", "tickvals": TICKS_URAD}
         figure.update_yaxes(**scale, row=1, col=panel.column)
-        figure.update_xaxes(title_text=axis, range=_window(panel.start, panel.end), row=1, col=panel.column)
+        figure.update_xaxes(title_text=title, range=_window(panel.start, panel.end), row=1, col=panel.column)
     if len(panels) > 1:
-        figure.update_xaxes(title_text=f"{axis}, whole run", row=1, col=1)
-        figure.update_xaxes(title_text=f"{axis}, tail from {panels[1].start:.5g} on", row=1, col=2)
+        figure.update_xaxes(title_text=f"{title}, whole run", row=1, col=1)
+        figure.update_xaxes(title_text=f"{title}, tail from {panels[1].start:.5g} on", row=1, col=2)
     figure.update_yaxes(title_text="RMS arc error (µrad)", row=1, col=1)
-    return share_cursor(figure, axis)
+    return share_cursor(figure, counted(axis, traces))
 
 
 def _window(start: float, end: float) -> list[float]:
@@ -185,11 +181,10 @@ RMS = Figure(
     ),
     draw=draw,
     table=table,
+    wide=True,
 )
 
 
-RMS_AXES_TITLE = "Residual RMS by axis"
-PART = "residuals"
 AXES = ("along rows", "along columns", "along the radius", "across the radius")
 RUNNING = {"along the radius": "solid", "across the radius": "dot"}
 MOST_BINS, LEAST_IN_BIN = 40, 20
@@ -205,7 +200,7 @@ class AxisResiduals:
 
 def compute_axis_residuals(result: Result) -> AxisResiduals | None:
     """Turn a result's residuals to its axes; None where it has none."""
-    seen = read_part(result, PART)
+    seen = read_part(result, "residuals")
     if not seen:
         return None
     d_row, d_col = column(seen.get("d_row_px")), column(seen.get("d_col_px"))
@@ -229,15 +224,8 @@ def _centre(result: Result, row: FloatArray, col: FloatArray) -> tuple[float, fl
     return model.principal_point(np.array([values[name] for name in model.parameter_names], dtype=np.float64))
 
 
-def draw_rms_axes(traces: Sequence[Trace]) -> go.Figure:
+def draw_rms_axes(drawn: Sequence[Part]) -> go.Figure:
     """Draw every run's RMS by axis with 3-sigma bars, and how it runs over the frames."""
-    drawn = [
-        (trace, style, found)
-        for trace, style, _ in parts(traces, PART)
-        if (found := compute_axis_residuals(trace.result))
-    ]
-    if not drawn:
-        return absent(RMS_AXES_TITLE, traces, PART)
     figure = make_subplots(1, 2, column_widths=[0.35, 0.65], horizontal_spacing=0.08)
     for _, style, found in drawn:
         figure.add_trace(_points(found, style), row=1, col=1)
@@ -312,11 +300,8 @@ def _rms_axes_headline(found: AxisResiduals) -> str:
     return f"Along the radius {along:.3g} px, across it {across:.3g} px: they {words}"
 
 
-def table_rms_axes(result: Result) -> Table:
+def table_rms_axes(found: AxisResiduals) -> Table:
     """List one axis a row: its RMS in px, the RMS's sigma, and how many residuals it rests on."""
-    found = compute_axis_residuals(result)
-    if found is None:
-        return {}
     levels = np.array([rms_with_sigma(values) for values in found.by_axis.values()])
     return {
         "axis": list(found.by_axis),
@@ -326,14 +311,17 @@ def table_rms_axes(result: Result) -> Table:
     }
 
 
-RMS_AXES = Figure(
+RMS_AXES = make_figure(
+    draw_rms_axes,
+    table_rms_axes,
+    compute_axis_residuals,
+    lambda result: why_absent(result, "residuals"),
     name="rms-axes",
-    title=RMS_AXES_TITLE,
+    title="Residual RMS by axis",
     guide=(
         "On the left is the residual's RMS along rows and columns and along and across the radius, with ±3σ bars; on the "
         "right how the last two run over the frames. All four should agree within their bars and run level: more along "
         "the radius is distortion that is left over, a rise in time a sensor that changes."
     ),
-    draw=draw_rms_axes,
-    table=table_rms_axes,
+    wide=True,
 )

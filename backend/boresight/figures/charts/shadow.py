@@ -13,12 +13,12 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Table
 from boresight.figures.style import theme
 from boresight.figures.style.thinning import keep_extremes
+from boresight.figures.tables import shown
+from boresight.figures.trust_parts import Part, make_figure
 
-TITLE = "Baseline and candidate side by side"
-SETS = ("validation", "calibration")
 POINT_BUDGET = 6000  # of all runs and curves together
 SIDES = ("baseline", "candidate")
 ALONE = {
@@ -27,17 +27,11 @@ ALONE = {
 }
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw matched stars by frame, baseline in the reference's grey, each run's candidate in its colour."""
-    styled = zip(traces, theme.run_styles(traces), strict=True)
-    drawn = [(style, *found) for trace, style in styled if (found := shown(trace.result)) is not None]
-    if not drawn:
-        return theme.missing(
-            TITLE, "Baseline and candidate are set side by side when the run ends; that is not there yet."
-        )
     figure = go.Figure()
     limit = POINT_BUDGET // (2 * len(drawn))
-    for style, _, view in drawn:
+    for _, style, (_, view) in drawn:
         frame, stars = _numbers(view, "frame"), {side: _stars(view, side) for side in SIDES}
         kept = keep_extremes([stars["candidate"]], limit)
         if len(drawn) == 1:
@@ -51,12 +45,6 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     figure.update_xaxes(title_text="frame")
     figure.update_yaxes(title_text="matched stars", rangemode="tozero")
     return figure
-
-
-def shown(result: Result) -> tuple[str, Mapping[str, Any]] | None:
-    """Return which set is shown and its side-by-side view; None where there is none."""
-    shadow = result.get("shadow") or {}
-    return next(((name, shadow[name]) for name in SETS if (shadow.get(name) or {}).get("frames")), None)
 
 
 def _numbers(view: Mapping[str, Any], key: str) -> FloatArray:
@@ -103,19 +91,16 @@ def _alone(style: theme.RunStyle, view: Mapping[str, Any], side: str, limit: int
     )
 
 
-def _headline(drawn: Sequence[tuple[theme.RunStyle, str, Mapping[str, Any]]]) -> str:
+def _headline(drawn: Sequence[Part]) -> str:
     if len(drawn) > 1:
         return f"Stars matched by frame, {len(drawn)} runs"
-    _, name, view = drawn[0]
+    name, view = drawn[0][2]
     summary = view["summary"]
     return f"{name.capitalize()} set: {summary['candidate_only']:,} frames gained, {summary['baseline_only']:,} lost"
 
 
-def table(result: Result) -> Table:
+def table(found: tuple[str, Mapping[str, Any]]) -> Table:
     """List one kept frame a row: valid or not and stars of both sides, why not, and the stars lost and gained."""
-    found = shown(result)
-    if found is None:
-        return {}
     frames = found[1]["frames"]
     columns: Table = {
         "frame": [frame["frame"] for frame in frames],
@@ -129,14 +114,17 @@ def table(result: Result) -> Table:
     return columns
 
 
-SHADOW = Figure(
+SHADOW = make_figure(
+    draw,
+    table,
+    shown,
+    lambda _: "Baseline and candidate are set side by side when the run ends; that is not there yet.",
     name="shadow",
-    title=TITLE,
+    title="Baseline and candidate side by side",
     guide=(
         "Each frame is matched under the baseline and under the candidate, and the lines count the stars that the simulated "
         "check of the flight code accepts; triangles are frames that only the candidate solves, crosses frames it would "
         "lose. A candidate worth flying lies above the baseline everywhere and has no cross."
     ),
-    draw=draw,
-    table=table,
+    wide=True,
 )

@@ -14,13 +14,12 @@ from plotly.subplots import make_subplots
 
 from boresight.figures.chart import Table
 from boresight.figures.style import theme
-from boresight.verdicts.quantities import change_label, quantity
+from boresight.verdicts.numbers import change_label, quantity
 
 Document = Mapping[str, Any]
 Points = Sequence[Mapping[str, Any]]
 
 NAME = "trend"
-TITLE = "Parameters over the mission"
 GUIDE = (
     "Each mark is a calibration at the time of its data with a ±3σ bar, as a difference from the baseline of now, which is "
     "the line at zero; open marks take no part in the drift test, and the table says why. A sensor that holds scatters "
@@ -36,7 +35,9 @@ def draw(trend: Document, model: str | None = None) -> go.Figure:
     points = list_points(trend, model)
     names = _names(trend, points)
     if not names:
-        return theme.missing(TITLE, "No calibration has succeeded yet: launch a run, and its result stands here.")
+        return theme.missing(
+            "Parameters over the mission", "No calibration has succeeded yet: launch a run, and its result stands here."
+        )
     own = model in {None, trend["camera_model"]}
     warm = any(point["temperature_c"] is not None for point in points)
     rows = len(names) + warm + 1

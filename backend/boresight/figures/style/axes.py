@@ -1,4 +1,4 @@
-"""What a chart's x axis counts, so that charts of one quantity share the cursor on a page; and where it goes beyond the data.
+"""What a chart's x axis counts, where it goes beyond the data, and the detector as a pair of axes.
 
 `layout.meta.axis` is the name of the quantity: `frame`, `time`, `update`, `iteration` or `radius_px`. Charts with the same
 name show the same place when the pointer is over one of them.
@@ -6,13 +6,37 @@ name show the same place when the pointer is over one of them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Table, Trace
 from boresight.figures.style import theme
+from boresight.figures.trust_parts import Part, column
 
+#: What the axis of frames is called under each alignment.
+ALIGNMENTS = {"frame": "frame", "time": "hours since the first frame", "update": "update"}
 EXTRAPOLATED = "no stars: extrapolated"
+MAX_MAPS = 4
+QUIET = {"showgrid": False, "zeroline": False, "constrain": "domain"}
+
+
+def counted(axis: str, traces: Sequence[Trace]) -> str:
+    """Return what an axis counts: of frames, whatever the runs are aligned by."""
+    return traces[0].along if axis == "frame" else axis
+
+
+def axis_title(axis: str, traces: Sequence[Trace]) -> str:
+    """Write what an axis counts."""
+    return ALIGNMENTS.get(counted(axis, traces), axis)
+
+
+def hover_place(trace: Trace) -> str:
+    """Write what a hover says of its place on an axis of frames."""
+    return "frame %{x}" if trace.along == "frame" else f"{ALIGNMENTS[trace.along]} %{{x:.5g}}"
 
 
 def share_cursor(figure: go.Figure, axis: str) -> go.Figure:
@@ -44,3 +68,46 @@ def hatch(figure: go.Figure, x: tuple[float, float], y: tuple[float, float], *, 
         hoverinfo="skip",
     )
     figure.add_trace(drawn, **place)
+
+
+def detector_map(part: Any, key: str, label: str, **scale: Any) -> go.Heatmap:
+    """Draw `part[key]` (n_rows, n_columns) in arcsec over the centres of its cells."""
+    return go.Heatmap(
+        x=list(part["col_px"]),
+        y=list(part["row_px"]),
+        z=theme.short(column(part[key])),
+        colorbar={"title": {"text": "arcsec"}, "thickness": 10},
+        hovertemplate=f"%{{z:.3g}} arcsec<br>column %{{x:.0f}}, row %{{y:.0f}}<extra>{label}</extra>",
+        hoverongaps=False,
+        **scale,
+    )
+
+
+def lay_maps(drawn: Sequence[Part], spacing: float | None = None) -> go.Figure:
+    """Make room for the maps of several runs in one row, each under its run's name."""
+    titles = [style.short for _, style, _ in drawn] if len(drawn) > 1 else None
+    space = 0.4 / max(4, len(drawn)) if spacing is None else spacing
+    return make_subplots(1, len(drawn), subplot_titles=titles, horizontal_spacing=space)
+
+
+def frame_maps(figure: go.Figure, n_maps: int, nticks: int | None = None) -> None:
+    """Make the first `n_maps` subplots detectors: square pixels, row 0 on top."""
+    for place in range(1, n_maps + 1):
+        where = {"row": 1, "col": place}
+        anchor = "x" if place == 1 else f"x{place}"
+        figure.update_xaxes(
+            title_text="column (px)", nticks=nticks or max(2, 8 // n_maps), tickangle=0, **QUIET, **where
+        )
+        figure.update_yaxes(autorange="reversed", scaleanchor=anchor, scaleratio=1, **QUIET, **where)
+    figure.update_yaxes(title_text="row (px)", row=1, col=1)
+
+
+def cells(part: Any, key: str) -> Table:
+    """List one cell a row: its centre in px and its value."""
+    values: FloatArray = column(part[key])
+    places = [(row, col) for row in part["row_px"] for col in part["col_px"]]
+    return {
+        "row_px": [row for row, _ in places],
+        "col_px": [col for _, col in places],
+        key: theme.plain(values.ravel()),
+    }

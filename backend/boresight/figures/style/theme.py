@@ -83,6 +83,7 @@ TRUTH_COLOUR = _EVERYWHERE["truth"]
 CLEAR = "rgba(0,0,0,0)"
 UI_REVISION = "boresight"
 BAND_SIGMAS = 3
+SHORT_LENGTH = 14
 
 
 def translucent(colour: str, opacity: float) -> str:
@@ -96,11 +97,12 @@ DIVERGING = ((0.0, RUN_COLOURS[1]), (0.5, translucent(REFERENCE_COLOUR, 0.06)), 
 
 @dataclass(frozen=True)
 class RunStyle:
-    """How one run is drawn in every figure."""
+    """How one run is drawn in every figure; `short` stands over its map where the label is too long."""
 
     label: str
     colour: str
     dash: str
+    short: str = ""
 
 
 def _template(tokens: Tokens, paper: str) -> go.layout.Template:
@@ -196,9 +198,24 @@ def run_styles(traces: Sequence[Trace]) -> list[RunStyle]:
     """Give each run its colour and dash, by its place in the comparison; colours that come again have another dash."""
     colours, dashes = len(RUN_COLOURS), len(RUN_DASHES)
     return [
-        RunStyle(escape(trace.label), RUN_COLOURS[i % colours], RUN_DASHES[(i + i // colours) % dashes])
+        RunStyle(
+            escape(trace.label),
+            RUN_COLOURS[i % colours],
+            RUN_DASHES[(i + i // colours) % dashes],
+            escape(shorten(trace.short or trace.label)),
+        )
         for i, trace in enumerate(traces)
     ]
+
+
+def shorten(label: str) -> str:
+    """Keep of a label what fits over a narrow map; the hover has the whole."""
+    return label if len(label) <= SHORT_LENGTH else f"{label[: SHORT_LENGTH - 1]}…"
+
+
+def styled(traces: Sequence[Trace]) -> list[tuple[Trace, RunStyle]]:
+    """Pair each run with how it is drawn."""
+    return list(zip(traces, run_styles(traces), strict=True))
 
 
 def short(values: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -7,7 +7,6 @@ what came out, `verdicts` holds the rule that judges a row, and `document` and `
 
 from __future__ import annotations
 
-from boresight.papers.enright.report import write
-from boresight.papers.enright.study import Plan, run
+from boresight.papers.enright.study import Plan, run, write
 
 __all__ = ["Plan", "run", "write"]

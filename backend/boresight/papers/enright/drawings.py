@@ -3,24 +3,31 @@
 Figure 3: difference of the focal length from the batch's along the run, with three sigmas, sensor 4, started at the ground
 calibration (a) and at the batch's result (b). Figure 4: tail and aggregate RMS from the batch's result, Q and No-Q, sensor 4.
 Figure 5: radial difference of each sequential result from the batch's, sensor 3.
+
+E Figure 3 made again: how the focal length nears the batch's along a run, with three-sigma bounds.
+
+E Figure 5 made again: how far sequential results move a star along the radius against the batch's.
+
+E Figure 4 made again: tail against aggregate RMS of filters that start at the batch's result.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
 
 from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.statistics.uncertainty import radial_difference
-from boresight.papers.documents import Conclusion, judge
+from boresight.figures.chart import Trace
+from boresight.figures.style import theme
+from boresight.papers.documents import Conclusion, Drawing, drawing
 from boresight.papers.enright.estimators import ESTIMATORS
 from boresight.papers.enright.pooled import Pooled, Record
 from boresight.papers.enright.tables import TOLERANCE, TUNING
 from boresight.simulation.sensors import ST16_COLUMNS, ST16_PIXEL_PITCH_M, ST16_ROWS
-
-Drawing = dict[str, Any]
 
 SEQUENTIAL = ("q", "no-q", "no-refit")
 UM_PER_M = 1e6
@@ -42,24 +49,11 @@ def drawings(pooled: Pooled) -> list[Drawing]:
     return made
 
 
-def _drawing(number: str, title: str, claim: str, conclusion: Conclusion, curves: Sequence[Drawing]) -> Drawing:
-    """Judge a figure by its conclusion."""
-    row = judge(number, (), conclusion)
-    return {
-        "number": number,
-        "title": title,
-        "claim": claim,
-        "verdict": row.verdict,
-        "reason": row.reason,
-        "curves": list(curves),
-    }
-
-
 def _figure_3a(pooled: Pooled) -> Drawing:
     curves = _focal_curves(pooled, "")
     ends = {curve["estimator"]: _end_in_sigmas(curve) for curve in curves}
     said = ", ".join(f"{key} ends {value:+.2f} σ from the batch" for key, value in ends.items())
-    return _drawing(
+    return drawing(
         "3a", "Focal length convergence for sensor 4, from the ground calibration",
         "Q and No-Q end within their own three sigmas of the batch.",
         Conclusion(all(abs(ends.get(key, np.inf)) <= 3 for key in ("q", "no-q")), f"{said}.", *TUNING), curves,
@@ -74,7 +68,7 @@ def _figure_3b(pooled: Pooled) -> Drawing:
     refitted = max(abs(apart.get(key, np.inf)) for key in ("q", "no-q"))
     sigma = max((curve["three_sigma_um"][-1] / 3 for curve in curves), default=np.inf)
     differs = abs(apart.get("no-refit", 0.0)) > max(refitted, DIFFERENT_SIGMA * sigma)
-    return _drawing(
+    return drawing(
         "3b", "Focal length convergence for sensor 4, from the batch's result",
         "Q and No-Q end where they end from the ground calibration; No-Refit does not, for it uses other stars.",
         Conclusion(differs, f"between the two starts the ends differ by {said}; σ is {sigma:.2f} µm.", *TOLERANCE), curves,
@@ -115,7 +109,7 @@ def _figure_4(pooled: Pooled) -> Drawing:
     apart = {curve["estimator"]: curve["tail_urad"][-1] - curve["aggregate_urad"][-1] for curve in curves}
     said = ", ".join(f"{key} {value:+.2f} µrad" for key, value in apart.items())
     holds = apart.get("q", 0.0) > abs(apart.get("no-q", np.inf))
-    return _drawing(
+    return drawing(
         "4", "Conventional and aggregate errors of Q and No-Q for sensor 4, from the batch's result",
         "No-Q ends close to its aggregate error; Q, which follows single frames, ends farther above its own.",
         Conclusion(holds, f"at the end tail exceeds aggregate by {said}.", *TUNING), curves,
@@ -139,7 +133,7 @@ def _figure_5(pooled: Pooled) -> Drawing:
     inside = {curve["estimator"]: _largest(curve, SIMILAR_RADIUS_PX) for curve in curves}
     outside = {curve["estimator"]: _largest(curve, np.inf) for curve in curves}
     said = ", ".join(f"{key} {inside[key]:.3f} px, {outside[key]:.3f} px to the corner" for key in inside)
-    return _drawing(
+    return drawing(
         "5", "Radial distortion differences between sequential estimates and batch for sensor 3",
         f"Within {SIMILAR_RADIUS_PX:.0f} px every variant agrees with the batch to one centroid sigma, {SIMILAR_PX} px.",
         Conclusion(max(inside.values()) <= SIMILAR_PX, f"largest difference within {SIMILAR_RADIUS_PX:.0f} px: {said}.", *TUNING),
@@ -169,3 +163,65 @@ def _largest(curve: Drawing, radius_px: float) -> float:
     """Largest difference within a radius, px."""
     within = np.array(curve["radius_px"]) <= radius_px
     return float(np.abs(np.array(curve["difference_px"])[within]).max())
+
+
+#: The axis holds the curves after this share of the run; before it they come from tens of micrometres away.
+TRANSIENT_SHARE = 0.15
+
+
+def draw_convergence(drawing: Mapping[str, Any]) -> go.Figure:
+    """Draw the curves of a reproduced Figure 3a or 3b: `label`, `frame`, `difference_um`, `three_sigma_um` each."""
+    curves = drawing["curves"]
+    styles = theme.run_styles([Trace(curve["label"], {}) for curve in curves])
+    figure, seen = go.Figure(), [0.0]
+    for curve, style in zip(curves, styles, strict=True):
+        x, y, reach = (np.array(curve[key], dtype=np.float64) for key in ("frame", "difference_um", "three_sigma_um"))
+        figure.add_trace(theme.band(style, x, y - reach, y + reach))
+        hover = f"%{{y:+.3f}} ±%{{customdata:.3f}} µm (3σ)<extra>{style.label}</extra>"
+        figure.add_trace(theme.line(style, x, y, customdata=theme.short(reach), hovertemplate=hover))
+        settled = slice(int(TRANSIENT_SHARE * len(x)), None)
+        seen += [*(y - reach)[settled], *(y + reach)[settled]]
+    theme.dress(figure, title=f"Figure {drawing['number']}: Δf against the batch, ±3σ", height_px=360)
+    margin = 0.05 * (max(seen) - min(seen)) or 1.0
+    figure.update_yaxes(title_text="Δf (µm)", range=[min(seen) - margin, max(seen) + margin], zeroline=True)
+    figure.update_xaxes(title_text="frame")
+    return figure
+
+
+def draw_enright_radial(drawing: Mapping[str, Any]) -> go.Figure:
+    """Draw the curves of a reproduced Figure 5: `label`, `radius_px`, `difference_px`, `three_sigma_px` each."""
+    curves = drawing["curves"]
+    figure = go.Figure()
+    for curve, style in zip(curves, theme.run_styles([Trace(one["label"], {}) for one in curves]), strict=True):
+        keys = ("radius_px", "difference_px", "three_sigma_px")
+        x, y, reach = (np.array(curve[key], dtype=np.float64) for key in keys)
+        figure.add_trace(theme.band(style, x, y - reach, y + reach))
+        hover = f"%{{y:+.3f}} ±%{{customdata:.3f}} px (3σ)<extra>{style.label}</extra>"
+        figure.add_trace(theme.line(style, x, y, customdata=theme.short(reach), hovertemplate=hover))
+    theme.dress(figure, title=f"Figure {drawing['number']}: radial difference from the batch, ±3σ", height_px=360)
+    figure.update_yaxes(title_text="sequential − batch (px)", zeroline=True)
+    figure.update_xaxes(title_text="radius from the principal point (px)")
+    return figure
+
+
+#: The axis holds the curves after this share of the run.
+ENRIGHT_RMS_TRANSIENT_SHARE = 0.1
+
+
+def draw_enright_rms(drawing: Mapping[str, Any]) -> go.Figure:
+    """Draw the curves of a reproduced Figure 4: `label`, `frame`, `tail_urad`, `aggregate_urad` each; aggregate is dotted."""
+    curves = drawing["curves"]
+    figure, seen = go.Figure(), list[float]()
+    for curve, style in zip(curves, theme.run_styles([Trace(one["label"], {}) for one in curves]), strict=True):
+        x = np.array(curve["frame"], dtype=np.float64)
+        for key, word, dash in (("tail_urad", "tail", style.dash), ("aggregate_urad", "aggregate", "dot")):
+            y = np.array(curve[key], dtype=np.float64)
+            name = f"{style.label} · {word}"
+            look = theme.RunStyle(name, style.colour, dash)
+            figure.add_trace(theme.line(look, x, y, hovertemplate=f"%{{y:.2f}} µrad<extra>{name}</extra>"))
+            seen += [float(value) for value in y[int(ENRIGHT_RMS_TRANSIENT_SHARE * len(y)) :] if np.isfinite(value)]
+    theme.dress(figure, title=f"Figure {drawing['number']}: tail and aggregate RMS", height_px=360)
+    margin = 0.05 * (max(seen, default=1.0) - min(seen, default=0.0)) or 1.0
+    figure.update_yaxes(title_text="RMS arc error (µrad)", range=[min(seen) - margin, max(seen) + margin])
+    figure.update_xaxes(title_text="frame")
+    return figure

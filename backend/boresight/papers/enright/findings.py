@@ -9,26 +9,61 @@ The five questions of E section III-B, answered with the figures of this run.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.papers.documents import Finding, finding
 from boresight.papers.enright import printed
 from boresight.papers.enright.estimators import ESTIMATORS, SPARSE_EVERY
 from boresight.papers.enright.pooled import Pooled, Record, mean
-from boresight.papers.enright.report import (
-    Finding,
-    by_sensor,
-    described,
-    finding,
-    listed,
-    over_bound,  # fmt: skip
-    statistics,  # fmt: skip
-    validation_urad,
-)
 from boresight.papers.enright.tables import NAMES, URAD_PER_RAD, reduced_excess
 from boresight.simulation.sensors import ST16_PIXEL_PITCH_M, TYPICAL_SIGMA
+
+
+def statistics(pooled: Pooled, key: str) -> Record:
+    """Return the pooled statistics of one estimator."""
+    return next(found for found in pooled.statistics() if found["estimator"] == key)
+
+
+def described(pooled: Pooled, key: str) -> str:
+    """Write NEES and ratio to the bound of an estimator, with their intervals."""
+    found = statistics(pooled, key)
+    nees, ratio = found["nees"], found["ratio_to_bound"]
+    words = [ESTIMATORS[key].label]
+    if found["converged"] < found["sets"]:
+        words.append(f"{found['converged']} of {found['sets']} sets converged")
+    if nees is not None:
+        spread = f"median {nees['median']:.4g}; {nees['lower']:.1f} to {nees['upper']:.1f} expected"
+        words.append(f"NEES {nees['mean']:.4g} ({spread})")
+    if ratio is not None:
+        spread = f"{ratio['lower']:.2f} to {ratio['upper']:.2f}; median {ratio['median']:.2f}"
+        words.append(f"error {ratio['value']:.2f} times the Cramér-Rao bound ({spread})")
+    return ", ".join(words)
+
+
+def over_bound(pooled: Pooled, key: str) -> float:
+    """Ratio of errors to the bound; infinite where no set converged."""
+    ratio = statistics(pooled, key)["ratio_to_bound"]
+    return float(ratio["value"]) if ratio is not None else float("inf")
+
+
+def validation_urad(record: Record) -> float:
+    """RMS arc error on the validation set, µrad."""
+    return float(record["validation"]["rms_arc_rad"]["final"]) * URAD_PER_RAD
+
+
+def listed(sensors: Sequence[int]) -> str:
+    """Name sensors."""
+    return "sensor " + ", ".join(map(str, sensors)) if sensors else "no sensor"
+
+
+def by_sensor(records: Sequence[Record], numbers: Sequence[float | None], decimals: int = 0) -> str:
+    """Write a number of each sensor, a dash where there is none."""
+    written = ("–" if number is None else f"{number:.{decimals}f}" for number in numbers)
+    return ", ".join(f"{record['sensor']}: {text}" for record, text in zip(records, written, strict=True))
 
 
 def matching_findings(pooled: Pooled) -> list[Finding]:
@@ -45,7 +80,9 @@ def _no_refit(pooled: Pooled) -> Finding:
     return finding(
         "No-Refit: the text and its own table disagree",
         "III-B: “The No-Refit errors are higher than the other filter variants for most sensors”.",
-        (theirs, f"{here}; {used}", f"{described(pooled, 'no-refit')}. {described(pooled, 'q')}."),
+        theirs,
+        f"{here}; {used}",
+        f"{described(pooled, 'no-refit')}. {described(pooled, 'q')}.",
     )
 
 
@@ -68,11 +105,9 @@ def _fixed_tolerance(pooled: Pooled) -> Finding:
     return finding(
         "A fixed tolerance in the loop keeps the stars that agree with the ground calibration",
         "II-D: matching only with the baseline values is “a conservative approach” that “will always preserve performance”.",
-        (
-            f"{described(pooled, 'no-refit-flight')}. {described(pooled, 'no-q-flight')}. {described(pooled, 'batch-flight')}.",
-            f"By the statistical rule: {described(pooled, 'no-refit')}. {described(pooled, 'no-q')}.",
-            f"Stars used, mean of a set: {stars}. {why}",
-        ),
+        f"{described(pooled, 'no-refit-flight')}. {described(pooled, 'no-q-flight')}. {described(pooled, 'batch-flight')}.",
+        f"By the statistical rule: {described(pooled, 'no-refit')}. {described(pooled, 'no-q')}.",
+        f"Stars used, mean of a set: {stars}. {why}",
     )
 
 
@@ -87,7 +122,7 @@ def _tolerance(pooled: Pooled) -> Finding:
     return finding(
         "How wide the flight matching would have to be",
         "The paper does not give the tolerance of its matching, on which Table IV's initial availability rests.",
-        said,
+        *said,
     )
 
 
@@ -98,12 +133,10 @@ def _star_ratios(pooled: Pooled) -> Finding:
     return finding(
         "Tables IV and VI: sensors 3 and 4 match 2.5 times the stars on one set and as many as before on the other",
         "Tables IV and VI give matched star ratios of the same calibrations; Table V gives sensors 3 and 4 the largest raw errors.",
-        (
-            f"Printed, calibration set, by sensor: {by_sensor(records, [pair[0] for pair in theirs], 2)}.",
-            f"Printed, validation set: {by_sensor(records, [pair[1] for pair in theirs], 2)}.",
-            f"Here, calibration set: {by_sensor(records, ours[0], 2)}; validation set: {by_sensor(records, ours[1], 2)}.",
-            "The paper does not say what its raw validation telemetry was matched with.",
-        ),
+        f"Printed, calibration set, by sensor: {by_sensor(records, [pair[0] for pair in theirs], 2)}.",
+        f"Printed, validation set: {by_sensor(records, [pair[1] for pair in theirs], 2)}.",
+        f"Here, calibration set: {by_sensor(records, ours[0], 2)}; validation set: {by_sensor(records, ours[1], 2)}.",
+        "The paper does not say what its raw validation telemetry was matched with.",
     )
 
 
@@ -130,7 +163,8 @@ def _reduced_model(pooled: Pooled) -> Finding:
     return finding(
         "The reduced model (f, m₀, n₀) is far worse than the text says",
         "III-B: “RMS errors from the reduced order models are between 5% and 13% higher”.",
-        (theirs, f"{here}; {spread}{claims}"),
+        theirs,
+        f"{here}; {spread}{claims}",
     )
 
 
@@ -143,7 +177,9 @@ def _as_printed(pooled: Pooled) -> Finding:
     return finding(
         "A filter with one linearisation a frame claims too much, and RMS does not show it",
         "III-B: the SQRF No-Q filters “come very close to that of the batch estimator”; excess error is laid to slow convergence.",
-        (f"{described(pooled, 'printed')}. {described(pooled, 'no-q')}.", rms, corrected),
+        f"{described(pooled, 'printed')}. {described(pooled, 'no-q')}.",
+        rms,
+        corrected,
     )
 
 
@@ -156,7 +192,8 @@ def _weak_direction(pooled: Pooled) -> Finding:
     return finding(
         "n₀ and a₁ move in the same direction, not in opposite ones",
         "III-A: “In Sensor-2 and Sensor-4 we see opposite motions in n₀ and a₁”.",
-        (theirs, f"{weak}; the correlation of their errors here is {min(found):+.3f} to {max(found):+.3f}."),
+        theirs,
+        f"{weak}; the correlation of their errors here is {min(found):+.3f} to {max(found):+.3f}.",
     )
 
 
@@ -184,11 +221,9 @@ def _unscented(pooled: Pooled) -> Finding:
     return finding(
         "UKF against EKF, the paper's open question",
         "IV: “The optimal solution is not self-evident, but well worth investigating.”",
-        (
-            f"At full rate: {described(pooled, 'ekf')}. {described(pooled, 'ukf')}. {pairs}, {smaller}",
-            f"{once} {sparse}; {lost} {trade}.",
-            f"Mean validation RMS, which tells them apart least: {errors}.",
-        ),
+        f"At full rate: {described(pooled, 'ekf')}. {described(pooled, 'ukf')}. {pairs}, {smaller}",
+        f"{once} {sparse}; {lost} {trade}.",
+        f"Mean validation RMS, which tells them apart least: {errors}.",
     )
 
 
@@ -208,10 +243,8 @@ def _cosine(pooled: Pooled) -> Finding:
     return finding(
         "What the cosine of the arc costs",
         "II-B: the cosine error “introduces arbitrary and unjustified weights”; the paper gives no figure.",
-        (
-            f"{described(pooled, 'cosine')}. {described(pooled, 'batch')}.",
-            f"{cost}; validation RMS {errors['cosine']:.2f} against {errors['batch']:.2f} µrad.",
-        ),
+        f"{described(pooled, 'cosine')}. {described(pooled, 'batch')}.",
+        f"{cost}; validation RMS {errors['cosine']:.2f} against {errors['batch']:.2f} µrad.",
     )
 
 
@@ -224,11 +257,9 @@ def _condition(pooled: Pooled) -> Finding:
     return finding(
         "Condition numbers",
         f"II-C: scaling brings the condition number from about 10¹⁴ to around {low:.0f} to {high:.0f}.",
-        (
-            f"Here, of the scaled Jacobian, by sensor {by_sensor(records, plain)}: {inside} of {len(plain)} in that range.",
-            f"Of the Jacobian whitened by R, whose inverse square is the covariance: {whitened}.",
-            f"Without scaling 10^{unscaled.min():.1f} to 10^{unscaled.max():.1f}, b₄ in m⁻⁴ and b₂ in m⁻² (erratum to Table II).",
-        ),
+        f"Here, of the scaled Jacobian, by sensor {by_sensor(records, plain)}: {inside} of {len(plain)} in that range.",
+        f"Of the Jacobian whitened by R, whose inverse square is the covariance: {whitened}.",
+        f"Without scaling 10^{unscaled.min():.1f} to 10^{unscaled.max():.1f}, b₄ in m⁻⁴ and b₂ in m⁻² (erratum to Table II).",
     )
 
 
@@ -250,10 +281,8 @@ def _initial_error(pooled: Pooled) -> Finding:
     return finding(
         "Table IV's initial errors are smaller than Table III's changes make them from a nominal start",
         "Table IV gives initial errors of 83 to 423 µrad for the changes of Table III.",
-        (
-            f"Our initial error over the printed one, by sensor: {said}.",
-            unknown,
-        ),
+        f"Our initial error over the printed one, by sensor: {said}.",
+        unknown,
     )
 
 

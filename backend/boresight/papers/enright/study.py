@@ -6,24 +6,41 @@ stands under `timing` does.
 The study's document, schema `boresight.reproduction/1`: plan, tables, figures, findings, answers, records.
 
 Everything but `timing` is a function of the plan alone: the same plan gives the same text.
+
+The study written down: one HTML file that stands alone, its document as JSON, tables and curves as CSV.
+
+Words that findings and answers share: what an estimator's sets say, in one clause with its intervals.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
 
 from boresight.errors import RefusedInputError
-from boresight.papers.documents import SCHEMA, table_document, verdict_counts, versions
-from boresight.papers.enright.drawings import drawings
-from boresight.papers.enright.estimators import DRAWN, ESTIMATORS, Record, Trial, run_trial
+from boresight.papers.documents import (
+    SCHEMA,
+    csv_bytes,  # fmt: skip
+    described,
+    figure_lines,  # fmt: skip
+    json_bytes,  # fmt: skip
+    number,  # fmt: skip
+    rendered,  # fmt: skip
+    table_document,
+    table_lines,  # fmt: skip
+    verdict_counts,
+    write_files,  # fmt: skip
+)
+from boresight.papers.enright.drawings import draw_convergence, draw_enright_radial, draw_enright_rms, drawings
+from boresight.papers.enright.estimators import DRAWN, ESTIMATORS, SPARSE_EVERY, Record, Trial, run_trial
 from boresight.papers.enright.findings import findings, questions
 from boresight.papers.enright.pooled import Pooled
-from boresight.papers.enright.pooled import Record as document_Record
+from boresight.papers.enright.printed import TABLE_I, TABLE_II
 from boresight.papers.enright.tables import tables
 from boresight.papers.processes import run_all
 from boresight.simulation.sensors import SENSOR_NUMBERS
@@ -31,7 +48,7 @@ from boresight.simulation.sensors import SENSOR_NUMBERS
 PAPER = "Enright, Jovanovic, Vaz, “Autonomous Recalibration of Star Trackers”, IEEE Sensors Journal, 2018"
 
 
-def document(plan: dict[str, Any], records: Sequence[document_Record]) -> dict[str, Any]:
+def document(plan: dict[str, Any], records: Sequence[Record]) -> dict[str, Any]:
     """Write a study as JSON values."""
     pooled = Pooled(records)
     made, drawn = [table_document(table) for table in tables(pooled)], drawings(pooled)
@@ -52,7 +69,7 @@ def document(plan: dict[str, Any], records: Sequence[document_Record]) -> dict[s
     }
 
 
-def _kept(record: document_Record) -> document_Record:
+def _kept(record: Record) -> Record:
     """Leave out of a record what the figures hold, and times."""
     return {key: value for key, value in record.items() if key not in {*DRAWN, "timing_s"}}
 
@@ -86,9 +103,9 @@ class Plan:
 
     def check(self) -> None:
         """Refuse sensors that the paper does not have."""
-        for number in self.sensors:
-            if number not in SENSOR_NUMBERS:
-                raise RefusedInputError(f"The paper has no sensor {number}: choose from 1 to {max(SENSOR_NUMBERS)}.")
+        for sensor in self.sensors:
+            if sensor not in SENSOR_NUMBERS:
+                raise RefusedInputError(f"The paper has no sensor {sensor}: choose from 1 to {max(SENSOR_NUMBERS)}.")
 
     def trials(self) -> list[Trial]:
         """List the sets, those of the tables first, for they run more estimators."""
@@ -108,16 +125,95 @@ def run(plan: Plan, catalogue_folder: Path | None, report: Report | None = None)
         if report is not None:
             report(f"sensor {trial.sensor}, set {trial.index + 1} of {plan.sets}", len(records) / len(trials))
     ordered = [record for trial in trials for record in records[trial]]
-    return document(_described(plan), ordered)
+    return document(described(plan), ordered)
 
 
-def _described(plan: Plan) -> dict[str, Any]:
-    """The plan as JSON, with the versions that computed it."""
-    return {
-        "quick": plan.quick,
-        "sensors": list(plan.sensors),
-        "frames": plan.frames,
-        "validation_frames": plan.validation_frames,
-        "sets": plan.sets,
-        "versions": versions(),
+Document = Mapping[str, Any]
+
+DRAW: dict[str, Callable[[Mapping[str, Any]], go.Figure]] = {
+    "3a": draw_convergence,
+    "3b": draw_convergence,
+    "4": draw_enright_rms,
+    "5": draw_enright_radial,
+}
+
+
+def write(document: Document, out: Path) -> list[Path]:
+    """Write every file of a study into a folder, made where it is not there; returns their paths."""
+    files = {
+        "enright.html": render(document).encode(),
+        "enright.json": json_bytes(document),
+        "enright-tables.csv": csv_bytes(table_lines(document)),
+        "enright-estimators.csv": csv_bytes(_estimator_lines(document)),
+        "enright-figures.csv": csv_bytes(figure_lines(document, ("frame", "radius_px"), ("estimator", "label"))),
     }
+    return write_files(files, out)
+
+
+def render(document: Document) -> str:
+    """Render the report as HTML text."""
+    return rendered(
+        "papers/enright.html",
+        document,
+        DRAW,
+        table_i=TABLE_I,
+        table_ii=TABLE_II,
+        ukf_cost=ukf_cost(document),
+        lines=list(_record_lines(document)),
+    )
+
+
+def _record_lines(document: Document) -> Iterator[dict[str, Any]]:
+    """One line for each estimator and sensor of the sets that the tables show, the numbers with their intervals."""
+    for record in document["records"]:
+        if record["set"] > 0:
+            continue
+        found, spread = record["validation"], record["validation"]["intervals"]
+        over = record["squared_over_bound"]
+        yield {
+            "label": ESTIMATORS[record["estimator"]].label,
+            "sensor": record["sensor"],
+            "cells": (
+                _ranged(found["availability"]["final"], spread["availability"]["final"], 1.0),
+                _ranged(found["matched_star_ratio"], spread["matched_star_ratio"], 1.0),
+                _ranged(found["rms_arc_rad"]["final"], spread["rms_arc_rad"]["final"], 1e6),
+                number(record["nees"], 3),
+                number(None if over is None else over**0.5, 3),
+            ),
+        }
+
+
+def _ranged(value: float | None, interval: Sequence[float | None], factor: float) -> str:
+    """Write a number and its interval, in another unit; a dash for an edge that is not known."""
+    if value is None:
+        return number(None)
+    low, high = (number(None if edge is None else edge * factor, 3) for edge in interval)
+    return f"{number(value * factor)} ({low} to {high})"
+
+
+def ukf_cost(document: Document) -> str:
+    """Say what the filters cost by the clock, which no seed fixes and the document's findings therefore leave out."""
+    spent = document["timing"]["ms_per_frame"]
+    said = ", ".join(f"{ESTIMATORS[key].label} {spent[key]:.2f} ms" for key in ("printed", "ekf", "ukf"))
+    return (
+        f"By the clock of this run, matching included, a frame costs {said}. A UKF on every {SPARSE_EVERY}rd frame can only pay "
+        f"where it costs more than {SPARSE_EVERY} times an EKF; here it costs {spent['ukf'] / spent['ekf']:.2f} times."
+    )
+
+
+def _estimator_lines(document: Document) -> Iterable[Sequence[Any]]:
+    yield (
+        "estimator",
+        "sets",
+        "converged",
+        *(f"nees_{key}" for key in _NEES),
+        *(f"ratio_to_bound_{key}" for key in _RATIO),
+    )
+    for found in document["estimators"]:
+        nees, ratio = found["nees"] or dict.fromkeys(_NEES), found["ratio_to_bound"] or dict.fromkeys(_RATIO)
+        spread = *(nees[key] for key in _NEES), *(ratio[key] for key in _RATIO)
+        yield found["estimator"], found["sets"], found["converged"], *spread
+
+
+_NEES = ("mean", "median", "expected", "lower", "upper")
+_RATIO = ("value", "lower", "upper", "median")

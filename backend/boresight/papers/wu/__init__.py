@@ -7,7 +7,6 @@ all on one simulated set, `study` runs the sets, `pooled` puts them together and
 
 from __future__ import annotations
 
-from boresight.papers.wu.report import write
-from boresight.papers.wu.study import Plan, run
+from boresight.papers.wu.study import Plan, run, write
 
 __all__ = ["Plan", "run", "write"]

@@ -2,23 +2,30 @@
 
 All show the first set of group 2 at 0.2 px. Figures 3 and 4: the smallest singular value of H W of single frames at the truth.
 Figure 6: both criteria along the run. Figure 8, the paper's field experiment: the six parameters along the run, here simulated.
+
+W Figure 6 made again: a criterion on the judging images along the run of each method.
+
+W Figures 3 and 4 made again: the minimum singular value of single frames, by model or by singular value.
+
+W Figure 8 made again: the six parameters along a run, with three-sigma bounds and the truth.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 
 from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
-from boresight.papers.documents import Conclusion, judge
+from boresight.figures.chart import Trace
+from boresight.figures.style import theme
+from boresight.papers.documents import Conclusion, Drawing, drawing
 from boresight.papers.wu.estimators import Record
-from boresight.papers.wu.pooled import Pooled
-from boresight.papers.wu.tables import NO_Q
+from boresight.papers.wu.tables import NO_Q, Pooled
 from boresight.simulation.sensors import WU_TRUTH
-
-Drawing = dict[str, Any]
 
 FIELD = ("no field data", "the night-sky images are not public; the run is simulated")
 ORDER = ("f", "k2", "k1", "u0", "v0", "s")
@@ -42,18 +49,6 @@ def drawings(pooled: Pooled) -> list[Drawing]:
     return [_figure_3(seen), _figure_4(seen), *_figures_6(pooled), _figure_8(pooled)]
 
 
-def _drawing(number: str, title: str, claim: str, conclusion: Conclusion, curves: Sequence[Drawing]) -> Drawing:
-    row = judge(number, (), conclusion)
-    return {
-        "number": number,
-        "title": title,
-        "claim": claim,
-        "verdict": row.verdict,
-        "reason": row.reason,
-        "curves": list(curves),
-    }
-
-
 def _observed(seen: Record, key: str, labels: Sequence[str]) -> list[Drawing]:
     return [
         {"label": label, "frame": seen["frame"], "minimum_singular_value": values}
@@ -66,7 +61,7 @@ def _figure_3(seen: Record) -> Drawing:
     values = _numbers(seen["models"])
     largest = np.bincount(np.argmax(values, axis=0), minlength=4) / values.shape[1]
     said = ", ".join(f"Model {model} in {100 * share:.0f} %" for model, share in enumerate(largest, 1))
-    return _drawing(
+    return drawing(
         "3", "Observability analysis of the models", "Model 4 has the largest minimum singular value in most frames.",
         Conclusion(bool(largest[3] > 0.5), f"largest: {said} of the frames.", *DRAWN_ONLY), curves,
     )  # fmt: skip
@@ -76,7 +71,7 @@ def _figure_4(seen: Record) -> Drawing:
     curves = _observed(seen, "values", ["σ1", "σ2", "σ3"])
     values = _numbers(seen["values"])
     worst = float(np.mean((values[0] < values[1]) & (values[0] < values[2])))
-    return _drawing(
+    return drawing(
         "4", "Observability analysis of the three singular values", "σ1 alone is observed worse than σ2 and σ3.",
         Conclusion(worst > 0.5, f"σ1 is the least in {100 * worst:.0f} % of the frames.", *NO_Q), curves,
     )  # fmt: skip
@@ -108,8 +103,8 @@ def _figures_6(pooled: Pooled) -> list[Drawing]:
         for which in "AB"
     }
     return [
-        _drawing("6a", "Residual errors by criterion A, group 2", "Both methods converge at similar rates.", similar, curves["A"]),
-        _drawing("6b", "Residual errors by criterion B, group 2", "Both methods end at the same residual.", same, curves["B"]),
+        drawing("6a", "Residual errors by criterion A, group 2", "Both methods converge at similar rates.", similar, curves["A"]),
+        drawing("6b", "Residual errors by criterion B, group 2", "Both methods end at the same residual.", same, curves["B"]),
     ]  # fmt: skip
 
 
@@ -132,7 +127,76 @@ def _figure_8(pooled: Pooled) -> Drawing:
     settled = dict(zip(PINHOLE_RADIAL.symbols, course["settled"], strict=True))
     ours = sorted(settled, key=lambda symbol: settled[symbol])
     said = ", ".join(f"{symbol} {settled[symbol]}" for symbol in ours)
-    return _drawing(
+    return drawing(
         "8", "Estimation results of the parameters", f"They converge in the order {', '.join(ORDER)} (printed: u0 twice).",
         Conclusion(tuple(ours) == ORDER, f"each stays within three of Table 1's precisions from frame: {said}.", *FIELD), curves,
     )  # fmt: skip
+
+
+DECADE = 10
+
+
+def draw_criteria(drawing: Mapping[str, Any]) -> go.Figure:
+    """Draw the curves of Figure 6a or 6b: `label`, `frame`, `criterion_arcsec` each.
+
+    Frames run in decades, and so does a criterion that spans at least one: criterion B does not, and decades would leave its axis
+    without a number.
+    """
+    curves = drawing["curves"]
+    figure = go.Figure()
+    for curve, style in zip(curves, theme.run_styles([Trace(one["label"], {}) for one in curves]), strict=True):
+        x, y = (np.array(curve[key], dtype=np.float64) for key in ("frame", "criterion_arcsec"))
+        figure.add_trace(theme.line(style, x, y, hovertemplate=f"%{{y:.3f}}″<extra>{style.label}</extra>"))
+    theme.dress(figure, title=f"Figure {drawing['number']}: mean RMS angle error of the judging images", height_px=380)
+    values = [value for curve in curves for value in curve["criterion_arcsec"]]
+    decades = {"type": "log", "dtick": 1} if max(values) >= DECADE * min(values) else {"type": "linear"}
+    figure.update_yaxes(title_text="arcseconds", **decades)
+    figure.update_xaxes(title_text="frame", type="log", dtick=1)
+    return figure
+
+
+def draw_wu_observability(drawing: Mapping[str, Any]) -> go.Figure:
+    """Draw the curves of Figure 3 or 4: `label`, `frame`, `minimum_singular_value` each, null where a frame has too few rows."""
+    curves = drawing["curves"]
+    figure = go.Figure()
+    for curve, style in zip(curves, theme.run_styles([Trace(one["label"], {}) for one in curves]), strict=True):
+        x, y = (np.array(curve[key], dtype=np.float64) for key in ("frame", "minimum_singular_value"))
+        hover = f"%{{y:.3g}}<extra>{style.label}</extra>"
+        figure.add_trace(theme.line(style, x, y, connectgaps=False, hovertemplate=hover))
+    theme.dress(figure, title=f"Figure {drawing['number']}: minimum singular value of H W", height_px=360)
+    figure.update_yaxes(title_text="minimum singular value (rad)", type="log", exponentformat="power")
+    figure.update_xaxes(title_text="frame")
+    return figure
+
+
+COLUMNS = 3
+#: An axis holds the bounds from this frame on; before it they come from far away.
+FIRST_FRAME = 5
+
+
+def draw_wu_parameters(drawing: Mapping[str, Any]) -> go.Figure:
+    """Draw the panels of Figure 8: `label`, `unit`, `truth`, `frame`, `value`, `three_sigma` each."""
+    curves = drawing["curves"]
+    names = [f"{curve['label']} ({curve['unit']})" for curve in curves]
+    figure = make_subplots(rows=-(-len(curves) // COLUMNS), cols=COLUMNS, subplot_titles=names, horizontal_spacing=0.09)
+    style = theme.run_styles([Trace("SVD", {})])[0]
+    for place, curve in enumerate(curves):
+        row, column = place // COLUMNS + 1, place % COLUMNS + 1
+        x, y, reach = (np.array(curve[key], dtype=np.float64) for key in ("frame", "value", "three_sigma"))
+        figure.add_trace(theme.band(style, x, y - reach, y + reach), row=row, col=column)
+        hover = f"%{{y:.7g}}<extra>{theme.escape(curve['label'])}</extra>"
+        figure.add_trace(theme.line(style, x, y, hovertemplate=hover, showlegend=False), row=row, col=column)
+        figure.add_hline(y=curve["truth"], line={"color": theme.TRUTH_COLOUR, "dash": "dot"}, row=row, col=column)
+        shown = x >= min(FIRST_FRAME, x[-1])
+        figure.update_yaxes(range=_window(y[shown], reach[shown], curve["truth"]), row=row, col=column)
+    theme.dress(figure, title="Figure 8: parameters along the run, ±3σ, and the truth", height_px=520, legend=False)
+    figure.update_layout(hovermode="closest", margin={"t": 76})
+    figure.update_xaxes(title_text="frame", type="log", dtick=1)
+    return figure
+
+
+def _window(y: np.ndarray[Any, Any], reach: np.ndarray[Any, Any], truth: float) -> list[float]:
+    """Range of an axis that holds bounds and truth."""
+    low, high = min(float((y - reach).min()), truth), max(float((y + reach).max()), truth)
+    margin = 0.05 * (high - low) or 1.0
+    return [low - margin, high + margin]

@@ -1,25 +1,39 @@
 """The whole study: which sets, on how many processes, and the document that comes out; the clock runs when they are done.
 
 The study's document, schema `boresight.reproduction/1`: everything but `timing` is a function of the plan alone.
+
+The study written down: one HTML file that stands alone, its document as JSON, tables, sets and curves as CSV.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import plotly.graph_objects as go
+
 from boresight.errors import RefusedInputError
-from boresight.papers.documents import SCHEMA, table_document, verdict_counts, versions
+from boresight.papers.documents import (
+    SCHEMA,
+    csv_bytes,
+    described,
+    figure_lines,
+    json_bytes,
+    rendered,
+    table_document,
+    table_lines,
+    verdict_counts,
+    write_files,
+)
 from boresight.papers.processes import run_all, run_on_one_thread
-from boresight.papers.wu.drawings import drawings
-from boresight.papers.wu.errata import cited, errata
+from boresight.papers.wu.drawings import LABELS, draw_criteria, draw_wu_observability, draw_wu_parameters, drawings
 from boresight.papers.wu.estimators import FIRST_FRAMES, START_SIGMA, Record, Trial, run_trial
-from boresight.papers.wu.findings import findings
-from boresight.papers.wu.pooled import Pooled
-from boresight.papers.wu.tables import NAMES, tables
+from boresight.papers.wu.findings import cited, errata, findings
+from boresight.papers.wu.tables import NAMES, Pooled, tables
 from boresight.papers.wu.timing import timing
+from boresight.simulation.sensors import WU_START, WU_TRUTH, WU_TYPICAL_SIGMA
 
 PAPER = "Wu, Xu, Heikkilä, Zhao, Liu, Niu, “A Star Sensor On-Orbit Calibration Method Based on SVD”, Sensors, 2019"
 DRAWN = ("course", "observability")
@@ -94,15 +108,45 @@ def run(plan: Plan, catalogue_folder: Path | None, report: Report | None = None)
     measured = run_on_one_thread(timing, catalogue_folder)
     if report is not None:
         report("times", 1.0)
-    return document(_described(plan), [record for trial in trials for record in records[trial]], measured)
+    return document(described(plan), [record for trial in trials for record in records[trial]], measured)
 
 
-def _described(plan: Plan) -> dict[str, Any]:
-    """The plan as JSON, with the versions that computed it."""
-    return {
-        "quick": plan.quick,
-        "frames": plan.frames,
-        "judges": plan.judges,
-        "sets": plan.sets,
-        "versions": versions(),
+Document = Mapping[str, Any]
+
+DRAW: dict[str, Callable[[Mapping[str, Any]], go.Figure]] = {
+    "3": draw_wu_observability,
+    "4": draw_wu_observability,
+    "6a": draw_criteria,
+    "6b": draw_criteria,
+    "8": draw_wu_parameters,
+}
+HEAD = ("set", "magnitude_limit", "noise_px", "stars", "estimator", "weights")
+
+
+def write(document: Document, out: Path) -> list[Path]:
+    """Write every file of a study into a folder, made where it is not there; returns their paths."""
+    files = {
+        "wu.html": render(document).encode(),
+        "wu.json": json_bytes(document),
+        "wu-tables.csv": csv_bytes(table_lines(document)),
+        "wu-sets.csv": csv_bytes(_set_lines(document)),
+        "wu-figures.csv": csv_bytes(figure_lines(document, ("frame",), ("label", "unit", "truth"))),
     }
+    return write_files(files, out)
+
+
+def render(document: Document) -> str:
+    """Render the report as HTML text."""
+    parameters = zip(NAMES, WU_TRUTH, WU_TYPICAL_SIGMA, WU_START, document["start_sigma"].values(), strict=True)
+    return rendered("papers/wu.html", document, DRAW, parameters=list(parameters), labels=LABELS)
+
+
+def _set_lines(document: Document) -> Iterator[Sequence[Any]]:
+    """One line a record: criteria in arcseconds, errors in SI."""
+    yield (
+        *HEAD, "a_mean_arcsec", "a_deviation_arcsec", "b_mean_arcsec", "b_deviation_arcsec", "nees",
+        *(f"error_{name}" for name in NAMES),
+    )  # fmt: skip
+    for record in document["records"]:
+        errors = record.get("error", [0.0] * len(NAMES))
+        yield (*(record[key] for key in HEAD), *record["A"], *record["B"], record["nees"], *errors)

@@ -1,23 +1,142 @@
-"""A verdict on a calibration file, with no store behind it: what `boresight assess` does."""
+"""A verdict on a calibration file, with no store behind it: what `boresight assess` does.
+
+Set and incumbent on frames that neither was fitted to: the one comparison that nothing in a fit can flatter.
+
+Both see the same frames (`calibration.matching.matched_frames`), so every comparison is paired: ratios and differences are
+resampled frame by
+frame, in blocks (`calibration.evaluation.bootstrap`), and what makes a frame hard for both drops out. The stars are compared by the
+difference a frame and not by the ratio of E Eq 30: an incumbent that matches none has no ratio, though nothing is clearer. The
+change of the availability is
+
+    change = g - l,    g = frames that only the set solves / frames,    l = frames that only the incumbent solves / frames.
+
+Where no frame changed sides resampling gives it an interval of no width. As a share's interval holds Wilson's, so this one
+holds the interval that Wilson's intervals of g and l make (the MOVER of Newcombe 1998 and Zou and Donner 2008), of as many
+independent frames as there are blocks:
+
+    change - sqrt((g - g_low)^2 + (l_high - l)^2)    to    change + sqrt((g_high - g)^2 + (l - l_low)^2).
+
+A run's own validation compares with the parameters that it started from. Where these are the incumbent's nothing needs to be
+seen again, `of_result`; elsewhere the frames are matched under both, `compute_validation_scores`, which takes seconds.
+"""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from boresight.calibration.evaluation import bootstrap
+from boresight.calibration.evaluation.evaluate import evaluate_matched_frames
+from boresight.calibration.matching.matched_frames import match_under_states
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.parameter_file import parse_parameters
 from boresight.cameras import CAMERA_MODELS
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-from boresight.verdicts.gates.evidence import Document, GateInputs
-from boresight.verdicts.gates.held_out import compute_validation_scores, of_result
 from boresight.verdicts.gates.judgement import judge
-from boresight.verdicts.gates.measurements import measure
+from boresight.verdicts.gates.measurements import Document, GateInputs, ends, measure
 from boresight.verdicts.gates.profile import Profile
+
+Score = dict[str, Any]  # value, interval, and of the incumbent where it has one
+
+
+def compute_validation_scores(
+    telemetry: Telemetry,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    incumbent: Document,
+    candidate: Document,
+    settings: CalibrationSettings,
+    cache_folder: Path | None = None,
+) -> dict[str, Score | int]:
+    """See held-out frames under both sets and score them."""
+    states = [
+        parse_parameters(incumbent, sensor, "The incumbent"),
+        parse_parameters(candidate, sensor, "The set"),
+    ]
+    before, after = match_under_states(telemetry, sensor, catalogue, states, settings, cache_folder)
+    evaluation = evaluate_matched_frames(telemetry, sensor, before, after, settings, _rng())
+    valid = np.stack([before.view.valid_frames, after.view.valid_frames])
+    matched = np.stack([before.view.matched_in_frame, after.view.matched_in_frame])
+    return _scores(evaluation, valid, matched)
+
+
+def of_result(result: Document) -> dict[str, Score | int] | None:
+    """Take the scores of a run's own validation, against what it started from.
+
+    None where it had none, where an older version wrote less of it, or where it kept some of many frames: those that differ first,
+    from which nothing of all frames follows.
+    """
+    validation, shadow = result.get("validation"), (result.get("shadow") or {}).get("validation")
+    if not validation or not shadow or len(shadow["frames"]) != validation["frames"]:
+        return None
+    if "rms_ratio" not in (validation.get("intervals") or {}):
+        return None
+    frames = shadow["frames"]
+    sides = ("baseline", "candidate")
+    valid = np.array([[frame[side]["valid"] for frame in frames] for side in sides], np.bool_)
+    matched = np.array([[frame[side]["matched"] for frame in frames] for side in sides], np.int64)
+    return _scores(validation, valid, matched)
+
+
+def _rng() -> np.random.Generator:
+    """Return the source of the resampling: the same data have the same intervals wherever they are judged."""
+    return np.random.default_rng(bootstrap.SEED)
+
+
+def _scores(evaluation: Document, valid: NDArray[np.bool_], matched: NDArray[np.int64]) -> dict[str, Score | int]:
+    """Put the scores under their gates' names; `valid` and `matched` are (2, n_frames), the incumbent's first."""
+    rms, available, intervals = evaluation["rms_arc_rad"], evaluation["availability"], evaluation["intervals"]
+    return {
+        "frames": int(evaluation["frames"]),
+        "validation-rms": _score(rms["final"], intervals["rms_arc_rad"]["final"], rms["initial"]),
+        "validation-rms-incumbent": _score(evaluation["rms_ratio"], intervals["rms_ratio"]),
+        "availability": _score(available["final"], intervals["availability"]["final"], available["initial"]),
+        "availability-incumbent": change_of_share(valid[0], valid[1], _rng()),
+        "matched-stars": _mean(matched[1], float(matched[0].mean())),
+        "matched-stars-incumbent": _mean(matched[1] - matched[0]),
+    }
+
+
+def _score(value: float | None, interval: Any, incumbent: float | None = None) -> Score:
+    known = ends(interval)
+    return {"value": value, "interval": None if known is None else list(known), "incumbent": incumbent}
+
+
+def _mean(counts: NDArray[np.int64], incumbent: float | None = None) -> Score:
+    """Mean of counts (n_frames,) with its interval, and the incumbent's."""
+    values = counts.astype(np.float64)
+    length = bootstrap.block_length(values)
+    sums = bootstrap.resampled_sums(np.column_stack([values, np.ones(len(values))]), length, _rng())
+    mean = float(values.mean())
+    return _score(mean, bootstrap.interval(mean, sums[:, 0] / sums[:, 1], len(values) / length), incumbent)
+
+
+def change_of_share(before: NDArray[np.bool_], after: NDArray[np.bool_], rng: np.random.Generator) -> Score:
+    """Change of the share of frames that are available, with its interval.
+
+    `before`, `after`: (n_frames,) whether each frame is available with the incumbent, and with the set.
+    """
+    steps = after.astype(np.float64) - before
+    length = bootstrap.block_length(steps)
+    sums = bootstrap.resampled_sums(np.column_stack([steps, np.ones(len(steps))]), length, rng)
+    change, n_blocks = float(steps.mean()), len(steps) / length
+    low, high = bootstrap.interval(change, sums[:, 0] / sums[:, 1], n_blocks)
+    below, above = _mover(float(np.mean(steps > 0)), float(np.mean(steps < 0)), n_blocks)
+    interval = [max(-1.0, min(low or 0.0, change - below)), min(1.0, max(high or 0.0, change + above))]
+    return {"value": change, "interval": interval, "incumbent": None}
+
+
+def _mover(gained: float, lost: float, n_blocks: float) -> tuple[float, float]:
+    """How far the interval of gained - lost reaches below and above it, from Wilson's intervals of both shares."""
+    (g_low, g_high), (l_low, l_high) = (bootstrap.wilson(share, n_blocks) for share in (gained, lost))
+    return math.hypot(gained - g_low, l_high - lost), math.hypot(g_high - gained, lost - l_low)
+
 
 NO_FRAMES = "No held-out frames were given: add a telemetry set that the calibration did not use."
 

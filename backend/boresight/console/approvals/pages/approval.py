@@ -49,7 +49,7 @@ from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import read_names
 from boresight.errors import NotFoundError
 from boresight.figures import FIGURES, WIDE
-from boresight.figures.tables.parameter_table import UNEXPECTED_TYPICAL_SIGMAS, ParameterRow, set_rows
+from boresight.figures.tables import UNEXPECTED_TYPICAL_SIGMAS, ParameterRow, set_rows
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id

@@ -39,7 +39,7 @@ from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role
 from boresight.platform.db.sessions import Session, open_reading, utc_after, utc_now
 from boresight.platform.web.paging import parse_row_id
-from boresight.verdicts.gates.table import GateRow, gate_rows
+from boresight.verdicts.gates.judgement import GateRow, gate_rows
 
 USUAL_DAYS = 7
 ONLY_WAIVERS = "Only an analyst or an approver may waive a gate; ask an administrator for the role."

@@ -51,25 +51,26 @@ from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import NotFoundError
 from boresight.figures import CHAPTERS, WIDE, Figure
-from boresight.figures.charts.helpful_data import helpful_data, weakest_words
 from boresight.figures.charts.matching import MATCHING, why_no_matching
-from boresight.figures.charts.shadow import SHADOW, shown
-from boresight.figures.history import read_history, settled_step
+from boresight.figures.charts.observability import helpful_data, weakest_words
+from boresight.figures.charts.shadow import SHADOW
+from boresight.figures.history import RmsTail, read_history, settled_step, summarise_tail
 from boresight.figures.notebook import calibrate_command
-from boresight.figures.rms_tail import RmsTail, summarise_tail
-from boresight.figures.tables.matching_table import (
+from boresight.figures.tables import (
     flight_rows,
     flight_tolerance,
     match_counts,
     match_facts,
+    parameter_rows,
     reason_tables,
+    shown,
     side_by_side,
+    star_rows,
+    to_flag,
 )
-from boresight.figures.tables.parameter_table import parameter_rows
-from boresight.figures.tables.star_table import star_rows, to_flag
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
-from boresight.verdicts.gates.table import gate_rows
+from boresight.verdicts.gates.judgement import gate_rows
 from boresight.verdicts.numbers import MISSING, count, duration, number, percent, urad
 from boresight.verdicts.verdict import (
     make_verdict,

@@ -15,12 +15,11 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Result, Table
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.figures.trust_parts import Part, column, part_figure
 from boresight.verdicts.verdict import read_part
 
-TITLE = "Residual against causes"
 PART = "residual_against"
 CAUSES = ("radius", "magnitude", "temperature", "time")
 UNITS = {"radius": "px", "magnitude": "mag", "temperature": "°C", "time": "h"}
@@ -28,11 +27,8 @@ REASON_LETTERS = 30  # a line of a reason inside its panel
 REACH_SIGMA = 1.96
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw four panels; one without data says why."""
-    drawn = parts(traces, PART)
-    if not drawn:
-        return absent(TITLE, traces, PART)
     figure = make_subplots(2, 2, horizontal_spacing=0.1, vertical_spacing=0.2)
     for i, cause in enumerate(CAUSES):
         _panel(figure, drawn, cause, {"row": i // 2 + 1, "col": i % 2 + 1})
@@ -141,14 +137,15 @@ def table(result: Result) -> Table:
     return {name: list(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)} if rows else {}
 
 
-RESIDUAL_AGAINST = Figure(
+RESIDUAL_AGAINST = part_figure(
+    draw,
+    table,
+    PART,
     name="residual-against",
-    title=TITLE,
+    title="Residual against causes",
     guide=(
         "Each panel bins the radial residual (outward positive) by one possible cause: the mean with its 95 % bar, and "
         "its RMS dotted. Means that stay within their bars of zero are good; a slope names what the model or the "
         "centroiding has left out."
     ),
-    draw=draw,
-    table=table,
 )

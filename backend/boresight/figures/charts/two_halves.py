@@ -7,28 +7,24 @@ chi-square distribution if the model and the noise are what was assumed. A small
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.charts.trust.arc_uncertainty import cells, detector_map, frame_maps
+from boresight.figures.chart import Table
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, absent, column, parts
-from boresight.verdicts.quantities import quantity
-from boresight.verdicts.verdict import read_part
+from boresight.figures.style.axes import cells, detector_map, frame_maps
+from boresight.figures.trust_parts import Part, column, part_figure
+from boresight.verdicts.numbers import quantity
 
-TITLE = "Two halves"
 PART, KEY = "two_halves", "difference_arcsec"
 LIMIT_SIGMA = 3.0
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw the first run's map, and the bars of every run."""
-    drawn = parts(traces, PART)
-    if not drawn:
-        return absent(TITLE, traces, PART)
     first = next((one for one in drawn if one[2].get("map")), None)
     n_maps = 1 if first else 0
     titles = [f"over the detector ({first[1].label})", "by parameter"] if first and len(drawn) > 1 else None
@@ -93,25 +89,24 @@ def _headline(drawn: Sequence[Part]) -> str:
     return f"The halves {word}: χ² {chi2['value']:.3g} for {chi2.get('dof')} degrees of freedom"
 
 
-def table(result: Result) -> Table:
+def table(part: Any) -> Table:
     """List the parameters with their differences in sigmas, and beside them the cells of the map in arcsec."""
-    part = read_part(result, PART)
-    if not part:
-        return {}
     bars = {"parameter": list(part["names"]), "difference_in_sigma": theme.plain(column(part["difference_in_sigma"]))}
     columns: Table = bars | (cells(part["map"], KEY) if part.get("map") else {})
     length = max(len(values) for values in columns.values())
     return {name: values + [None] * (length - len(values)) for name, values in columns.items()}
 
 
-TWO_HALVES = Figure(
+TWO_HALVES = part_figure(
+    draw,
+    table,
+    PART,
     name="two-halves",
-    title=TITLE,
+    title="Two halves",
     guide=(
         "The set is cut in two, each half is calibrated by itself, and the map shows where their arcs differ, the bars "
         "by how many sigmas each parameter does. Bars within ±3 (dotted) and a small, patternless map are good; more "
         "means that the model, the matches or the noise are not what the sigmas assume."
     ),
-    draw=draw,
-    table=table,
+    wide=True,
 )

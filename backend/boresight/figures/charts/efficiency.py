@@ -6,26 +6,20 @@ The bound is (J^T R^-1 J)^-1 at the final parameters, with R the covariance of t
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Result, Table
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, absent, column, parts
-from boresight.verdicts.quantities import quantity
-from boresight.verdicts.verdict import read_part
-
-TITLE = "Cramér-Rao efficiency"
-PART = "efficiency"
+from boresight.figures.trust_parts import Part, column, part_figure
+from boresight.verdicts.numbers import quantity
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw one bar a parameter and run, and the bound as the level one."""
-    drawn = parts(traces, PART)
-    if not drawn:
-        return absent(TITLE, traces, PART)
     figure = go.Figure([_bars(one, labelled=len(drawn) == 1) for one in drawn])
     many = len(drawn) > 1
     theme.dress(figure, title=_headline(drawn), height_px=460, legend=many, hovermode="closest", barmode="group")
@@ -61,11 +55,8 @@ def _headline(drawn: Sequence[Part]) -> str:
     return f"Claimed sigma over the Cramér-Rao bound: {np.nanmin(ratios):.3g} to {np.nanmax(ratios):.3g}"
 
 
-def table(result: Result) -> Table:
+def table(part: Any) -> Table:
     """List one parameter a row: the bound in SI, the claimed sigma in SI, and their ratio."""
-    part = read_part(result, PART)
-    if not part:
-        return {}
     bound = column([(part.get("cramer_rao_sigma") or {}).get(name) for name in part["names"]])
     ratios = _ratios(part)
     return {
@@ -76,14 +67,15 @@ def table(result: Result) -> Table:
     }
 
 
-EFFICIENCY = Figure(
+EFFICIENCY = part_figure(
+    draw,
+    table,
+    "efficiency",
     name="efficiency",
-    title=TITLE,
+    title="Cramér-Rao efficiency",
     guide=(
         "Each bar is the sigma that the run claims over the smallest that any unbiased estimator can have with these "
         "stars (dotted, one). A little above one is good; below one the claim is too good to be true, far above it "
         "the method wastes data."
     ),
-    draw=draw,
-    table=table,
 )

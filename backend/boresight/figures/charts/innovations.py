@@ -13,31 +13,26 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Table
 from boresight.figures.style import theme
+from boresight.figures.style.axes import axis_title, hover_place
 from boresight.figures.style.thinning import keep_extremes
-from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.figures.trust_parts import Part, column, part_figure
 from boresight.verdicts.numbers import percent
-from boresight.verdicts.verdict import read_part
 
-TITLE = "Innovations over time"
-PART = "nis_over_time"
 POINT_BUDGET = 6000  # points of all runs together
 WINDOW_SHARE = 0.05  # of the frames, over which the mean runs
 BOUNDS = ("lower", "upper")
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw each run's frames as points, those outside their bounds as crosses, with the bounds and a running mean."""
-    drawn = parts(traces, PART)
-    if not drawn:
-        return absent(TITLE, traces, PART)
     figure = go.Figure()
     for one in drawn:
         _draw_run(figure, one, POINT_BUDGET // len(drawn), alone=len(drawn) == 1)
     theme.dress(figure, title=_headline(drawn), height_px=440, hovermode="closest")
     figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2})
-    figure.update_xaxes(title_text="frame")
+    figure.update_xaxes(title_text=axis_title("frame", [trace for trace, _, _ in drawn]))
     figure.update_yaxes(title_text="NIS / degree of freedom", rangemode="tozero")
     return figure
 
@@ -78,7 +73,7 @@ def _points(one: Part, frame: FloatArray, nis: FloatArray, outside: Any, kept: A
             "symbol": ["x-thin-open" if out else "circle" for out in outside[kept]],
             "line": {"width": np.where(outside[kept], 1.6, 0.0).astype(np.float32), "color": style.colour},
         },
-        hovertemplate=f"frame %{{x}}: %{{y:.3g}}<extra>{style.label}</extra>",
+        hovertemplate=f"{hover_place(one[0])}: %{{y:.3g}}<extra>{style.label}</extra>",
     )
 
 
@@ -99,23 +94,21 @@ def _headline(drawn: Sequence[Part]) -> str:
     return f"{percent(part.get('outside_share'))} of the frames are outside, {percent(part.get('expected_share'))} are expected"
 
 
-def table(result: Result) -> Table:
+def table(part: Any) -> Table:
     """List one frame a row: the innovation a degree of freedom and its bounds."""
-    part = read_part(result, PART)
-    if not part:
-        return {}
     columns: Table = {"frame": list(part["frame"])}
     return columns | {name: theme.plain(column(part[name])) for name in ("nis_per_dof", *BOUNDS)}
 
 
-INNOVATIONS = Figure(
+INNOVATIONS = part_figure(
+    draw,
+    table,
+    "nis_over_time",
     name="innovations",
-    title=TITLE,
+    title="Innovations over time",
     guide=(
         "Each point is one frame's normalised innovation, a cross where it is outside its 95 % bounds (dotted), and the "
         "line is their running mean. A mean that stays at one with one frame in twenty outside is an honest "
         "covariance; a mean above one is over-confident there, a step or a slope is a sensor that changed."
     ),
-    draw=draw,
-    table=table,
 )

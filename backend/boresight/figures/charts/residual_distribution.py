@@ -15,23 +15,17 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Result, Table
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, absent, column, parts
+from boresight.figures.trust_parts import Part, column, part_figure
 from boresight.verdicts.numbers import percent
-from boresight.verdicts.verdict import read_part
 
-TITLE = "Distribution of residuals"
-PART = "residual_distribution"
 CLEAR_SIGMA = 3.0
 NORMAL = np.linspace(-6, 6, 121)
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw the histograms of all runs over the normal curve, and their quantiles."""
-    drawn = parts(traces, PART)
-    if not drawn:
-        return absent(TITLE, traces, PART)
     titles = ["share of residuals", "quantile less the normal's"]
     figure = make_subplots(1, 2, horizontal_spacing=0.1, subplot_titles=titles)
     if drawn[0][2].get("before"):
@@ -108,11 +102,8 @@ def _headline(drawn: Sequence[Part]) -> str:
     return f"Residuals have a standard deviation of {part['sigma']:.2f} σ; {tails}"
 
 
-def table(result: Result) -> Table:
+def table(part: Any) -> Table:
     """List one bin a row with its counts, and beside them the quantiles; the shorter of the two ends in empty cells."""
-    part = read_part(result, PART)
-    if not part:
-        return {}
     edges = column(part["edges"])
     columns: Table = {"from_sigma": theme.plain(edges[:-1]), "to_sigma": theme.plain(edges[1:])}
     columns |= {f"count_{side}": list(part[side]["counts"]) for side in ("before", "after") if part.get(side)}
@@ -122,14 +113,16 @@ def table(result: Result) -> Table:
     return {name: values + [None] * (longest - len(values)) for name, values in columns.items()}
 
 
-RESIDUAL_DISTRIBUTION = Figure(
+RESIDUAL_DISTRIBUTION = part_figure(
+    draw,
+    table,
+    "residual_distribution",
     name="residual-distribution",
-    title=TITLE,
+    title="Distribution of residuals",
     guide=(
         "On the left the share of residuals over their sigmas in each bin, beside the normal curve and what the old parameters "
         "gave; on the right their quantiles less the normal's, with the band that chance keeps. Steps on the curve and a "
         "line inside the band are good; ends that leave the band outwards are wrong stars, a slope is a wrong noise."
     ),
-    draw=draw,
-    table=table,
+    wide=True,
 )

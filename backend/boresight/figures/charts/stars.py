@@ -12,21 +12,15 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Table
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, absent, column, parts
-from boresight.verdicts.verdict import read_part
+from boresight.figures.trust_parts import Part, column, part_figure
 
-TITLE = "Star by star"
-PART = "stars"
 LONGEST = 200
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw one mark a star, a suspect as a diamond with its number."""
-    drawn = parts(traces, PART)
-    if not drawn:
-        return absent(TITLE, traces, PART)
     figure = go.Figure([_points(one, labelled=len(drawn) == 1) for one in drawn])
     theme.dress(figure, title=_headline(drawn), height_px=400, legend=len(drawn) > 1, hovermode="closest")
     figure.update_xaxes(title_text="sightings", type="log", dtick="D2", tickformat="~s")
@@ -73,24 +67,23 @@ def _headline(drawn: Sequence[Part]) -> str:
     return word[0].upper() + word[1:]
 
 
-def table(result: Result) -> Table:
+def table(part: Any) -> Table:
     """List one star a row, the worst first: sightings, mean residual and RMS in px, z, and what it is suspected of."""
-    part = read_part(result, PART)
-    if not part:
-        return {}
     keys = ("star_id", "sightings", "mean_residual_px", "rms_px", "z", "suspect")
     columns: dict[str, list[Any]] = {key: [row.get(key) for row in part] for key in keys}
     return columns | {"flags": [" ".join(map(str, row.get("flags") or ())) for row in part]}
 
 
-STARS = Figure(
+STARS = part_figure(
+    draw,
+    table,
+    "stars",
     name="stars",
-    title=TITLE,
+    title="Star by star",
     guide=(
         "Each mark is one star: how often it was seen, and how many sigmas its mean residual is from zero; a diamond with "
         "its Hipparcos number is a suspect. One star far above the others is a wrong identity, a double or a bad "
         "position, and is to be flagged; many together are a fault of the model."
     ),
-    draw=draw,
-    table=table,
+    wide=True,
 )

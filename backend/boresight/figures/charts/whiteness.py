@@ -8,24 +8,18 @@ Ljung and Box add them up to one chi-square.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import plotly.graph_objects as go
 
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Table
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, absent, column, parts
-from boresight.verdicts.quantities import quantity
-from boresight.verdicts.verdict import read_part
-
-TITLE = "Whiteness of residuals"
-PART = "whiteness"
+from boresight.figures.trust_parts import Part, column, part_figure
+from boresight.verdicts.numbers import quantity
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw one bar a lag and run, with the bounds of the first run."""
-    drawn = parts(traces, PART)
-    if not drawn:
-        return absent(TITLE, traces, PART)
     figure = go.Figure([_bars(one) for one in drawn])
     many = len(drawn) > 1
     theme.dress(figure, title=_headline(drawn), height_px=520, legend=many, hovermode="closest", barmode="group")
@@ -59,11 +53,8 @@ def _headline(drawn: Sequence[Part]) -> str:
     return f"The residuals are {word}{by} (Ljung-Box p = {p:.2g})"
 
 
-def table(result: Result) -> Table:
+def table(part: Any) -> Table:
     """List one lag a row: the autocorrelation and its bound."""
-    part = read_part(result, PART)
-    if not part:
-        return {}
     return {
         "lag": list(part["lags"]),
         "autocorrelation": theme.plain(column(part["autocorrelation"])),
@@ -71,15 +62,16 @@ def table(result: Result) -> Table:
     }
 
 
-WHITENESS = Figure(
+WHITENESS = part_figure(
+    draw,
+    table,
+    "whiteness",
     name="whiteness",
-    title=TITLE,
+    title="Whiteness of residuals",
     guide=(
         "Each bar is how much the residuals of frames so many apart resemble each other, as the parameter sees them that "
         "is worst off; dotted are the bounds that "
         "chance alone keeps in nineteen lags of twenty. Bars that stay inside are good; a slow decay is a drift that "
         "the constant parameters cannot follow, and makes every sigma too small."
     ),
-    draw=draw,
-    table=table,
 )

@@ -14,23 +14,17 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Table
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, absent, column, parts
-from boresight.verdicts.quantities import quantity
-from boresight.verdicts.verdict import read_part
+from boresight.figures.trust_parts import Part, column, part_figure
+from boresight.verdicts.numbers import quantity
 
-TITLE = "Leaving one parameter out"
-PART = "drop_one"
 BY_CHANCE = 6.63  # the 99 % point of chi-square with one degree of freedom
 LEAST = 0.1  # the log axis starts here; a fit that became no worse is drawn as a bar of no height
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw the rise of chi-square on a log axis, and below it the shift of the others."""
-    drawn = parts(traces, PART)
-    if not drawn:
-        return absent(TITLE, traces, PART)
     figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.1)
     for one in drawn:
         rises = column([row.get("chi2_increase") for row in one[2]])
@@ -84,11 +78,8 @@ def _headline(drawn: Sequence[Part]) -> str:
     return f"Not needed by these data: {', '.join(spare)} (hatched)" if spare else "Every free parameter is needed"
 
 
-def table(result: Result) -> Table:
+def table(part: Any) -> Table:
     """List one left-out parameter a row: rise of chi-square, RMS in rad, largest shift of the others in sigmas."""
-    part = read_part(result, PART)
-    if not part:
-        return {}
     return {
         "left_out": [row["name"] for row in part],
         "chi2_increase": [row.get("chi2_increase") for row in part],
@@ -98,14 +89,15 @@ def table(result: Result) -> Table:
     }
 
 
-DROP_ONE = Figure(
+DROP_ONE = part_figure(
+    draw,
+    table,
+    "drop_one",
     name="drop-one",
-    title=TITLE,
+    title="Leaving one parameter out",
     guide=(
         "Each column holds one parameter at its initial value and fits the others: above, how much chi-square rises "
         "(dotted: what chance alone reaches in one case of a hundred), below, how far the others move. A hatched "
         "parameter does no work here, and freeing it only widens the sigmas of the rest."
     ),
-    draw=draw,
-    table=table,
 )

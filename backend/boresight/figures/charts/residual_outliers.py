@@ -7,28 +7,23 @@ detections or exposures were left out for each reason. A detection that was reje
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.figures.chart import Figure, Result, Table, Trace
-from boresight.figures.charts.trust.residual_against import folded
+from boresight.figures.chart import Result, Table
+from boresight.figures.charts.residual_against import folded
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, absent, column, parts
-from boresight.verdicts.verdict import read_part
+from boresight.figures.trust_parts import Part, column, part_figure
 
-TITLE = "Outliers and what was left out"
-PART = "residual_outliers"
 MOST_REASONS = 8
 REASON_LETTERS = 34
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw every run's outliers on the detector, and its reasons as bars."""
-    drawn = parts(traces, PART)
-    if not drawn:
-        return absent(TITLE, traces, PART)
     figure = make_subplots(1, 2, horizontal_spacing=0.3, column_widths=[0.6, 0.4])
     for one in drawn:
         figure.add_trace(_places(one), row=1, col=1)
@@ -114,24 +109,23 @@ def _headline(drawn: Sequence[Part]) -> str:
     return f"{part['in_all']} of {part['stars_in_all']:,} sightings beyond {part['limit']:g} σ, {part['expected']:.1f} expected"
 
 
-def table(result: Result) -> Table:
+def table(part: Any) -> Table:
     """List one outlier a row: frame, exposure, star, place and residual in px, and how many sigmas that is."""
-    part = read_part(result, PART)
-    if not part:
-        return {}
     columns: Table = {name: list(part[name]) for name in ("frame", "exposure", "star_id") if part.get(name) is not None}
     names = ("row_px", "col_px", "d_row_px", "d_col_px", "normalised")
     return columns | {name: theme.plain(column(part[name])) for name in names}
 
 
-RESIDUAL_OUTLIERS = Figure(
+RESIDUAL_OUTLIERS = part_figure(
+    draw,
+    table,
+    "residual_outliers",
     name="residual-outliers",
-    title=TITLE,
+    title="Outliers and what was left out",
     guide=(
         "On the left every sighting whose residual is beyond four of its sigmas, the larger the mark the farther off; on the "
         "right what took no part in the fit, by reason. About as many as expected is good; many in one place or of one star "
         "are a wrong match or a wrong catalogue place: open their frames."
     ),
-    draw=draw,
-    table=table,
+    wide=True,
 )

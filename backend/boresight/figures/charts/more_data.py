@@ -14,25 +14,19 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Result, Table
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, absent, column, parts
-from boresight.verdicts.quantities import quantity
-from boresight.verdicts.verdict import read_part
+from boresight.figures.trust_parts import Part, column, part_figure
+from boresight.verdicts.numbers import quantity
 
-TITLE = "What more data would buy"
-PART = "more_data"
 COLUMNS = 4
 PANEL_HEIGHT_PX = 170
 STEPS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0))
 FEWEST_TICKS = 2
 
 
-def draw(traces: Sequence[Trace]) -> go.Figure:
+def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw one panel a parameter: the predicted sigma over the frames there would be in all."""
-    drawn = parts(traces, PART)
-    if not drawn:
-        return absent(TITLE, traces, PART)
     names = list(dict.fromkeys(name for _, _, part in drawn for name in part["sigma"]))
     n_rows = -(-len(names) // COLUMNS)
     figure = make_subplots(n_rows, COLUMNS, horizontal_spacing=0.085, vertical_spacing=0.24 / n_rows)
@@ -113,23 +107,22 @@ def _dress(figure: go.Figure, drawn: Sequence[Part], n_rows: int, n_panels: int)
             figure.update_xaxes(title_text="frames", **where)
 
 
-def table(result: Result) -> Table:
+def table(part: Any) -> Table:
     """List further frames and the predicted sigma of each parameter in SI."""
-    part = read_part(result, PART)
-    if not part:
-        return {}
     further: Table = {"further_frames": list(part["further_frames"])}
     return further | {f"sigma_{name}": theme.plain(column(values)) for name, values in part["sigma"].items()}
 
 
-MORE_DATA = Figure(
+MORE_DATA = part_figure(
+    draw,
+    table,
+    "more_data",
     name="more-data",
-    title=TITLE,
+    title="What more data would buy",
     guide=(
         "Each panel shows the sigma that a parameter would have with more frames of the same kind, the large mark being "
         "the run as it is. A curve that falls by half for four times the frames is worth waiting for; a flat one needs "
         "other frames, not more of them."
     ),
-    draw=draw,
-    table=table,
+    wide=True,
 )

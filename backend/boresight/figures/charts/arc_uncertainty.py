@@ -1,0 +1,61 @@
+"""How well an arc is known over the detector, from the covariance of the parameters alone.
+
+The arc lies about the place on the map, five degrees long or a quarter of the field where that is narrower. Its variance
+is J P J^T with J the derivative of the arclength by the parameters: what the calibration itself adds to every measured
+angle there, whatever the centroids do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from boresight.figures.chart import Table
+from boresight.figures.style import theme
+from boresight.figures.style.axes import MAX_MAPS, cells, detector_map, frame_maps, lay_maps
+from boresight.figures.trust_parts import Part, column, part_figure
+
+KEY = "sigma_arcsec"
+
+
+def draw(drawn: Sequence[Part]) -> go.Figure:
+    """Draw one map a run on one scale from zero; only the last shows it."""
+    highest = max(float(np.nanmax(column(part[KEY]))) for _, _, part in drawn)
+    shown = drawn[:MAX_MAPS]
+    figure = lay_maps(shown)
+    scale = {"zmin": 0, "zmax": highest or 1, "colorscale": "Cividis"}
+    for place, (_, style, part) in enumerate(shown, start=1):
+        figure.add_trace(detector_map(part, KEY, style.label, showscale=place == len(shown), **scale), row=1, col=place)
+    theme.dress(figure, title=_headline(drawn), height_px=460, legend=False, hovermode="closest")
+    frame_maps(figure, len(shown))
+    return figure
+
+
+def _headline(drawn: Sequence[Part]) -> str:
+    if len(drawn) > 1:
+        return f"1σ of an arc over the detector, {len(drawn)} runs"
+    sigma, degrees = column(drawn[0][2][KEY]), drawn[0][2].get("arc_deg")
+    arc = f"an arc of {degrees:.3g}°" if degrees is not None else "an arc"
+    return f"1σ of {arc}: {np.nanmin(sigma):.3g} to {np.nanmax(sigma):.3g} arcsec over the detector"
+
+
+def table(part: Any) -> Table:
+    """List one cell a row: its centre in px and the sigma of the arc from there in arcsec."""
+    return cells(part, KEY)
+
+
+ARC_UNCERTAINTY = part_figure(
+    draw,
+    table,
+    "arc_sigma_map",
+    name="arc-uncertainty",
+    title="Arc uncertainty",
+    guide=(
+        "Each place shows how uncertain an arc of five degrees (a quarter of a narrower field) is about it, "
+        "from the uncertainty of the parameters alone. Everywhere well below the noise of a centroid is good; a "
+        "bright corner is where this calibration extrapolates."
+    ),
+)

@@ -1,0 +1,395 @@
+"""What is left over on the detector: the residual of each centroid after the best attitude of its exposure.
+
+On the left the stars one by one, on the right their mean in each cell of a grid. Single residuals are noise of the
+centroids; a mean that is more than three of its own sigmas long is what the camera model has not understood. The sigma
+of a cell's mean is the scatter of its stars over the root of their number.
+
+Where centroids are noisier: the RMS residual of each cell of the detector at the best fit, one map a run.
+
+The field of residuals before and after: the mean residual of each cell of the detector as an arrow, beside its noise.
+
+A circle about an arrow's foot has three sigmas of that mean as its radius, drawn to the same scale, so an arrow that ends inside
+is noise and not structure. Before and after have each a scale of their own, with a bar of a round length under the
+detector, because a ground calibration's residuals are ten times those of a fit and more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Result, Table
+from boresight.figures.style import theme
+from boresight.figures.style.axes import MAX_MAPS, QUIET, frame_maps, lay_maps
+from boresight.figures.trust_parts import Part, column, part_figure
+from boresight.verdicts.numbers import number
+
+COLUMNS = ("row_px", "col_px", "d_row_px", "d_col_px")
+CELLS = 10  # along the longer side
+LEAST_STARS = 4  # in a cell, for a mean with a sigma
+CLEAR_SIGMA = 3.0
+ARROW_SHARE = 0.03  # of the detector's width: the length of the typical arrow
+
+
+@dataclass(frozen=True)
+class ArrowField:
+    """Arrows: where they start and what they say, (n,) each, px; `clear` those that stand out of their noise."""
+
+    row: FloatArray
+    col: FloatArray
+    d_row: FloatArray
+    d_col: FloatArray
+    clear: NDArray[np.bool_]
+
+
+def draw(drawn: Sequence[Part]) -> go.Figure:
+    """Draw the first run's stars as arrows, and the mean arrow of each cell."""
+    stars = _stars(drawn[0][2])
+    means = cell_means(stars)
+    names = [f"star by star, {_scale(stars):,.0f} times", f"mean of each cell, {_scale(means):,.0f} times"]
+    figure = make_subplots(1, 2, shared_yaxes=True, horizontal_spacing=0.05, subplot_titles=names)
+    style = drawn[0][1]
+    _arrows(figure, stars, style, 1, theme.translucent(style.colour, 0.75))
+    _arrows(figure, means, style, 2, style.colour)
+    n_clear = int(np.sum(means.clear))
+    counted = f"{n_clear} of {len(means.row)} cell means are clear of their noise"
+    title = f"Residuals: {counted}{others([style.label for _, style, _ in drawn])}"
+    theme.dress(figure, title=title, height_px=470, legend=False, hovermode="closest")
+    _frame(figure)
+    return figure
+
+
+def others(labels: Sequence[str]) -> str:
+    """Say which runs are compared with but not drawn: arrows over arrows could not be read."""
+    if len(labels) <= 1:
+        return ""
+    more = f" and {len(labels) - 3} more" if len(labels) > 3 else ""
+    return f"<br>of {labels[0]} alone; open {', '.join(labels[1:3])}{more} for theirs"
+
+
+def _stars(part: Result) -> ArrowField:
+    row, col, d_row, d_col = (column(part[name]) for name in COLUMNS)
+    return ArrowField(row, col, d_row, d_col, clear=np.zeros(len(row), dtype=bool))
+
+
+def cell_means(stars: ArrowField) -> ArrowField:
+    """Average the arrows of each cell of a square grid that has LEAST_STARS of them.
+
+    A mean is clear when either component is more than CLEAR_SIGMA of its own sigmas from zero.
+    """
+    size = max(np.ptp(stars.row), np.ptp(stars.col)) / CELLS or 1.0
+    place = np.stack([stars.row - stars.row.min(), stars.col - stars.col.min()]) // size
+    found = []
+    for cell in np.unique(place, axis=1).T:
+        inside = np.all(cell == place.T, axis=1)
+        if (n := int(inside.sum())) >= LEAST_STARS:
+            values = np.stack([stars.row, stars.col, stars.d_row, stars.d_col])[:, inside]
+            mean, sigma = values.mean(axis=1), values[2:].std(axis=1, ddof=1) / np.sqrt(n)
+            found.append([*mean, float(np.any(np.abs(mean[2:]) > CLEAR_SIGMA * sigma))])
+    row, col, d_row, d_col, clear = np.array(found, dtype=np.float64).reshape(-1, 5).T
+    return ArrowField(row, col, d_row, d_col, clear > 0)
+
+
+def _scale(arrows: ArrowField) -> float:
+    """Choose how many times longer than life the arrows are drawn: 1, 2 or 5 times a power of ten."""
+    typical = float(np.median(np.hypot(arrows.d_row, arrows.d_col))) if len(arrows.row) else 0.0
+    wanted = ARROW_SHARE * float(np.ptp(arrows.col)) / typical if typical > 0 and len(arrows.row) > 1 else 1.0
+    power = 10.0 ** np.floor(np.log10(max(wanted, 1.0)))
+    return float(max(step for step in (1.0, 2.0, 5.0) if step * power <= max(wanted, 1.0)) * power)
+
+
+def _arrows(figure: go.Figure, arrows: ArrowField, style: theme.RunStyle, place: int, colour: str) -> None:
+    """Draw each arrow as a line from its star, and the star as a mark: a diamond where the arrow is clear."""
+    scale, gap = _scale(arrows), np.full(len(arrows.row), np.nan)
+    x = np.stack([arrows.col, arrows.col + scale * arrows.d_col, gap], axis=1).ravel()
+    y = np.stack([arrows.row, arrows.row + scale * arrows.d_row, gap], axis=1).ravel()
+    line = {"color": colour, "width": 1 if place == 1 else 2}
+    where = {"row": 1, "col": place}
+    figure.add_trace(
+        go.Scatter(x=theme.short(x), y=theme.short(y), mode="lines", line=line, hoverinfo="skip", name=style.label),
+        **where,
+    )
+    figure.add_trace(
+        go.Scatter(
+            x=theme.short(arrows.col),
+            y=theme.short(arrows.row),
+            mode="markers",
+            name=style.label,
+            marker={
+                "color": colour,
+                "line": {"width": 0},
+                "size": np.where(arrows.clear, 9, 3 if place == 1 else 4).astype(np.int8),
+                "symbol": ["diamond" if clear else "circle" for clear in arrows.clear] if place > 1 else "circle",
+            },
+            customdata=theme.short(np.stack([arrows.d_row, arrows.d_col], axis=1)),
+            hovertemplate="rows %{customdata[0]:+.3f} px, columns %{customdata[1]:+.3f} px<extra></extra>",
+        ),
+        **where,
+    )
+
+
+def _frame(figure: go.Figure) -> None:
+    for place, anchor in ((1, "x"), (2, "x2")):
+        figure.update_xaxes(title_text="column (px)", nticks=6, tickangle=0, **QUIET, row=1, col=place)
+        figure.update_yaxes(scaleanchor=anchor, scaleratio=1, autorange="reversed", **QUIET, row=1, col=place)
+    figure.update_yaxes(title_text="row (px)", row=1, col=1)
+
+
+def table(part: Any) -> Table:
+    """List one star a row: frame, star, place and residual in px."""
+    columns: Table = {name: list(part[name]) for name in ("frame", "star_id") if part.get(name) is not None}
+    return columns | {name: theme.plain(column(part[name])) for name in COLUMNS}
+
+
+RESIDUAL_MAP = part_figure(
+    draw,
+    table,
+    "residuals",
+    name="residual-map",
+    title="Residuals on the detector",
+    guide=(
+        "Each line points from where a star was measured to where the camera model and the best attitude of its "
+        "exposure leave it, so many times longer than life; on the right the means of cells, a diamond where a mean "
+        "is clear of its noise. Arrows in all directions are good; arrows that turn together are a distortion that "
+        "the model does not have."
+    ),
+    wide=True,
+)
+
+
+def draw_residual_rms(found: Sequence[Part]) -> go.Figure:
+    """Lay the maps of the runs beside each other on one scale."""
+    drawn = found[:MAX_MAPS]
+    figure = lay_maps(drawn)
+    top = max(float(np.nanmax(_rms(part))) for _, _, part in drawn)
+    for place, one in enumerate(drawn, start=1):
+        figure.add_trace(_map(one, top, last=place == len(drawn)), row=1, col=place)
+    title = f"RMS {number(drawn[0][2]['after']['rms_in_all_px'], 3)} px an axis at the best fit"
+    theme.dress(figure, title=title, height_px=440, legend=False, hovermode="closest")
+    frame_maps(figure, len(drawn))
+    return figure
+
+
+def _rms(part: Result) -> FloatArray:
+    """RMS of each cell, px, NaN where it has too few stars."""
+    return column(part["after"]["rms_px"])
+
+
+def _map(one: Part, top: float, *, last: bool) -> go.Heatmap:
+    _, style, part = one
+    row, col = (column(part[name]) for name in ("row_edges_px", "col_edges_px"))
+    return go.Heatmap(
+        x=theme.plain((col[1:] + col[:-1]) / 2),
+        y=theme.plain((row[1:] + row[:-1]) / 2),
+        z=theme.short(_rms(part)),
+        customdata=theme.short(column(part["after"]["count"])),
+        zmin=0,
+        zmax=top,
+        colorscale="Cividis",
+        colorbar={"title": {"text": "px"}, "thickness": 10},
+        showscale=last,
+        hovertemplate=f"RMS %{{z:.3f}} px of %{{customdata:.0f}} stars<extra>{style.label}</extra>",
+        hoverongaps=False,
+    )
+
+
+def table_residual_rms(part: Any) -> Table:
+    """List one cell a row: its edges, RMS before and after in px, and how many stars it has."""
+    row, col = column(part["row_edges_px"]), column(part["col_edges_px"])
+    i, j = (index.ravel() for index in np.indices((len(row) - 1, len(col) - 1)))
+    columns = {"row_from_px": row[i], "row_to_px": row[i + 1], "column_from_px": col[j], "column_to_px": col[j + 1]}
+    sides = {f"rms_{side}_px": column(part[side]["rms_px"]).ravel() for side in ("before", "after") if part.get(side)}
+    stars = {"stars": column(part["after"]["count"]).ravel()}
+    return {name: theme.plain(values) for name, values in (columns | sides | stars).items()}
+
+
+RESIDUAL_RMS = part_figure(
+    draw_residual_rms,
+    table_residual_rms,
+    "residual_field",
+    name="residual-rms",
+    title="RMS residual over the detector",
+    guide=(
+        "Each cell has the colour of the RMS residual of its stars at the best fit, an axis; a cell with fewer than four stars is "
+        "left open. An even colour is good; an edge or a corner that stands out has noisier centroids there, or a "
+        "distortion that the model does not have."
+    ),
+)
+
+
+SIDES = ("before", "after")
+LONGEST_SHARE = 0.8  # of a cell: the typical arrow among the longest
+CIRCLE = np.append(np.exp(2j * np.pi * np.arange(17) / 16), np.nan)
+
+
+@dataclass(frozen=True)
+class MeanCells:
+    """Cells that have a mean, (n,) each, px: centre, mean residual, its two sigmas, and how many stars."""
+
+    row: FloatArray
+    col: FloatArray
+    d_row: FloatArray
+    d_col: FloatArray
+    s_row: FloatArray
+    s_col: FloatArray
+    count: FloatArray
+
+    @property
+    def clear(self) -> NDArray[np.bool_]:
+        """Which means stand out of their noise on either axis."""
+        out = np.abs(self.d_row) > CLEAR_SIGMA * self.s_row
+        return np.asarray(out | (np.abs(self.d_col) > CLEAR_SIGMA * self.s_col))
+
+
+def read_cells(part: Result, side: str) -> MeanCells:
+    """Read one side of a field."""
+    edges = column(part["row_edges_px"]), column(part["col_edges_px"])
+    row, col = (middle.ravel() for middle in np.meshgrid(*((e[1:] + e[:-1]) / 2 for e in edges), indexing="ij"))
+    names = ("mean_row_px", "mean_col_px", "sigma_row_px", "sigma_col_px", "count")
+    values = np.stack([row, col, *(column(part[side][name]).ravel() for name in names)])
+    return MeanCells(*values[:, np.isfinite(values[2])])
+
+
+def draw_quiver(drawn: Sequence[Part]) -> go.Figure:
+    """Draw the first run's cells, before on the left and after on the right."""
+    _, style, part = drawn[0]
+    sides = [side for side in SIDES if part.get(side)]
+    titles = [f"{side}: RMS {number(part[side]['rms_in_all_px'], 3)} px" for side in sides]
+    figure = make_subplots(1, len(sides), shared_yaxes=True, horizontal_spacing=0.05, subplot_titles=titles)
+    for place, side in enumerate(sides, start=1):
+        colour = theme.REFERENCE_COLOUR if side == "before" else style.colour
+        _side(figure, part, read_cells(part, side), place, colour, style.label)
+    after = read_cells(part, "after")
+    counted = f"{int(after.clear.sum())} of {len(after.row)} cell means are clear of their noise after"
+    title = f"Residuals: {counted}{others([style.label for _, style, _ in drawn])}"
+    theme.dress(figure, title=title, height_px=500, legend=False, hovermode="closest", margin={"t": 66})
+    _frame_cells(figure, part, len(sides))
+    return figure
+
+
+def choose_scale(cells: MeanCells, size_px: float) -> float:
+    """Choose how many times longer than life arrows are drawn in cells of a size: 1, 2 or 5 times a power of ten."""
+    longest = float(np.quantile(np.hypot(cells.d_row, cells.d_col), 0.9)) if len(cells.row) else 0.0
+    return _round_down(LONGEST_SHARE * size_px / longest) if longest > 0 else 1.0
+
+
+def _round_down(value: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, not above the value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-9)) * power)
+
+
+def _side(figure: go.Figure, part: Result, cells: MeanCells, place: int, colour: str, label: str) -> None:
+    """Draw noise circles, arrows, their feet, and the bar that says how long they are."""
+    columns, rows = column(part["col_edges_px"]), column(part["row_edges_px"])
+    scale, where = choose_scale(cells, float(np.diff(columns).mean())), {"row": 1, "col": place}
+    gap = np.full(len(cells.row), np.nan)
+    circle_x = cells.col[:, None] + CLEAR_SIGMA * scale * cells.s_col[:, None] * CIRCLE.real
+    circle_y = cells.row[:, None] + CLEAR_SIGMA * scale * cells.s_row[:, None] * CIRCLE.imag
+    x = np.stack([cells.col, cells.col + scale * cells.d_col, gap], axis=1)
+    y = np.stack([cells.row, cells.row + scale * cells.d_row, gap], axis=1)
+    quiet = {"mode": "lines", "hoverinfo": "skip", "name": label}
+    for lines, width, shade in (((circle_x, circle_y), 0.8, 0.4), ((x, y), 2, 1.0)):
+        line = {"width": width, "color": theme.translucent(colour, shade) if shade < 1 else colour}
+        figure.add_trace(
+            go.Scatter(x=theme.short(lines[0].ravel()), y=theme.short(lines[1].ravel()), line=line, **quiet), **where
+        )
+    figure.add_trace(_feet(cells, colour, label), **where)
+    _bar(figure, (columns[0], columns[-1], rows[-1]), scale, where)
+
+
+def _feet(cells: MeanCells, colour: str, label: str) -> go.Scatter:
+    """Draw where arrows begin: a diamond where the mean is clear of its noise."""
+    return go.Scatter(
+        x=theme.short(cells.col),
+        y=theme.short(cells.row),
+        mode="markers",
+        name=label,
+        marker={
+            "color": colour,
+            "line": {"width": 0},
+            "size": np.where(cells.clear, 8, 4).astype(np.int8),
+            "symbol": ["diamond" if clear else "circle" for clear in cells.clear],
+        },
+        customdata=theme.short(np.stack([cells.d_row, cells.s_row, cells.d_col, cells.s_col, cells.count], axis=1)),
+        hovertemplate=(
+            "rows %{customdata[0]:+.3f} ± %{customdata[1]:.3f} px<br>columns %{customdata[2]:+.3f} ± %{customdata[3]:.3f} px"
+            "<br>%{customdata[4]:.0f} stars<extra></extra>"
+        ),
+    )
+
+
+def _bar(figure: go.Figure, corner: tuple[float, float, float], scale: float, where: dict[str, int]) -> None:
+    """Draw a round length of residual under the detector, to scale."""
+    left, right, bottom = corner
+    length = _round_down(0.15 * (right - left) / scale)
+    at = bottom + 0.05 * (right - left)
+    figure.add_trace(
+        go.Scatter(
+            x=[left, left + length * scale],
+            y=[at, at],
+            mode="lines+markers+text",
+            line={"color": theme.REFERENCE_COLOUR, "width": 2},
+            marker={"symbol": "line-ns-open", "size": 9, "color": theme.REFERENCE_COLOUR},
+            text=["", f"  {number(length, 1)} px, {scale:,.0f} times"],
+            textposition="middle right",
+            hoverinfo="skip",
+        ),
+        **where,
+    )
+
+
+def _frame_cells(figure: go.Figure, part: Result, n_sides: int) -> None:
+    """Make the subplots detectors, row 0 on top, with room for the bar below."""
+    rows, columns = part["row_edges_px"], part["col_edges_px"]
+    for place in range(1, n_sides + 1):
+        anchor, where = "x" if place == 1 else f"x{place}", {"row": 1, "col": place}
+        figure.update_xaxes(
+            title_text="column (px)", nticks=6, tickangle=0, range=[columns[0], columns[-1]], **QUIET, **where
+        )
+        bottom = rows[-1] + 0.1 * (columns[-1] - columns[0])
+        figure.update_yaxes(scaleanchor=anchor, scaleratio=1, range=[bottom, rows[0]], **QUIET, **where)
+    figure.update_yaxes(title_text="row (px)", row=1, col=1)
+
+
+def table_quiver(part: Any) -> Table:
+    """List one cell a row and side: its centre, mean residual with sigmas in px, and how many stars it has."""
+    columns: Table = {"when": []}
+    for side in SIDES:
+        if part.get(side):
+            cells = read_cells(part, side)
+            columns["when"] += [side] * len(cells.row)
+            for name, values in vars(cells).items():
+                columns.setdefault(COLUMN_OF[name], []).extend(theme.plain(values))
+    return columns
+
+
+COLUMN_OF = {
+    "row": "row_px",
+    "col": "col_px",
+    "d_row": "mean_row_px",
+    "d_col": "mean_col_px",
+    "s_row": "sigma_row_px",
+    "s_col": "sigma_col_px",
+    "count": "stars",
+}
+RESIDUAL_QUIVER = part_figure(
+    draw_quiver,
+    table_quiver,
+    "residual_field",
+    name="residual-quiver",
+    title="Mean residuals over the detector",
+    guide=(
+        "Each arrow is the mean residual of the stars in one cell, at the old parameters on the left and the new on the right, "
+        "to the scale of the bar; the circle about its foot is three sigmas of that mean. Arrows that end inside their "
+        "circles are noise and good; arrows beyond them that turn together are a distortion the model does not have."
+    ),
+    wide=True,
+)

@@ -1,1 +1,0 @@
-"""Charts of the trust examination and of residuals."""

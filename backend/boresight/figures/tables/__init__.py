@@ -1,1 +1,0 @@
-"""Tables of a calibration as pages, reports and terminals print them."""
