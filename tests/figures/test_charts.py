@@ -87,10 +87,11 @@ def test_correlations_are_the_covariance_over_the_sigmas_and_name_the_strongest_
 
 
 def test_maps_beside_each_other_have_short_titles_and_one_set_of_row_labels(sequential_result, batch_result):
-    labels = [f"Run {number} · Square-root filter, fed as frames come down" for number in (12, 13)]
-    traces = [Trace(label, result) for label, result in zip(labels, (sequential_result, batch_result), strict=True)]
+    short = ["Run 12", "Run 13"]
+    labels = [f"{run} · Square-root filter, fed as frames come down" for run in short]
+    traces = list(map(Trace, labels, (sequential_result, batch_result), short))
     drawn = FIGURES["coverage"].draw(traces)
-    assert [title.text for title in drawn.layout.annotations] == ["Run 12", "Run 13"]
+    assert [title.text for title in drawn.layout.annotations] == short
     assert (drawn.layout.yaxis.showticklabels, drawn.layout.yaxis2.showticklabels) == (True, False)
     assert labels[1] in drawn.data[1].hovertemplate
 

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from boresight.platform.db.documents import canonical
 from boresight.verdicts.gates import GATES, judge, measure, parse_profile
 from boresight.verdicts.gates.assessment import as_set, ground_set, started_from
-from boresight.verdicts.gates.measurements import MEASURES
 from tests.effort import effort
 from tests.verdicts.evidence_cases import NAMES, SENSOR, SIGMA, a_result, a_set, evidence
 
@@ -28,7 +27,7 @@ def with_matrix(matrix):
 
 
 def test_every_gate_is_measured():
-    assert list(MEASURES) == list(GATES)
+    assert all(callable(gate.measure) for gate in GATES.values())
     measured = measure(evidence())
     assert all(one.sentence for one in measured.values())
     report = judge(parse_profile({}), measured)

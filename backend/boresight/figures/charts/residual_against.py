@@ -18,7 +18,6 @@ from boresight.arrays import FloatArray
 from boresight.figures.chart import Result, Table
 from boresight.figures.style import theme
 from boresight.figures.trust_parts import Part, column, part_figure
-from boresight.verdicts.verdict import read_part
 
 PART = "residual_against"
 CAUSES = ("radius", "magnitude", "temperature", "time")
@@ -120,12 +119,11 @@ def _name_once(figure: go.Figure) -> None:
         seen.add(trace.name)
 
 
-def table(result: Result) -> Table:
+def table(part: Any) -> Table:
     """List one bin a row: cause, edges with their unit, stars, mean with its sigma, and RMS in px."""
-    part = read_part(result, PART)
     rows: list[tuple[Any, ...]] = []
     for cause in CAUSES:
-        if not part or not (bins := part.get(cause)):
+        if not (bins := part.get(cause)):
             continue
         values = [theme.plain(column(bins[name])) for name in ("edges", "mean_px", "rms_px", "count")]
         sigma, unit = theme.plain(sigma_of_mean(bins)), bins.get("unit") or UNITS[cause]

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from starlette.responses import FileResponse, Response
 
-from boresight.figures import Table
+Table = Mapping[str, Sequence[Any]]  # columns by name
 
 
 class CsvFile(Response):

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from boresight.verdicts.gates.gate import GATES, Gate
 from boresight.verdicts.gates.judgement import judge, read_measurements, summarise, words
-from boresight.verdicts.gates.measurements import GateInputs, Measurement, measure
+from boresight.verdicts.gates.measurements import GATES, Gate, GateInputs, Measurement, measure
 from boresight.verdicts.gates.profile import DEFAULT_PROFILE, Profile, Threshold, parse_profile
 
 __all__ = [

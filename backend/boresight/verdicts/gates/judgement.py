@@ -28,8 +28,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.verdicts.gates.gate import GATES
-from boresight.verdicts.gates.measurements import Ends, Measurement
+from boresight.verdicts.gates.measurements import GATES, Ends, Measurement
 from boresight.verdicts.gates.profile import Profile, Threshold
 from boresight.verdicts.numbers import MINUS, MISSING, NARROW_SPACE, number, percent
 

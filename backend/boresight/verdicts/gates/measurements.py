@@ -1,4 +1,4 @@
-"""Every gate measured: one function a gate, in a table that tests walk.
+"""The gates: what each asks, in which unit, which side of a limit is good, and the function that measures it.
 
 A measurement is a value with its interval, or why there is none; it knows no limit, so a profile that is tried on past sets judges
 exactly what was measured of them. A gate whose function is refused what it needs has no data, with the refusal as its sentence.
@@ -19,13 +19,24 @@ A table on board holds parameters as float32 or as whole numbers with a scale. R
 and nothing on the ground would show it: every number here is float64.
 
 What the gates look at: a set, what it is compared with, the run behind it, and held-out frames seen under both.
+
+==========  ================================================================================================
+direction   a value v passes a limit L when
+==========  ================================================================================================
+`below`     v <= L
+`above`     v >= L
+`around`    1 / L <= v <= L: a ratio that should be 1, off by no more than the factor L
+`met`       it is met; there is no number to limit
+==========  ================================================================================================
+
+Critical gates ask whether the numbers are numbers of this sensor at all: nobody can waive them.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -133,30 +144,6 @@ def ends(pair: Sequence[float | None] | None) -> Ends | None:
     """Return an interval as a pair, None for an end that is not known; one that is known at neither end is none."""
     low, high = (None if end is None or not math.isfinite(end) else float(end) for end in pair or (None, None))
     return None if low is None and high is None else (low, high)
-
-
-def measure(evidence: GateInputs) -> dict[str, Measurement]:
-    """Measure everything that the gates ask, by gate."""
-    return {name: _measured(function, evidence) for name, function in MEASURES.items()}
-
-
-def _measured(function: Callable[[GateInputs], Measurement], evidence: GateInputs) -> Measurement:
-    """Measure for one gate; what cannot be had is absent, with the reason."""
-    try:
-        return _finite(function(evidence))
-    except RefusedInputError as refusal:
-        return absent(str(refusal))
-    except (AttributeError, LookupError, TypeError, ValueError, np.linalg.LinAlgError):
-        return absent("The numbers of this set are not complete enough to tell: calibrate again.")
-
-
-def _finite(measured: Measurement) -> Measurement:
-    """Return a measurement whose value is a number, or none at all."""
-    if measured.value is not None and not np.isfinite(measured.value):
-        return absent(f"This is no finite number for this set. {measured.sentence}")
-    if measured.incumbent is not None and not np.isfinite(measured.incumbent):
-        return replace(measured, incumbent=None)
-    return measured
 
 
 def _score(name: str, evidence: GateInputs) -> Measurement:
@@ -393,23 +380,209 @@ def quantisation(evidence: GateInputs) -> Measurement:
     )
 
 
-MEASURES: dict[str, Callable[[GateInputs], Measurement]] = {
-    "finite": finite,
-    "covariance": covariance,
-    "sensor": sensor,
-    "convergence": convergence,
-    "validation-rms": _rms_in_noise,
-    "validation-rms-incumbent": partial(_against, "validation-rms-incumbent"),
-    "availability": partial(_score, "availability"),
-    "availability-incumbent": partial(_against, "availability-incumbent"),
-    "matched-stars": partial(_score, "matched-stars"),
-    "matched-stars-incumbent": partial(_against, "matched-stars-incumbent"),
-    "chi-square": chi_square,
-    "nis": nis,
-    "parameter-shift": parameter_shift,
-    "arc-uncertainty": arc_uncertainty,
-    "condition-number": condition_number,
-    "weak-directions": weak_directions,
-    "coverage": coverage,
-    "quantisation": quantisation,
+DIRECTIONS = ("below", "above", "around", "met")
+
+
+@dataclass(frozen=True)
+class Gate:
+    """One question that a parameter set is asked, what measures it, and its thresholds in the default profile."""
+
+    name: str
+    title: str
+    question: str
+    direction: str
+    measure: Callable[[GateInputs], Measurement] = field(kw_only=True)
+    unit: str = ""
+    lowest: float = 0.0
+    highest: float = 1e15
+    critical: bool = False
+    limit: float | None = None
+    marginal: float | None = None
+
+
+GATES = {
+    gate.name: gate
+    for gate in (
+        Gate("finite", "Finite values", "Is every parameter a plausible number?", "met", critical=True, measure=finite),
+        Gate(
+            "covariance",
+            "Covariance",
+            "Is the covariance symmetric and positive definite, and are the sigmas its own?",
+            "met",
+            critical=True,
+            measure=covariance,
+        ),
+        Gate(
+            "sensor",
+            "Right sensor",
+            "Is it of this sensor, camera model and detector?",
+            "met",
+            critical=True,
+            measure=sensor,
+        ),
+        Gate("convergence", "Convergence", "Did the estimate come to rest?", "met", measure=convergence),
+        Gate(
+            "validation-rms",
+            "Validation RMS",
+            "How large are the arc errors on held-out frames, in multiples of the stated noise of an arc?",
+            "below",
+            "× noise",
+            measure=_rms_in_noise,
+            limit=3.0,
+            marginal=1.5,
+        ),
+        Gate(
+            "validation-rms-incumbent",
+            "Validation RMS, to incumbent",
+            "How large are they beside the incumbent's, on the very same arcs?",
+            "below",
+            "× incumbent",
+            measure=partial(_against, "validation-rms-incumbent"),
+            limit=1.05,
+            marginal=1.05,
+        ),
+        Gate(
+            "availability",
+            "Availability",
+            "In which share of the held-out frames would the flight code find an attitude?",
+            "above",
+            "of frames",
+            highest=1.0,
+            measure=partial(_score, "availability"),
+            limit=0.25,
+            marginal=0.9,
+        ),
+        Gate(
+            "availability-incumbent",
+            "Availability, to incumbent",
+            "By which share of the frames does that change? Below 0 frames are lost.",
+            "above",
+            "of frames",
+            lowest=-1.0,
+            highest=1.0,
+            measure=partial(_against, "availability-incumbent"),
+            limit=-0.02,
+            marginal=-0.02,
+        ),
+        Gate(
+            "matched-stars",
+            "Matched stars",
+            "How many matches a held-out frame would the flight code accept?",
+            "above",
+            "a frame",
+            measure=partial(_score, "matched-stars"),
+            limit=2.0,
+            marginal=6.0,
+        ),
+        Gate(
+            "matched-stars-incumbent",
+            "Matched stars, to incumbent",
+            "How many more than with the incumbent? Below 0 stars are lost.",
+            "above",
+            "a frame",
+            lowest=-1000.0,
+            measure=partial(_against, "matched-stars-incumbent"),
+            limit=-0.3,
+            marginal=-0.3,
+        ),
+        Gate(
+            "chi-square",
+            "χ² per degree of freedom",
+            "Are the residuals as large as the stated noise?",
+            "around",
+            lowest=1.0,
+            measure=chi_square,
+            limit=9.0,
+            marginal=1.1,
+        ),
+        Gate(
+            "nis",
+            "Innovations (NIS)",
+            "Is a filter as sure as it may be?",
+            "around",
+            lowest=1.0,
+            measure=nis,
+            limit=9.0,
+            marginal=1.1,
+        ),
+        Gate(
+            "parameter-shift",
+            "Parameter shift",
+            "How far is it from the incumbent, in sigmas?",
+            "below",
+            "σ",
+            measure=parameter_shift,
+            marginal=15.0,
+        ),
+        Gate(
+            "arc-uncertainty",
+            "Arc uncertainty",
+            "How far wrong may an arc be at the worst place of the detector, by the covariance alone?",
+            "below",
+            "px",
+            measure=arc_uncertainty,
+            marginal=0.5,
+        ),
+        Gate(
+            "condition-number",
+            "Condition number",
+            "How unevenly do the data see the parameters?",
+            "below",
+            measure=condition_number,
+            marginal=1e5,
+        ),
+        Gate(
+            "weak-directions",
+            "Weakest direction",
+            "How well is the weakest combination of parameters known, in typical sigmas?",
+            "below",
+            "typical σ",
+            measure=weak_directions,
+            marginal=1.0,
+        ),
+        Gate(
+            "coverage",
+            "Detector coverage",
+            "In which share of the detector's 48 regions were stars?",
+            "above",
+            "of regions",
+            highest=1.0,
+            measure=coverage,
+            marginal=0.7,
+        ),
+        Gate(
+            "quantisation",
+            "Quantisation",
+            "How far does the number format on board move a direction, anywhere on the detector?",
+            "below",
+            "px",
+            measure=quantisation,
+            limit=0.1,
+            marginal=0.01,
+        ),
+    )
 }
+
+
+def measure(evidence: GateInputs) -> dict[str, Measurement]:
+    """Measure everything that the gates ask, by gate."""
+    return {gate.name: _measured(gate.measure, evidence) for gate in GATES.values()}
+
+
+def _measured(function: Callable[[GateInputs], Measurement], evidence: GateInputs) -> Measurement:
+    """Measure for one gate; what cannot be had is absent, with the reason."""
+    try:
+        return _finite(function(evidence))
+    except RefusedInputError as refusal:
+        return absent(str(refusal))
+    except (AttributeError, LookupError, TypeError, ValueError, np.linalg.LinAlgError):
+        return absent("The numbers of this set are not complete enough to tell: calibrate again.")
+
+
+def _finite(measured: Measurement) -> Measurement:
+    """Return a measurement whose value is a number, or none at all."""
+    if measured.value is not None and not np.isfinite(measured.value):
+        return absent(f"This is no finite number for this set. {measured.sentence}")
+    if measured.incumbent is not None and not np.isfinite(measured.incumbent):
+        return replace(measured, incumbent=None)
+    return measured

@@ -22,7 +22,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from boresight.errors import RefusedInputError
-from boresight.verdicts.gates.gate import GATES, Gate
+from boresight.verdicts.gates.measurements import GATES, Gate
 
 SCHEMA = "boresight.gate-profile/1"
 FLAGS = ("critical", "waivable", "must_have_data", "observe_only")
@@ -54,12 +54,11 @@ class Profile:
         return {"schema": SCHEMA, "gates": [asdict(threshold) for threshold in self.thresholds]}
 
 
-def _default(name: str, limit: float | None = None, marginal: float | None = None) -> dict[str, Any]:
-    gate = GATES[name]
+def _default(gate: Gate) -> dict[str, Any]:
     return {
-        "name": name,
-        "limit": limit,
-        "marginal": marginal,
+        "name": gate.name,
+        "limit": gate.limit,
+        "marginal": gate.marginal,
         "direction": gate.direction,
         "critical": gate.critical,
         "waivable": not gate.critical,
@@ -68,29 +67,7 @@ def _default(name: str, limit: float | None = None, marginal: float | None = Non
     }
 
 
-DEFAULT_PROFILE: dict[str, Any] = {
-    "schema": SCHEMA,
-    "gates": [
-        _default("finite"),
-        _default("covariance"),
-        _default("sensor"),
-        _default("convergence"),
-        _default("validation-rms", 3.0, 1.5),
-        _default("validation-rms-incumbent", 1.05, 1.05),
-        _default("availability", 0.25, 0.9),
-        _default("availability-incumbent", -0.02, -0.02),
-        _default("matched-stars", 2.0, 6.0),
-        _default("matched-stars-incumbent", -0.3, -0.3),
-        _default("chi-square", 9.0, 1.1),
-        _default("nis", 9.0, 1.1),
-        _default("parameter-shift", None, 15.0),
-        _default("arc-uncertainty", None, 0.5),
-        _default("condition-number", None, 1e5),
-        _default("weak-directions", None, 1.0),
-        _default("coverage", None, 0.7),
-        _default("quantisation", 0.1, 0.01),
-    ],
-}
+DEFAULT_PROFILE: dict[str, Any] = {"schema": SCHEMA, "gates": [_default(gate) for gate in GATES.values()]}
 
 
 def parse_profile(document: Mapping[str, Any]) -> Profile:
