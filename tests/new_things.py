@@ -1,0 +1,204 @@
+"""What a tree with a dummy of each new thing shows of them; `tests/test_new_things.py` runs it in a copy, and reads the JSON."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import httpx
+import orjson
+import pytest
+from click.testing import CliRunner, Result
+
+from benchmarks.pages.drawings import guide_page
+from boresight.cameras import CAMERA_MODELS
+from boresight.cli import main
+from boresight.console.fleet import service as sensors
+from boresight.console.runs.tables import Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.figures import FIGURES
+from boresight.figures.example_calibration import get_example_calibrations
+from boresight.figures.report import render_report
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.blobs.folder import register_blob
+from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.db.sessions import open_writing, utc_now
+from boresight.simulation.scenes import calibration_scenario
+from boresight.simulation.sensors import wu_sensor
+from boresight.telemetry.sensors import parse_sensor, sensor_document
+from boresight.verdicts.gates import judge, parse_profile
+from boresight.verdicts.gates.assessment import assess, ground_set
+from boresight.verdicts.gates.judgement import gate_rows
+from tests.passwords import add_person, use_hasher
+from tests.served import PASSWORD, serving, settings_in
+from tests.stores import open_migrated, url_in
+
+ROOT = Path(__file__).resolve().parents[1]
+SENSOR = calibration_scenario(1).sensor
+SKY = ROOT / "data" / "real-sky"
+
+
+def furnished(folder: Path) -> int:
+    """Fill a store: people, a sensor, and two runs that ended with the example's calibration; returns the sensor's number."""
+    settings, now = settings_in(folder), utc_now()
+    blobs = open_blobs(settings.blob_place)
+    result = get_example_calibrations()["filter"]
+    address = blobs.put(orjson.dumps(result))
+    engine = open_migrated(url_in(folder))
+    with open_writing(engine) as session:
+        person = add_person(session, "ada", "analyst")
+        sensor = sensors.register_sensor(session, COMMAND_LINE, sensor_document(SENSOR))
+        register_blob(session, blobs, address, "application/json")
+        telemetry = TelemetrySet(
+            sensor_id=sensor.id, name="TS-1", purpose="calibration", original_sha256=address, table_sha256=address, frames=60,
+            stars=result["stars"], quality={"exposures": 120, "warnings": []}, uploaded_utc=now,
+        )  # fmt: skip
+        session.add(telemetry)
+        session.flush()
+        session.add_all(
+            Run(
+                sensor_id=sensor.id, telemetry_set_id=telemetry.id, method="sqrf", settings={}, sensor_document=sensor.document,
+                state="SUCCEEDED", launched_utc=now, started_utc=now, ended_utc=now, launched_by=person, result_sha256=address,
+                summary={"status": "converged"},
+            )
+            for _ in range(2)
+        )  # fmt: skip
+        found = sensor.id
+    engine.dispose()
+    return found
+
+
+def command(*words: str | Path) -> Result:
+    return CliRunner().invoke(main, list(map(str, words)))
+
+
+def camera(ada: httpx.Client) -> dict[str, Any]:
+    document = sensor_document(wu_sensor()) | {"name": "lens-1", "camera_model": "dummy_lens"}
+    return {
+        "registered": list(CAMERA_MODELS),
+        "sensor_read": parse_sensor(document).camera_model,
+        "sensor_registered": ada.post("/api/v1/sensors", json=document).status_code,
+        "offered_by_convert": "dummy_lens" in command("convert", "--help").output,
+    }
+
+
+def chart(ada: httpx.Client) -> dict[str, Any]:
+    (listed,) = (one for one in ada.get("/api/v1/runs/1/figures").json()["items"] if one["name"] == "dummy-chart")
+    described = json.dumps(ada.get("/api/v1/openapi.json").json()["paths"]["/api/v1/runs/{run_id}/figures/{name}"])
+    places = {
+        "run page": ada.get("/runs/1?part=dummies").text,
+        "compare": ada.get("/compare?runs=1,2").text,
+        "gallery": ada.get("/gallery").text,
+        "report": render_report(get_example_calibrations()["filter"]),
+        "guide": guide_page(),
+        "document": described,
+    }
+    return {
+        "registered": "dummy-chart" in FIGURES,
+        "listed": {key: listed[key] for key in ("name", "title")},
+        "drawn": ada.get("/api/v1/runs/1/figures/dummy-chart").json(),
+        "csv": ada.get("/api/v1/runs/1/figures/dummy-chart/data").text,
+        "on": {place: "dummy-chart" in text for place, text in places.items()},
+    }
+
+
+def gate(ada: httpx.Client, sensor_id: int, folder: Path) -> dict[str, Any]:
+    result = get_example_calibrations()["batch"]
+    limited = parse_profile({"gates": [{"name": "dummy-gate", "limit": 2.0, "marginal": 1.0}]})
+    (found, strict) = (assess(result, SENSOR, ground_set(SENSOR), profile) for profile in (parse_profile({}), limited))
+    answer, refused = ({one["name"]: one for one in report["gates"]}["dummy-gate"] for report in (found, strict))
+    (folder / "result.json").write_bytes(orjson.dumps(result))
+    (folder / "sensor.json").write_bytes(orjson.dumps(sensor_document(SENSOR)))
+    printed = command("assess", folder / "result.json", "--sensor", folder / "sensor.json").output
+    return {
+        "answer": {key: answer[key] for key in ("status", "value", "limit")},
+        "limited": {"status": refused["status"]},
+        "nothing": judge(parse_profile({}), {})["verdict"],
+        "on": {
+            "editor": "dummy-gate" in ada.get(f"/sensors/{sensor_id}/gates").text,
+            "panel": "Dummy gate" in {one.title for one in gate_rows(found)},
+            "command": "Dummy gate" in printed,
+        },
+    }
+
+
+def finding(ada: httpx.Client, folder: Path) -> dict[str, Any]:
+    telemetry, sensor = SKY / "esa-5-frames.csv", SKY / "esa.sensor.json"
+    printed = command("check", telemetry, "--sensor", sensor, "--json", folder / "report.json")
+    (found,) = (one for one in json.loads((folder / "report.json").read_text())["findings"] if one["code"] == "DUMMY")
+    registered = ada.post("/api/v1/sensors", json=json.loads(sensor.read_text())).json()["id"]
+    answer = ada.post(
+        "/api/v1/telemetry-sets", data={"sensor_id": str(registered)}, files={"file": ("sky.csv", telemetry.read_bytes())}
+    )
+    set_id = answer.json()["id"]
+    return {
+        "report": {key: found[key] for key in ("code", "severity", "sentence")},
+        "on": {
+            "command": "Every row was looked at." in printed.output,
+            "rest": "DUMMY" in ada.get(f"/api/v1/telemetry-sets/{set_id}").text,
+            "page": "Every row was looked at." in ada.get(f"/telemetry/{set_id}").text,
+        },
+    }
+
+
+def route(ada: httpx.Client, nobody: httpx.Client) -> dict[str, Any]:
+    paths = ada.get("/api/v1/openapi.json").json()["paths"]
+    made = paths["/api/v1/dummies"]["post"]
+    token, key = ada.headers.pop("X-CSRF-Token"), {"Idempotency-Key": "one"}
+    without = ada.post("/api/v1/dummies", json={"id": 2})
+    ada.headers["X-CSRF-Token"] = token
+    answers = {
+        "read by nobody": nobody.get("/api/v1/dummies/1"),
+        "read by ada": ada.get("/api/v1/dummies/1"),
+        "made by nobody": nobody.post("/api/v1/dummies", json={"id": 2}),
+        "made without the token": without,
+        "made by ada": ada.post("/api/v1/dummies", json={"id": 2}, headers=key),
+        "made again": ada.post("/api/v1/dummies", json={"id": 2}, headers=key),
+        "only tried": ada.post("/api/v1/dummies", json={"id": 3}, params={"validate_only": "true"}),
+    }
+    return {
+        "documented": sorted([*paths["/api/v1/dummies/{dummy_id}"], *paths["/api/v1/dummies"]]),
+        "refusals": list(made["responses"]),
+        "parameters": [one["name"] for one in made["parameters"]],
+        "statuses": {name: answer.status_code for name, answer in answers.items()},
+        "replayed": answers["made again"].headers.get("Idempotent-Replayed"),
+        "tried": answers["only tried"].headers.get("X-Validate-Only"),
+    }
+
+
+def page(ada: httpx.Client, nobody: httpx.Client) -> dict[str, Any]:
+    html = {"Accept": "text/html"}
+    shown, led, missing = ada.get("/dummies/1", headers=html), nobody.get("/dummies/1", headers=html), ada.get("/dummies/2", headers=html)
+    return {
+        "statuses": {"to ada": shown.status_code, "to nobody": led.status_code, "not there": missing.status_code},
+        "nobody_is_led_to": led.headers.get("location", ""),
+        "on": {
+            "content": "<h1>Dummy 1</h1>" in shown.text,
+            "frame": 'aria-label="Main"' in shown.text,
+            "navigation": 'href="/dummies/1"' in ada.get("/sensors", headers=html).text,
+            "error": "There is no dummy 2." in missing.text and 'aria-label="Main"' in missing.text,
+        },
+    }
+
+
+def run(folder: Path) -> dict[str, Any]:
+    """Serve the store and look at everything."""
+    with pytest.MonkeyPatch.context() as patch:
+        use_hasher(patch)
+        sensor_id = furnished(folder)
+        with serving(settings_in(folder)) as (address, _), httpx.Client(base_url=address, timeout=60) as ada:
+            answer = ada.post("/api/v1/sessions", json={"name": "ada", "password": PASSWORD})
+            ada.headers["X-CSRF-Token"] = answer.raise_for_status().json()["csrf_token"]
+            with httpx.Client(base_url=address, timeout=60) as nobody:
+                return {
+                    "camera": camera(ada),
+                    "chart": chart(ada),
+                    "gate": gate(ada, sensor_id, folder),
+                    "finding": finding(ada, folder),
+                    "route": route(ada, nobody),
+                    "page": page(ada, nobody),
+                }
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(run(Path(sys.argv[1]))))

@@ -1,0 +1,232 @@
+"""A new camera model, chart, gate, finding, route and page, each added as README says: in a copy of the tree made of links.
+
+What README promises of each is then asked of the copy in a process of its own: the registry, the pages, the report, the commands,
+the API's document, and who is let in.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text()
+PACKAGE = "backend/boresight"
+
+# What each new thing is: files of its own, and lines set before others that are there.
+NEW = {
+    f"{PACKAGE}/cameras/dummy_lens.py": """
+from dataclasses import replace
+from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
+DUMMY_LENS = replace(PINHOLE_RADIAL, name="dummy_lens")
+""",
+    f"{PACKAGE}/figures/charts/dummy_chart.py": """
+import plotly.graph_objects as go
+from boresight.figures.style import theme
+from boresight.figures.trust_parts import make_figure
+
+def draw(drawn):
+    figure = go.Figure([go.Bar(x=["frames"], y=[frames], name=style.label) for _, style, frames in drawn])
+    return theme.dress(figure, title="How many frames", height_px=300)
+
+DUMMY_CHART = make_figure(
+    draw, lambda frames: {"frames": [frames]}, lambda result: result.get("frames"), lambda _: "No frame is counted yet.",
+    name="dummy-chart", title="Dummy chart", guide="One bar a run; a taller one has more frames.",
+)
+""",
+    f"{PACKAGE}/console/dummies/__init__.py": "",
+    f"{PACKAGE}/console/dummies/routes.py": """
+from pydantic import BaseModel
+from boresight.console.access.dependencies import Who, Writing
+from boresight.console.operation import operations
+
+router = operations("/dummies", tags=["dummies"])
+
+class Dummy(BaseModel):
+    id: int
+    made_by: str
+
+class NewDummy(BaseModel):
+    id: int
+
+@router.get("/{dummy_id}", summary="Read a dummy", response_model=Dummy)
+def get_dummy(dummy_id: int, actor: Who) -> dict[str, object]:
+    return {"id": dummy_id, "made_by": actor.name}
+
+@router.post("", summary="Make a dummy", status_code=201, response_model=Dummy)
+def make_dummy(new: NewDummy, actor: Who, session: Writing) -> dict[str, object]:
+    return {"id": new.id, "made_by": actor.name}
+""",
+    f"{PACKAGE}/console/dummies/pages.py": """
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse
+from boresight.console.access.dependencies import Who
+from boresight.console.pages.rendering import render
+from boresight.errors import NotFoundError
+
+router = APIRouter()
+
+@router.get("/dummies/{dummy_id}", response_class=HTMLResponse)
+def dummy_page(request: Request, actor: Who, dummy_id: int) -> HTMLResponse:
+    if dummy_id != 1:
+        raise NotFoundError(f"There is no dummy {dummy_id}.")
+    return render(request, "dummies/dummy.html", dummy_id=dummy_id)
+""",
+    "frontend/templates/dummies/dummy.html": """{% extends "shared/frame.html" %}
+{% block title %}Dummy{% endblock %}
+{% block content %}<h1>Dummy {{ dummy_id }}</h1>{% endblock %}
+""",
+}
+LINES = {
+    f"{PACKAGE}/cameras/__init__.py": (
+        ("\nCAMERA_MODELS:", "from boresight.cameras.dummy_lens import DUMMY_LENS\n"),
+        ("    PINHOLE_RADIAL.name:", "    DUMMY_LENS.name: DUMMY_LENS,\n"),
+    ),
+    f"{PACKAGE}/figures/charts/__init__.py": (
+        ("\nCHAPTERS:", "from boresight.figures.charts.dummy_chart import DUMMY_CHART\n"),
+        ('    "matching":', '    "dummies": (DUMMY_CHART,),\n'),
+    ),
+    f"{PACKAGE}/verdicts/gates/measurements.py": (
+        (
+            "@dataclass(frozen=True)\nclass Gate:",
+            "def dummy(evidence: GateInputs) -> Measurement:\n"
+            "    return Measurement(float(len(evidence.names)), 'So many parameters.')\n\n\n",
+        ),
+        (
+            '        Gate(\n            "coverage"',
+            '        Gate("dummy-gate", "Dummy gate", "How many parameters are there?", "below", measure=dummy, limit=99.0),\n',
+        ),
+    ),
+    f"{PACKAGE}/telemetry/quality/findings/times.py": (
+        (
+            "def frames_descend(",
+            "def dummy_finding(inputs: QualityInputs) -> Finding | None:\n"
+            "    return Finding('DUMMY', 'NORMAL', 'Every row was looked at.', len(inputs.telemetry))\n\n\n",
+        ),
+    ),
+    f"{PACKAGE}/telemetry/quality/findings/__init__.py": (("    times.frames_descend,", "    times.dummy_finding,\n"),),
+    f"{PACKAGE}/console/routes.py": (
+        ("\nNOUNS = (", "from boresight.console.dummies import routes as dummies\n"),
+        ("    fleet,\n", "    dummies,\n"),
+    ),
+    f"{PACKAGE}/console/pages/frame.py": (
+        ('    NavigationLine("/audit"', '    NavigationLine("/dummies/1", "Dummies", "d"),\n'),
+    ),
+}
+
+
+def copied(place: Path) -> Path:
+    """Lay the package and the templates out anew as links; what reads its own place, and what gets a line, is a file."""
+    for top in (PACKAGE, "frontend/templates"):
+        for path in (ROOT / top).rglob("*"):
+            if path.is_file() and "__pycache__" not in path.parts:
+                link = place / path.relative_to(ROOT)
+                link.parent.mkdir(parents=True, exist_ok=True)
+                link.symlink_to(path)
+    for path in (*(ROOT / "frontend").iterdir(), ROOT / "migrations", ROOT / "tests", ROOT / "benchmarks"):
+        if path.name != "templates":
+            (place / path.relative_to(ROOT)).symlink_to(path)
+    for name in (f"{PACKAGE}/resources.py", *LINES):
+        text = (ROOT / name).read_text()
+        for before, line in LINES.get(name, ()):
+            assert text.count(before) == 1, (name, before)
+            text = text.replace(before, line + before)
+        (place / name).unlink()
+        (place / name).write_text(text)
+    for name, text in NEW.items():
+        (place / name).parent.mkdir(parents=True, exist_ok=True)
+        (place / name).write_text(text)
+    return place
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    place = copied(tmp_path_factory.mktemp("new-things"))
+    path = os.pathsep.join((str(place / "backend"), str(place)))
+    told = subprocess.run(
+        [sys.executable, "-m", "tests.new_things", str(tmp_path_factory.mktemp("data"))],
+        cwd=place,
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert told.returncode == 0, told.stderr[-3000:]
+    return json.loads(told.stdout)
+
+
+def row(thing):
+    """Return what README says of a new thing: its files, and what comes with it."""
+    (found,) = re.findall(rf"^\| {thing} \| (.*) \| (.*) \|$", README, re.MULTILINE)
+    return found
+
+
+def names_files(thing, *paths):
+    files = row(thing)[0]
+    return all(path in files for path in paths)
+
+
+def test_a_camera_model_is_one_file_a_line_and_the_places_that_readme_names(seen):
+    files = row("camera model")[0]
+    assert names_files("camera model", "`cameras/<name>.py`", "`CAMERA_MODELS`")
+    naming = set()
+    for path in (ROOT / PACKAGE).rglob("*.py"):
+        name = str(path.relative_to(ROOT / PACKAGE))
+        uses = re.search(r'"(inverted_wang|pinhole_radial)"|_(INVERTED_WANG|PINHOLE_RADIAL)\b', path.read_text())
+        if uses and not name.startswith(("cameras/", "papers/", "console/", "simulation/")):
+            naming.add(name)
+    assert naming == set(re.findall(r"`([a-z_]+/[a-z_]+\.py)`", files)) - {"verdicts/numbers.py"}
+    assert "dummy_lens" in seen["camera"]["registered"]
+    assert seen["camera"]["sensor_read"] == "dummy_lens"
+    assert seen["camera"]["sensor_registered"] == 201
+    assert seen["camera"]["offered_by_convert"]
+
+
+def test_a_chart_is_one_file_and_a_line_and_is_drawn_everywhere(seen):
+    assert names_files("chart", "`figures/charts/<name>.py`", "`CHAPTERS`")
+    chart = seen["chart"]
+    assert chart["registered"]
+    assert chart["listed"] == {"name": "dummy-chart", "title": "Dummy chart"}
+    assert chart["drawn"]["data"][0]["type"] == "bar"
+    assert chart["csv"].split() == ["frames", "60"]
+    assert all(chart["on"][page] for page in ("run page", "compare", "gallery", "report", "guide", "document")), chart["on"]
+
+
+def test_a_gate_is_a_function_and_a_row_and_is_measured_judged_and_edited(seen):
+    assert names_files("gate", "`verdicts/gates/measurements.py`", "`GATES`")
+    gate = seen["gate"]
+    assert gate["answer"] == {"status": "PASS", "value": 8.0, "limit": 99.0}
+    assert gate["limited"]["status"] == "FAIL"
+    assert all(gate["on"][place] for place in ("editor", "panel", "command")), gate["on"]
+
+
+def test_a_finding_is_a_function_and_a_line_and_is_reported(seen):
+    assert names_files("finding on telemetry", "`telemetry/quality/findings/`", "`FINDINGS`")
+    assert seen["finding"]["report"] == {"code": "DUMMY", "severity": "NORMAL", "sentence": "Every row was looked at."}
+    assert all(seen["finding"]["on"][place] for place in ("command", "rest", "page")), seen["finding"]["on"]
+
+
+def test_a_route_is_documented_and_lets_in_whom_it_should(seen):
+    assert names_files("route", "`console/<noun>/routes.py`", "`NOUNS`")
+    route = seen["route"]
+    assert route["documented"] == ["get", "post"]
+    assert {"401", "422"} <= set(route["refusals"])
+    assert {"Idempotency-Key", "validate_only"} <= set(route["parameters"])
+    assert route["statuses"] == {
+        "read by nobody": 401, "read by ada": 200, "made by nobody": 401, "made without the token": 403, "made by ada": 201,
+        "made again": 201, "only tried": 200,
+    }  # fmt: skip
+    assert route["replayed"] == "true"
+    assert route["tried"] == "true"
+
+
+def test_a_page_has_its_frame_its_line_of_the_navigation_and_errors_as_pages(seen):
+    assert names_files("page", "`console/<noun>/pages.py`", "`frontend/templates/<noun>/`", "`NAVIGATION`")
+    page = seen["page"]
+    assert page["statuses"] == {"to ada": 200, "to nobody": 303, "not there": 404}
+    assert page["nobody_is_led_to"].startswith("/login")
+    assert all(page["on"][place] for place in ("content", "frame", "navigation", "error")), page["on"]
