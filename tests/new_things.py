@@ -2,10 +2,12 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import orjson
 import pytest
 from click.testing import CliRunner, Result
@@ -23,8 +25,10 @@ from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.blobs.folder import register_blob
 from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.sessions import open_writing, utc_now
-from boresight.simulation.scenes import calibration_scenario
+from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import wu_sensor
+from boresight.sky.catalogue import load_catalogue
+from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import parse_sensor, sensor_document
 from boresight.verdicts.gates import judge, parse_profile
 from boresight.verdicts.gates.assessment import assess, ground_set
@@ -33,9 +37,8 @@ from tests.passwords import add_person, use_hasher
 from tests.served import PASSWORD, serving, settings_in
 from tests.stores import open_migrated, url_in
 
-ROOT = Path(__file__).resolve().parents[1]
-SENSOR = calibration_scenario(1).sensor
-SKY = ROOT / "data" / "real-sky"
+SCENARIO = replace(calibration_scenario(1), frames=10)
+SENSOR = SCENARIO.sensor
 
 
 def furnished(folder: Path) -> int:
@@ -58,7 +61,7 @@ def furnished(folder: Path) -> int:
         session.add_all(
             Run(
                 sensor_id=sensor.id, telemetry_set_id=telemetry.id, method="sqrf", settings={}, sensor_document=sensor.document,
-                state="SUCCEEDED", launched_utc=now, started_utc=now, ended_utc=now, launched_by=person, result_sha256=address,
+                state="SUCCEEDED", launched_utc=now, started_utc=now, ended_utc=now, launched_by=person.id, result_sha256=address,
                 summary={"status": "converged"},
             )
             for _ in range(2)
@@ -78,7 +81,7 @@ def camera(ada: httpx.Client) -> dict[str, Any]:
         "registered": list(CAMERA_MODELS),
         "sensor_read": parse_sensor(document).camera_model,
         "sensor_registered": ada.post("/api/v1/sensors", json=document).status_code,
-        "offered_by_convert": "dummy_lens" in command("convert", "--help").output,
+        "offered": "dummy_lens" in ada.post("/api/v1/sensors", json=document | {"camera_model": "nothing"}).text,
     }
 
 
@@ -86,7 +89,7 @@ def chart(ada: httpx.Client) -> dict[str, Any]:
     (listed,) = (one for one in ada.get("/api/v1/runs/1/figures").json()["items"] if one["name"] == "dummy-chart")
     described = json.dumps(ada.get("/api/v1/openapi.json").json()["paths"]["/api/v1/runs/{run_id}/figures/{name}"])
     places = {
-        "run page": ada.get("/runs/1?part=dummies").text,
+        "run page": ada.get("/runs/1?part=convergence").text,
         "compare": ada.get("/compare?runs=1,2").text,
         "gallery": ada.get("/gallery").text,
         "report": render_report(get_example_calibrations()["filter"]),
@@ -122,15 +125,15 @@ def gate(ada: httpx.Client, sensor_id: int, folder: Path) -> dict[str, Any]:
     }
 
 
-def finding(ada: httpx.Client, folder: Path) -> dict[str, Any]:
-    telemetry, sensor = SKY / "esa-5-frames.csv", SKY / "esa.sensor.json"
+def finding(ada: httpx.Client, sensor_id: int, folder: Path) -> dict[str, Any]:
+    telemetry, sensor = folder / "telemetry.csv", folder / "sensor.json"
+    write_csv(simulate(SCENARIO, np.random.default_rng(1), load_catalogue(folder)), telemetry)
     printed = command("check", telemetry, "--sensor", sensor, "--json", folder / "report.json")
+    assert printed.exit_code == 0, printed.output
     (found,) = (one for one in json.loads((folder / "report.json").read_text())["findings"] if one["code"] == "DUMMY")
-    registered = ada.post("/api/v1/sensors", json=json.loads(sensor.read_text())).json()["id"]
-    answer = ada.post(
-        "/api/v1/telemetry-sets", data={"sensor_id": str(registered)}, files={"file": ("sky.csv", telemetry.read_bytes())}
-    )
-    set_id = answer.json()["id"]
+    files = {"file": ("telemetry.csv", telemetry.read_bytes())}
+    answer = ada.post("/api/v1/telemetry-sets", data={"sensor_id": str(sensor_id)}, files=files)
+    set_id = answer.raise_for_status().json()["id"]
     return {
         "report": {key: found[key] for key in ("code", "severity", "sentence")},
         "on": {
@@ -168,7 +171,11 @@ def route(ada: httpx.Client, nobody: httpx.Client) -> dict[str, Any]:
 
 def page(ada: httpx.Client, nobody: httpx.Client) -> dict[str, Any]:
     html = {"Accept": "text/html"}
-    shown, led, missing = ada.get("/dummies/1", headers=html), nobody.get("/dummies/1", headers=html), ada.get("/dummies/2", headers=html)
+    shown, led, missing = (
+        ada.get("/dummies/1", headers=html),
+        nobody.get("/dummies/1", headers=html),
+        ada.get("/dummies/2", headers=html),
+    )
     return {
         "statuses": {"to ada": shown.status_code, "to nobody": led.status_code, "not there": missing.status_code},
         "nobody_is_led_to": led.headers.get("location", ""),
@@ -194,7 +201,7 @@ def run(folder: Path) -> dict[str, Any]:
                     "camera": camera(ada),
                     "chart": chart(ada),
                     "gate": gate(ada, sensor_id, folder),
-                    "finding": finding(ada, folder),
+                    "finding": finding(ada, sensor_id, folder),
                     "route": route(ada, nobody),
                     "page": page(ada, nobody),
                 }
