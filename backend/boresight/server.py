@@ -27,19 +27,11 @@ from starlette.exceptions import HTTPException
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.types import Scope
 
 import boresight
 from boresight.console import pages
 from boresight.console import routes as api_routes
-from boresight.console.access.credentials import (
-    CredentialCache,
-    LogInCookie,
-    carries_credentials,
-    identify,
-    identify_at_once,
-    prove,
-)
+from boresight.console.access.credentials import Authentication, CredentialCache, LogInCookie, authenticate
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.jobs.broadcast import Broadcast
 from boresight.console.jobs.heartbeat import Heartbeat
@@ -53,13 +45,12 @@ from boresight.console.webhooks.secrets import encrypt_all
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, StorageError
 from boresight.platform.blobs.opening import open_blobs
-from boresight.platform.db.data_version import DataVersionReader, VersionedCache
+from boresight.platform.db.data_version import DataVersionPoller, DataVersionReader, VersionedCache
 from boresight.platform.db.sessions import migrate, open_engine, open_reading
 from boresight.platform.web import static_files
 from boresight.platform.web.cached_check import CachedCheck
 from boresight.platform.web.concurrency_limit import ConcurrencyLimit, ConcurrencyLimits
 from boresight.platform.web.connections import Connections, open_file_limit
-from boresight.platform.web.data_version_poller import DataVersionPoller
 from boresight.platform.web.figure_cache import FigureCache
 from boresight.platform.web.metrics import Metrics
 from boresight.platform.web.middleware import (
@@ -73,8 +64,13 @@ from boresight.platform.web.openapi import DESCRIPTION, TAGS, corrected
 from boresight.platform.web.origins import OriginCheck
 from boresight.platform.web.problems import make_problem, problem_response
 from boresight.platform.web.request_bodies import BodyRate, RequestValidation
-from boresight.platform.web.response_cache import CacheLookup, CredentialProof, ResponseCache
-from boresight.platform.web.response_cache_store import COMPRESS_FROM_BYTES, COMPRESSION_LEVEL, CacheStore
+from boresight.platform.web.response_cache import (
+    COMPRESS_FROM_BYTES,
+    COMPRESSION_LEVEL,
+    CacheLookup,
+    CacheStore,
+    ResponseCache,
+)
 from boresight.settings import Settings
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.workers.dispatcher import RunDispatcher
@@ -119,8 +115,9 @@ def create_app(settings: Settings, *, limits: ConcurrencyLimits | None = None, p
     app.add_middleware(RequestValidation, refuse=_refuse)  # what is added later is further out
     app.add_middleware(CacheStore, ready=app.state.ready)
     app.add_middleware(GZipMiddleware, minimum_size=COMPRESS_FROM_BYTES, compresslevel=COMPRESSION_LEVEL)
-    app.add_middleware(ConcurrencyLimit, refuse=_turn_away, identify=_identify, begin=_begin, limits=limits)
+    app.add_middleware(ConcurrencyLimit, refuse=_turn_away, begin=app.state.ready.begin, limits=limits)
     app.add_middleware(CacheLookup, ready=app.state.ready)
+    app.add_middleware(Authentication, refuse=_turn_away)
     app.add_middleware(HeadMiddleware)
     app.add_middleware(AcceptEncodingMiddleware)
     app.add_middleware(OriginCheck, refuse=_turn_away, public_url=settings.public_url)
@@ -165,7 +162,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.changes, state.fleet = DataVersionPoller(data_versions), FleetStatusCache(state.engine, data_versions)
     state.known, state.overview = CredentialCache(data_versions), VersionedCache[object](data_versions)
     state.written = OrderedDict()
-    state.ready = ResponseCache(state.changes, _prove, lambda: _beside(app))
+    state.ready = ResponseCache(state.changes, authenticate, lambda: _beside(app))
     state.workers = None
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
 
@@ -242,26 +239,6 @@ def _warm(catalogue: Callable[[], Catalogue]) -> None:
         catalogue()
     except Exception:
         log.exception("The star catalogue could not be loaded; the first upload tries again")
-
-
-async def _identify(scope: Scope) -> int | None:
-    """Return the number of the person whose credentials a request carries; None where they do not hold."""
-    state = scope["app"].state
-    if not carries_credentials(scope, state.log_in_cookie.name):
-        return None
-    actor = await identify_at_once(state.engine, identify, scope)
-    return None if actor is None else actor.user_id
-
-
-async def _begin(scope: Scope) -> None:
-    """Begin to work on a request whose turn has come: who asks is looked up once more, for it may have waited."""
-    scope["state"].pop("actor", None)
-    await scope["app"].state.ready.begin(scope)
-
-
-async def _prove(scope: Scope) -> CredentialProof | None:
-    """Look up the credentials of a request."""
-    return await identify_at_once(scope["app"].state.engine, prove, scope)
 
 
 def _turn_away(request: Request, error: Exception) -> Response:

@@ -5,7 +5,7 @@ import zlib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.platform.web.compressed_pages import NAME_GAP, TOKEN_GAP, CompressedPage
+from boresight.platform.web.response_cache import NAME_GAP, TOKEN_GAP, CompressedPage
 
 GAPS = (TOKEN_GAP.encode(), NAME_GAP.encode())
 PIECES = st.lists(st.one_of(st.sampled_from(GAPS), st.binary(max_size=300)), max_size=12)

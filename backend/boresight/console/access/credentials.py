@@ -1,11 +1,17 @@
-"""Authentication: the credential of a request looked up in the store, and its proof for the response cache.
+"""Authentication: who asks, by the credential that the request carries, looked up in the store.
+
+Every request is authenticated once, by the layer `Authentication` in front of cache, queue and endpoints; a request that waited for
+its turn or for another's answer is authenticated again. What was found is remembered under exactly these credentials (the headers
+`Authorization` and `Cookie`, byte for byte), and holds while the data version that it was found under is that of now, or else while
+the rows behind say the same, and until its end by the clock. Keys revoked, log-ins ended, people disabled, roles changed are all
+commits, so they act with the next request.
 
 The log-in cookie: a signed value that holds the secret of a session and its CSRF token.
 
 The value is `[token, csrf]` signed with the installation's secret key, so it can be read by its holder and altered by nobody.
 Whether the session still holds is the store's to say (`boresight.console.access.sessions`), with every request. HttpOnly keeps the
-cookie
-from scripts, SameSite=Lax from other sites' forms; the CSRF token must come back in every unsafe request that it authenticates.
+cookie from scripts, SameSite=Lax from other sites' forms; the CSRF token must come back in every unsafe request that it
+authenticates.
 """
 
 from __future__ import annotations
@@ -15,13 +21,15 @@ import os
 import secrets
 import tempfile
 import threading
+import time
 from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from itsdangerous import BadData, SignatureExpired, URLSafeTimedSerializer
 from markupsafe import escape
@@ -29,15 +37,16 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.types import Scope
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from boresight.console.access import api_keys, sessions, users
 from boresight.console.access.queries import CredentialRows
 from boresight.errors import BoresightError, PasswordDueError, SessionEndedError, UnauthenticatedError
 from boresight.platform.actors import Actor
-from boresight.platform.db.data_version import DataVersionReader
+from boresight.platform.db.data_version import DataVersion, DataVersionReader
 from boresight.platform.db.sessions import Engine, open_reading
-from boresight.platform.web.response_cache import CredentialProof, is_active
+from boresight.platform.web.concurrency_limit import ALWAYS, Refuse
+from boresight.platform.web.response_cache import DATA_VERSION, SHARING, Sharing
 from boresight.settings import Settings
 
 SESSION_COOKIE = "boresight_session"
@@ -119,16 +128,75 @@ class LogInCookie:
 
 
 MOST_REMEMBERED = 10_000
-T = TypeVar("T")
-U = TypeVar("U")
-Carried = tuple[tuple[bytes, bytes], ...]
-
+LISTENING = "/api/v1/events"
+BACKGROUND = (b"x-boresight-background", b"1")  # a page that renews itself says so
 WHILE_PASSWORD_IS_DUE = (
     "/api/v1/sessions",
     "/api/v1/sessions/current",
     "/password",
     "/logout",
 )  # what goes until one has set one's own
+T = TypeVar("T")
+U = TypeVar("U")
+Carried = tuple[tuple[bytes, bytes], ...]
+
+
+class CredentialUse(Protocol):
+    """Tells whether credentials were not idle for too long, and notes their use."""
+
+    def __call__(self, *, active: bool) -> bool:
+        """Whether they hold; `active` where somebody did something."""
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Somebody who was found by their credentials; `sharing` is None where that holds for one address alone."""
+
+    actor: Actor
+    csrf_token: str | None
+    sharing: Sharing | None
+    until_s: float
+    use: CredentialUse
+    rows: CredentialRows
+    mark: DataVersion | None = None  # as of which this is known
+
+
+class CredentialCache:
+    """Who was identified lately by which credentials."""
+
+    def __init__(self, marks: DataVersionReader) -> None:
+        self._marks = marks
+        self._lock = threading.Lock()
+        self._known: OrderedDict[Carried, Identity] = OrderedDict()
+
+    def find(self, scope: Scope, mark: DataVersion | None, *, active: bool) -> Identity | None:
+        """Return who carries these credentials, where that holds now, at this data version."""
+        known = self._known.get(carried(scope))
+        if known is None or time.time() >= known.until_s or not known.use(active=active):
+            return None
+        if mark is None or known.mark != mark:
+            if not known.rows.say_so_still(self._marks):
+                return None
+            self.keep(scope, replace(known, mark=mark))
+        return known
+
+    def keep(self, scope: Scope, known: Identity) -> None:
+        """Note who was identified."""
+        with self._lock:
+            self._known[carried(scope)] = known
+            self._known.move_to_end(carried(scope))
+            if len(self._known) > MOST_REMEMBERED:
+                self._known.popitem(last=False)
+
+
+def carried(scope: Scope) -> Carried:
+    """Return what a request carries that may decide whose it is."""
+    return tuple((name, value) for name, value in scope["headers"] if name in {b"authorization", b"cookie"})
+
+
+def is_active(scope: Scope) -> bool:
+    """Whether somebody did something; not so where an open page listens, or renews what it shows by itself."""
+    return not scope["path"].startswith(LISTENING) and BACKGROUND not in scope["headers"]
 
 
 def bearer(headers: Headers) -> str | None:
@@ -137,95 +205,109 @@ def bearer(headers: Headers) -> str | None:
     return secret.strip() if scheme.lower() == "bearer" else None
 
 
+class Authentication:
+    """The layer that finds out who asks, for all behind it; whoever is not known goes on as nobody."""
+
+    def __init__(self, app: ASGIApp, refuse: Refuse) -> None:
+        self.app = app
+        self._refuse = refuse
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let a request in."""
+        if scope["type"] == "http" and not scope["path"].startswith(ALWAYS):
+            try:
+                await authenticate(scope)
+            except BoresightError as error:  # of the store
+                await self._refuse(Request(scope), error)(scope, receive, send)
+                return
+        await self.app(scope, receive, send)
+
+
+async def authenticate(scope: Scope) -> None:
+    """Find out who asks, as of all that is committed by now."""
+    state, server = scope["state"], scope["app"].state
+    state.pop("actor", None)
+    state.pop(SHARING, None)
+    if not carries_credentials(scope, server.log_in_cookie.name):
+        return
+    state[DATA_VERSION] = await server.changes.now()
+    with suppress(UnauthenticatedError, PasswordDueError):  # the endpoint says so, where it asks for somebody
+        await get_actor(Request(scope))
+
+
+def carries_credentials(scope: Scope, cookie_name: str) -> bool:
+    """Whether a request carries anything that could be a credential."""
+    cookie = cookie_name.encode() + b"="
+    return any(name == b"authorization" or (name == b"cookie" and cookie in value) for name, value in scope["headers"])
+
+
 def current_actor(request: Request) -> Actor:
     """Return who acts: the owner of the API key if one is given, else the person whose log-in cookie it is."""
-    known = getattr(request.state, "actor", None)
-    if known is None:
-        known = request.state.actor = replace(_identify(request), request_id=request.state.request_id)
-    return known
+    return _remembered(request) or _note(request, _look_up(request))
 
 
 async def get_actor(request: Request) -> Actor:
     """Return who acts, as `current_actor` does: without a thread where that is known already, or the store answers on the spot."""
-    if (known := getattr(request.state, "actor", None)) is not None:
-        return known  # type: ignore[no-any-return]  # the request's state is whatever is put there
-    return await identify_at_once(request.app.state.engine, current_actor, request)
+    if (known := _remembered(request)) is not None:
+        return known
+    return await read_at_once(request.app.state.engine, current_actor, request)
 
 
-async def identify_at_once(engine: Engine, read: Callable[[T], U], given: T) -> U:
+def _remembered(request: Request) -> Actor | None:
+    """Return who acts, where that is known without the store, or by one look at it."""
+    state = request.scope["state"]
+    if "actor" in state:
+        return state["actor"]  # type: ignore[no-any-return]  # the request's state is whatever is put there
+    memory: CredentialCache = request.app.state.known
+    known = memory.find(request.scope, state.get(DATA_VERSION), active=is_active(request.scope))
+    return None if known is None else _note(request, known)
+
+
+async def read_at_once(engine: Engine, read: Callable[[T], U], given: T) -> U:
     """Call what makes a short read of the store: SQLite answers sooner than a thread could be asked."""
     if engine.dialect.name == "sqlite":
         return read(given)
     return await run_in_threadpool(read, given)
 
 
-@dataclass(frozen=True)
-class Identified:
-    """Somebody who was identified, and the proof of it."""
-
-    actor: Actor
-    csrf_token: str | None
-    proof: CredentialProof
-
-
-class CredentialCache:
-    """Who was identified lately by which credentials, byte for byte; known again while the rows behind say the same."""
-
-    def __init__(self, marks: DataVersionReader) -> None:
-        self.marks = marks
-        self._lock = threading.Lock()
-        self._known: OrderedDict[Carried, Identified] = OrderedDict()
-
-    def find(self, scope: Scope, *, active: bool) -> Identified | None:
-        """Return who carries these credentials, where that holds still."""
-        known = self._known.get(_carried(scope))
-        if known is None or not known.proof.unchanged() or not known.proof.holds(active=active):
-            return None
-        return known
-
-    def keep(self, scope: Scope, known: Identified) -> None:
-        """Note who was identified."""
-        with self._lock:
-            self._known[_carried(scope)] = known
-            self._known.move_to_end(_carried(scope))
-            if len(self._known) > MOST_REMEMBERED:
-                self._known.popitem(last=False)
-
-
-def _carried(scope: Scope) -> Carried:
-    """Return what a request carries that may decide whose it is."""
-    return tuple((name, value) for name, value in scope["headers"] if name in {b"authorization", b"cookie"})
-
-
-def _identify(request: Request, *, active: bool = True) -> Actor:
-    """Return whose credentials a request carries: as they were last identified, or by looking them up in the store."""
-    active = active and is_active(request.scope)
-    memory: CredentialCache = request.app.state.known
-    known = memory.find(request.scope, active=active)
-    if known is None:
-        known, holds_anywhere = _looked_up(request, memory.marks, active=active)
-        if not holds_anywhere:
-            request.state.csrf_token = known.csrf_token
-            return known.actor
-        memory.keep(request.scope, known)
+def _note(request: Request, known: Identity) -> Actor:
+    """Note in a request whose it is."""
+    state = request.scope["state"]
     if known.csrf_token is not None:
-        request.state.csrf_token = known.csrf_token
-    request.state.proof = known.proof
-    return known.actor
+        state["csrf_token"] = known.csrf_token
+    if known.sharing is not None:
+        state[SHARING] = known.sharing
+    actor: Actor = replace(known.actor, request_id=state["request_id"])
+    state["actor"] = actor
+    return actor
 
 
-def _looked_up(request: Request, marks: DataVersionReader, *, active: bool) -> tuple[Identified, bool]:
-    """Look up the credential in the store; tells too whether what was found holds for every address."""
+def _look_up(request: Request) -> Identity:
+    """Look up the credential of a request in the store, and remember what holds for every address."""
+    known = _of_key(request) or _of_log_in(request)
+    known = replace(known, mark=request.scope["state"].get(DATA_VERSION))
+    if known.sharing is not None:
+        request.app.state.known.keep(request.scope, known)
+    return known
+
+
+def _of_key(request: Request) -> Identity | None:
+    """Look up an API key; None where none is given."""
     secret = bearer(request.headers)
-    if secret is not None:
-        with open_reading(request.app.state.engine) as session:
-            actor = api_keys.actor_of_key(session, secret)
-            rows = CredentialRows.read(session, "key", actor.credential.removeprefix("key:"))
-        use = partial(request.app.state.upkeep.used, actor.credential)
-        use(active=True)
-        return Identified(
-            actor, None, CredentialProof(_seconds(actor.until_utc), use, partial(rows.say_so_still, marks))
-        ), True
+    if secret is None:
+        return None
+    with open_reading(request.app.state.engine) as session:
+        actor = api_keys.actor_of_key(session, secret)
+        rows = CredentialRows.read(session, "key", actor.credential.removeprefix("key:"))
+    use = partial(request.app.state.upkeep.used, actor.credential)
+    use(active=True)
+    until_s = math.inf if actor.until_utc is None else datetime.fromisoformat(actor.until_utc).timestamp()
+    own = carried(request.scope)
+    return Identity(actor, None, Sharing(own, own), until_s, use, rows)
+
+
+def _of_log_in(request: Request) -> Identity:
+    """Look up a log-in by its cookie."""
     cookie: LogInCookie = request.app.state.log_in_cookie
     if cookie.name not in request.cookies:
         raise UnauthenticatedError("You are not logged in; log in, or send an API key as a Bearer token.")
@@ -237,61 +319,21 @@ def _looked_up(request: Request, marks: DataVersionReader, *, active: bool) -> t
         sets_password = request.url.path in (*WHILE_PASSWORD_IS_DUE, due)
         actor = users.get_actor(session, log_in.user_id, log_in.id, sets_password=sets_password)
         rows = CredentialRows.read(session, "session", log_in.id)
-    used = partial(request.app.state.upkeep.session_used, log_in.id, log_in.last_used_utc)
-    if not used(active=active):
+    use = partial(request.app.state.upkeep.session_used, log_in.id, log_in.last_used_utc)
+    if not use(active=is_active(request.scope)):
         raise SessionEndedError("idle")
     others = tuple(sorted(pair for pair in request.cookies.items() if pair[0] != cookie.name))
-    proof = CredentialProof(
-        content.ends_s,
-        used,
-        partial(rows.say_so_still, marks),
-        person=(actor.user_id, others),
-        roles=(actor.roles, others),
-        gaps=(content.csrf_token.encode(), str(escape(actor.printed_name or actor.name)).encode()),
-    )
-    return Identified(
-        actor, content.csrf_token, proof
-    ), not sets_password  # what sets one's password proves nothing elsewhere
-
-
-def _seconds(time_utc: str | None) -> float:
-    """Return a time of the store as seconds of the clock; infinity for none."""
-    return math.inf if time_utc is None else datetime.fromisoformat(time_utc).timestamp()
-
-
-def get_proof(scope: Scope) -> CredentialProof | None:
-    """Return the proof of a request's credentials, if they were looked up and hold for every address."""
-    proof: CredentialProof | None = scope["state"].get("proof")
-    return proof
-
-
-def carries_credentials(scope: Scope, cookie_name: str) -> bool:
-    """Whether a request carries anything that could be a credential."""
-    cookie = cookie_name.encode() + b"="
-    return any(name == b"authorization" or (name == b"cookie" and cookie in value) for name, value in scope["headers"])
-
-
-def identify(scope: Scope) -> Actor | None:
-    """Return who acts; None where the credentials are absent, forged, ended or of somebody whose password is due."""
-    try:
-        return current_actor(Request(scope))
-    except (UnauthenticatedError, PasswordDueError):
-        return None
-
-
-def prove(scope: Scope) -> CredentialProof | None:
-    """Look up a request's credentials; None where they do not hold, or not for every address."""
-    try:
-        current_actor(Request(scope))
-    except BoresightError:
-        return None
-    return get_proof(scope)
+    gaps = (content.csrf_token.encode(), str(escape(actor.printed_name or actor.name)).encode())
+    sharing = None if sets_password else Sharing((actor.user_id, others), (actor.roles, others), gaps)
+    return Identity(actor, content.csrf_token, sharing, content.ends_s, use, rows)
 
 
 def is_still_valid(request: Request) -> bool:
     """Whether the credential of a long request still holds: not logged out everywhere, revoked, expired or disabled."""
+    if request.app.state.known.find(request.scope, None, active=False) is not None:
+        return True
     try:
-        _identify(request, active=False)
+        _look_up(request)
     except UnauthenticatedError:
         return False
     return True

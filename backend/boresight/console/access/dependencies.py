@@ -40,6 +40,7 @@ from boresight.platform.web.figure_cache import FigureCache
 from boresight.platform.web.openapi import refuses
 from boresight.platform.web.origins import SAFE_METHODS
 from boresight.platform.web.paging import parse_row_id, register
+from boresight.platform.web.response_cache import FOR_ALL, FOR_ONE, FOR_ROLES, share
 from boresight.settings import Settings
 from boresight.sky.catalogue import Catalogue
 
@@ -73,6 +74,28 @@ async def open_write_session(request: Request) -> AsyncIterator[Session]:
     state.broadcast.nudge()
     state.deliveries.nudge()
     state.workers.notify()
+
+
+async def same_for_all(request: Request, _actor: Who) -> None:
+    """Let whoever is known read what is the same for all: the answer follows from address and store alone.
+
+    It takes the place of `Who`: the endpoint is not told who it is.
+    """
+    share(request, FOR_ALL)
+
+
+async def same_for_one(request: Request, _actor: Who) -> None:
+    """Say that the answer follows from address, store and who asks, and from what every page shows of this server."""
+    share(request, FOR_ONE)
+
+
+async def same_for_roles(request: Request, actor: Who) -> frozenset[str]:
+    """Say that a page follows from address, store, these roles, and from what every page shows of this server and who asks.
+
+    Its endpoint may ask for `Roles`, and for nothing else of who asks.
+    """
+    share(request, FOR_ROLES)
+    return actor.roles
 
 
 async def get_dry_run(validate_only: Annotated[bool, Query(description=DRY_RUN_SENTENCE)] = False) -> bool:
@@ -235,6 +258,8 @@ def own_password(body: type[BaseModel]) -> Any:
 
 
 Who = Annotated[Actor, Depends(get_actor)]
+SAME_FOR_ALL = Depends(same_for_all)
+Roles = Annotated[frozenset[str], Depends(same_for_roles)]
 Reading = Annotated[Session, Depends(open_read_session, scope="function")]
 Writing = Annotated[Session, Depends(open_write_or_dry_run, scope="function")]
 LoggingIn = Annotated[Session, Depends(open_write_session, scope="function")]

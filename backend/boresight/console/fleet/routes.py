@@ -16,7 +16,7 @@ from starlette.responses import Response
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import lists
 from boresight.console import schemas as console_schemas
-from boresight.console.access.dependencies import Reading, SeenVersion, Who, Writing
+from boresight.console.access.dependencies import SAME_FOR_ALL, Reading, SeenVersion, Who, Writing
 from boresight.console.fleet import schemas, timeline
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
@@ -31,7 +31,7 @@ from boresight.figures import figure_json
 from boresight.figures.charts import trend
 from boresight.platform.web.media import CsvFile, csv_response
 from boresight.platform.web.paging import Id, Listing, Page, Paged
-from boresight.platform.web.response_cache_store import SAME_FOR_ALL, cover_with_tag
+from boresight.platform.web.response_cache import cover_with_tag
 
 router = operations("/sensors", tags=["sensors"])
 

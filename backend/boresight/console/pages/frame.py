@@ -41,8 +41,7 @@ from boresight.errors import PasswordDueError, UnauthenticatedError
 from boresight.platform.actors import Actor
 from boresight.platform.db.data_version import DataVersion, DataVersionReader
 from boresight.platform.db.sessions import Engine, Session, open_reading
-from boresight.platform.web.compressed_pages import NAME_GAP, TOKEN_GAP
-from boresight.platform.web.response_cache_store import has_gaps, mark_outdated
+from boresight.platform.web.response_cache import NAME_GAP, TOKEN_GAP, has_gaps, mark_outdated
 
 HELD_S = 30.0
 LARGE, REST = 200, 5.0

@@ -41,7 +41,7 @@ from boresight.errors import BoresightError, Fault, NotFoundError, RefusedInputE
 from boresight.platform.actors import Actor
 from boresight.platform.web.paging import parse_row_id
 from boresight.platform.web.problems import make_problem
-from boresight.platform.web.response_cache_store import GAPS
+from boresight.platform.web.response_cache import GAPS
 from boresight.resources import folder
 
 T = TypeVar("T")

@@ -23,7 +23,7 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import transitions
 from boresight.console.access.credentials import get_actor
-from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.access.dependencies import Reading, Who, csrf, same_for_roles
 from boresight.console.approvals import gates, promotions, submissions
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.gate_assessment import assess_before_submission
@@ -55,7 +55,6 @@ from boresight.errors import RefusedInputError
 from boresight.figures.tables import set_rows
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.response_cache_store import same_for_roles
 
 READ_AT_ONCE = 500
 SETS = Table(

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
 from boresight.console import transitions
-from boresight.console.access.dependencies import Blobs, Reading, SeenVersion, ServerPolicy, Who, Writing
+from boresight.console.access.dependencies import SAME_FOR_ALL, Blobs, Reading, SeenVersion, ServerPolicy, Who, Writing
 from boresight.console.approvals import promotions, submissions
 from boresight.console.approvals import schemas as approval_schemas
 from boresight.console.approvals.gate_assessment import AssessedBefore
@@ -19,7 +19,6 @@ from boresight.console.parameter_sets import schemas, service
 from boresight.console.parameter_sets import service as conversions
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.platform.web.paging import Id, Listing, Page, Paged
-from boresight.platform.web.response_cache_store import SAME_FOR_ALL
 
 router = operations("/parameter-sets", tags=["parameter sets"])
 

@@ -17,6 +17,7 @@ from starlette.responses import Response
 
 from boresight.console import schemas as console_schemas
 from boresight.console.access.dependencies import (
+    SAME_FOR_ALL,
     Blobs,
     DryRunSight,
     IsDryRun,
@@ -39,7 +40,7 @@ from boresight.figures.report import render_report
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import GREATEST_ID, Id, Listing, Page, Paged
-from boresight.platform.web.response_cache_store import SAME_FOR_ALL, cover_with_tag
+from boresight.platform.web.response_cache import cover_with_tag
 
 router = operations("/runs", tags=["runs"])
 

@@ -22,7 +22,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console.access.dependencies import CSRF_FIELD, Reading, Who, csrf
+from boresight.console.access.dependencies import CSRF_FIELD, Reading, Roles, Who, csrf
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.pages.drawings import Drawing, detector_map, histogram, number_bars
@@ -50,7 +50,6 @@ from boresight.platform.actors import Actor, require_role
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
-from boresight.platform.web.response_cache_store import Roles
 
 SCRIPTED = "x-boresight-upload"  # the header of an upload whose progress a script shows
 

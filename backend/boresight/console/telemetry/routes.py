@@ -10,6 +10,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.console.access.dependencies import (
+    SAME_FOR_ALL,
     Blobs,
     Database,
     DryRunSight,
@@ -29,8 +30,7 @@ from boresight.platform.actors import require_role
 from boresight.platform.db.sessions import open_reading
 from boresight.platform.web.media import StoredFile
 from boresight.platform.web.paging import Id, Listing, Page, Paged
-from boresight.platform.web.response_cache import matches_tag
-from boresight.platform.web.response_cache_store import SAME_FOR_ALL, cover_with_tag
+from boresight.platform.web.response_cache import cover_with_tag, matches_tag
 
 router = operations("/telemetry-sets", tags=["telemetry sets"])
 

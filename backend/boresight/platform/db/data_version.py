@@ -5,17 +5,17 @@ still holds at the second. SQLite counts for each connection the commits of all 
 that never writes sees every one: a look costs some microseconds. PostgreSQL names its snapshot (`pg_current_snapshot()`): its text
 changes when a transaction that wrote anything ends, in this database or another of the cluster, and a look costs a question to the
 server. A mark carries the number of its connection too: those of a later connection might meet it by chance.
-
-A least-recently-used cache limited in bytes; a value larger than a quarter of it is not kept.
 """
 
 from __future__ import annotations
 
+import asyncio
 import math
 import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Generic, TypeVar
 
 from boresight.disks import Opened
@@ -23,6 +23,7 @@ from boresight.platform.db.engines import OPENED
 from boresight.platform.db.sessions import Engine
 
 T = TypeVar("T")
+Value = TypeVar("Value")
 DataVersion = tuple[int, int | str]  # the number of the connection that it was seen over, and what was seen
 QUESTIONS = {"sqlite": "PRAGMA data_version", "postgresql": "SELECT pg_current_snapshot()::text"}
 
@@ -102,6 +103,41 @@ class DataVersionReader:
             self._let_go()
 
 
+class DataVersionPoller:
+    """The data version for requests on the event loop: read anew for each, so that a client always sees its own commits.
+
+    SQLite answers on the spot. PostgreSQL is asked in a thread, one question at a time: who comes while one is under way waits for
+    the next, for that one may have been answered before something that they know of was committed; all who wait share the answer.
+    """
+
+    def __init__(self, marks: DataVersionReader) -> None:
+        self._marks = marks
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="boresight-changes")
+        self._under_way: asyncio.Task[DataVersion | None] | None = None
+        self._next: asyncio.Task[DataVersion | None] | None = None
+
+    async def now(self) -> DataVersion | None:
+        """Return a mark that was looked for after this was called; None where the store cannot say."""
+        if self._marks.at_once:
+            return self._marks.look()
+        loop = asyncio.get_running_loop()
+        if self._next is None or self._next.get_loop() is not loop:
+            self._next = loop.create_task(self._ask(self._under_way))
+        return await asyncio.shield(self._next)
+
+    async def _ask(self, before: asyncio.Task[DataVersion | None] | None) -> DataVersion | None:
+        """Wait for the question before, then ask."""
+        if before is not None and before.get_loop() is asyncio.get_running_loop():
+            await asyncio.wait([before])
+        self._under_way, self._next = self._next, None
+        return await asyncio.get_running_loop().run_in_executor(self._thread, self._marks.look)
+
+    def close(self) -> None:
+        """Stop polling."""
+        self._thread.shutdown(wait=False)
+        self._marks.close()
+
+
 class VersionedCache(Generic[T]):
     """A cache of query results, valid until the next commit."""
 
@@ -127,13 +163,11 @@ class VersionedCache(Generic[T]):
         return found, False
 
 
-Value = TypeVar("Value")
-
 LARGEST_SHARE = 4  # of the limit, so that one large thing does not push everything else out
 
 
 class SizeLimitedCache(Generic[Value]):
-    """Values by key; many threads may ask at once, and two that ask for the same at once both make it."""
+    """The values used last, by key; many threads may ask at once, and two that ask for the same at once both make it."""
 
     def __init__(self, limit_bytes: int) -> None:
         self.limit_bytes = limit_bytes

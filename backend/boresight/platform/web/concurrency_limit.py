@@ -41,6 +41,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from boresight.errors import BoresightError, OverloadedError, UnauthenticatedError
+from boresight.platform.actors import Actor
 from boresight.platform.web.connections import CONNECTION, Connection
 from boresight.platform.web.origins import SAFE_METHODS, get_network
 from boresight.platform.web.request_bodies import CLOSE, read_body
@@ -107,7 +108,6 @@ COME_BACK_S = 2
 SMALL_BODY_BYTES = 64_000
 ALWAYS = ("/static/", "/healthz", "/readyz", "/metrics", "/api/v1/events")
 Refuse = Callable[[Request, Exception], Response]
-Identify = Callable[[Scope], Awaitable[int | None]]
 Begin = Callable[[Scope], Awaitable[None]]
 READERS, WRITERS = 2, 2  # worked on at once; of the writers, all but one wait for the store
 
@@ -152,9 +152,7 @@ class Slots:
 class ConcurrencyLimit:
     """The middleware that counts requests."""
 
-    def __init__(
-        self, app: ASGIApp, refuse: Refuse, identify: Identify, begin: Begin, limits: ConcurrencyLimits | None = None
-    ) -> None:
+    def __init__(self, app: ASGIApp, refuse: Refuse, begin: Begin, limits: ConcurrencyLimits | None = None) -> None:
         self.app = app
         self.limits = limits or ConcurrencyLimits()
         self.known = Slots(self.limits.known, self.limits.known)
@@ -162,7 +160,6 @@ class ConcurrencyLimit:
         self.large = Slots(self.limits.large, self.limits.large_each)
         self.readers, self.writers = RequestQueue(READERS), RequestQueue(WRITERS)
         self._refuse = refuse
-        self._identify = identify
         self._begin = begin
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -171,7 +168,8 @@ class ConcurrencyLimit:
             await self.app(scope, receive, send)
             return
         try:
-            person = await self._identify(scope)
+            actor: Actor | None = scope["state"].get("actor")
+            person = None if actor is None else actor.user_id
             _mark_connection(scope, known=person is not None)
             body = _AnnouncedBody.of(scope)
             if person is None:

@@ -1,119 +1,145 @@
-"""The response cache: JSON answers sent again without running the endpoint while the data version has not changed.
+"""The response cache: answers given again, behind authentication, without running the endpoint while nothing was committed.
 
-An endpoint whose answer follows from the address and the rows of the store says so by `same_for_all` or `same_for_one`
-(`boresight.platform.web.response_cache_store`). Its answer is then kept, compressed and with its tag, and given again while all of
-this holds:
+Whoever asks has been found out by then, as for every request (`boresight.console.access.credentials`). An endpoint whose answer
+follows from the address and the rows of the store says so, and for whom it is the same (`share`): for all, for people of the same
+roles, or for one person. The answer is then kept, compressed and with its tag, and given again while all of this holds:
 
-1. Nothing was committed since: the store's mark (`boresight.platform.db.data_version`), looked for anew for this very request,
-equals the
-   mark that was looked for before the answer was read. So who commits reads their own writes, from whichever server or command.
-2. Whoever asks is known *now*: exactly these credentials (the `Authorization` and `Cookie` headers, byte for byte) were proven
-   under this mark, and their end by the clock has not come. Keys revoked, log-ins ended, people disabled, roles changed are all
-   commits, so they act with the next request. Credentials not proven under this mark are proven first, by one read.
-3. It is theirs: an answer `same_for_one` stands under the person, or the credentials where they are no log-in, and is given to no
-   others. One `same_for_roles` stands under the roles: where the frame names the person it has gaps
-   (`boresight.platform.web.compressed_pages`), which
-   are filled for whoever gets it. One `same_for_all` was made by an endpoint that was never told who asks. Neither endpoint is told
-   more, so their answers cannot hold anything of the one who happened to ask first.
-4. It is young: what the rows say of time (an age, a key that expires) is never older than `HELD_S`.
+1. Nothing was committed since: the data version (`boresight.platform.db.data_version`), looked for anew for this very request, is
+   the one that was looked for before the answer was read. So who commits reads their own writes, from whichever server or command.
+2. It is theirs: what is the same for one stands under the person, or the key, and is given to no others. What is the same for roles
+   stands under these: where the frame names the person it has gaps, which are filled for whoever gets it. What is the same for all
+   was made by an endpoint that is never told who asks.
+3. It is young: what the rows say of time (an age, a key that expires) is never older than `HELD_S`.
 
-When many ask for one answer that does not stand ready, the first makes it and the others wait for it: those who came before it
-began to be made, whose question it answers whatever was committed while they waited for its turn, and those for whom the mark
-is the one that it began under. The turn comes sooner the more wait (`boresight.platform.web.concurrency_limit`). Everything here
-runs on the event loop, so nothing is locked.
+When many ask for one answer that is not kept, the first makes it and the others wait for it: those who came before it began to be
+made, whose question it answers whatever was committed while they waited for its turn, and those for whom the data version is the
+one that it began under. Then they are authenticated again. The turn comes sooner the more wait
+(`boresight.platform.web.concurrency_limit`). Everything here runs on the event loop, so nothing is locked.
+
+Tags. A row's tag, by which transitions say what was seen (`If-Match`), stays what it is; it stands for the whole document, and
+saves sending it, where the row's state decides everything that is shown (`cover_with_tag`). Where more moves under it, as the
+progress of a run does, it is weak. Every other JSON document of the API that is read has the hash of its bytes as a weak tag: the
+same document is sent compressed or not. What says `no-store` has none.
+
+Pages with gaps. Compressing a page of 60 kB takes 0.8 to 5 ms, filling its gaps 0.1 ms. What stands between two gaps is compressed
+by itself, without reference to what was before (a full flush, RFC 1951 and zlib's manual); what fills a gap goes between as a
+stored block. So a filled page is one ordinary gzip stream.
 """
 
 from __future__ import annotations
 
 import asyncio
+import gzip
+import hashlib
+import re
+import secrets
+import struct
 import time
+import zlib
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable, Hashable
-from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from collections.abc import Awaitable, Callable, Hashable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from boresight.platform.db.data_version import DataVersion
-from boresight.platform.web.compressed_pages import CompressedPage
-from boresight.platform.web.data_version_poller import DataVersionPoller
+from boresight.platform.db.data_version import DataVersion, DataVersionPoller
 from boresight.platform.web.middleware import takes_gzip
 
 HELD_S = 30.0
 KEPT_BYTES = 64 << 20
 LARGEST_SHARE = 16
-MOST_PROOFS = 10_000
 MOST_ADDRESSES = 10_000
+COMPRESS_FROM_BYTES = 2048
+COMPRESSION_LEVEL = 5
+ASK_AGAIN = b"private, no-cache"
+VARY = b"Accept-Encoding, Authorization, Cookie"
 FOR_ALL, FOR_ROLES, FOR_ONE = "all", "roles", "one"
-ASKED, COMING = "asked", "coming"
-LISTENING = "/api/v1/events"
-BACKGROUND = (b"x-boresight-background", b"1")  # a page that renews itself says so
+
+# In the state of a request:
+DATA_VERSION = "data_version"  # as of which it is known who asks
+SHARING = "sharing"  # whose answers may be given to who asks; absent where nobody is known
+ASKED, COMING = "asked", "coming"  # what decides its answer, and the answer that it makes for others too
+SAME_FOR = "same_for"  # whom its answer is the same for
+GAPS = "gaps"  # whether the page was written with gaps for who asks
+OLDER = "is_older"  # whether part of its answer was read before a commit that its data version counts
+WHOLE = "tag_is_whole"  # whether the tag changes with everything that is shown
+
+HEAD = b"\x1f\x8b\x08\x00\x00\x00\x00\x00\x00\xff"
+LAST = b"\x01\x00\x00\xff\xff"  # an empty stored block that ends the stream
+MOST_STORED = 0xFFFF
+TOKEN_GAP, NAME_GAP = (f"gap-{secrets.token_hex(16)}" for _ in range(2))  # sent to nobody, so nobody can write one
 
 Address = tuple[str, bytes, bool]
-Asker = tuple[bytes, bytes]
 
 
-class SessionUse(Protocol):
-    """Tells whether credentials were not idle for too long, and notes their use."""
+class CompressedPage:
+    """A page compressed once, with gaps that are filled for each reader: the CSRF token and the name."""
 
-    def __call__(self, *, active: bool) -> bool:
-        """Whether they hold; `active` where somebody did something."""
+    def __init__(self, page: bytes, gaps: Sequence[bytes], *, compressed: bool) -> None:
+        pieces = re.split(b"(" + b"|".join(map(re.escape, gaps)) + b")", page)
+        self._texts, self._gaps = pieces[::2], [gaps.index(mark) for mark in pieces[1::2]]
+        self._packed = [_compress(text) for text in self._texts] if compressed else []
+
+    def __len__(self) -> int:
+        """Return how many bytes it takes to keep."""
+        return sum(map(len, self._texts)) + sum(map(len, self._packed))
+
+    def filled(self, values: Sequence[bytes]) -> bytes:
+        """Return the page with these values in its gaps, in the order in which the gaps were named."""
+        fills = [values[gap] for gap in self._gaps]
+        if not self._packed:
+            return b"".join(_interleave(self._texts, fills))
+        crc, length = 0, 0
+        for text in _interleave(self._texts, fills):
+            crc, length = zlib.crc32(text, crc), length + len(text)
+        stored = [_store_blocks(fill) for fill in fills]
+        end = struct.pack("<II", crc, length & 0xFFFFFFFF)
+        return b"".join([HEAD, *_interleave(self._packed, stored), LAST, end])
 
 
-def is_active(scope: Scope) -> bool:
-    """Whether somebody did something; not so where an open page listens, or renews what it shows by itself."""
-    return not scope["path"].startswith(LISTENING) and BACKGROUND not in scope["headers"]
+def _interleave(texts: Sequence[bytes], fills: Sequence[bytes]) -> list[bytes]:
+    """Put what fills the gaps between the texts; there is one text more."""
+    return [piece for pair in zip(texts, (*fills, b""), strict=True) for piece in pair]
+
+
+def _compress(text: bytes) -> bytes:
+    """Compress a text so that any other block may stand before and after it."""
+    packing = zlib.compressobj(COMPRESSION_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
+    return packing.compress(text) + packing.flush(zlib.Z_FULL_FLUSH)
+
+
+def _store_blocks(text: bytes) -> bytes:
+    """Write a text as stored blocks."""
+    parts = [text[begin : begin + MOST_STORED] for begin in range(0, len(text), MOST_STORED)]
+    return b"".join(b"\x00" + struct.pack("<HH", len(part), len(part) ^ MOST_STORED) + part for part in parts)
 
 
 @dataclass(frozen=True)
-class CacheRequest:
-    """What decides a request's answer: its address, whether it takes gzip, and the credentials it carries.
+class Sharing:
+    """Whose answers somebody may be given: those made for the same person, or the same roles; and what fills their gaps."""
 
-    `active` says whether it counts as a use of a log-in.
-    """
+    person: Hashable
+    roles: Hashable
+    gaps: tuple[bytes, ...] = ()  # none with a key: its pages are written whole
+
+
+@dataclass
+class CacheRequest:
+    """What decides a request's answer besides who asks."""
 
     address: Address
-    asker: Asker
     known_tags: bytes
-    active: bool = True
     mark: DataVersion | None = None
     beside: Hashable = None
 
     @classmethod
-    def of(cls, scope: Scope) -> CacheRequest | None:
-        """Read a request; None where it is none that an answer may stand ready for."""
-        if scope["type"] != "http" or scope["method"] != "GET":
-            return None
-        credentials, found, accepted = {b"authorization": b"", b"cookie": b""}, b"", b""
-        for name, value in scope["headers"]:
-            if name in credentials:
-                if credentials[name]:
-                    return None  # given twice: let the endpoint decide which counts
-                credentials[name] = value
-            elif name == b"accept-encoding":
-                accepted = value  # one at most: the border has read it
-            elif name == b"if-none-match":
-                found += value
-        asker = (credentials[b"authorization"], credentials[b"cookie"])
-        if not any(asker):
-            return None
-        return cls((scope["path"], scope["query_string"], takes_gzip(accepted)), asker, found, is_active(scope))
-
-
-@dataclass(frozen=True)
-class CredentialProof:
-    """That credentials hold."""
-
-    until_s: float
-    use: SessionUse
-    unchanged: Callable[[], bool] = lambda: False
-    person: Hashable = None
-    roles: Hashable = None
-    gaps: tuple[bytes, ...] = ()
-
-    def holds(self, *, active: bool = True) -> bool:
-        """Whether they hold still; counts as a use where somebody did something."""
-        return time.time() < self.until_s and self.use(active=active)
+    def of(cls, scope: Scope) -> CacheRequest:
+        """Read the head of a request."""
+        accepted = b"".join(value for name, value in scope["headers"] if name == b"accept-encoding")
+        found = b"".join(value for name, value in scope["headers"] if name == b"if-none-match")
+        return cls((scope["path"], scope["query_string"], takes_gzip(accepted)), found)
 
 
 @dataclass(frozen=True)
@@ -157,7 +183,7 @@ class PendingResponse:
     answer: asyncio.Future[CachedResponse | None]
     waiting: int = 0
     newest_s: float = 0.0  # when the last of them came
-    came_s: float = field(default=0.0)  # the times at which they came, summed up
+    came_s: float = 0.0  # the times at which they came, summed up
 
     def joined(self) -> None:
         """Count one more who waits."""
@@ -176,127 +202,110 @@ def waited_s(scope: Scope) -> Callable[[float], float] | None:
     return None if making is None else making.waited_s
 
 
+def share(request: Request, same_for: str) -> None:
+    """Say that an answer follows from address and store, from whom it is the same for, and from what pages show of this server."""
+    request.scope["state"][SAME_FOR] = same_for
+
+
+def has_gaps(request: Request) -> bool:
+    """Whether a page is to be written with gaps for the name and the token of who asks: it will be filled on its way out."""
+    state = request.scope["state"]
+    log_in = ASKED in state and SHARING in state and bool(state[SHARING].gaps)
+    state[GAPS] = log_in and state.get(SAME_FOR) in {FOR_ROLES, FOR_ONE}
+    return bool(state[GAPS])
+
+
+def mark_outdated(request: Request) -> None:
+    """Say that something was committed since part of an answer was read: it is good for who asked before, and not given again."""
+    request.scope["state"][OLDER] = True
+
+
+def cover_with_tag(request: Request, *, holds: bool = True) -> None:
+    """Say that the row's tag changes whenever anything in the answer does."""
+    request.scope["state"][WHOLE] = holds
+
+
 class ResponseCache:
     """The response cache of one server."""
 
     def __init__(
         self,
         changes: DataVersionPoller,
-        prove: Callable[[Scope], Awaitable[CredentialProof | None]],
+        authenticate: Callable[[Scope], Awaitable[None]],
         beside: Callable[[], Hashable],
         limit_bytes: int = KEPT_BYTES,
     ) -> None:
         self.changes = changes
         self.beside = beside
         self.held_bytes = 0
-        self._prove = prove
+        self._authenticate = authenticate
         self._limit_bytes = limit_bytes
         self._kept: OrderedDict[Hashable, CachedResponse] = OrderedDict()
         self._same_for: OrderedDict[Address, str] = OrderedDict()
-        self._proofs: OrderedDict[Asker, tuple[DataVersion, CredentialProof]] = OrderedDict()
         self._coming: dict[Hashable, PendingResponse] = {}
         self._making: dict[tuple[Hashable, DataVersion], PendingResponse] = {}
 
-    async def find(
-        self, scope: Scope, asked: CacheRequest, data_version: DataVersion
-    ) -> tuple[CachedResponse, CredentialProof] | None:
-        """Return the answer that stands ready for who asks, waiting for it when it is being made, and the proof of who that is."""
-        if asked.address not in self._same_for:
-            return None  # nobody knows yet whose its answer will be
-        proof = await self._known(scope, asked, data_version)
-        if proof is None:
+    async def find(self, scope: Scope, asked: CacheRequest) -> CachedResponse | None:
+        """Return the answer that is kept for who asks, waiting for it when it is being made."""
+        asked.mark = scope["state"].get(DATA_VERSION)
+        key = self._key(scope, asked)
+        if key is None or asked.mark is None:
             return None
-        key = self._key(asked, proof)
-        kept = self._standing(key, data_version)
-        if kept is not None:
-            return kept, proof
+        kept = self._kept.get(key)
+        if kept is not None and kept.mark == asked.mark and self._is_young(kept):
+            self._kept.move_to_end(key)
+            return kept
         coming = self._coming.get(key)
-        making = coming or self._making.get((key, data_version))
+        making = coming or self._making.get((key, asked.mark))
         if making is not None:
-            return await self._wait(scope, asked, data_version, making, has_begun=coming is None)
-        self._comes(scope, key)
+            return await self._wait(scope, asked, making, has_begun=coming is None)
+        making = PendingResponse(key, asyncio.get_running_loop().create_future())
+        making.joined()
+        self._coming[key] = scope["state"][COMING] = making
         return None
 
     async def _wait(
-        self, scope: Scope, asked: CacheRequest, data_version: DataVersion, making: PendingResponse, *, has_begun: bool
-    ) -> tuple[CachedResponse, CredentialProof] | None:
-        """Wait for an answer that is coming, or has begun to be made under our mark."""
+        self, scope: Scope, asked: CacheRequest, making: PendingResponse, *, has_begun: bool
+    ) -> CachedResponse | None:
+        """Wait for an answer that is coming, or has begun to be made under our data version, and authenticate again."""
         making.joined()
         kept = await asyncio.shield(making.answer)
         if kept is None:
             return None
+        await self._authenticate(scope)
         if kept.is_older and has_begun:  # part of it is of before a commit that who came so late may know of
-            now = await self.changes.now()
-            return None if now is None else await self.find(scope, asked, now)
-        proof = await self._known(
-            scope, asked, kept.mark or data_version
-        )  # the mark may have been looked for later than ours
-        return None if proof is None or self._key(asked, proof) != making.key else (kept, proof)
+            return await self.find(scope, asked)
+        return kept if self._key(scope, asked) == making.key else None
 
-    def _key(self, asked: CacheRequest, proof: CredentialProof | None) -> Hashable:
-        """Return under what the answer to who asks is kept; a proof that was lost on the way tells of the asker alone."""
-        same_for = self._same_for.get(asked.address, FOR_ONE)
+    def _key(self, scope: Scope, asked: CacheRequest) -> Hashable:
+        """Return under what the answer to who asks is kept; None where nobody is known, or nobody knows yet whose it will be."""
+        sharing: Sharing | None = scope["state"].get(SHARING)
+        same_for = self._same_for.get(asked.address)
+        if sharing is None or same_for is None:
+            return None
         if same_for == FOR_ALL:
             return asked.address
-        sharing = None if proof is None else proof.roles if same_for == FOR_ROLES else proof.person
-        return asked.address, same_for, asked.asker if sharing is None else sharing
-
-    def _standing(self, key: Hashable, data_version: DataVersion) -> CachedResponse | None:
-        """Return what is kept, where it still holds."""
-        kept = self._kept.get(key)
-        if kept is None or kept.mark != data_version or not self._is_young(kept):
-            return None
-        self._kept.move_to_end(key)
-        return kept
+        return asked.address, same_for, sharing.roles if same_for == FOR_ROLES else sharing.person
 
     def _is_young(self, kept: CachedResponse) -> bool:
         """Whether an answer is not too old, and what it depends on besides the store is as it was."""
         return time.monotonic() - kept.made_s < HELD_S and kept.beside in {None, self.beside()}
 
-    async def _known(self, scope: Scope, asked: CacheRequest, data_version: DataVersion) -> CredentialProof | None:
-        """Return the proof of the credentials; None where they do not hold now."""
-        before, proof = self._proofs.get(asked.asker, (None, None))
-        if proof is None or (before != data_version and not proof.unchanged()):
-            proof = await self._prove(scope)
-            if proof is not None:
-                self.remember(asked.asker, data_version, proof)
-            return proof
-        if before != data_version:
-            self.remember(asked.asker, data_version, proof)
-        return proof if proof.holds(active=asked.active) else None
-
-    def remember(self, asker: Asker, data_version: DataVersion, proof: CredentialProof) -> None:
-        """Note that credentials were proven by a read after a mark."""
-        self._proofs[asker] = (data_version, proof)
-        self._proofs.move_to_end(asker)
-        if len(self._proofs) > MOST_PROOFS:
-            self._proofs.popitem(last=False)
-
-    def keep(
-        self, scope: Scope, asked: CacheRequest, kept: CachedResponse, proof: CredentialProof | None, same_for: str
-    ) -> None:
-        """Let an answer stand ready, and give it to those who wait for it."""
-        if asked.mark is not None and proof is not None:
-            self.remember(asked.asker, asked.mark, proof)
+    def keep(self, scope: Scope, asked: CacheRequest, kept: CachedResponse, same_for: str) -> None:
+        """Keep an answer, and give it to those who wait for it."""
         self._same_for[asked.address] = same_for
         self._same_for.move_to_end(asked.address)
         if len(self._same_for) > MOST_ADDRESSES:
             self._same_for.popitem(last=False)
-        size, key = len(kept.body), self._key(asked, proof)
-        if size * LARGEST_SHARE > self._limit_bytes:
+        size, key = len(kept.body), self._key(scope, asked)
+        if key is None or size * LARGEST_SHARE > self._limit_bytes:
             return
         self._drop(key)
-        if kept.is_older:
-            self._give(scope, key, kept)
-            return
-        self._kept[key] = kept
-        self.held_bytes += size
-        while self.held_bytes > self._limit_bytes:
-            self._drop(next(iter(self._kept)))
-        self._give(scope, key, kept)
-
-    def _give(self, scope: Scope, key: Hashable, kept: CachedResponse) -> None:
-        """Give an answer to those who wait for it."""
+        if not kept.is_older:
+            self._kept[key] = kept
+            self.held_bytes += size
+            while self.held_bytes > self._limit_bytes:
+                self._drop(next(iter(self._kept)))
         making: PendingResponse | None = scope["state"].get(COMING)
         if making is not None and making.key == key and not making.answer.done():
             making.answer.set_result(kept)
@@ -306,31 +315,24 @@ class ResponseCache:
         kept = self._kept.pop(key, None)
         self.held_bytes -= 0 if kept is None else len(kept.body)
 
-    def _comes(self, scope: Scope, key: Hashable) -> None:
-        """Say that an answer will be made when its turn has come."""
-        making = PendingResponse(key, asyncio.get_running_loop().create_future())
-        making.joined()
-        self._coming[key] = scope["state"][COMING] = making
-
     async def begin(self, scope: Scope) -> None:
         """Begin to make an answer: it will tell of everything that is committed by now, and of nothing later for sure.
 
-        Who asked meanwhile waits for it. Who asks from now on does so only if nothing is committed before.
+        Who asks is authenticated again, for they may have waited for the turn. Others who asked meanwhile wait for the answer; who
+        asks from now on does so only if nothing is committed before.
         """
-        asked: CacheRequest | None = scope["state"].get(ASKED)
-        if asked is None or asked.mark is None:
-            return
         making: PendingResponse | None = scope["state"].get(COMING)
         if making is not None and self._coming.get(making.key) is making:
             del self._coming[making.key]
-        data_version = await self.changes.now()
-        scope["state"][ASKED] = replace(asked, mark=data_version, beside=self.beside())
-        if making is not None:
-            scope["state"]["came_s"] = (
-                making.newest_s
-            )  # what is read for all of them must tell what the last to come may know
-        if making is not None and data_version is not None:
-            self._making.setdefault((making.key, data_version), making)
+        await self._authenticate(scope)
+        asked: CacheRequest | None = scope["state"].get(ASKED)
+        if asked is None:
+            return
+        asked.mark, asked.beside = scope["state"].get(DATA_VERSION), self.beside()
+        if making is not None:  # what is read for all of them must tell what the last to come may know
+            scope["state"]["came_s"] = making.newest_s
+            if asked.mark is not None:
+                self._making.setdefault((making.key, asked.mark), making)
 
     def over(self, scope: Scope) -> None:
         """Say that a request was answered, however: who still waits for its answer makes one."""
@@ -347,7 +349,7 @@ class ResponseCache:
 
 
 class CacheLookup:
-    """The middleware that answers from the cache, and passes on what is not in it."""
+    """The layer after authentication: answers from the cache, and passes on what is not in it."""
 
     def __init__(self, app: ASGIApp, ready: ResponseCache) -> None:
         self.app = app
@@ -355,19 +357,105 @@ class CacheLookup:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request."""
-        asked = CacheRequest.of(scope)
-        if asked is None:
+        if scope["type"] != "http" or scope["method"] != "GET":
             await self.app(scope, receive, send)
             return
-        data_version = await self.ready.changes.now()
-        found = None if data_version is None else await self.ready.find(scope, asked, data_version)
-        if found is not None:
-            kept, proof = found
+        asked = CacheRequest.of(scope)
+        kept = await self.ready.find(scope, asked)
+        if kept is not None:
             scope["route"] = kept.route
-            await kept.send(send, asked.known_tags, proof.gaps)
+            await kept.send(send, asked.known_tags, scope["state"][SHARING].gaps)
             return
-        scope["state"][ASKED] = replace(asked, mark=data_version, beside=self.ready.beside())
+        scope["state"][ASKED] = asked
         try:
             await self.app(scope, receive, send)
         finally:
             self.ready.over(scope)
+
+
+class CacheStore:
+    """The layer nearest to the endpoints: takes their answers as they are, before anything is added or compressed."""
+
+    def __init__(self, app: ASGIApp, ready: ResponseCache) -> None:
+        self.app = app
+        self.ready = ready
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request in and take its answer."""
+        if scope["type"] == "http" and scope["method"] == "GET":
+            send = _OutgoingResponse(self.ready, scope, send).send
+        await self.app(scope, receive, send)
+
+
+class _OutgoingResponse:
+    """One answer on its way out."""
+
+    def __init__(self, ready: ResponseCache, scope: Scope, send: Send) -> None:
+        self._ready = ready
+        self._scope = scope
+        self._send = send
+        self._start: Message | None = None
+        self._pieces: list[bytes] = []
+
+    async def send(self, message: Message) -> None:
+        """Hold back an answer that is tagged or kept until it is whole; let every other pass."""
+        if message["type"] == "http.response.start" and self._is_taken(message):
+            self._start = message
+        elif self._start is not None and message["type"] == "http.response.body":
+            self._pieces.append(message.get("body", b""))
+            if not message.get("more_body", False):
+                await self._finish(self._start, b"".join(self._pieces))
+        else:
+            await self._send(message)
+
+    def _is_taken(self, message: Message) -> bool:
+        """Whether an answer is whole at once, for nobody else to see, and worth it."""
+        headers = dict(message["headers"])
+        if message["status"] != 200 or b"set-cookie" in headers or b"content-length" not in headers:
+            return False
+        document = headers.get(b"content-type", b"").startswith(b"application/json")
+        return SAME_FOR in self._scope["state"] or (document and not headers.keys() & {b"etag", b"cache-control"})
+
+    async def _finish(self, start: Message, body: bytes) -> None:
+        """Tag the answer, keep it where it may be, and send it."""
+        state = self._scope["state"]
+        asked: CacheRequest = state[ASKED]
+        same_for, sharing = state.get(SAME_FOR), state.get(SHARING)
+        kept = self._written(start, body, asked, same_for)
+        if same_for is not None and asked.mark is not None:
+            self._ready.keep(self._scope, asked, kept, same_for)
+        await kept.send(self._send, asked.known_tags, sharing.gaps if sharing else ())
+
+    def _written(self, start: Message, body: bytes, asked: CacheRequest, same_for: str | None) -> CachedResponse:
+        """Write the answer as it is sent."""
+        state = self._scope["state"]
+        given = [(name, value) for name, value in start["headers"] if name != b"content-length"]
+        headers = dict(given)
+        tag = headers.get(b"etag", b"")
+        whole = not tag or bool(state.get(WHOLE))
+        storable = headers.get(b"cache-control", b"") != b"no-store"
+        if not tag and storable:
+            tag = b'W/"' + hashlib.sha256(body).hexdigest()[:32].encode() + b'"'
+            given.append((b"etag", tag))
+        if b"cache-control" not in headers:
+            given.append((b"cache-control", ASK_AGAIN))
+        given.append((b"vary", VARY))
+        compressed = same_for is not None and asked.address[2] and len(body) >= COMPRESS_FROM_BYTES
+        if compressed:
+            given.append((b"content-encoding", b"gzip"))
+        content: bytes | CompressedPage = body
+        if state.get(GAPS):
+            content = CompressedPage(body, (TOKEN_GAP.encode(), NAME_GAP.encode()), compressed=compressed)
+        elif compressed:
+            content = gzip.compress(body, COMPRESSION_LEVEL, mtime=0)
+        return CachedResponse(
+            headers=tuple(given),
+            body=content,
+            tag=tag if storable else b"",
+            whole=whole,
+            mark=asked.mark,
+            is_older=OLDER in state,
+            beside=asked.beside if same_for in {FOR_ONE, FOR_ROLES} else None,
+            made_s=time.monotonic(),
+            route=self._scope.get("route"),
+        )

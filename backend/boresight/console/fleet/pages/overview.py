@@ -12,7 +12,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse
 
 from boresight.console import lists
-from boresight.console.access.dependencies import Reading, Who
+from boresight.console.access.dependencies import Reading, Who, same_for_one
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals import proposals
@@ -31,8 +31,7 @@ from boresight.platform.actors import Actor, Policy
 from boresight.platform.audit import log as audit
 from boresight.platform.db.data_version import VersionedCache
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.response_cache import HELD_S
-from boresight.platform.web.response_cache_store import mark_outdated, same_for_one
+from boresight.platform.web.response_cache import HELD_S, mark_outdated
 
 RECENT_EVENTS = 12
 MOST_ACTIONS = 8

@@ -18,7 +18,7 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, UploadFile
 
 from boresight.cameras import CAMERA_MODELS
-from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.access.dependencies import Reading, Roles, Who, csrf
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import status as fleet
 from boresight.console.fleet.service import SensorChoices
@@ -41,7 +41,6 @@ from boresight.errors import Fault, RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
-from boresight.platform.web.response_cache_store import Roles
 from boresight.telemetry.read.formats import parse_json, read_text
 
 router = APIRouter(dependencies=[Depends(csrf)])

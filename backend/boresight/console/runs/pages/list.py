@@ -18,7 +18,7 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.calibration.options import METHODS, CalibrationSettings, get_method_title
 from boresight.console.access import users
 from boresight.console.access.credentials import get_actor
-from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.access.dependencies import Reading, Who, csrf, same_for_roles
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.status import judge_result
@@ -40,7 +40,6 @@ from boresight.console.runs.pages.launch import differences
 from boresight.console.runs.tables import RUN_STATES, Run
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.response_cache_store import same_for_roles
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, number, urad
 from boresight.verdicts.verdict import WORD_OF_LEVEL
 
