@@ -126,7 +126,7 @@ def test_the_last_messages_cut_are_told_once_a_record_came_after_them(store: Eng
 
 
 def test_a_journal_chained_anew_meets_the_audit_log(store: Engine) -> None:
-    journal = journals.JOURNALS["run_events"]
+    journal = journals.AppendOnlyTable(RunEvent)
     with open_reading(store) as session:
         rows = list(journals.iterate_rows(session, journal))
     rows[0]["message"], previous = "SUCCEEDED", journals.FIRST_HASH

@@ -12,7 +12,7 @@ from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.runs.tables import Run, RunEvent
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.audit.chain import append_own
-from boresight.platform.audit.seals import FIRST_HASH, JOURNALS, iterate_rows
+from boresight.platform.audit.seals import FIRST_HASH, AppendOnlyTable, iterate_rows
 from boresight.platform.audit.tables import IdempotentResponse
 from boresight.platform.blobs.tables import Blob as BlobRow
 from boresight.platform.db.declared import Base
@@ -118,7 +118,7 @@ def test_what_the_log_of_runs_said_is_in_its_columns_after_the_way_up_and_the_jo
         rows = session.scalars(sa.select(RunEvent).order_by(RunEvent.id)).all()
         assert [(row.state, row.cause, row.level, row.numbers) for row in rows] == [columns for *_, columns in SAID]
         assert [row.message for row in rows] == [message for _, message, _ in SAID]
-        journal, previous = JOURNALS["run_events"], FIRST_HASH
+        journal, previous = AppendOnlyTable(RunEvent), FIRST_HASH
         for line in iterate_rows(session, journal):
             assert line["hash"] == journal.compute_hash(previous, line)
             assert line["outcome_hash"] == journal.compute_outcome_hash(line)

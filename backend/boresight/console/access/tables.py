@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base, allow_only
+from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only
 from boresight.platform.db.documents import JsonText
 
 ROLES = ("viewer", "analyst", "operator", "approver", "administrator")
@@ -33,6 +33,9 @@ class User(Base):
         sa.Index("uq_users_printed_key", "printed_key", unique=True),
         STRICT,
     )
+    sealing = Sealing(
+        fleeting={"name_key": "follows from the name", "printed_key": "follows from the printed name"},
+    )
     id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(sa.Text, unique=True)
     printed_name: Mapped[str] = mapped_column(sa.Text)
@@ -51,6 +54,7 @@ class ApiKey(Base):
 
     __tablename__ = "api_keys"
     __table_args__ = (STRICT,)
+    sealing = Sealing(fleeting={"last_used_utc": "moves with every use"})
     id: Mapped[int] = mapped_column(primary_key=True)
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
     label: Mapped[str] = mapped_column(sa.Text)
@@ -72,6 +76,9 @@ class LoginSession(Base):
         sa.Index("ix_login_sessions_user_id_ended_utc", "user_id", "ended_utc"),
         sa.Index("ix_login_sessions_ended_utc", "ended_utc"),
         STRICT,
+    )
+    sealing = Sealing(
+        unsealed="moves with its use and is forgotten; what was done under it is sealed with its own record"
     )
     id: Mapped[int] = mapped_column(primary_key=True)
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))

@@ -12,7 +12,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base, allow_only, only_one
+from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only, only_one
 from boresight.platform.db.documents import JsonText
 
 APPROVAL_STATES = ("OPEN", "APPROVED", "REJECTED", "WITHDRAWN", "STALE", "EXPIRED")
@@ -83,6 +83,7 @@ class Opening(Base):
 
     __tablename__ = "openings"
     __table_args__ = (sa.UniqueConstraint("approval_id", "user_id", "evidence"), STRICT)
+    sealing = Sealing(unsealed="is shown and decides nothing")
     id: Mapped[int] = mapped_column(primary_key=True)
     approval_id: Mapped[int] = mapped_column(sa.ForeignKey("approvals.id"))
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))

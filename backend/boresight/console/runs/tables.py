@@ -10,7 +10,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base, allow_only
+from boresight.platform.db.declared import STRICT, Base, Journal, Sealing, allow_only
 from boresight.platform.db.documents import JsonText
 
 RUN_STATES = ("QUEUED", "RUNNING", "CANCELLING", "SUCCEEDED", "FAILED", "CANCELLED", "LOST")
@@ -27,6 +27,24 @@ class Run(Base):
         sa.Index("ix_runs_state_method_id", "state", "method", "id"),
         sa.Index("ix_runs_sensor_state_id", "sensor_id", "state", "id", "ended_utc"),
         STRICT,
+    )
+    sealing = Sealing(  # two promises: what was launched, and once it has ended everything about it
+        fleeting={"lease_until_utc": "is renewed while a run computes"},
+        moving=frozenset(
+            (
+                "state",
+                "reason",
+                "attempt",
+                "owner",
+                "cancel_requested",
+                "started_utc",
+                "ended_utc",
+                "progress",
+                "result_sha256",
+                "summary",
+            )
+        ),
+        settled=TERMINAL_RUN_STATES,
     )
     id: Mapped[int] = mapped_column(primary_key=True)
     sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"), index=True)
@@ -56,6 +74,13 @@ class RunEvent(Base):
 
     __tablename__ = "run_events"
     __table_args__ = (STRICT,)
+    sealing = Sealing(
+        unsealed="is a journal, with hashes of its own",
+        journal=Journal(
+            lasting=("id", "run_id", "attempt", "at_utc", "kind", "message"),
+            others=("state", "cause", "level", "numbers"),
+        ),
+    )
     id: Mapped[int] = mapped_column(primary_key=True)
     run_id: Mapped[int] = mapped_column(sa.ForeignKey("runs.id", ondelete="CASCADE"), index=True)
     attempt: Mapped[int]

@@ -32,7 +32,7 @@ def newest_audit_id(session: Session) -> int:
 def next_delivery_id(session: Session) -> int:
     """Return the number that the next message will have: messages are numbered by their writer, of whom there is one at a time."""
     session.flush()
-    return journals.newest(session, journals.JOURNALS[WebhookDelivery.__tablename__])[0] + 1
+    return journals.newest(session, journals.AppendOnlyTable(WebhookDelivery))[0] + 1
 
 
 def is_told(session: Session, webhook_id: int, kind: str, text: str) -> bool:

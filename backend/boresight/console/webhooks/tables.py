@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base, allow_only
+from boresight.platform.db.declared import STRICT, Base, Journal, Sealing, allow_only
 from boresight.platform.db.documents import JsonText
 
 DELIVERY_STATES = ("PENDING", "DELIVERED", "FAILED")
@@ -16,6 +16,7 @@ class Webhook(Base):
 
     __tablename__ = "webhooks"
     __table_args__ = (STRICT,)
+    sealing = Sealing(fleeting={"told_audit_id": "moves with every audit record"})
     id: Mapped[int] = mapped_column(primary_key=True)
     label: Mapped[str] = mapped_column(sa.Text)
     url: Mapped[str] = mapped_column(sa.Text)
@@ -38,6 +39,13 @@ class WebhookDelivery(Base):
         allow_only("state", DELIVERY_STATES),
         sa.Index("ix_webhook_deliveries_state_due_utc", "state", "due_utc"),
         STRICT,
+    )
+    sealing = Sealing(
+        unsealed="is a journal, with hashes of its own",
+        journal=Journal(
+            lasting=("id", "webhook_id", "audit_id", "body", "created_utc"),
+            others=("state", "attempts", "attempted_utc", "status", "outcome"),
+        ),
     )
     id: Mapped[int] = mapped_column(primary_key=True)
     webhook_id: Mapped[int] = mapped_column(sa.ForeignKey("webhooks.id"), index=True)

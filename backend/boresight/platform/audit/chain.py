@@ -178,7 +178,7 @@ def forget(session: Session) -> None:
 
 def seal_everything(session: Session) -> None:
     """Seal every row there is, under records of their own: once, of a database from before there were seals."""
-    for model in journals.SEALED.values():
+    for model in journals.list_sealed():
         key = model.__table__.columns["id"]
         for some in journals.portions(session.scalars(sa.select(key).order_by(key)).all()):
             for row_id in some:

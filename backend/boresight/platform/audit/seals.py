@@ -4,9 +4,9 @@ With `canon` the canonical JSON of a row's lasting columns that are not NULL, do
 
     digest(row) = SHA-256(canon({column: value, ...}))
 
-A column is lasting unless `FLEETING` says why not, a table is sealed unless `UNSEALED` says why not: a new column or
-table is sealed without anybody thinking of it. NULL is left out, so a column that a migration adds without a value
-changes no digest. A run is two promises: what was launched, and once it has ended everything about it.
+Each table says by its `sealing` what is left out and why: a column is lasting unless it is fleeting, a table is sealed unless it
+is unsealed. A new column or table is sealed without anybody thinking of it. NULL is left out, so a column that a migration adds
+without a value changes no digest. A run is two promises: what was launched, and once it has ended everything about it.
 
 A session notes every sealed row that it inserts, changes or deletes, when it is flushed. A bulk UPDATE or DELETE passes
 the session by, so one on a sealed table is refused unless it says, with `BULK`, that it touches fleeting columns or
@@ -37,57 +37,32 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import ORMExecuteState, Session
 
-from boresight.console.access.tables import ApiKey, LoginSession, User
-from boresight.console.approvals.tables import Opening
-from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run, RunEvent
-from boresight.console.webhooks.tables import Webhook, WebhookDelivery
-from boresight.platform.audit.tables import AuditRecord, IdempotentResponse
-from boresight.platform.blobs.tables import Blob
-from boresight.platform.db.declared import Base
+from boresight.platform.db.declared import Base, Journal
 from boresight.platform.db.documents import JsonText, canonical
 
-UNSEALED: Mapping[type[Base], str] = {
-    AuditRecord: "is the chain itself",
-    Blob: "is named by the SHA-256 of its bytes; the rows that name it are sealed, and lose it if it is edited",
-    IdempotentResponse: "is forgotten after a day",
-    LoginSession: "moves with its use and is forgotten; what was done under it is sealed with its own record",
-    Opening: "is shown and decides nothing",
-    RunEvent: "is a journal, with hashes of its own",
-    WebhookDelivery: "is a journal, with hashes of its own",
-}
-FLEETING: Mapping[type[Base], Mapping[str, str]] = {
-    ApiKey: {"last_used_utc": "moves with every use"},
-    Run: {"lease_until_utc": "is renewed while a run computes"},
-    User: {"name_key": "follows from the name", "printed_key": "follows from the printed name"},
-    Webhook: {"told_audit_id": "moves with every audit record"},
-}
-WHILE_UNDER_WAY = frozenset(
-    (
-        "state",
-        "reason",
-        "attempt",
-        "owner",
-        "cancel_requested",
-        "started_utc",
-        "ended_utc",
-        "progress",
-        "result_sha256",
-        "summary",
-    )
-)  # of a run: lasting from its end on
-SEALED: Mapping[str, type[Base]] = {
-    model.__tablename__: model
-    for model in sorted((mapper.class_ for mapper in Base.registry.mappers), key=lambda model: model.__tablename__)
-    if model not in UNSEALED
-}
 BULK = {"sealed_by": "its writer"}
 ROWS_AT_A_TIME = 500
 NOTED = "sealed rows that changed"
 
 
+def list_tables() -> list[type[Base]]:
+    """Return every table, by name. A program that opens a store has imported the console, which knows them all."""
+    models = sorted((mapper.class_ for mapper in Base.registry.mappers), key=lambda model: model.__tablename__)
+    if all(model.__module__.startswith("boresight.platform.") for model in models):
+        raise RuntimeError(
+            "Expected every table to be declared / Received the platform's alone; import boresight.console."
+        )
+    return models
+
+
+def list_sealed() -> list[type[Base]]:
+    """Return the tables whose rows are sealed, by name."""
+    return [model for model in list_tables() if not model.sealing.unsealed]
+
+
 def lasting(model: type[Base]) -> tuple[str, ...]:
     """Return the columns of a sealed table that its digest covers, the key first."""
-    return tuple(name for name in model.__table__.columns.keys() if name not in FLEETING.get(model, {}))  # noqa: SIM118 - a collection of columns iterates over columns
+    return tuple(name for name in model.__table__.columns.keys() if name not in model.sealing.fleeting)  # noqa: SIM118 - a collection of columns iterates over columns
 
 
 def note(session: Session, model: type[Base], row_id: int) -> None:
@@ -99,7 +74,7 @@ def note_flushed(session: Session, context: Any) -> None:  # noqa: ARG001 - SQLA
     """Remember the sealed rows that a flush wrote."""
     for row in (*session.new, *session.dirty, *session.deleted):
         model = type(row)
-        if model.__tablename__ in SEALED and (row not in session.dirty or _has_moved(row)):
+        if not model.sealing.unsealed and (row not in session.dirty or _has_moved(row)):
             note(session, model, row.id)
 
 
@@ -111,7 +86,7 @@ def _has_moved(row: Base) -> bool:
 
 def _left_out(model: type[Base], state: str | None) -> frozenset[str]:
     """Return the lasting columns that a row in this state does not promise yet."""
-    return WHILE_UNDER_WAY if model is Run and state not in TERMINAL_RUN_STATES else frozenset()
+    return frozenset() if state in model.sealing.settled else model.sealing.moving
 
 
 def refuse_bulk(state: ORMExecuteState) -> None:
@@ -119,9 +94,11 @@ def refuse_bulk(state: ORMExecuteState) -> None:
     changes = state.is_insert or state.is_update or state.is_delete
     if not changes or state.bind_mapper is None or not BULK.items().isdisjoint(state.execution_options.items()):
         return
-    table = state.bind_mapper.class_.__tablename__
-    if table in SEALED:
-        raise ValueError(f"Expected a change of {table} through its rows, or with BULK / Received a bulk statement")
+    model = state.bind_mapper.class_
+    if not model.sealing.unsealed:
+        raise ValueError(
+            f"Expected a change of {model.__tablename__} through its rows, or with BULK / Received a bulk statement"
+        )
 
 
 def take(session: Session) -> dict[str, str | None]:
@@ -165,7 +142,7 @@ def orphans(session: Session, model: type[Base]) -> frozenset[int]:
 
     The row itself is as it was sealed then, and what it names was edited or removed by hand: no transaction could.
     """
-    table, unsealed = model.__table__, {other.__table__ for other in UNSEALED}
+    table, unsealed = model.__table__, {other.__table__ for other in list_tables() if other.sealing.unsealed}
     lost = [
         column.is_not(None) & ~sa.exists().where(key.column == column)
         for column in table.columns
@@ -191,39 +168,34 @@ MOST_STORES = 64
 class AppendOnlyTable:
     """What of a table the chain's hash covers, and what the other one."""
 
-    model: type[RunEvent | WebhookDelivery]
-    lasting: tuple[str, ...]
-    others: tuple[str, ...] = ()
+    model: type[Base]
 
     @property
     def name(self) -> str:
         """The table's name."""
-        return self.model.__tablename__
+        return str(self.model.__tablename__)
+
+    @property
+    def columns(self) -> Journal:
+        """What the table says of its columns."""
+        if (journal := self.model.sealing.journal) is None:
+            raise ValueError(f"Expected a table with a journal / Received {self.name}")
+        return journal
 
     def compute_hash(self, previous: str, row: Mapping[str, Any]) -> str:
         """Return the hash of a row after the one before."""
-        return _hash(previous, {name: row[name] for name in self.lasting})
+        return _hash(previous, {name: row[name] for name in self.columns.lasting})
 
     def compute_outcome_hash(self, row: Mapping[str, Any]) -> str:
         """Return the hash of the other columns."""
-        return _hash(row["hash"] or "", {name: row[name] for name in self.others})
+        return _hash(row["hash"] or "", {name: row[name] for name in self.columns.others})
 
 
-JOURNALS: Mapping[str, AppendOnlyTable] = {
-    journal.name: journal
-    for journal in (
-        AppendOnlyTable(
-            RunEvent,
-            ("id", "run_id", "attempt", "at_utc", "kind", "message"),
-            ("state", "cause", "level", "numbers"),
-        ),
-        AppendOnlyTable(
-            WebhookDelivery,
-            ("id", "webhook_id", "audit_id", "body", "created_utc"),
-            ("state", "attempts", "attempted_utc", "status", "outcome"),
-        ),
-    )
-}
+def list_journals() -> list[AppendOnlyTable]:
+    """Return the append-only tables, by name."""
+    return [AppendOnlyTable(model) for model in list_tables() if model.sealing.journal]
+
+
 _anchored: dict[str, dict[str, str]] = {}  # by store and journal: the newest hash that a record of this process carries
 
 
@@ -240,11 +212,9 @@ def newest(session: Session, journal: AppendOnlyTable) -> tuple[int, str]:
     return (0, FIRST_HASH) if found is None else (found.id, found.hash or "")
 
 
-def chained(
-    session: Session, model: type[RunEvent | WebhookDelivery], rows: Sequence[Mapping[str, Any]]
-) -> list[dict[str, Any]]:
+def chained(session: Session, model: type[Base], rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Number rows that are about to be added and chain them, in this order."""
-    journal = JOURNALS[model.__tablename__]
+    journal = AppendOnlyTable(model)
     last_id, previous = newest(session, journal)
     made = []
     for row_id, row in enumerate(rows, start=last_id + 1):
@@ -256,19 +226,21 @@ def chained(
 
 def chain_new(session: Session, context: Any, instances: Any) -> None:  # noqa: ARG001 - SQLAlchemy gives all three
     """Number and chain the rows that a flush is about to write, and hash anew what it changes in others."""
-    added = sorted((row for row in session.new if _journal(row)), key=lambda row: sa.inspect(row).insert_order)
-    for journal in JOURNALS.values():
-        rows = [row for row in added if isinstance(row, journal.model)]
-        values = [{name: _value(row, name) for name in (*journal.lasting, *journal.others)} for row in rows]
-        for row, made in zip(rows, chained(session, journal.model, values) if rows else (), strict=True):
+    added: dict[type[Base], list[Any]] = {}
+    for row in sorted(filter(_is_of_journal, session.new), key=lambda row: sa.inspect(row).insert_order):
+        added.setdefault(type(row), []).append(row)
+    for model, rows in added.items():
+        columns = AppendOnlyTable(model).columns
+        values = [{name: _value(row, name) for name in (*columns.lasting, *columns.others)} for row in rows]
+        for row, made in zip(rows, chained(session, model, values), strict=True):
             row.id, row.hash, row.outcome_hash = made["id"], made["hash"], made["outcome_hash"]
-    for row in session.dirty:
-        if (its := _journal(row)) is not None:
-            row.outcome_hash = its.compute_outcome_hash({name: _value(row, name) for name in (*its.others, "hash")})
+    for row in filter(_is_of_journal, session.dirty):
+        its = AppendOnlyTable(type(row))
+        row.outcome_hash = its.compute_outcome_hash({name: _value(row, name) for name in (*its.columns.others, "hash")})
 
 
-def _journal(row: Base) -> AppendOnlyTable | None:
-    return JOURNALS.get(type(row).__tablename__)
+def _is_of_journal(row: Base) -> bool:
+    return row.sealing.journal is not None
 
 
 def _value(row: Base, name: str) -> Any:
@@ -284,10 +256,10 @@ def heads(session: Session) -> dict[str, str]:
     known = _anchored.setdefault(_store(session), {})
     while len(_anchored) > MOST_STORES:
         del _anchored[next(iter(_anchored))]
-    for name, journal in JOURNALS.items():
+    for journal in list_journals():
         last_id, digest = newest(session, journal)
-        if last_id and known.get(name) != digest:
-            found[f"{name}/{last_id}"] = known[name] = digest
+        if last_id and known.get(journal.name) != digest:
+            found[f"{journal.name}/{last_id}"] = known[journal.name] = digest
     return found
 
 
@@ -302,7 +274,7 @@ def _store(session: Session) -> str:
 
 def iterate_rows(session: Session, journal: AppendOnlyTable) -> Iterator[dict[str, Any]]:
     """Yield every row in order, without holding them all."""
-    columns = [*journal.lasting, *journal.others, "hash", "outcome_hash"]
+    columns = [*journal.columns.lasting, *journal.columns.others, "hash", "outcome_hash"]
     table = journal.model.__table__
     query = sa.select(*(table.columns[name] for name in columns)).order_by(table.c.id)
     with closing(session.execute(query, execution_options={"yield_per": JOURNAL_ROWS_AT_A_TIME})) as found:

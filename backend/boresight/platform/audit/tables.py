@@ -7,7 +7,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base
+from boresight.platform.db.declared import STRICT, Base, Sealing
 from boresight.platform.db.documents import JsonText
 
 
@@ -16,6 +16,7 @@ class AuditRecord(Base):
 
     __tablename__ = "audit"
     __table_args__ = (sa.Index("ix_audit_object_id", "object", "id"), STRICT)
+    sealing = Sealing(unsealed="is the chain itself")
     id: Mapped[int] = mapped_column(primary_key=True)
     at_utc: Mapped[str] = mapped_column(sa.Text)
     actor_id: Mapped[int | None] = mapped_column(sa.Integer)
@@ -38,6 +39,7 @@ class IdempotentResponse(Base):
 
     __tablename__ = "idempotent_responses"
     __table_args__ = (STRICT,)
+    sealing = Sealing(unsealed="is forgotten after a day")
     key: Mapped[str] = mapped_column(sa.Text, primary_key=True)
     actor: Mapped[str] = mapped_column(sa.Text, primary_key=True)
     request_sha256: Mapped[str] = mapped_column(sa.Text)

@@ -36,6 +36,7 @@ from boresight.platform.audit import chain
 from boresight.platform.audit import queries as audit
 from boresight.platform.audit import seals as journals
 from boresight.platform.audit.seals import AppendOnlyTable
+from boresight.platform.db.declared import Base
 from boresight.platform.db.sessions import Session, upgrade_tables
 
 REMOVAL, TRUNCATION = "_no_removal", "_no_truncation"
@@ -170,10 +171,10 @@ def verify(session: Session, *expected_heads: str | None) -> VerificationFinding
         for statement in SCRATCH:
             scratch.execute(statement)
         _walk(session, scratch, found)
-        for name in journals.SEALED if found.broken_id is None else ():
-            for misfit in _misfits(session, scratch, found, name):
+        for model in journals.list_sealed() if found.broken_id is None else ():
+            for misfit in _misfits(session, scratch, found, model):
                 _count(found, misfit)
-        for journal in journals.JOURNALS.values() if found.broken_id is None else ():
+        for journal in journals.list_journals() if found.broken_id is None else ():
             for misfit in _gaps(session, scratch, found, journal):
                 _count(found, misfit)
     strange = find_changed_triggers(session.connection(), upgrade_tables)
@@ -203,14 +204,15 @@ def _seals_in(text: str, record_id: int) -> Iterator[tuple[str, int, str | None,
 
 
 def _misfits(
-    session: Session, scratch: sqlite3.Connection, found: VerificationFindings, name: str
+    session: Session, scratch: sqlite3.Connection, found: VerificationFindings, model: type[Base]
 ) -> Iterator[RowMismatch]:
     """Meet a table's rows with their seals, both in the order of their keys."""
+    name = model.__tablename__
     sealed: Iterable[Seal] = scratch.execute(GET, (name,))
     waiting = iter(sealed)
     seal = next(waiting, None)
-    orphans = journals.orphans(session, journals.SEALED[name])
-    for row_id, digest in journals.iterate_digests(session, journals.SEALED[name]):
+    orphans = journals.orphans(session, model)
+    for row_id, digest in journals.iterate_digests(session, model):
         found.rows += 1
         while seal is not None and seal[0] < row_id:
             yield RowMismatch(f"{name}/{seal[0]}", "removed", seal[2])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
-from boresight.platform.db.declared import STRICT, Base
+from boresight.platform.db.declared import STRICT, Base, Sealing
 
 
 class Blob(Base):
@@ -13,6 +13,9 @@ class Blob(Base):
 
     __tablename__ = "blobs"
     __table_args__ = (STRICT,)
+    sealing = Sealing(
+        unsealed="is named by the SHA-256 of its bytes; the rows that name it are sealed, and lose it if it is edited"
+    )
     sha256: Mapped[str] = mapped_column(sa.Text, primary_key=True)
     size_bytes: Mapped[int] = mapped_column(sa.BigInteger().with_variant(sa.Integer, "sqlite"))
     media_type: Mapped[str] = mapped_column(sa.Text)

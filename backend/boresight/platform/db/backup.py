@@ -350,7 +350,7 @@ def is_of_now(archive: Path, engine: Engine) -> bool:
 
 def _ends(engine: Engine) -> list[tuple[object, ...] | None]:
     """Return where the audit log and the journals end, as far as the schema has them."""
-    tables = ("audit", *journals.JOURNALS)
+    tables = ("audit", *(journal.name for journal in journals.list_journals()))
     with engine.connect() as connection:
         there = sa.inspect(connection)
         found: list[tuple[object, ...] | None] = []

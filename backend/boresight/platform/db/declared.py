@@ -1,4 +1,4 @@
-"""What every table has in common: one declarative base, STRICT tables, words and rows that are limited.
+"""What every table has in common: one declarative base, STRICT tables, words and rows that are limited, what is sealed of it.
 
 Times are text in one form, `2026-11-21T03:04:05.123456Z`, which sorts as time and reads the same in both engines.
 Documents are `JsonText`. Large things (telemetry, results, histories) are blobs: rows hold their SHA-256 address.
@@ -6,13 +6,37 @@ Documents are `JsonText`. Large things (telemetry, results, histories) are blobs
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
 import sqlalchemy as sa
 from sqlalchemy.orm import DeclarativeBase
+
+
+@dataclass(frozen=True)
+class Journal:
+    """The columns of an append-only table that its chain of hashes covers, and those that move, which have a hash of their own."""
+
+    lasting: tuple[str, ...]
+    others: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Sealing:
+    """What the audit log (`boresight.platform.audit.seals`) vouches for in the rows of a table: everything, but what this says."""
+
+    unsealed: str = ""  # why for none of it
+    fleeting: Mapping[str, str] = field(default_factory=dict)  # for which columns not, and why
+    moving: frozenset[str] = frozenset()  # for which columns only once the row's state is one of these
+    settled: Collection[str] = ()
+    journal: Journal | None = None
 
 
 class Base(DeclarativeBase):
     """All tables share one naming convention, so that migrations can name what they drop."""
 
+    sealing: ClassVar[Sealing] = Sealing()
     metadata = sa.MetaData(
         naming_convention={
             "ix": "ix_%(column_0_label)s",
