@@ -1,6 +1,8 @@
 """`boresight audit verify` on a database that was edited by hand."""
 
 import random
+import subprocess
+import sys
 from contextlib import nullcontext
 
 import pytest
@@ -22,6 +24,19 @@ def _own_files(monkeypatch, tmp_path):
 
 
 ADD = ("user", "add", "ana", "--role", "analyst", "--printed-name", "Ana", "--password-stdin")
+
+
+@pytest.mark.parametrize("command", [("verify", "--no-blobs"), ("export", "--out", "-")])
+def test_a_program_of_its_own_knows_every_table_that_the_log_seals(store, monkeypatch, tmp_path, command):
+    monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(tmp_path))
+    assert store(*ADD, stdin="correct horse battery\n").exit_code == 0
+    _edit_by_hand(tmp_path, "UPDATE users SET password_hash = 'x'")
+    done = subprocess.run(
+        [sys.executable, "-m", "boresight", "audit", *command], capture_output=True, text=True, check=False
+    )
+    assert "Error" not in done.stderr
+    assert done.returncode == (1 if command[0] == "verify" else 0)
+    assert ("users/1 was changed" in done.stderr) == (command[0] == "verify")
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,7 @@ def verify(context: click.Context, head: str | None, *, no_blobs: bool) -> None:
 
     The head that the server keeps in BORESIGHT_AUDIT_HEAD_FILE must be there, and in the chain.
     """
+    import boresight.console  # noqa: F401 - the tables of all nouns, whose rows the log seals
     from boresight.platform.audit import log as chain
     from boresight.platform.audit.external_head import read_head
     from boresight.platform.blobs.opening import open_blobs
@@ -84,6 +85,7 @@ def export(file: str) -> None:
     """Write the whole log to FILE, for others to keep and to verify without Boresight."""
     form = "jsonl" if file == STANDARD_OUTPUT or Path(file).suffix.lower() == ".jsonl" else "zip"
     check_writable(file, "JSON Lines" if form == "jsonl" else "ZIP")
+    import boresight.console  # noqa: F401 - the tables of all nouns, whose rows the log seals
     from boresight.platform.audit.export import write_export
     from boresight.platform.db.sessions import open_reading, open_store
 
