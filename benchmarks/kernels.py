@@ -30,7 +30,7 @@ from benchmarks import Report, held, peers
 from benchmarks.stars import EXPOSURES_A_FRAME, STARS, TIME, star_frames, synthetic, wu_field
 from boresight import kernels
 from boresight.arrays import FloatArray, IntArray
-from boresight.calibration.matching import detections
+from boresight.calibration.matching import rematch
 from boresight.calibration.matching.rematch import Rematcher, ground_covariance
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem, whiten_at
@@ -255,7 +255,7 @@ def _scipy_matching(telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue) 
     bright = np.flatnonzero(catalogue.magnitude <= ST16_MAGNITUDE_LIMIT)
     s_i = apparent_directions(catalogue, bright, np.full(len(bright), TIME), None)
     row_start, x = np.arange(0, len(telemetry) + 1, STARS), sensor.initial
-    cone, camera = detections.cone_rad(sensor, x), CAMERA_MODELS[sensor.camera_model]
+    cone, camera = rematch.cone_rad(sensor, x), CAMERA_MODELS[sensor.camera_model]
 
     def run() -> None:
         s_d = camera.directions(x, telemetry.row_px, telemetry.col_px, sensor.pixel_pitch_m)

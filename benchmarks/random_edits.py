@@ -40,7 +40,7 @@ from click.testing import CliRunner
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import ALL as METHODS
 from boresight.calibration.options import OPTIONS, CalibrationSettings
-from boresight.calibration.source import TelemetryFile
+from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.cameras import CAMERA_MODELS
 from boresight.cli import main as boresight_command
 from boresight.cli.output import json_option, write_json
@@ -51,9 +51,9 @@ from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import wu_sensor
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.sky.directions import star_directions
+from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor, parse_sensor, sensor_document
-from boresight.telemetry.writers import write_csv
 from boresight.verdicts.gates import parse_profile
 from boresight.verdicts.gates.assessment import assess, ground_set
 

@@ -17,7 +17,6 @@ import orjson
 import pytest
 from fastapi import Response
 
-from boresight.calibration import progress_reports
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
@@ -62,7 +61,7 @@ def results(catalogue: Catalogue) -> dict[str, dict[str, Any]]:
     sensor, found, partials = scenario.sensor, {}, []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            progress_reports, "REPORT_EVERY_S", 0.0
+            "boresight.calibration.calibrate.REPORT_EVERY_S", 0.0
         )  # of a run as short as this nothing would be told on its way
         for method in ("batch", "sqrf"):
             settings = CalibrationSettings(method=method)

@@ -4,9 +4,8 @@ import pyarrow.parquet as arrow_parquet
 
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.source import TelemetryFile
-from boresight.telemetry.read.readers import read_telemetry
-from boresight.telemetry.writers import contract_table
+from boresight.calibration.telemetry_pieces import TelemetryFile
+from boresight.telemetry.read.readers import contract_table, read_telemetry
 
 #: Of the document, what depends on the clock.
 TIMED = ("timing_s",)

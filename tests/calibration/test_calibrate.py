@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from boresight.calibration import progress_reports
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.errors import CancelledError, RefusedInputError
@@ -144,7 +143,7 @@ def test_a_cancel_stops_every_method(method, sensor, catalogue, telemetry_of):
 @pytest.mark.parametrize("method", METHODS)
 def test_progress_carries_a_document_from_which_figures_can_draw(method, sensor, catalogue, telemetry_of, monkeypatch):
     heard = []
-    monkeypatch.setattr(progress_reports, "REPORT_EVERY_S", 0.0)
+    monkeypatch.setattr("boresight.calibration.calibrate.REPORT_EVERY_S", 0.0)
     calibrate(telemetry_of(13), sensor, catalogue, CalibrationSettings(method=method), report=heard.append)
     assert heard
     assert 0 <= heard[0].fraction <= 1
@@ -222,6 +221,6 @@ def test_telemetry_of_another_camera_is_said_to_be_so_before_all_else(sensor, ca
 
 def test_what_is_over_in_a_moment_makes_no_document_on_its_way(sensor, catalogue, telemetry_of, monkeypatch):
     heard = []
-    monkeypatch.setattr(progress_reports, "REPORT_EVERY_S", 3600.0)
+    monkeypatch.setattr("boresight.calibration.calibrate.REPORT_EVERY_S", 3600.0)
     calibrate(telemetry_of(13), sensor, catalogue, CalibrationSettings(), report=heard.append)
     assert heard == []

@@ -7,7 +7,7 @@ import pytest
 
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.matching import matched
-from boresight.calibration.matching.cycles import MOST_CYCLES, Cycle, CyclesEnd, cycles_view
+from boresight.calibration.matching.match_report import MOST_CYCLES, Cycle, CyclesEnd, cycles_view
 from boresight.calibration.options import CalibrationSettings
 from boresight.simulation.sensors import st16_truth
 from tests.calibration.rematched import sky

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.estimate import Parameters
-from boresight.calibration.frames import frame_observability as frame_view
-from boresight.calibration.frames.frame_observability import MOST_FRAMES, MOST_SQUARES, frame_observability
+from boresight.calibration.evaluation import result_evaluation as frame_view
+from boresight.calibration.evaluation.result_evaluation import MOST_FRAMES, MOST_SQUARES, frame_observability
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
 from boresight.cameras.inverted_wang import INVERTED_WANG

@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.frames.frame_states import read_run_states
-from boresight.calibration.frames.frame_view import frame_view, pointing
+from boresight.calibration.frame_view import frame_view, pointing, read_run_states
 from boresight.calibration.matching.rematch import rematch
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.trust.residuals import compute_star_residuals

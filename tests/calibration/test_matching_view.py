@@ -6,12 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from boresight.calibration.matching.cycles import CyclesEnd
-from boresight.calibration.matching.match_report import counted, matching_view
-from boresight.calibration.matching.matched import Matched
+from boresight.calibration.matching.match_report import CyclesEnd, counted, matching_view
+from boresight.calibration.matching.matched import Matched, MatchedRange
 from boresight.calibration.matching.matched_frames import read_given_matches
-from boresight.calibration.streaming.matching import MatchedRange
-from boresight.calibration.streaming.sample import MatchedRows
+from boresight.calibration.telemetry_pieces import MatchedRows
 from boresight.sky.guide_stars import DOUBLE, UNRELIABLE
 from boresight.sky.matching import EXPOSURE_REASONS, ROW_REASONS, STARTS
 from tests.calibration.rematched import sky

@@ -5,7 +5,7 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from boresight.calibration.source import StoredTable
+from boresight.calibration.telemetry_pieces import StoredTable
 from boresight.disks import compute_digest
 from boresight.telemetry.schema import select_rows
 from boresight.telemetry.working_table import WorkingTableParts
@@ -26,9 +26,9 @@ def test_a_calibration_of_a_stored_table_parses_checks_and_converts_nothing(tmp_
     for match in ("given", "rematch"):
         whole = in_memory(field.telemetry, field.sensor, catalogue, match=match)
         with (
-            mock.patch("boresight.telemetry.read.chunks.open_tables", side_effect=AssertionError),
-            mock.patch("boresight.telemetry.read.chunks.Checks", side_effect=AssertionError),
-            mock.patch("boresight.telemetry.read.chunks.make_arrays", side_effect=AssertionError),
+            mock.patch("boresight.telemetry.read.readers.open_tables", side_effect=AssertionError),
+            mock.patch("boresight.telemetry.read.readers.Checks", side_effect=AssertionError),
+            mock.patch("boresight.telemetry.read.readers.make_arrays", side_effect=AssertionError),
         ):
             found = in_memory(stored, field.sensor, catalogue, match=match, scratch_folder=tmp_path)
 

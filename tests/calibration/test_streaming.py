@@ -11,10 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight.calibration import calibrate as calibration
+from boresight.calibration import telemetry_pieces
 from boresight.calibration.matching import matched
-from boresight.calibration.source import TelemetryFile
-from boresight.calibration.streaming import sample
-from boresight.calibration.streaming.telemetry_pieces import copy_stretch
+from boresight.calibration.telemetry_pieces import TelemetryFile, copy_stretch
 from boresight.errors import CancelledError
 from boresight.estimation.blocks import FRAMES
 from boresight.estimation.executor import LocalExecutor
@@ -209,8 +208,8 @@ def test_progress_is_told_from_the_first_piece_on_and_never_goes_back(rows_a_gro
 
 
 def test_a_large_set_is_judged_on_evenly_spread_blocks_and_says_so(catalogue, sensor, long_set, monkeypatch):
-    monkeypatch.setattr(sample, "JUDGED_WHOLE", 4000)
-    monkeypatch.setattr(sample, "JUDGED_STARS", 8000)
+    monkeypatch.setattr(telemetry_pieces, "JUDGED_WHOLE", 4000)
+    monkeypatch.setattr(telemetry_pieces, "JUDGED_STARS", 8000)
     whole = in_memory(long_set[1], sensor, catalogue, match="given")
     pieces = streamed(long_set[0], sensor, catalogue, 333, match="given")
     assert differences(whole, pieces) == []
@@ -221,9 +220,9 @@ def test_a_large_set_is_judged_on_evenly_spread_blocks_and_says_so(catalogue, se
 
 
 def test_a_large_set_matched_anew_is_judged_on_its_own_matches(catalogue, tmp_path, monkeypatch):
-    monkeypatch.setattr(sample, "JUDGED_WHOLE", 4000)
-    monkeypatch.setattr(sample, "JUDGED_STARS", 2000)
-    monkeypatch.setattr(sample, "FRAMES", 20)
+    monkeypatch.setattr(telemetry_pieces, "JUDGED_WHOLE", 4000)
+    monkeypatch.setattr(telemetry_pieces, "JUDGED_STARS", 2000)
+    monkeypatch.setattr(telemetry_pieces, "FRAMES", 20)
     field = sky(catalogue, 3, 200)
     path, named = written(field.blanked(0.3), tmp_path)
     whole = in_memory(named, field.sensor, catalogue)

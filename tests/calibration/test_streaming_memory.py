@@ -15,13 +15,14 @@ import resource, sys
 from pathlib import Path
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.source import TelemetryFile
-from boresight.calibration.streaming import sample, stored_arcs
+from boresight.calibration.telemetry_pieces import TelemetryFile
+from boresight.calibration.matching import matched
+from boresight.calibration import telemetry_pieces
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import load_catalogue
 
-sample.JUDGED_WHOLE = sample.JUDGED_STARS = 20_000
-stored_arcs.BLOCKS_A_RANGE = 1
+telemetry_pieces.JUDGED_WHOLE = telemetry_pieces.JUDGED_STARS = 20_000
+matched.BLOCKS_A_RANGE = 1
 file = TelemetryFile(Path(sys.argv[1]), large_rows=0, chunk_frames=1024)
 settings = CalibrationSettings(method=sys.argv[2], match="given")
 document = calibrate(file, st16_sensor(1), load_catalogue(Path(sys.argv[1]).parent), settings)

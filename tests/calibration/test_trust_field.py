@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from boresight.calibration.trust.distribution import residual_distribution, residual_outliers, two_sided
-from boresight.calibration.trust.field import cell_edges, residual_field
+from boresight.calibration.trust.field import (
+    cell_edges,
+    residual_distribution,
+    residual_field,
+    residual_outliers,
+    two_sided,
+)
 from boresight.calibration.trust.innovations import deviates, worst_frames
 from boresight.calibration.trust.residuals import compute_star_residuals
 from tests.calibration.judged import case, field, simulated

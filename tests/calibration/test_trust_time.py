@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from boresight.calibration.trust import innovations
-from boresight.calibration.trust.innovations import nis_over_time
-from boresight.calibration.trust.whiteness import whiteness
+from boresight.calibration.trust.innovations import nis_over_time, whiteness
 from boresight.simulation.sensors import st16_sensor
 from tests.calibration.judged import case, field, simulated
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.calibration.conversion import convert
 from boresight.cameras import CAMERA_MODELS
-from boresight.estimation.conversion import convert
 from tests.estimation.pinhole_fields import WU_COLUMNS, WU_PITCH, WU_ROWS, WU_TRUTH
 
 WU = (WU_ROWS, WU_COLUMNS, WU_PITCH)

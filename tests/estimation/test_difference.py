@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.estimation.statistics.difference import (
+from boresight.calibration.evaluation.contrast import (
     SharedData,
     covariance_of_difference,
     joint_test,

@@ -11,10 +11,9 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.telemetry.read import chunks, parquet, text_pieces
-from boresight.telemetry.read.chunks import read_chunks, rows_in
+from boresight.telemetry.read import parquet, readers, text
 from boresight.telemetry.read.limits import Limits
-from boresight.telemetry.read.readers import read_telemetry, write_csv, write_parquet
+from boresight.telemetry.read.readers import read_chunks, read_telemetry, rows_in, write_csv, write_parquet
 from boresight.telemetry.schema import Telemetry, joined
 from tests.effort import effort
 from tests.strategies import telemetry_tables
@@ -46,7 +45,7 @@ WRITERS = {"csv": write_csv, "jsonl": write_json_lines, "parquet": write_in_smal
 @pytest.fixture
 def in_small_pieces(monkeypatch):
     monkeypatch.setattr(parquet, "_BATCH_ROWS", 2)
-    monkeypatch.setattr(text_pieces, "PIECE_BYTES", 700)
+    monkeypatch.setattr(text, "PIECE_BYTES", 700)
 
 
 def whole_frames(parts):
@@ -98,7 +97,7 @@ def test_a_refusal_is_the_same_wherever_the_file_is_cut(spoils, form, piece_byte
     path.write_text(as_csv(lines) if form == "csv" else as_json(lines), encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         whole = outcome(lambda: [read_telemetry(path)])
-        patch.setattr(text_pieces, "PIECE_BYTES", piece_bytes)
+        patch.setattr(text, "PIECE_BYTES", piece_bytes)
         parts = outcome(lambda: list(read_chunks(path, frames=frames)))
     if isinstance(whole, RefusedInputError):
         assert (str(parts), getattr(parts, "faults", None)) == (str(whole), whole.faults)
@@ -172,7 +171,7 @@ def test_nothing_comes_out_after_the_first_fault_and_all_faults_are_counted(tmp_
 
 @pytest.mark.usefixtures("in_small_pieces")
 def test_frames_of_very_many_rows_come_out_as_soon_as_they_are_whole(tmp_path, monkeypatch):
-    monkeypatch.setattr(chunks, "MOST_ROWS", 10)
+    monkeypatch.setattr(readers, "MOST_ROWS", 10)
     n = np.arange(64)
     telemetry = Telemetry(frame=n // 8, exposure=0 * n, row_px=n * 1.0, col_px=n * 1.0)
     write_parquet(telemetry, tmp_path / "pass.parquet")
@@ -184,7 +183,7 @@ def test_frames_of_very_many_rows_come_out_as_soon_as_they_are_whole(tmp_path, m
 
 @pytest.mark.usefixtures("in_small_pieces")
 def test_a_frame_without_end_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(chunks, "MOST_ROWS", 10)
+    monkeypatch.setattr(readers, "MOST_ROWS", 10)
     n = np.arange(64)
     write_parquet(Telemetry(frame=0 * n, exposure=n, row_px=n * 1.0, col_px=n * 1.0), tmp_path / "pass.parquet")
     with pytest.raises(RefusedInputError, match="frame 0 has over 10 rows: give every reading"):

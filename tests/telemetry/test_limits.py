@@ -10,10 +10,9 @@ import pytest
 
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
-from boresight.telemetry.read.chunks import read_chunks
 from boresight.telemetry.read.limits import LIMITS, STORED, Limits
 from boresight.telemetry.read.parquet import DamagedPageError, iterate_pages, read_layout
-from boresight.telemetry.read.readers import read_table, read_telemetry, stretches
+from boresight.telemetry.read.readers import read_chunks, read_table, read_telemetry, stretches
 
 FORMS = ["csv", "jsonl", "parquet"]
 

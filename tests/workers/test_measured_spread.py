@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import spread
 from benchmarks.stars import EXPOSURES_A_FRAME, STARS
-from boresight.calibration.source import LARGE_ROWS
+from boresight.calibration.telemetry_pieces import LARGE_ROWS
 
 FRAMES = 1 + LARGE_ROWS // (EXPOSURES_A_FRAME * STARS)  # the fewest that are spread
 DOCUMENT = {"free": ["f_m"], "parameters": {"f_m": 1.0}, "sigma": {"f_m": 0.1}} | {

@@ -2,38 +2,175 @@
 
 The steps, and what is timed: `arcs` (directions, ordering), `fit` (estimator with its weights), `evaluate_result` (statistics,
 views), `validate`.
+
+Progress reports of a calibration, with the partial result, at a limited rate.
+
+The dataset of a calibration: in memory where it fits, else copied piece by piece into a scratch folder.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from boresight.calibration import result
-from boresight.calibration.dataset import CalibrationContext, choose_match_mode, open_dataset, open_validation_set
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate
-from boresight.calibration.matching.cycles import CyclesEnd, filter_set, fit_in_cycles
-from boresight.calibration.matching.match_report import identification_advice
+from boresight.calibration.matching.match_report import CyclesEnd, filter_set, fit_in_cycles, identification_advice
 from boresight.calibration.matching.matched import Dataset
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.progress_reports import Progress, ProgressReporter
-from boresight.calibration.source import StoredTable, TelemetryFile, is_large
-from boresight.calibration.streaming.sample import JUDGED_STARS
+from boresight.calibration.telemetry_pieces import (
+    JUDGED_STARS,
+    PREPARED,
+    StoredTable,
+    TelemetryFile,
+    copied,
+    is_large,
+    read_whole,
+)
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
-from boresight.estimation.executor import Executor
+from boresight.estimation.executor import Executor, LocalExecutor
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.quality.detector import OffDetector, check_against_sensor
+from boresight.telemetry.schema import Telemetry, joined
 from boresight.telemetry.sensors import Sensor
 
-__all__ = ["Progress", "calibrate", "choose_match_mode", "select_free_parameters"]
+#: Seconds between two progress reports with a partial result.
+REPORT_EVERY_S = 0.25
+#: Most of the time that may go into reports, for on a long set each costs many passes over it.
+REPORT_SHARE = 0.2
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a calibration is."""
+
+    fraction: float
+    message: str
+    partial: dict[str, Any] | None
+
+
+class ProgressReporter:
+    """Turns estimates on their way into progress reports with a partial result, as often as is worth it."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        parameters: Parameters,
+        settings: CalibrationSettings,
+        sha256s: Mapping[str, str],
+        report: Callable[[Progress], None] | None,
+        begins: float = 0.0,
+    ) -> None:
+        self._of = (problem, parameters, settings)
+        self._sha256s = sha256s
+        self._report = report
+        self._begins = begins  # share of the progress that is made before the estimator begins
+        self._due = time.perf_counter() + REPORT_EVERY_S  # what is over sooner is not waited for
+
+    def __call__(self, estimate: Estimate, fraction: float, message: str) -> None:
+        """Report one estimate when it is time to."""
+        began = time.perf_counter()
+        if self._report is None or began < self._due:
+            return
+        partial = result.document(*self._of, estimate, self._sha256s) | {"frames_done": self._frames_done(estimate)}
+        self._report(Progress(self._begins + (1 - self._begins) * fraction, message, partial))
+        ended = time.perf_counter()
+        self._due = ended + max(REPORT_EVERY_S, (ended - began) / REPORT_SHARE)
+
+    def _frames_done(self, estimate: Estimate) -> int | None:
+        """Count the frames of the set up to the last that a filter took in; its first update may be of several."""
+        if not estimate.history:
+            return None
+        last = estimate.history.taken(np.array([len(estimate.history) - 1]))["frame"]
+        return int(self._of[0].find_place(last + 1)[0])
+
+
+@dataclass(frozen=True)
+class CalibrationContext:
+    """The context of a calibration: its folders, its executor and its progress callback."""
+
+    cancelled: Callable[[], bool]
+    report: Callable[[Progress], None] | None = None
+    cache_folder: Path | None = None
+    scratch_folder: Path | None = None
+    spread: Executor | None = None
+
+    @contextmanager
+    def folder(self) -> Iterator[Path]:
+        """Give a folder that is gone at the end."""
+        with TemporaryDirectory(prefix="boresight-calibration-", dir=self.scratch_folder) as folder:
+            yield Path(folder)
+
+    def tell(self, fraction: float, message: str) -> None:
+        """Report how far the preparation of a large set is."""
+        if self.report is not None:
+            self.report(Progress(PREPARED * fraction, message, None))
+
+
+@contextmanager
+def open_dataset(
+    telemetry: Telemetry | TelemetryFile | StoredTable,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    workplace: CalibrationContext,
+) -> Iterator[tuple[Dataset, OffDetector]]:
+    """Make a set ready, and say which stars of it lie off the detector.
+
+    While the context lasts it can be matched and computed on.
+    """
+    if not is_large(telemetry):
+        inside = read_whole(telemetry)
+        off = check_against_sensor(inside, sensor)
+        chosen = choose_match_mode(inside, settings)
+        yield Dataset(inside, sensor, catalogue, parameters, chosen, workplace.cache_folder), off
+        return
+    executor = workplace.spread or LocalExecutor(workplace.cancelled)
+    with workplace.folder() as folder:
+        copy = copied(telemetry, sensor, folder, executor, workplace.tell, workplace.cancelled)
+        chosen = choose_match_mode(copy.pieces[0].read(), settings)
+        sets = Dataset(copy, sensor, catalogue, parameters, chosen, workplace.cache_folder, workplace.tell)
+        yield sets, copy.off_detector
+
+
+def choose_match_mode(telemetry: Telemetry, settings: CalibrationSettings) -> CalibrationSettings:
+    """Let the matches of a file stand that gives directions but names no stars: there is nothing to match them with."""
+    if telemetry.star_id is None and telemetry.ra_rad is not None:
+        return replace(settings, match="given")
+    return settings
+
+
+def open_validation_set(
+    telemetry: Telemetry | TelemetryFile | StoredTable, sensor: Sensor, most_rows: int
+) -> tuple[Telemetry, OffDetector]:
+    """Read a validation set, of a large one parts that are evenly spread over it.
+
+    Say which stars of all are off the detector.
+    """
+    if not is_large(telemetry):
+        inside = read_whole(telemetry)
+        return inside, check_against_sensor(inside, sensor)
+    kept: list[Telemetry] = []
+    every, off = 1, OffDetector()
+    for number, chunk in enumerate(telemetry.chunks()):
+        off.look_at(chunk, sensor)
+        if number % every == 0:
+            kept.append(chunk)
+        if sum(map(len, kept)) > most_rows and len(kept) > 1:
+            kept, every = kept[::2], 2 * every
+    off.refuse()
+    return joined(kept), off
 
 
 def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the caller by name

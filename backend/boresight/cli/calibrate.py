@@ -125,7 +125,7 @@ def _settings(choices: dict[str, Any]) -> Any:
 def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settings: Any, report: Any) -> dict[str, Any]:
     """Read the files and run the estimator."""
     from boresight.calibration import calibrate as estimator
-    from boresight.calibration.source import TelemetryFile
+    from boresight.calibration.telemetry_pieces import TelemetryFile
     from boresight.sky.catalogue import load_catalogue
     from boresight.telemetry.sensors import read_sensor
 

@@ -20,7 +20,7 @@ def check(telemetry: Path, sensor_file: Path, json_file: str | None) -> None:
     """Report on the quality of TELEMETRY: counts, gaps, coverage, magnitudes, matches."""
     from boresight.sky.catalogue import load_catalogue
     from boresight.telemetry.quality.report import QualityParts
-    from boresight.telemetry.read.chunks import read_chunks
+    from boresight.telemetry.read.readers import read_chunks
     from boresight.telemetry.sensors import read_sensor
 
     check_writable(json_file)

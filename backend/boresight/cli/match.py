@@ -79,9 +79,8 @@ def _match(
     from boresight.calibration.parameter_file import read_parameters
     from boresight.sky.catalogue import load_catalogue
     from boresight.telemetry.quality.detector import check_against_sensor
-    from boresight.telemetry.read.readers import read_table, read_telemetry
+    from boresight.telemetry.read.readers import read_table, read_telemetry, write_with_stars
     from boresight.telemetry.sensors import read_sensor
-    from boresight.telemetry.writers import write_with_stars
 
     settings = CalibrationSettings(match="rematch", leave_out_doubles=choices["leave_out_doubles"])
     sensor, folder = read_sensor(sensor_file), read_settings().catalogue_folder

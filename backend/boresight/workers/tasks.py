@@ -22,7 +22,7 @@ from typing import Any, TypedDict, cast
 import orjson
 
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.source import StoredTable
+from boresight.calibration.telemetry_pieces import StoredTable
 from boresight.console.runs.queries import ClaimedRun, RunEnd
 from boresight.console.runs.run_events import Line
 from boresight.disks import storage_error

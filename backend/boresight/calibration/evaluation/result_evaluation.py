@@ -2,6 +2,18 @@
 
 Each is one object of the calibration JSON. Flight scores are kept under `evaluation` for the calibration set and under
 `validation` for the set that took no part; `shadow` holds both sets side by side, frame by frame.
+
+What single frames can tell under each reference (W section 3.3, Figures 3 and 4), and what each holds of all there is.
+
+`estimation.statistics.references` derives both. Of every frame the smallest singular value of H' = H W is kept, under Models 1 to
+4 with
+sigma_2 and sigma_3, and under Model 4 with each singular value alone; null where a frame does not determine all free parameters.
+It says how far the measurements move and not how well they are known, so beside it stands the information of each reference,
+whitened by its full covariance: per parameter the variance of the Cramer-Rao bound over the reference's own, and of these
+the geometric mean. A parameter that a reference leaves open has none.
+
+Both cost a decomposition a frame, so they are taken on frames spaced evenly over the set: at most `MOST_FRAMES`, and fewer where
+exposures are full: up to 60 stars the cost of an exposure was found to grow as their square.
 """
 
 from __future__ import annotations
@@ -10,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Estimate, Parameters
@@ -17,16 +30,137 @@ from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.evaluation.alignment import alignment_view
 from boresight.calibration.evaluation.evaluate import evaluate_matched_frames
 from boresight.calibration.evaluation.shadow import shadow_view
-from boresight.calibration.frames.frame_observability import frame_observability
-from boresight.calibration.matching.cycles import CyclesEnd
-from boresight.calibration.matching.match_report import identification_advice, matching_view, names_advice
+from boresight.calibration.matching.match_report import CyclesEnd, identification_advice, matching_view, names_advice
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.matched_frames import apply_flight_check
 from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.problem import Problem, whiten_at
 from boresight.calibration.trust import trust_advice, trust_view
+from boresight.calibration.trust.fitted_set import chosen, nested
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.batch import determined, normal_equations
+from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
+from boresight.estimation.statistics.cramer_rao import centroid_rows
+from boresight.estimation.statistics.references import View, information_of_pairs, judged, relative, seen
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
+
+MOST_FRAMES = 150
+#: Sum of the squared numbers of stars over the exposures that are taken.
+MOST_SQUARES = 8e4
+#: Subsets of the three singular values whose information is told of Model 4, beside the models' own.
+SUBSETS = ((1,), (2,), (3,), (1, 2, 3))
+#: What is told of singular values: name in the document, and model with values.
+REFERENCES = {f"model_{model}": (model, CHOSEN.values) for model in STAR_MODELS} | {
+    "sigma_" + "".join(map(str, values)): (CHOSEN.model, values) for values in SUBSETS
+}
+SELECTIONS = tuple(dict.fromkeys(REFERENCES.values()))
+#: Smallest singular values below it are rounding: the values that are measured are of order one, their slopes at most that.
+ROUNDING = 1e-12
+#: Shares less than this apart are the same.
+ADDS_NOTHING = 0.005
+
+
+def frame_observability(problem: Problem, parameters: Parameters, estimate: Estimate) -> dict[str, Any]:
+    """Judge single frames and references at the estimate.
+
+    Returns
+    -------
+    `frame` (n,), the frames taken; `minimum_singular_value`, by curve (n,): `model_1` ... `model_4`, `sigma_1` ... `sigma_3`;
+    `information`, one entry a reference with `share` of the bound's (geometric mean over the parameters), `least_share` and
+    `least`, the parameter that has it; `sentence`.
+    """
+    arcs = whiten_at(chosen(problem.arcs.whole(), _taken(problem.arcs.whole())), problem.camera, estimate.x)
+    view = View(problem.camera, estimate.x, parameters.free, parameters.scale)
+    runs = seen(view, arcs)
+    found = {chosen_values: judged(view, runs, Selection(*chosen_values)) for chosen_values in SELECTIONS}
+    models = _known([found[model, CHOSEN.values][0] for model in STAR_MODELS])
+    values = _known([found[CHOSEN.model, (k,)][0] for k in VALUES])
+    names = [*(f"model_{model}" for model in STAR_MODELS), *(f"sigma_{k}" for k in VALUES)]
+    curves = zip(names, (*models, *values), strict=True)
+    held = {name: found[selection][1] for name, selection in REFERENCES.items()}
+    held = {"angular": information_of_pairs(view, runs)} | held
+    information = _information(view, arcs, held, [problem.camera.parameter_names[p] for p in parameters.free])
+    return {
+        "frame": arcs.frame.tolist(),
+        "frames_used": arcs.n_frames,
+        "frames": problem.arcs.n_frames,
+        "minimum_singular_value": {name: nested(curve) for name, curve in curves},
+        "information": information,
+        "sentence": _sentence(information, models),
+    }
+
+
+def _taken(arcs: ArcSet) -> NDArray[np.bool_]:
+    """Which frames are looked at, (n_frames,)."""
+    squares = np.sum(np.diff(arcs.star_start).astype(float) ** 2)
+    n = arcs.n_frames
+    most = int(np.clip(MOST_SQUARES / squares * n, 1, MOST_FRAMES))
+    taken = np.zeros(n, np.bool_)
+    taken[np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int))] = True
+    return taken
+
+
+def _known(smallest: list[FloatArray]) -> FloatArray:
+    """Curves (n_curves, n_frames) from smallest singular values, (n_frames,) each, NaN where not all is determined."""
+    curves = np.stack(smallest)
+    return np.where(curves > ROUNDING, curves, np.nan)
+
+
+def _information(view: View, arcs: ArcSet, held: dict[str, FloatArray], names: list[str]) -> list[dict[str, Any]]:
+    """Every reference beside the bound; empty where these frames leave a parameter open whatever the reference."""
+    try:
+        bound = centroid_rows(view.camera, view.x, arcs, view.free, view.scale).information
+    except np.linalg.LinAlgError:
+        return []
+    if not np.isfinite(bound).all() or not determined(bound)[2].all():
+        return []
+    held = {"arcs": normal_equations(arcs, view.x, view.free, view.scale).A} | held
+    return [{"reference": name, **_share(relative(A, bound), names)} for name, A in held.items()]
+
+
+def _share(shares: FloatArray, names: list[str]) -> dict[str, Any]:
+    """Put a reference's shares (n_free,) into two numbers."""
+    if not (shares > 0).all():
+        return {"share": None, "least_share": None, "least": None}
+    least = int(np.argmin(shares))
+    share = float(np.exp(np.mean(np.log(shares))))
+    return {"share": share, "least_share": float(shares[least]), "least": names[least]}
+
+
+def _sentence(information: list[dict[str, Any]], models: FloatArray) -> str:
+    """Say in words what the references hold, and what W's measure makes of the models (4, n_frames)."""
+    if not information:
+        return "These frames leave a direction of the parameters open, so there is no bound: hold a parameter fixed."
+    share = {entry["reference"]: entry["share"] for entry in information}
+    of_models = ", ".join(f"{_percent(share[f'model_{model}'])} under Model {model}" for model in STAR_MODELS)
+    return (
+        f"Of the information in these centroids arcs keep {_percent(share['arcs'])}, all pairs {_percent(share['angular'])},"
+        f" and σ2 with σ3 {of_models}; {_of_the_first(share['model_4'], share['sigma_123'])}.{_of_the_measure(models)}"
+    )
+
+
+def _of_the_first(without: float | None, with_it: float | None) -> str:
+    """Say what sigma_1 adds."""
+    if without is not None and with_it is not None and with_it - without < ADDS_NOTHING:
+        return "σ1 adds nothing to them"
+    return f"σ1 beside them makes it {_percent(with_it)} under Model 4"
+
+
+def _of_the_measure(models: FloatArray) -> str:
+    """Say which model W's measure puts first."""
+    measured = models[:, np.isfinite(models).any(axis=0)]
+    if not measured.size:
+        return " No frame alone determines all free parameters."
+    firsts = np.bincount(np.nanargmax(measured, axis=0), minlength=len(STAR_MODELS)) / measured.shape[1]
+    first = int(np.argmax(firsts))
+    return f" In {100 * firsts[first]:.0f} % of the frames the minimum singular value is largest under Model {STAR_MODELS[first]}."
+
+
+def _percent(share: float | None) -> str:
+    """Write a share, or say that there is none; above one it is the isotropic error of `arcs`, and one is meant."""
+    return "too little to determine all" if share is None else f"{100 * min(share, 1.0):.0f} %"
 
 
 def evaluate_result(

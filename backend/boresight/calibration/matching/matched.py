@@ -8,42 +8,300 @@ the catalogue by more than one fixed tolerance cost their star, and an exposure 
 What is known of x for the tolerance: at the start the ground calibration's sigmas; at an estimate whose data hold the
 information A (in typical sigmas) its own covariance beside the start's, (A + I / initial_sigma_scale^2)^-1, widened by
 chi-square where the residuals say that it claims too much; parameters held fixed keep the ground's sigmas at all times.
+
+From the pieces of a set to the arcs of its problem, piece by piece.
+
+What `calibration.problem` counts of a set adds up over its parts. One refusal does not: that no matched star has a time is true of
+a set only if it is true of every part, so a part without times gives what it can, and the sum decides.
+
+Matching a set in files under any state, a range of frames at a time.
+
+The ranges are those of a set in memory (`matched.MATCHED_FRAMES`), wherever a piece ends, so the same neighbours are looked at.
+What depends on the whole set travels with each range: the stars that may be matched, which follow from the faintest that it names
+or from how many it detects, and its first time.
 """
 
 from __future__ import annotations
 
 import shutil
 import time
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.matching.flight_check import check_flight, compute_flight_tolerance
 from boresight.calibration.matching.matched_frames import GivenMatches, read_given_matches
-from boresight.calibration.matching.rematch import Matches, Rematcher, ground_covariance, joined_matches
-from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.problem import Problem, build_problem, make_problem_of_directions
-from boresight.calibration.sequence import Frames
-from boresight.calibration.streaming import matching
-from boresight.calibration.streaming.matching import (
-    MatchedRange,
-    MatchingState,
-    changed_in_range,
-    match_range,
-    matched_rows,
+from boresight.calibration.matching.rematch import (
+    Matches,
+    MatchingSky,
+    Rematcher,
+    blend_rad,
+    compute_magnitude_limit,
+    ground_covariance,
+    joined_matches,
+    matching_sky,
 )
-from boresight.calibration.streaming.sample import WHOLE, MatchedRows, judged_frames, judged_matches, judged_telemetry
-from boresight.calibration.streaming.stored_arcs import order_set, problem_of_parts, refuse_timeless, write_catalogue
-from boresight.calibration.streaming.telemetry_pieces import PREPARED, READING, Pieces, Prepared, in_memory
+from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.problem import (
+    LeftOut,
+    Problem,
+    added,
+    build_problem,
+    make_problem,
+    make_problem_of_directions,
+)
+from boresight.calibration.sequence import Frames
+from boresight.calibration.telemetry_pieces import (
+    PREPARED,
+    READING,
+    WHOLE,
+    FrameRange,
+    MatchedRows,
+    Pieces,
+    Prepared,
+    TelemetryPiece,
+    in_memory,
+    judged_frames,
+    judged_matches,
+    judged_telemetry,
+)
+from boresight.columns import Columns, write_columns
 from boresight.estimation.arcs import ArcSet
-from boresight.estimation.executor import Told
+from boresight.estimation.executor import Executor, Told
 from boresight.estimation.filters.history import FilterState
+from boresight.estimation.stored_arcs import ArcsPiece, StoredArcs, write_arcs
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.schema import Telemetry, select_rows
+from boresight.sky.directions import TimelessError, star_directions
+from boresight.telemetry.schema import Telemetry, find_exposures, select_rows
 from boresight.telemetry.sensors import Sensor
+
+
+@dataclass(frozen=True)
+class OrderedPiece:
+    """The arcs of a piece, and what is counted of it; `timeless` stars wanted a time where the whole piece has none."""
+
+    arcs: ArcsPiece
+    frames_in_set: int
+    left_out: tuple[LeftOut, ...]
+    timeless: int
+
+
+def write_catalogue(catalogue: Catalogue, folder: Path) -> Columns:
+    """Put the stars where every machine can map them."""
+    arrays = {item.name: getattr(catalogue, item.name) for item in fields(Catalogue)}
+    return write_columns(folder / "catalogue", arrays)
+
+
+@lru_cache(maxsize=1)
+def read_catalogue(columns: Columns) -> Catalogue:
+    """Map the stars; those read last are kept."""
+    return Catalogue(**columns.read())
+
+
+def order_set(
+    pieces: Sequence[TelemetryPiece],
+    sensor: Sensor,
+    catalogue: Columns,
+    minimum_stars: int,
+    folder: Path,
+    executor: Executor,
+    done: Told,
+) -> Problem:
+    """Order the stars of every exposure of a set."""
+    work = [
+        (piece, sensor, catalogue, minimum_stars, str(folder / f"arcs-{number:06d}"))
+        for number, piece in enumerate(pieces)
+    ]
+    parts: list[OrderedPiece] = executor.map(order_piece, work, done=done)
+    refuse_timeless(pieces, sum(part.timeless for part in parts), catalogue, executor)
+    return problem_of_parts(parts, sensor, executor)
+
+
+def problem_of_parts(parts: Sequence[OrderedPiece], sensor: Sensor, executor: Executor) -> Problem:
+    """Make one problem of the parts of a set; a part may have no frame."""
+    pieces = tuple(part.arcs for part in parts if part.arcs.n_frames)
+    timed = bool(pieces) and all(piece.has("time_utc") for piece in pieces)
+    return Problem(
+        sensor=sensor,
+        arcs=StoredArcs(pieces, executor),
+        time_utc=np.concatenate([piece.column("time_utc") for piece in pieces]) if timed else None,
+        frames_in_set=sum(part.frames_in_set for part in parts),
+        left_out=added(item for part in parts for item in part.left_out),
+    )
+
+
+def order_piece(
+    piece: TelemetryPiece, sensor: Sensor, catalogue: Columns, minimum_stars: int, path: str
+) -> OrderedPiece:
+    """Order the stars of one piece and write its arcs."""
+    telemetry, stars = piece.read(), read_catalogue(catalogue)
+    timeless = 0
+    try:
+        s_i = _directions(telemetry, stars)
+    except TimelessError as refusal:
+        timeless, s_i = refusal.stars, _directions(telemetry, stars.brighter_than(-np.inf))
+    return write_ordered(make_problem(telemetry, sensor, s_i, minimum_stars), piece.begins, Path(path), timeless)
+
+
+def write_ordered(problem: Problem, begins: int, path: Path, timeless: int = 0) -> OrderedPiece:
+    """Write the arcs of a piece whose rows begin at this place of the set."""
+    arcs = problem.arcs.whole()
+    arcs.source_row[:] += begins
+    return OrderedPiece(write_arcs(path, arcs, problem.time_utc), problem.frames_in_set, problem.left_out, timeless)
+
+
+def _directions(telemetry: Telemetry, catalogue: Catalogue) -> NDArray[np.float64]:
+    """Apparent direction of every row, (n_rows, 3)."""
+    return star_directions(
+        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
+    )
+
+
+def refuse_timeless(pieces: Sequence[TelemetryPiece], timeless: int, catalogue: Columns, executor: Executor) -> None:
+    """Refuse a set in which no star that needs a time has one; `timeless` are those of parts that have none at all."""
+    if timeless and not any(executor.map(has_timed_star, [(piece, catalogue) for piece in pieces])):
+        raise TimelessError(timeless)
+
+
+def has_timed_star(piece: TelemetryPiece, catalogue: Columns) -> bool:
+    """Whether a star of this piece takes its direction from the catalogue at a known time."""
+    telemetry = piece.read()
+    if telemetry.star_id is None or telemetry.time_utc is None:
+        return False
+    wanted = (telemetry.star_id > 0) & ~np.isnat(telemetry.time_utc)
+    if telemetry.ra_rad is not None:
+        wanted &= np.isnan(telemetry.ra_rad)
+    return bool((read_catalogue(catalogue).find_index(telemetry.star_id[wanted]) >= 0).any())
+
+
+_MATCHES = tuple(item.name for item in fields(Matches))
+
+
+@dataclass(frozen=True)
+class MatchingState:
+    """What a set is matched under: x, SI, its covariance P, SI, and centroid errors so many times the stated ones."""
+
+    x: FloatArray
+    P: FloatArray
+    noise: float = 1.0
+
+
+@dataclass(frozen=True)
+class Matching:
+    """How a set in files is matched, the same for all its ranges."""
+
+    sensor: Sensor
+    catalogue: Columns
+    settings: CalibrationSettings
+    cache_folder: Path | None
+    magnitude_limit: float
+    epoch: np.datetime64 | None
+
+
+@dataclass(frozen=True)
+class MatchedRange:
+    """A range as matched under some state: its rows with their matches, and where it is in files its arcs.
+
+    `unidentified` of its exposures want the lost-in-space extra, which is not installed.
+    """
+
+    held: MatchedRows | tuple[FrameRange, Columns]
+    unidentified: int = 0
+    ordered: OrderedPiece | None = None
+
+    def rows(self) -> MatchedRows:
+        """The telemetry, the matches and the kept stars; maps them where they are in files."""
+        if isinstance(self.held, MatchedRows):
+            return self.held
+        of, matches = self.held
+        arrays: dict[str, Any] = matches.read()
+        return MatchedRows(of.read()[0], Matches(**{name: arrays[name] for name in _MATCHES}), arrays["kept"])
+
+
+def match_range(how: Matching, of: FrameRange, under: MatchingState, path: str) -> MatchedRange:
+    """Match one range and write what comes out."""
+    telemetry, begins = of.read()
+    rows, matches, timeless = matched_range(how, telemetry, under)
+    arrays = {name: getattr(matches, name) for name in _MATCHES} | {"kept": rows.kept}
+    problem = build_problem(rows.named(), how.sensor, read_catalogue(how.catalogue), how.settings.minimum_stars)
+    ordered = write_ordered(problem, begins, Path(f"{path}-arcs"), timeless)
+    return MatchedRange((of, write_columns(Path(f"{path}-matches"), arrays)), matches.unidentified, ordered)
+
+
+def matched_range(how: Matching, telemetry: Telemetry, under: MatchingState) -> tuple[MatchedRows, Matches, int]:
+    """Match rows in memory; returns them, their matches, and how many stars wanted a time where none of these rows has one."""
+    stars, timeless = read_catalogue(how.catalogue), 0
+    sky = _sky(how.catalogue, how.magnitude_limit, blend_rad(how.sensor))
+    try:
+        matcher = _rematcher(how, telemetry, stars, sky)
+    except TimelessError as refusal:
+        timeless, matcher = refusal.stars, _rematcher(how, telemetry, stars.brighter_than(-np.inf), sky)
+    matches = matcher(under.x, under.P, noise=under.noise)
+    return matched_rows(telemetry, matches, under.x, how.sensor, how.settings), matches, timeless
+
+
+def matched_rows(
+    telemetry: Telemetry, matches: Matches, x: FloatArray, sensor: Sensor, settings: CalibrationSettings
+) -> MatchedRows:
+    """Keep the matches that the flight code would accept at x, or all where `match_rule` does not ask it."""
+    if settings.match_rule != "flight":
+        return MatchedRows(telemetry, matches, matches.star_id)
+    view = check_flight(
+        telemetry, sensor, matches, x, compute_flight_tolerance(sensor, settings), settings.minimum_stars
+    )
+    taken = view.accepted & np.repeat(view.valid, np.diff(matches.exposure_start))
+    return MatchedRows(telemetry, matches, np.where(taken, matches.star_id, 0))
+
+
+def _rematcher(how: Matching, telemetry: Telemetry, stars: Catalogue, sky: MatchingSky) -> Rematcher:
+    """Make rows of a set ready to be matched."""
+    return Rematcher(telemetry, how.sensor, stars, how.settings, how.cache_folder, sky, how.epoch)
+
+
+@lru_cache(maxsize=1)
+def _sky(catalogue: Columns, magnitude_limit: float, blend: float) -> MatchingSky:
+    """The stars that may be matched; those asked for last are kept."""
+    return matching_sky(read_catalogue(catalogue), magnitude_limit, blend)
+
+
+def magnitude_limit(pieces: Sequence[TelemetryPiece], sensor: Sensor, catalogue: Columns, spread: Executor) -> float:
+    """Faintest star that may be matched, Hp, as `detections.magnitude_limit` finds it of a set in memory."""
+    parts: list[tuple[int, NDArray[np.int64]]] = spread.map(seen_in_piece, [(piece, catalogue) for piece in pieces])
+    longest = max(len(counts) for _, counts in parts)
+    counts = np.sum([np.pad(part, (0, longest - len(part))) for _, part in parts], axis=0)
+    faintest = np.array(sorted({star for star, _ in parts if star > 0}), np.int64)
+    return compute_magnitude_limit(sensor, read_catalogue(catalogue), faintest, _median(counts))
+
+
+def seen_in_piece(piece: TelemetryPiece, catalogue: Columns) -> tuple[int, NDArray[np.int64]]:
+    """The faintest known star that a piece names, 0 = none, and how many of its exposures have 0, 1, 2, ... detections."""
+    telemetry, stars = piece.read(), read_catalogue(catalogue)
+    counts = np.bincount(find_exposures(telemetry).count)
+    if telemetry.star_id is None:
+        return 0, counts
+    index = stars.find_index(np.unique(telemetry.star_id[telemetry.star_id > 0]))
+    index = index[index >= 0]
+    return (int(stars.hip[index[np.argmax(stars.magnitude[index])]]) if len(index) else 0), counts
+
+
+def _median(counts: NDArray[np.int64]) -> float:
+    """Median of values of which 0, 1, 2, ... occur so often."""
+    ends, n = np.cumsum(counts), int(counts.sum())
+    middle = np.searchsorted(ends, [(n - 1) // 2, n // 2], side="right")
+    return float(middle.mean())
+
+
+def changed_in_range(before: MatchedRange, after: MatchedRange) -> int:
+    """Count the detections of a range whose star differs."""
+    return int(np.sum(before.rows().kept != after.rows().kept))
+
 
 #: Frames that are matched together, counted from a set's first: an exposure without a start looks for a neighbour among these.
 MATCHED_FRAMES = 4096
@@ -230,7 +488,7 @@ class Dataset:
             )
             rows = matched_rows(telemetry, matches, under.x, self.sensor, self.settings)
         else:
-            rows, _, _ = matching.matched_range(self._how, self._pieces.frames(first, last).read()[0], under)
+            rows, _, _ = matched_range(self._how, self._pieces.frames(first, last).read()[0], under)
         arcs = build_problem(rows.named(), self.sensor, self.catalogue, self.settings.minimum_stars).arcs.whole()
         self.matching_s += time.thread_time() - began
         return arcs
@@ -247,12 +505,12 @@ class Dataset:
         return Rematcher(self.telemetry, self.sensor, self.catalogue, self.settings, self._cache_folder)
 
     @cached_property
-    def _how(self) -> matching.Matching:
+    def _how(self) -> Matching:
         """Of a set in files."""
         pieces, folder = self._pieces, self._pieces.folder or Path()
         stars = write_catalogue(self.catalogue, folder)
-        limit = matching.magnitude_limit(pieces.pieces, self.sensor, stars, pieces.spread)
-        return matching.Matching(self.sensor, stars, self.settings, self._cache_folder, limit, pieces.epoch)
+        limit = magnitude_limit(pieces.pieces, self.sensor, stars, pieces.spread)
+        return Matching(self.sensor, stars, self.settings, self._cache_folder, limit, pieces.epoch)
 
     @cached_property
     def _standing(self) -> Matched:

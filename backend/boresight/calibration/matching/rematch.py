@@ -4,6 +4,8 @@
 parameters change. The tolerance comes from P, the covariance of the parameters matched with: that of a ground
 calibration is `ground_covariance`, (initial_sigma_scale typical sigmas)^2, that of a result its own, with the ground's
 for what it held fixed.
+
+A telemetry set and a sensor as the detections that matching takes: directions, their errors, given stars, times.
 """
 
 from __future__ import annotations
@@ -16,18 +18,130 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight import kernels
 from boresight.arrays import FloatArray, IntArray
-from boresight.calibration.matching import detections as prepared
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
-from boresight.estimation.attitude import to_quaternion
+from boresight.estimation.attitude import to_quaternion, triad
 from boresight.sky import identification, matching
 from boresight.sky.catalogue import Catalogue
+from boresight.sky.directions import star_directions
 from boresight.sky.guide_stars import FAINTER_MAG, GuideStars, guide_stars, observer_motion, star_flags
 from boresight.sky.matching import Detections
 from boresight.telemetry.quality.detector import on_detector
 from boresight.telemetry.schema import Telemetry, find_exposures
 from boresight.telemetry.sensors import Sensor
+
+#: Stars move by proper motion and aberration while the catalogue stands still: margin of the field.
+CONE_MARGIN_RAD = float(np.radians(0.3))
+#: Where a sensor file gives no limit: this much fainter than the faintest star named in the set.
+MARGIN_MAG = 0.5
+#: Rows whose derivatives are taken at a time.
+CHUNK_ROWS = 2_048
+
+
+def given_stars(telemetry: Telemetry, catalogue: Catalogue) -> tuple[IntArray, FloatArray, NDArray[np.bool_]]:
+    """Star numbers given in the file, (n_rows,), 0 = none; their directions (n_rows, 3); whether these are the file's own."""
+    n = len(telemetry)
+    if telemetry.star_id is None or not (telemetry.star_id > 0).any():
+        return np.zeros(n, np.int64), np.full((n, 3), np.nan), np.zeros(n, np.bool_)
+    own = np.zeros(n, np.bool_) if telemetry.ra_rad is None else np.isfinite(telemetry.ra_rad)
+    given_s = star_directions(
+        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
+    )
+    return np.maximum(telemetry.star_id, 0), given_s, own & (telemetry.star_id > 0)
+
+
+def measured_directions(
+    telemetry: Telemetry, rows: slice, sensor: Sensor, x: FloatArray, P: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Directions of some rows in the right-handed triad, their derivative times P^(1/2), and their errors.
+
+    Returns
+    -------
+    s
+        (n, 3) unit vectors.
+    G
+        (n, 3, p) ds/dx P^(1/2), p the rank of P.
+    sigma_rad
+        (n,) isotropic direction error.
+    """
+    camera, pitch, n = CAMERA_MODELS[sensor.camera_model], sensor.pixel_pitch_m, rows.stop - rows.start
+    root = square_root(P)
+    s, G, sigma = np.empty((n, 3)), np.empty((n, 3, root.shape[1])), centroid_sigma_px(telemetry, sensor)[rows].copy()
+    sign = np.array([1.0, float(sensor.parity), 1.0])[:, None]
+    for begin in range(0, n, CHUNK_ROWS):
+        part = slice(begin, min(begin + CHUNK_ROWS, n))
+        whole = slice(rows.start + part.start, rows.start + part.stop)
+        row, col = telemetry.row_px[whole], telemetry.col_px[whole]
+        directions, jacobian = np.empty((len(row), 3)), np.empty((len(row), 3, len(x)))
+        kernels.rays_and_jacobians(camera.kernel, x, pitch, row, col, directions, jacobian)
+        s[part] = triad(directions, sensor.parity)
+        G[part] = (jacobian.reshape(-1, len(x)) @ root).reshape(*jacobian.shape[:2], root.shape[1]) * sign
+        sigma[part] *= np.sqrt(camera.solid_angle(x, row, col, pitch))
+    return s, G, sigma
+
+
+def centroid_sigma_px(telemetry: Telemetry, sensor: Sensor) -> FloatArray:
+    """One-axis centroid error of every row, (n_rows,) pixels: the file's, else the sensor's."""
+    common = np.full(len(telemetry), sensor.centroid_sigma_px)
+    if telemetry.sigma_px is None:
+        return common
+    return np.where(np.isfinite(telemetry.sigma_px), telemetry.sigma_px, common)
+
+
+def square_root(P: FloatArray) -> FloatArray:
+    """P^(1/2), (n_parameters, p) with P = root root^T and p its rank; scaled first, for the units differ by 10^16."""
+    scale = np.sqrt(np.maximum(np.diag(P), 0.0))
+    free = np.flatnonzero(scale > 0)
+    root = np.zeros((len(P), len(free)))
+    if len(free):
+        values, vectors = np.linalg.eigh(P[np.ix_(free, free)] / np.outer(scale[free], scale[free]))
+        root[free] = scale[free, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return root
+
+
+def pixel_rad(sensor: Sensor, x: FloatArray) -> float:
+    """Angle of a pixel in the middle of the detector, rad."""
+    middle = np.array([(sensor.rows - 1) / 2]), np.array([(sensor.columns - 1) / 2])
+    omega = CAMERA_MODELS[sensor.camera_model].solid_angle(x, *middle, sensor.pixel_pitch_m)
+    return float(np.sqrt(omega[0]))
+
+
+def cone_rad(sensor: Sensor, x: FloatArray) -> float:
+    """Angle from the z axis of D to the farthest corner of the detector, with a margin, rad."""
+    camera = CAMERA_MODELS[sensor.camera_model]
+    return camera.cone_rad(x, sensor.rows, sensor.columns, sensor.pixel_pitch_m) + CONE_MARGIN_RAD
+
+
+def magnitude_limit(telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, given: IntArray) -> float:
+    """Faintest star that may be matched, Hp: the sensor's limit, else beyond the faintest named, else by how many are detected."""
+    return compute_magnitude_limit(
+        sensor, catalogue, np.unique(given[given > 0]), float(np.median(find_exposures(telemetry).count))
+    )
+
+
+def compute_magnitude_limit(sensor: Sensor, catalogue: Catalogue, named: IntArray, typical_stars: float) -> float:
+    """As `magnitude_limit`, of a set that names these stars (n,) and detects so many an exposure."""
+    if sensor.magnitude_limit is not None:
+        return sensor.magnitude_limit
+    index = catalogue.find_index(named)
+    magnitude = catalogue.magnitude[index[index >= 0]]
+    if len(magnitude):
+        return float(magnitude.max() + MARGIN_MAG)
+    field = 2 * np.pi * (1 - np.cos(cone_rad(sensor, sensor.initial)))
+    wanted = 2 * typical_stars * 4 * np.pi / field
+    return float(np.sort(catalogue.magnitude)[min(int(wanted), len(catalogue) - 1)])
+
+
+def seconds(times: NDArray[np.datetime64], epoch: np.datetime64 | None = None) -> FloatArray:
+    """Seconds from an epoch, or from the first known time, (n,); NaN where unknown."""
+    known = ~np.isnat(times)
+    elapsed = np.full(len(times), np.nan)
+    if known.any():
+        elapsed[known] = (times[known] - (times[known].min() if epoch is None else epoch)) / np.timedelta64(1, "s")
+    return elapsed
+
 
 #: Of two stars closer than this on the detector, one image shows the brighter.
 BLEND_PX = 5.0
@@ -115,7 +229,7 @@ def matching_sky(catalogue: Catalogue, magnitude_limit: float, blend_rad: float)
 
 def blend_rad(sensor: Sensor) -> float:
     """Angle of `BLEND_PX` in the middle of the detector, rad."""
-    return BLEND_PX * prepared.pixel_rad(sensor, sensor.initial)
+    return BLEND_PX * pixel_rad(sensor, sensor.initial)
 
 
 class Rematcher:
@@ -149,17 +263,17 @@ class Rematcher:
         frame_first = np.unique(self._exposures.frame, return_index=True)[1]
         self._frame_start = np.append(frame_first, len(self._exposures)).astype(np.int64)
         self._row_start = np.append(self._exposures.start, len(telemetry)).astype(np.int64)
-        self._given, self._given_s, self._own = prepared.given_stars(telemetry, catalogue)
+        self._given, self._given_s, self._own = given_stars(telemetry, catalogue)
         first = self._exposures.start
         unknown = np.full(len(first), np.datetime64("NaT", "us"))
         times = unknown if telemetry.time_utc is None else telemetry.time_utc[first]
-        self._time_s = prepared.seconds(times[frame_first], epoch)
+        self._time_s = seconds(times[frame_first], epoch)
         nowhere = np.full((len(first), 4), np.nan)
         self._quaternion = nowhere if telemetry.quaternion is None else telemetry.quaternion[first]
         velocity = None if telemetry.velocity_m_s is None else telemetry.velocity_m_s[first]
         self._motion = observer_motion(times, velocity)
         if sky is None:
-            limit = prepared.magnitude_limit(telemetry, sensor, catalogue, self._given)
+            limit = magnitude_limit(telemetry, sensor, catalogue, self._given)
             sky = matching_sky(catalogue, limit, blend_rad(sensor))
         # A detection off the detector is no star's image: it has no direction, and names none.
         self._off = ~on_detector(telemetry, sensor)
@@ -184,7 +298,7 @@ class Rematcher:
         k0, k1, _ = frames.indices(self.n_frames)
         e0, e1 = int(self._frame_start[k0]), int(self._frame_start[k1])
         rows, exposures = self.rows(frames), slice(e0, e1)
-        s, G, sigma = prepared.measured_directions(self._telemetry, rows, self._sensor, x, P)
+        s, G, sigma = measured_directions(self._telemetry, rows, self._sensor, x, P)
         s[self._off[rows]] = np.nan
         detections = Detections(
             frame_start=self._frame_start[k0 : k1 + 1] - e0,
@@ -200,7 +314,7 @@ class Rematcher:
         )
         identify = self._identifier(detections, x, rows) if identification.available() else None
         answer = matching.match(
-            detections, self._stars, self._motion[exposures], prepared.cone_rad(self._sensor, x),
+            detections, self._stars, self._motion[exposures], cone_rad(self._sensor, x),
             self._settings.minimum_stars, identify,
         )  # fmt: skip
         if identify is None and not identification.available():

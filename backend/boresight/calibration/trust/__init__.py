@@ -33,17 +33,15 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.trust.advice import trust_advice
 from boresight.calibration.trust.against import residual_against
-from boresight.calibration.trust.distribution import residual_distribution, residual_outliers
 from boresight.calibration.trust.drop_one import drop_one, drop_one_sentence
 from boresight.calibration.trust.efficiency import arc_sigma_map, efficiency
-from boresight.calibration.trust.field import residual_field
+from boresight.calibration.trust.field import residual_distribution, residual_field, residual_outliers
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, fit_best
-from boresight.calibration.trust.innovations import nis_over_time, worst_frames
+from boresight.calibration.trust.innovations import nis_over_time, whiteness, worst_frames
 from boresight.calibration.trust.more_data import more_data
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals, residuals
 from boresight.calibration.trust.stars import star_table, stars, stars_sentence
 from boresight.calibration.trust.two_halves import two_halves
-from boresight.calibration.trust.whiteness import whiteness
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 

@@ -15,6 +15,18 @@ deviate (Wilson & Hilferty 1931), good to a tenth of a sigma at four, from five 
     deviate = ((chi2 / dof)^(1/3) - (1 - 2 / (9 dof))) / sqrt(2 / (9 dof)).
 
 Reference: Wilson, Hilferty, "The distribution of chi-square", PNAS 17, 1931.
+
+Whether the residuals change with time: the scores of the frames tell, parameter by parameter.
+
+A camera that drifts by dz_k in parameter p leaves in frame k the score b_kp = (H_k^T e_k)_p = A_kpp dz_k + noise of variance
+A_kpp. Over
+
+    y_kp = b_kp / sqrt(A_kpp)
+
+the noise has variance one in every frame, however many stars it has, and the drift stands out as far as one parameter's
+residual can show it; a sum of squares would not see its sign. At a constant camera y_kp is white over k. Ljung and Box's test
+(estimation.consistency) is made of each free parameter, and the least p-value counts, times their number (Bonferroni). Below 1
+% the series is not white.
 """
 
 from __future__ import annotations
@@ -28,7 +40,48 @@ from scipy.special import chdtrc, chdtri, ndtr
 
 from boresight.arrays import FloatArray
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested, probability
-from boresight.estimation.statistics.consistency import CONFIDENCE, runs_p_value, share_bounds
+from boresight.estimation.statistics.consistency import CONFIDENCE, ljung_box, runs_p_value, share_bounds
+
+FEWEST_FRAMES = 20
+MOST_LAGS = 20
+#: Lags that the test sums: a drift shows in the first, and with twenty Q is far from chi-square at a few hundred frames.
+TESTED_LAGS = 5
+
+
+def whiteness(fitted: FittedSet) -> dict[str, Any]:
+    """Autocorrelation of the least white score, and the test over all of them."""
+    n = fitted.arcs.n_frames
+    if n < FEWEST_FRAMES:
+        raise Unavailable(f"A series needs {FEWEST_FRAMES} frames before it can be told from noise; there are {n}.")
+    y = np.ascontiguousarray((fitted.sums.scores / np.sqrt(np.maximum(fitted.sums.squares, np.finfo(float).tiny))).T)
+    lags = min(MOST_LAGS, n // 5)
+    tests = [ljung_box(series, min(TESTED_LAGS, lags)) for series in y]
+    least = int(np.argmin([test.p for test in tests]))
+    p = min(1.0, tests[least].p * len(tests))
+    return {
+        "lags": list(range(1, lags + 1)),
+        "autocorrelation": nested(ljung_box(y[least], lags).autocorrelation),
+        "bound": float(1.96 / np.sqrt(n)),
+        "name": fitted.names[least],
+        "ljung_box": {"value": tests[least].value, "dof": tests[least].dof, "p": p},
+        "p_of_parameters": {name: test.p for name, test in zip(fitted.names, tests, strict=True)},
+        "white": p >= UNLIKELY,
+        "sentence": _whiteness_sentence(fitted.symbols[least], p, n, p >= UNLIKELY),
+    }
+
+
+def _whiteness_sentence(symbol: str, p: float, n: int, white: bool) -> str:
+    """The verdict in words."""
+    if white:
+        return (
+            f"The residuals are white over {n} frames: no parameter is seen to drift ({probability(p)} for the least white, "
+            f"{symbol})."
+        )
+    return (
+        f"The residuals are not white over {n} frames ({probability(p)}): those along {symbol} follow one another, as when "
+        "the camera drifts with temperature or stars keep wrong places; the sigmas leave this out."
+    )
+
 
 MOST_POINTS = 1000
 #: Chance of a share or of runs so extreme below which they are not put down to chance.
@@ -58,7 +111,7 @@ def nis_over_time(fitted: FittedSet) -> dict[str, Any]:
         "runs_p": runs,
         "points_in_all": len(values),
         "consistent": low <= outside <= high and runs >= UNLIKELY,
-        "sentence": _sentence(len(values), outside, (low, high), runs, fitted.estimate.history is not None),
+        "sentence": _innovations_sentence(len(values), outside, (low, high), runs, fitted.estimate.history is not None),
     }
 
 
@@ -86,7 +139,7 @@ def _series(fitted: FittedSet) -> tuple[NDArray[np.int64], FloatArray, FloatArra
     return fitted.arcs.frame, fitted.sums.chi2, fitted.sums.dof
 
 
-def _sentence(n: int, outside: float, bounds: tuple[float, float], runs: float, filtered: bool) -> str:
+def _innovations_sentence(n: int, outside: float, bounds: tuple[float, float], runs: float, filtered: bool) -> str:
     """The verdict in words."""
     what = "updates" if filtered else "frames"
     share = f"{outside:.1%} of {n} {what} lie outside their 95 % bounds ({bounds[0]:.1%} to {bounds[1]:.1%} is what chance allows)"

@@ -13,7 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.calibration.evaluation.contrast import Contrast, contrast, radial_contrast, strong_correlations
+from boresight.calibration.evaluation.contrast import (
+    Contrast,
+    SharedData,
+    contrast,
+    radial_contrast,
+    strong_correlations,
+)
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
 from boresight.console.parameter_sets import queries as parameter_sets
@@ -21,7 +27,6 @@ from boresight.console.runs import service as runs
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import NotFoundError, RefusedInputError
-from boresight.estimation.statistics.difference import SharedData
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.blobs.working_tables import table_path
 from boresight.platform.db.sessions import Session

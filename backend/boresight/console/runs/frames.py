@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from boresight.calibration.frames.frame_states import read_run_states
-from boresight.calibration.frames.frame_view import frame_view
-from boresight.calibration.matching.detections import compute_magnitude_limit
+from boresight.calibration.frame_view import frame_view, read_run_states
+from boresight.calibration.matching.rematch import compute_magnitude_limit
 from boresight.calibration.options import CalibrationSettings
 from boresight.console.runs.service import get_run, result
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run

@@ -28,8 +28,8 @@ from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.web.text_validation import normal_name
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.quality.report import QualityParts
-from boresight.telemetry.read.chunks import read_chunks
 from boresight.telemetry.read.limits import LIMITS, Limits
+from boresight.telemetry.read.readers import read_chunks
 from boresight.telemetry.sensors import Sensor, parse_sensor
 from boresight.telemetry.working_table import MEDIA_TYPE, WorkingTableParts
 

@@ -2,15 +2,18 @@
 
 A row is of use when it is matched, lies on the detector and can have a direction: its own, or the catalogue's, which
 takes a known star, a time and, in a file that gives velocities, a velocity. This is the rule of `sky.directions`.
+
+One thing a quality report has found.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.telemetry.quality.detector import OffDetector, matched_rows, on_detector
@@ -127,3 +130,44 @@ class QualityInputs:
     def count_per_exposure(self, rows: BoolArray) -> IntArray:
         """Count the marked (n_rows,) rows of each exposure, (n_exposures,)."""
         return np.bincount(self.exposures.of_entry[rows], minlength=len(self.exposures)).astype(np.int64)
+
+
+Severity = Literal["NORMAL", "CAUTION", "SERIOUS"]
+
+#: From harmless to unusable.
+SEVERITIES: tuple[Severity, ...] = ("NORMAL", "CAUTION", "SERIOUS")
+
+_MOST_ROWS = 20
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A fact about a telemetry set that an operator should know."""
+
+    code: str
+    severity: Severity
+    sentence: str
+    count: int
+    rows: tuple[int, ...] = ()
+
+    def document(self) -> dict[str, Any]:
+        """Return the finding for a JSON document."""
+        return {
+            "code": self.code,
+            "severity": self.severity,
+            "sentence": self.sentence,
+            "count": self.count,
+            "rows": list(self.rows),
+        }
+
+
+def row_numbers(inputs: QualityInputs, marked: NDArray[np.bool_]) -> tuple[int, ...]:
+    """Return the numbers, as an editor counts, of the first twenty marked rows of (n_rows,)."""
+    entries = np.flatnonzero(marked)[:_MOST_ROWS]
+    rows = entries + inputs.telemetry.first_row if inputs.rows is None else inputs.rows[entries]
+    return tuple(rows.tolist())
+
+
+def counted(count: int, one: str, many: str) -> str:
+    """Return how many, and what of them in agreement: `1 row names`, `1,204 rows name`."""
+    return f"{count:,} {one if count == 1 else many}"

@@ -10,6 +10,15 @@ next one begins: whole frames, and nearly whole groups, of which each is decompr
 begin is told by one column, read beforehand, which is a fiftieth of the work; that they ascend is seen there too. Everything
 else that a file can be refused for lies within a frame, so each stretch finds its own. But a refusal names the first twenty faults
 of a file and counts the others: whoever meets a fault reads the file from its start (`chunks`), which says so in its words.
+
+A telemetry file in parts of whole frames, in constant memory: how every file is read, large or small.
+
+A file comes as tables of bounded size (`tables`), cut anywhere. Their rows are turned into arrays at once and wait until
+enough frames are whole; what comes out is cut where the frame number changes. Faults are collected as they are met, and
+from the first one on nothing more comes out: the rest of the file is read for its faults alone, and then refused in the words
+and order in which a file is refused that is read at once: form, columns, cells, and what rows say together.
+
+Writing telemetry: the contract's columns in the contract's units, then the columns nobody interprets.
 """
 
 from __future__ import annotations
@@ -18,20 +27,147 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import IO
 
 import numpy as np
+import orjson
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv as arrow_csv
 import pyarrow.parquet as arrow_parquet
 from numpy.typing import NDArray
 
-from boresight.telemetry.read.chunks import iterate_chunks, open_tables, read_chunks
-from boresight.telemetry.read.formats import format_at
+from boresight.arrays import FloatArray, IntArray
+from boresight.errors import RefusedInputError
+from boresight.telemetry.read.checks import Checks, Faults
+from boresight.telemetry.read.columns import check_columns, make_arrays, scale_quaternions
+from boresight.telemetry.read.formats import Tables, format_at
 from boresight.telemetry.read.limits import LIMITS, Limits
-from boresight.telemetry.read.parquet import Layout, open_parquet, read_layout, rows_of_file
-from boresight.telemetry.schema import Telemetry, joined
-from boresight.telemetry.writers import write_csv, write_parquet
+from boresight.telemetry.read.parquet import (
+    Layout,
+    open_parquet,
+    parquet_tables,
+    read_layout,
+    rows_of_file,
+    rows_of_parquet,
+)
+from boresight.telemetry.read.text import csv_tables, json_tables
+from boresight.telemetry.schema import UNMATCHED, Telemetry, count_bytes, joined, select_rows
 
-__all__ = ["read_table", "read_telemetry", "write_csv", "write_parquet"]
+#: Frames of a chunk: with 24 detections each about 100,000 rows, 15 MB.
+CHUNK_FRAMES = 4096
+#: Rows that wait for their frame to be whole, and their bytes. One frame of so many is a file whose frames are not numbered.
+MOST_ROWS, MOST_BYTES = 1_000_000, 200_000_000
+
+
+def read_chunks(
+    path: Path, name: str | None = None, *, frames: int = CHUNK_FRAMES, limits: Limits = LIMITS
+) -> Iterator[Telemetry]:
+    """Read a telemetry file in parts of whole frames."""
+    name = name or path.name
+    return iterate_chunks(open_tables(path, name, limits), name, frames, limits)
+
+
+def iterate_chunks(tables: Tables, name: str, frames: int, limits: Limits = LIMITS) -> Iterator[Telemetry]:
+    """Read tables in parts of whole frames, as `read_chunks` reads a file."""
+    absent = Faults(name)
+    check_columns(tables.columns, absent)
+    cells, checks, rows = Faults(name, tables.first_row), Checks(name, limits.stars), 0
+    waiting = _Waiting(frames, name)
+    for table in tables.read():
+        rows += table.num_rows
+        limits.refuse_rows(name, rows)
+        if absent.count or tables.form.found or not table.num_rows:
+            continue
+        part = make_arrays(_with_every_column(table, tables.columns), cells)
+        cells.first_row += table.num_rows
+        if not cells.count:
+            yield from _sound(waiting.whole_frames(part), checks)
+    if not rows:
+        absent.add("there are no rows: there is nothing to calibrate from")
+    for faults in (tables.form, absent, cells):
+        faults.refuse()
+    yield from _sound(waiting.rest(), checks)
+    checks.refuse()
+
+
+def rows_in(path: Path) -> int | None:
+    """Return how many rows a file has where that is told cheaply, as Parquet does; None for text."""
+    return rows_of_parquet(path, path.name) if format_at(path, path.name) == "Parquet" else None
+
+
+def open_tables(path: Path, name: str, limits: Limits = LIMITS, *, as_text: bool = False) -> Tables:
+    """Open a telemetry file as tables; `as_text` reads CSV and JSON Lines as text cells. Refuses as `read_chunks`."""
+    match format_at(path, name):
+        case "Parquet":
+            return parquet_tables(path, name, limits)
+        case "JSON Lines":
+            return json_tables(path, name, limits, as_text=as_text)
+        case _:
+            return csv_tables(path, name, limits, as_text=as_text)
+
+
+def _sound(parts: Iterator[Telemetry], checks: Checks) -> Iterator[Telemetry]:
+    """Yield parts until the checks find something; look at all of them."""
+    for part in parts:
+        checks.look_at(part)
+        if not checks.found:
+            scale_quaternions(part)
+            yield part
+
+
+def _with_every_column(table: pa.Table, columns: tuple[str, ...]) -> pa.Table:
+    """Return a table with the columns of the whole file, in their order, nulls where it lacks one."""
+    if tuple(table.column_names) == columns:
+        return table
+    present = set(table.column_names)
+    cells = [table[name] if name in present else pa.nulls(table.num_rows, pa.string()) for name in columns]
+    return pa.Table.from_arrays(cells, names=list(columns))
+
+
+class _Waiting:
+    """Rows that wait for their frame to be whole."""
+
+    def __init__(self, frames: int, name: str) -> None:
+        self._frames, self._name = max(frames, 1), name
+        self._parts: list[Telemetry] = []
+        self._changes = 0
+
+    def whole_frames(self, part: Telemetry) -> Iterator[Telemetry]:
+        """Take the next rows; yield as many times the wanted number of frames as are whole now."""
+        last = self._parts[-1].frame[-1:] if self._parts else part.frame[:1]
+        self._changes += int(np.count_nonzero(np.diff(part.frame, prepend=last)))
+        self._parts.append(part)
+        if self._changes >= self._frames:
+            yield from self._cut(self._frames)
+        if sum(map(len, self._parts)) > MOST_ROWS or sum(map(count_bytes, self._parts)) > MOST_BYTES:
+            self._refuse_endless()
+            yield from self._cut(self._changes)
+
+    def rest(self) -> Iterator[Telemetry]:
+        """Yield what still waits: the file is at its end."""
+        if self._parts:
+            yield joined(self._parts)
+
+    def _cut(self, frames: int) -> Iterator[Telemetry]:
+        """Yield parts of so many frames; the frames that are left wait on."""
+        every = joined(self._parts)
+        changes = np.flatnonzero(np.diff(every.frame)) + 1
+        seams = [0, *changes[frames - 1 :: frames].tolist()]
+        for start, end in pairwise(seams):
+            yield select_rows(every, slice(start, end))
+        self._parts = [select_rows(every, slice(seams[-1], len(every)))]
+        self._changes = len(changes) - (len(seams) - 1) * frames
+
+    def _refuse_endless(self) -> None:
+        """Refuse a frame of so many rows that its number means nothing, or of too many bytes."""
+        if self._changes:
+            return
+        frame, many = self._parts[0].frame[0], sum(map(len, self._parts)) > MOST_ROWS
+        size = f"{MOST_ROWS:,} rows" if many else f"{MOST_BYTES / 1e6:,.0f} MB"
+        raise RefusedInputError(
+            f"{self._name}: frame {frame} has over {size}: give every reading of the star tracker a frame number of its own."
+        )
 
 
 def read_telemetry(path: Path, name: str | None = None, limits: Limits = LIMITS) -> Telemetry:
@@ -139,3 +275,94 @@ def _first_frames(file: arrow_parquet.ParquetFile, starts: NDArray[np.int64]) ->
             yield from zip(rows[here].tolist(), (begun + here).tolist(), strict=True)
             starts = starts[len(here) :]
         last, seen, begun = frame[-1:], seen + len(frame), begun + len(rows)
+
+
+#: Rows that are compressed together: few enough that one frame of a large set is read in a moment (`telemetry.read.frames`).
+ROW_GROUP = 65_536
+
+
+def write_parquet(telemetry: Telemetry, path: Path) -> None:
+    """Write telemetry as Parquet, compressed with zstd; absent values are null."""
+    arrow_parquet.write_table(contract_table(telemetry), path, compression="zstd", row_group_size=ROW_GROUP)
+
+
+def write_csv(telemetry: Telemetry, path: Path) -> None:
+    """Write telemetry as CSV with every digit; absent values are empty cells, times end in Z."""
+    arrow_csv.write_csv(_with_time_texts(contract_table(telemetry)), path)
+
+
+def write_with_stars(table: pa.Table, star_id: IntArray, stream: IO[bytes], suffix: str) -> None:
+    """Write a telemetry file's columns again with other stars, everything else as it stands.
+
+    `star_id`: (n_rows,) Hipparcos numbers, 0 = unmatched, which is written as an absent cell.
+    """
+    cells = pa.array(star_id, mask=star_id == UNMATCHED)
+    if "star_id" in table.column_names:
+        table = table.set_column(table.column_names.index("star_id"), "star_id", cells)
+    else:
+        table = table.append_column("star_id", cells)
+    match suffix:
+        case ".parquet":
+            arrow_parquet.write_table(table, stream, compression="zstd")
+        case ".jsonl" | ".ndjson":
+            _write_json_lines(_with_time_texts(table), stream)
+        case _:
+            arrow_csv.write_csv(_with_time_texts(table), stream)
+
+
+def _write_json_lines(table: pa.Table, stream: IO[bytes]) -> None:
+    """Write one object a row; absent cells are null."""
+    for batch in table.to_batches():
+        stream.writelines(orjson.dumps(row, option=orjson.OPT_APPEND_NEWLINE, default=str) for row in batch.to_pylist())
+
+
+def _with_time_texts(table: pa.Table) -> pa.Table:
+    """Return a table whose times are ISO 8601 text that ends in Z."""
+    for place, field in enumerate(table.schema):
+        if pa.types.is_timestamp(field.type):
+            stamps = pc.strftime(table[field.name], format="%Y-%m-%dT%H:%M:%SZ")
+            table = table.set_column(place, field.name, stamps)
+    return table
+
+
+def contract_table(telemetry: Telemetry) -> pa.Table:
+    """Return telemetry as a table of the contract's columns, absent columns left out."""
+    columns: dict[str, pa.Array] = {
+        "frame": pa.array(telemetry.frame),
+        "exposure": pa.array(telemetry.exposure),
+        "row_px": pa.array(telemetry.row_px),
+        "col_px": pa.array(telemetry.col_px),
+    }
+    if telemetry.time_utc is not None:
+        columns["time_utc"] = pa.array(telemetry.time_utc, pa.timestamp("us", tz="UTC"))
+    if telemetry.star_id is not None:
+        columns["star_id"] = pa.array(telemetry.star_id, mask=telemetry.star_id == UNMATCHED)
+    for name, values in _optional_numbers(telemetry).items():
+        if values is not None:
+            columns[name] = pa.array(values, mask=np.isnan(values))
+    return pa.table(columns | {name: _compact(cells) for name, cells in telemetry.unknown.items()})
+
+
+def _compact(cells: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Return texts with dictionaries of those texts alone that are used: a slice brings the dictionary of all it was cut from."""
+    if not pa.types.is_dictionary(cells.type):
+        return cells
+    chunks = []
+    for chunk in cells.chunks:
+        used, place = np.unique(chunk.indices.to_numpy(), return_inverse=True)
+        chunks.append(pa.DictionaryArray.from_arrays(place.astype(np.int32), chunk.dictionary.take(pa.array(used))))
+    return pa.chunked_array(chunks, cells.type)
+
+
+def _optional_numbers(telemetry: Telemetry) -> dict[str, FloatArray | None]:
+    """Return the optional float columns in the contract's units."""
+    quaternion, velocity = telemetry.quaternion, telemetry.velocity_m_s
+    return {
+        "magnitude": telemetry.magnitude,
+        "sigma_px": telemetry.sigma_px,
+        "ra_deg": None if telemetry.ra_rad is None else np.degrees(telemetry.ra_rad),
+        "dec_deg": None if telemetry.dec_rad is None else np.degrees(telemetry.dec_rad),
+        **{f"q_{axis}": None if quaternion is None else quaternion[:, k] for k, axis in enumerate("xyzw")},
+        **{f"v{axis}_km_s": None if velocity is None else velocity[:, k] / 1e3 for k, axis in enumerate("xyz")},
+        "temperature_c": telemetry.temperature_c,
+    }

@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from boresight.telemetry.quality.findings import centroids, columns, stars, times
-from boresight.telemetry.quality.findings.finding import SEVERITIES, Finding, Severity
-from boresight.telemetry.quality.inputs import QualityInputs
+from boresight.telemetry.quality.inputs import SEVERITIES, Finding, QualityInputs, Severity
 
 FINDINGS: tuple[Callable[[QualityInputs], Finding | None], ...] = (
     stars.nothing_matched,

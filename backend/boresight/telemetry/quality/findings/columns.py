@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from boresight.telemetry.quality.findings.finding import Finding, counted, row_numbers
-from boresight.telemetry.quality.inputs import QualityInputs
+from boresight.telemetry.quality.inputs import Finding, QualityInputs, counted, row_numbers
 
 _WIDE_TEMPERATURE_C = 10.0
 

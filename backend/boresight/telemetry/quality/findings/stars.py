@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from boresight.estimation import MINIMUM_STARS
-from boresight.telemetry.quality.findings.finding import Finding, Severity, counted, row_numbers
-from boresight.telemetry.quality.inputs import QualityInputs
+from boresight.telemetry.quality.inputs import Finding, QualityInputs, Severity, counted, row_numbers
 
 _MANY_UNMATCHED = 0.5
 _MANY_EXPOSURES = 0.2

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.telemetry.quality.findings.finding import Finding, Severity, counted, row_numbers
-from boresight.telemetry.quality.inputs import QualityInputs
+from boresight.telemetry.quality.inputs import Finding, QualityInputs, Severity, counted, row_numbers
 from boresight.telemetry.sampling import GAP_FACTOR, Intervals, compute_sampling
 
 _CLOCK_SET = np.datetime64("1990-01-01", "us")

@@ -11,11 +11,31 @@ the boresight, the z axis; roll is the position angle of the x axis (increasing 
 are about the axes x, y, z of the triad, from centroid noise at these parameters.
 
 Catalogue stars that an exposure should show and did not: projected by its attitude under the run's parameters.
+
+The two states that a frame of a run is shown under, and the frame's stars as the run identified them.
+
+Old are the sensor's parameters when the run was launched, new those of its result. With `match` "rematch" a run keeps no
+matches, so the frame is matched again here, on its own: what the stars of a frame say of the parameters serves that frame alone
+(`sky.matching`), so the answer is the run's, but for a frame that could only be started from a neighbour's attitude; for such
+a one its neighbours are matched too. A filter matched each frame with what it knew by then; here its last parameters are taken.
+
+What became of every detection of a frame: used, left out, rejected or unmatched, and why.
+
+==========  ==================================================================================================
+used        matched, and in the arcs that the run was fitted to
+left out    matched, but its exposure takes no part, or its centroid is off the detector
+rejected    the file names a star for it that matching, or the flight code's check, does not accept
+unmatched   no star was found for it, and the file names none
+==========  ==================================================================================================
+
+An attitude rests on the used and the left out stars that lie on the detector. A rejected one has a place all the same, where
+the star that the file names would be: how far away that is says why it was rejected.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -23,19 +43,237 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.arrays import FloatArray, IntArray
-from boresight.calibration.evaluation.pixel_residuals import PixelResiduals, pixel_residuals
-from boresight.calibration.frames.frame_stars import FrameStars, exposure_words, frame_stars
-from boresight.calibration.frames.frame_states import MatchedFrame, Read, RunStates, State, match_frame
-from boresight.calibration.matching.detections import centroid_sigma_px, cone_rad
+from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.calibration.estimate import Parameters
+from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, PixelResiduals, pixel_residuals
+from boresight.calibration.matching.match_report import NOT_ACCEPTED
+from boresight.calibration.matching.matched import Dataset, Matched
+from boresight.calibration.matching.rematch import Matches, centroid_sigma_px, cone_rad, given_stars
+from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.attitude import to_quaternion, triad, turns_from
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import Catalogue
+from boresight.sky.guide_stars import phrases
+from boresight.sky.matching import EXPOSURE_REASONS, OFF_DETECTOR, ROW_REASONS, STARTS
+from boresight.telemetry.quality.detector import on_detector
 from boresight.telemetry.schema import Telemetry, select_rows
 from boresight.telemetry.sensors import Sensor
+
+#: Frames on either side that are matched too where a frame alone gives nothing to start from.
+NEIGHBOURS = 10
+
+
+@dataclass(frozen=True)
+class State:
+    """Parameters to show a frame under.
+
+    `x`: (n_parameters,) SI.
+    """
+
+    x: FloatArray
+    freedom: FreeCovariance
+
+
+@dataclass(frozen=True)
+class RunStates:
+    """What a run's calibration JSON says of its states.
+
+    `P`: (n_free, n_free) covariance of the new ones in typical sigmas.
+    """
+
+    sensor: Sensor
+    settings: CalibrationSettings
+    parameters: Parameters
+    old: State
+    new: State | None
+    P: FloatArray
+    noise: float
+
+
+def read_run_states(result: Mapping[str, Any], sensor: Sensor, settings: CalibrationSettings) -> RunStates:
+    """Read the states of a run."""
+    names = CAMERA_MODELS[sensor.camera_model].parameter_names
+    wanted = sensor.free if settings.free is None else settings.free
+    free = np.array([place for place, name in enumerate(names) if name in wanted], np.int64)
+    scale = sensor.typical_sigma[free]
+    P = _covariance(result, [names[place] for place in free], scale, settings.initial_sigma_scale)
+    nothing = FreeCovariance(free, scale, np.zeros_like(P))
+    # only a batch's covariance is that of this very fit, see `frame_view`
+    fitted = nothing if settings.sequential else FreeCovariance(free, scale, _known(result, P))
+    x = _estimate(result, names)
+    excess = 1.0 if settings.sequential else max(1.0, float(result.get("chi2_per_dof") or 1.0))
+    return RunStates(
+        sensor=sensor,
+        settings=settings,
+        parameters=Parameters(free, scale),
+        old=State(sensor.initial, nothing),
+        new=None if x is None else State(x, fitted),
+        P=P * excess,
+        noise=float(np.sqrt(excess)),
+    )
+
+
+def _estimate(result: Mapping[str, Any], names: tuple[str, ...]) -> FloatArray | None:
+    """The result's parameters, (n_parameters,); None where there are none to show anything under."""
+    values = result.get("parameters")
+    if not values or result.get("status") == "diverged" or any(values.get(name) is None for name in names):
+        return None
+    return np.array([values[name] for name in names], np.float64)
+
+
+def _covariance(result: Mapping[str, Any], names: list[str], scale: FloatArray, start: float) -> FloatArray:
+    """Covariance of the free parameters in typical sigmas; one that the result does not know is as uncertain as at the start."""
+    known = result.get("covariance") or {"names": [], "matrix": []}
+    P = np.eye(len(names)) * start**2
+    places = [names.index(name) for name in known["names"] if name in names]
+    if places and len(places) == len(known["names"]):
+        matrix = np.array(known["matrix"], np.float64) / np.outer(scale[places], scale[places])
+        P[np.ix_(places, places)] = matrix
+    return P
+
+
+def _known(result: Mapping[str, Any], P: FloatArray) -> FloatArray:
+    """The same as far as data decided it; zero where the result leaves a parameter open."""
+    complete = len((result.get("covariance") or {}).get("names") or ()) == len(P)
+    return P if complete else np.zeros_like(P)
+
+
+Read = Callable[[int], tuple[Telemetry, slice]]
+
+
+@dataclass(frozen=True)
+class MatchedFrame:
+    """A frame as matched under both states; each is of `rows` of `telemetry`, which may hold neighbours too."""
+
+    telemetry: Telemetry
+    rows: slice
+    old: Matched
+    new: Matched
+
+
+def match_frame(states: RunStates, read: Read, catalogue: Catalogue, cache_folder: Path | None) -> MatchedFrame:
+    """Match a frame under both states, with its neighbours where it cannot be matched alone."""
+    found = _matched(states, *read(0), catalogue, cache_folder)
+    if not (_rematched(states, found.telemetry) and _lost(found)):
+        return found
+    return _matched(states, *read(NEIGHBOURS), catalogue, cache_folder)
+
+
+def _rematched(states: RunStates, telemetry: Telemetry) -> bool:
+    """Whether stars are identified again; a file that gives directions but names no stars keeps its own."""
+    return states.settings.match == "rematch" and not (telemetry.star_id is None and telemetry.ra_rad is not None)
+
+
+def _lost(found: MatchedFrame) -> bool:
+    """Whether no exposure of the frame is valid under the new state."""
+    of_frame = found.new.matches.frame == found.telemetry.frame[found.rows.start]
+    return not bool(np.any(found.new.matches.reason[of_frame] == 0))
+
+
+def _matched(
+    states: RunStates, telemetry: Telemetry, rows: slice, catalogue: Catalogue, cache_folder: Path | None
+) -> MatchedFrame:
+    """Match some frames under both states."""
+    settings = states.settings if _rematched(states, telemetry) else replace(states.settings, match="given")
+    sets = Dataset(telemetry, states.sensor, catalogue, states.parameters, settings, cache_folder)
+    old = sets.at_start()
+    with_old = states.new is None or (settings.sequential and settings.matched_with == "baseline")
+    new = old if with_old or states.new is None else sets.at_covariance(states.new.x, states.P, states.noise)
+    return MatchedFrame(telemetry, rows, old, new)
+
+
+USED, LEFT_OUT, REJECTED, UNMATCHED = "used", "left out", "rejected", "unmatched"
+
+
+@dataclass(frozen=True)
+class FrameStars:
+    """The detections of a frame in file order; leading dimension n_rows.
+
+    `s_i`: (n_rows, 3) apparent direction, of a rejected star that of the named one.
+    """
+
+    star_id: IntArray
+    given_id: IntArray
+    old_id: IntArray
+    s_i: FloatArray
+    magnitude: FloatArray
+    kept: BoolArray
+    fate: list[str]
+    reason: list[str | None]
+    flags: list[list[str]]
+
+
+def frame_stars(found: MatchedFrame, sensor: Sensor, catalogue: Catalogue, minimum_stars: int) -> FrameStars:
+    """Tell what became of each detection."""
+    telemetry, rows, new = found.telemetry, found.rows, found.new
+    given, given_s, _ = given_stars(telemetry, catalogue)
+    matched = _matched_rows(new)
+    star_id = np.where(matched, new.matches.star_id, 0)[rows]
+    s_i = np.where(matched[:, None], new.matches.s_i, given_s)[rows]
+    off = ~on_detector(telemetry, sensor)[rows]
+    used = np.isin(np.arange(rows.start, rows.stop), new.problem.arcs.whole().source_row)
+    matched = matched[rows]
+    off &= matched | (given[rows] > 0)
+    fate = np.select([used, matched | off, given[rows] > 0], [USED, LEFT_OUT, REJECTED], UNMATCHED).tolist()
+    few = f"its exposure has fewer than {minimum_stars} usable stars, or all of them on one line"
+    reasons = [
+        None if used[k] else ROW_REASONS[OFF_DETECTOR] if off[k] else few if matched[k] else why
+        for k, why in enumerate(_why_unmatched(new, given)[rows])
+    ]
+    return FrameStars(
+        star_id=star_id,
+        given_id=given[rows],
+        old_id=np.where(_matched_rows(found.old), found.old.matches.star_id, 0)[rows],
+        s_i=s_i,
+        magnitude=_magnitudes(catalogue, np.where(star_id > 0, star_id, given[rows])),
+        kept=matched & ~off & np.isfinite(s_i[:, 0]),
+        fate=fate,
+        reason=reasons,
+        flags=[phrases(int(flag)) for flag in _flags(new)[rows]],
+    )
+
+
+def _matched_rows(seen: Matched) -> BoolArray:
+    """(n_rows,) which detections have a star that counts: a direction, and not taken out by the flight code's rule."""
+    known = np.isfinite(seen.matches.s_i[:, 0])
+    if not isinstance(seen.matches, Matches) or seen.telemetry.star_id is None:
+        return known
+    return np.asarray(known & (seen.telemetry.star_id > 0))
+
+
+def _magnitudes(catalogue: Catalogue, star_id: IntArray) -> FloatArray:
+    """Catalogue magnitudes of stars by number, Hp, NaN where unknown."""
+    index = catalogue.find_index(star_id)
+    return np.where(index >= 0, catalogue.magnitude[index], np.nan)
+
+
+def _why_unmatched(seen: Matched, given: IntArray) -> NDArray[np.object_]:
+    """(n_rows,) phrases for detections without a star."""
+    if isinstance(seen.matches, Matches):
+        phrase = np.array(ROW_REASONS, object)[seen.matches.row_reason]
+        return np.where(seen.matches.star_id > 0, NOT_ACCEPTED, phrase)
+    return np.where(
+        given > 0, "no direction: its number is not in the catalogue, or it has no time", "the file names no star"
+    )
+
+
+def _flags(seen: Matched) -> NDArray[np.int8]:
+    """(n_rows,) flags of the matched stars; those of given matches were not looked up."""
+    if isinstance(seen.matches, Matches):
+        return seen.matches.flags
+    return np.zeros(len(seen.telemetry), np.int8)
+
+
+def exposure_words(seen: Matched, k: int) -> tuple[str, str | None]:
+    """Where the attitude of exposure k came from, and why matching does not call it valid, None where it does."""
+    if not isinstance(seen.matches, Matches):
+        return "given matches", None
+    reason = int(seen.matches.reason[k])
+    return STARTS[seen.matches.start[k]], EXPOSURE_REASONS[reason] if reason else None
+
 
 MOST_SHOWN = 60
 #: A detection so near to where a star should be is taken for its image, whatever it was matched with.

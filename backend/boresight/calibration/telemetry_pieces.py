@@ -1,25 +1,117 @@
-"""A set as it came, in pieces of whole frames: one in memory, or files without compression, read, parsed and checked once."""
+"""A set as it came, in pieces of whole frames: one in memory, or files without compression, read, parsed and checked once.
+
+Where a calibration's telemetry comes from: memory, or a file that may be larger than it.
+
+The part of a large set that fits into memory: whole blocks of its frames, evenly spread, the first and the last among them.
+
+Pictures of residuals, the trust tab, the shadow and the alignment need every star of what they judge at once. Three hundred
+thousand stars tell a residual's mean over a cell of the detector to a hundredth of a pixel; more would change no picture.
+"""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
+from numpy.typing import NDArray
 
 from boresight.arrays import IntArray
-from boresight.calibration.source import StoredTable, TelemetryFile
+from boresight.calibration.matching.matched_frames import GivenMatches
+from boresight.calibration.matching.rematch import Matches, joined_matches, matched_telemetry
 from boresight.columns import Columns, write_columns
 from boresight.errors import CancelledError, RefusedInputError
+from boresight.estimation.blocks import FRAMES
 from boresight.estimation.executor import Executor, LocalExecutor
+from boresight.estimation.stored_arcs import Arcs
 from boresight.telemetry.quality.detector import OffDetector
-from boresight.telemetry.read.readers import Stretch
+from boresight.telemetry.read.limits import LIMITS, Limits
+from boresight.telemetry.read.readers import CHUNK_FRAMES, Stretch, read_chunks, read_telemetry, rows_in, stretches
 from boresight.telemetry.schema import Telemetry, joined, select_rows
 from boresight.telemetry.sensors import Sensor
 from boresight.telemetry.working_table import ARRAYS, WorkingTable
+
+#: Detections from which a file is calibrated piece by piece. In memory such a set and its arcs take about 400 MB.
+LARGE_ROWS = 500_000
+#: A row of CSV is about as long; of JSON Lines three times.
+BYTES_A_ROW = 100
+
+
+@dataclass(frozen=True)
+class TelemetryFile:
+    """A telemetry file that has not been read."""
+
+    path: Path
+    name: str | None = None
+    large_rows: int = LARGE_ROWS
+    chunk_frames: int = CHUNK_FRAMES
+    limits: Limits = LIMITS
+
+    def about_rows(self) -> int:
+        """How many rows it has; a guess from its size where it is text."""
+        rows = rows_in(self.path)
+        return self.path.stat().st_size // BYTES_A_ROW if rows is None else rows
+
+    def large(self) -> bool:
+        """Whether it is to be taken piece by piece."""
+        return self.about_rows() >= self.large_rows
+
+    def opened(self) -> Telemetry | TelemetryFile:
+        """Read a small file, refusing what cannot be used; leave a large one to whoever takes it piece by piece."""
+        return self if self.large() else self.read()
+
+    def read(self) -> Telemetry:
+        """Read all of it; refuses as `telemetry.read.readers.read_telemetry`."""
+        return read_telemetry(self.path, self.name, self.limits)
+
+    def stretches(self) -> list[Stretch]:
+        """Cut it into parts that can be read apart; none where it must be read from its start."""
+        return stretches(self.path, self.name or self.path.name, self.chunk_frames, self.limits)
+
+    def chunks(self) -> Iterator[Telemetry]:
+        """Read it piece by piece; refuses as `telemetry.read.readers.read_chunks`, at the end."""
+        return read_chunks(self.path, self.name, frames=self.chunk_frames, limits=self.limits)
+
+
+@dataclass(frozen=True)
+class StoredTable:
+    """The table of a set as it is stored: nothing of it is parsed, checked or converted again."""
+
+    path: Path
+    sha256: str
+    large_rows: int = LARGE_ROWS
+    shared: bool = True
+
+    @property
+    def table(self) -> WorkingTable:
+        """The table, held against its address wherever it is mapped."""
+        return WorkingTable(self.path, self.sha256)
+
+    def large(self) -> bool:
+        """Whether it is to be taken piece by piece."""
+        return len(self.table) >= self.large_rows
+
+    def read(self) -> Telemetry:
+        """Map all of it."""
+        return self.table.read()
+
+    def chunks(self) -> Iterator[Telemetry]:
+        """Map it piece by piece."""
+        return self.table.parts()
+
+
+def is_large(telemetry: Telemetry | TelemetryFile | StoredTable) -> TypeGuard[TelemetryFile | StoredTable]:
+    """Whether telemetry is to be taken piece by piece."""
+    return not isinstance(telemetry, Telemetry) and telemetry.large()
+
+
+def read_whole(telemetry: Telemetry | TelemetryFile | StoredTable) -> Telemetry:
+    """Return telemetry in memory."""
+    return telemetry if isinstance(telemetry, Telemetry) else telemetry.read()
+
 
 #: Told how far the copying and ordering of a set is: fraction and a line for a log.
 Prepared = Callable[[float, str], None]
@@ -246,3 +338,87 @@ def _epoch(telemetry: Telemetry, rows: IntArray) -> np.datetime64:
     times = telemetry.time_utc[rows]
     known = times[~np.isnat(times)]
     return known.min() if len(known) else never
+
+
+#: Stars up to which a set is judged whole, and of a larger one so many are.
+JUDGED_WHOLE = 500_000
+JUDGED_STARS = 300_000
+#: Arrays of `Matches` with an entry a row; the others have one an exposure.
+OF_ROWS = ("star_id", "s_i", "row_reason", "tolerance_rad", "flags")
+
+
+def spread_blocks(n_blocks: int, most: int) -> NDArray[np.int64]:
+    """Places of at most so many of the blocks, evenly spread; at least one."""
+    return np.unique(np.linspace(0, n_blocks - 1, max(1, min(most, n_blocks))).round().astype(np.int64))
+
+
+Ends = Sequence[tuple[int, int]]
+#: One stretch from the first frame to the last.
+WHOLE: Ends = ((np.iinfo(np.int64).min, np.iinfo(np.int64).max),)
+
+
+@dataclass(frozen=True)
+class MatchedRows:
+    """Rows of a set, their matches, and the stars that were kept of these, (n_rows,)."""
+
+    telemetry: Telemetry
+    matches: Matches | GivenMatches
+    kept: IntArray
+
+    def named(self) -> Telemetry:
+        """The rows with the stars that were kept, and their directions."""
+        if isinstance(self.matches, GivenMatches):
+            return self.telemetry
+        s_i = np.where(self.kept[:, None] > 0, self.matches.s_i, np.nan)
+        return matched_telemetry(self.telemetry, replace(self.matches, star_id=self.kept, s_i=s_i))
+
+
+def judged_frames(arcs: Arcs) -> Ends:
+    """First and last frame number of each stretch of a set that is judged: all of it, or evenly spread blocks of a large one."""
+    if arcs.n_stars <= JUDGED_WHOLE:
+        return WHOLE
+    n_blocks = -(-arcs.n_frames // FRAMES)
+    chosen = spread_blocks(n_blocks, JUDGED_STARS * n_blocks // arcs.n_stars)
+    return [_ends(arcs, int(block)) for block in chosen]
+
+
+def judged_telemetry(parts: Iterable[Telemetry], ends: Ends) -> Telemetry:
+    """Rows of the frames in these stretches, also of those that take no part; `parts` are whole frames of the set as it came."""
+    return joined([select_rows(part, rows) for part in parts for rows in _rows_of_frames(part, ends)])
+
+
+def judged_matches(parts: Iterable[MatchedRows], ends: Ends) -> MatchedRows:
+    """The same with the matches of these rows."""
+    found = [
+        (select_rows(part.telemetry, rows), _matches_of_rows(part.matches, rows), part.kept[rows])
+        for part in parts
+        for rows in _rows_of_frames(part.telemetry, ends)
+        if isinstance(part.matches, Matches)
+    ]
+    telemetry, matches, kept = zip(*found, strict=True)
+    return MatchedRows(joined(telemetry), joined_matches(matches), np.concatenate(kept))
+
+
+def _ends(arcs: Arcs, block: int) -> tuple[int, int]:
+    """First and last frame number of a block."""
+    places = block * FRAMES, min((block + 1) * FRAMES, arcs.n_frames) - 1
+    first, last = (int(arcs.frames(place, place + 1).frame[0]) for place in places)
+    return first, last
+
+
+def _rows_of_frames(telemetry: Telemetry, ends: Ends) -> Iterator[slice]:
+    """Rows of a part that lie in each stretch, where there are any."""
+    for first, last in ends:
+        begin = int(np.searchsorted(telemetry.frame, first))
+        end = int(np.searchsorted(telemetry.frame, last, side="right"))
+        if begin < end:
+            yield slice(begin, end)
+
+
+def _matches_of_rows(matches: Matches, rows: slice) -> Matches:
+    """The matches of some rows, which are whole frames."""
+    e0, e1 = (int(place) for place in np.searchsorted(matches.exposure_start, [rows.start, rows.stop]))
+    of = {True: rows, False: slice(e0, e1)}
+    names = [item.name for item in fields(Matches) if item.name != "exposure_start"]
+    arrays: dict[str, Any] = {name: getattr(matches, name)[of[name in OF_ROWS]] for name in names}
+    return Matches(exposure_start=matches.exposure_start[e0 : e1 + 1] - rows.start, **arrays)

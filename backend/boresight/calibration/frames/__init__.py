@@ -1,1 +1,0 @@
-"""Single frames of a run: every detection, its star, its residual."""
