@@ -37,7 +37,7 @@ from benchmarks import ROOT, Report, held
 from benchmarks.servers import Server, allow_open_files, serving
 from benchmarks.stores import Filled, add_sensors, fill, opened
 from boresight.console import list_queries as lists
-from boresight.console.runs import run_events
+from boresight.console.runs import queries as run_events
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit.log import append
 from boresight.platform.audit.tables import AuditRecord

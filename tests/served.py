@@ -20,7 +20,7 @@ import pytest
 
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
-from boresight.console.runs.run_events import Line, write_event
+from boresight.console.runs.queries import Line, write_event
 from boresight.console.runs.tables import Run
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit

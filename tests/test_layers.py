@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1] / "backend" / "boresight"
 CONSOLE = ROOT / "console"
-RANKS = {"tables": 0, "queries": 1, "service": 2, "schemas": 3, "routes": 4, "pages": 4}
+RANKS = {"tables": 0, "queries": 1, "service": 2, "schemas": 3, "dependencies": 3, "routes": 4, "pages": 4}
 # Services of a noun use those of nouns before it, and of none after it.
 NOUNS = (
     "access",
@@ -29,18 +29,13 @@ NOUNS = (
     "administration",
 )
 SHARED = {"pages", "jobs"}
-QUERIES = {"queries", "run_events"}
-# What knows HTTP although it is neither page nor route, and what speaks SQL although it is no query.
+# What knows HTTP although it is neither page nor route, nor their dependencies.
 HTTP = {
     "access.credentials",
-    "access.dependencies",
     "access.password_checks",
     "administration.documentation",
-    "approvals.gate_assessment",
     "telemetry.uploads",
 }
-SQL = {"runs.presets"}
-UPWARD = {("access.dependencies", "runs.dry_runs")}  # the dependencies of requests hand out the forecasts' memory
 
 
 def _name(path: Path) -> str:
@@ -62,7 +57,7 @@ def _role(name: str) -> str:
     leaf = parts[0] if parts else ""
     if leaf.endswith("routes"):
         return "routes"
-    return "queries" if leaf in QUERIES else leaf if leaf in RANKS else "service"
+    return leaf if leaf in RANKS else "service"
 
 
 def _imports(path: Path) -> Iterator[str]:
@@ -97,18 +92,22 @@ def test_no_role_uses_one_above_it(name: str) -> None:
 def test_services_use_services_of_nouns_before_theirs_alone(name: str) -> None:
     place = NOUNS.index(name.split(".", maxsplit=1)[0])
     later = {one for one in _used(name) if _role(one) == "service" and NOUNS.index(one.split(".")[0]) > place}
-    assert {(name, one) for one in later} <= UPWARD
+    assert later == set()
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_only_queries_and_tables_speak_sql_and_only_pages_and_routes_know_http(name: str) -> None:
+def test_only_queries_and_tables_speak_sql_and_only_pages_and_routes_with_their_dependencies_know_http(
+    name: str,
+) -> None:
     roots = {one.split(".")[0] for one in _imports(MODULES[name])}
-    assert _role(name) in {"tables", "queries"} or name in SQL or not roots & {"sqlalchemy", "alembic"}
-    assert _role(name) in {"routes", "pages"} or name in HTTP or not roots & {"fastapi", "starlette", "uvicorn"}
+    assert _role(name) in {"tables", "queries"} or not roots & {"sqlalchemy", "alembic"}
+    assert (
+        _role(name) in {"dependencies", "routes", "pages"}
+        or name in HTTP
+        or not roots & {"fastapi", "starlette", "uvicorn"}
+    )
 
 
 def test_no_exception_is_kept_that_nothing_needs() -> None:
     roots = {name: {one.split(".")[0] for one in _imports(path)} for name, path in MODULES.items()}
     assert {name for name in HTTP if not roots[name] & {"fastapi", "starlette"}} == set()
-    assert {name for name in SQL if "sqlalchemy" not in roots[name]} == set()
-    assert {pair for pair in UPWARD if pair[1] not in _used(pair[0])} == set()

@@ -38,15 +38,15 @@ from boresight.console.jobs.heartbeat import Heartbeat
 from boresight.console.jobs.maintenance import ExternalHeadFile, Maintenance
 from boresight.console.jobs.webhook_sender import WebhookSender
 from boresight.console.pages.frame import FleetStatusCache
-from boresight.console.pages.problem import bare_problem_page, is_page, problem_page
+from boresight.console.pages.rendering import bare_problem_page, is_page, problem_page
 from boresight.console.runs import service as runs
-from boresight.console.runs.dry_runs import ForecastSources
 from boresight.console.webhooks.secrets import encrypt_all
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, StorageError
 from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.db.data_version import DataVersionPoller, DataVersionReader, VersionedCache
 from boresight.platform.db.sessions import migrate, open_engine, open_reading
+from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web import static_files
 from boresight.platform.web.cached_check import CachedCheck
 from boresight.platform.web.concurrency_limit import ConcurrencyLimit, ConcurrencyLimits

@@ -10,7 +10,6 @@ import pytest
 from boresight.console import transitions
 from boresight.console.access import users
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals import submissions
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import service as parameter_sets
@@ -150,7 +149,7 @@ def submitted(
     def make() -> ParameterSet:
         row = candidate()
         with open_writing(engine) as session:
-            submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
+            approvals.submit(session, people["ana"], blobs, row.id, "better", row.version)
             return transitions.get_parameter_set(session, row.id)
 
     return make

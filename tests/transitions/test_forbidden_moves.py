@@ -14,8 +14,8 @@ import pytest
 
 from boresight.console.access import users
 from boresight.console.access.tables import ROLES, User
-from boresight.console.approvals import promotions, submissions
 from boresight.console.approvals import service as approvals
+from boresight.console.approvals import staleness
 from boresight.console.approvals.staleness import make_stale_of_set
 from boresight.console.approvals.tables import Approval
 from boresight.console.parameter_sets.tables import GROUND_STATES, ParameterSet
@@ -121,7 +121,7 @@ def _open(board: Board, place: str, policy: Policy = POLICY, sensor_id: int | No
     board.sets[place] = row.id
     with open_writing(house.engine) as session:
         asked = (house.blobs, row.id, "It moved.", row.version)
-        submissions.submit(session, board.actor("submitter"), *asked, policy=policy)
+        approvals.submit(session, board.actor("submitter"), *asked, policy=policy)
     return house.set_of(row.id)
 
 
@@ -138,7 +138,7 @@ def _promote(board: Board, place: str) -> None:
     _sign(board, place)
     row = board.installation.set_of(board.sets[place])
     with open_writing(board.installation.engine) as session:
-        promotions.promote(session, board.actor("promoter"), row.id, row.version)
+        approvals.promote(session, board.actor("promoter"), row.id, row.version)
 
 
 POLICIES = {"EXPIRED": Policy(approval_days=0.0), "HALF": Policy(approvals=2)}
@@ -159,9 +159,9 @@ def _place(board: Board, place: str) -> None:
         _promote(board, "successor")
     with open_writing(house.engine) as session:
         if place == "WITHDRAWN":
-            submissions.withdraw(session, board.actor("submitter"), row.id, row.version)
+            approvals.withdraw(session, board.actor("submitter"), row.id, row.version)
         if place == "EXPIRED":
-            approvals.expire_due_requests(session)
+            staleness.expire_due_requests(session)
         if place == "STALE":
             make_stale_of_set(session, COMMAND_LINE, row.id, "the gate profile became version 1")
 

@@ -15,9 +15,7 @@ import pytest
 import sqlalchemy as sa
 
 from boresight.console import transitions
-from boresight.console.approvals import promotions as promotions_module
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals import submissions
 from boresight.console.approvals.tables import Signature
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
@@ -61,13 +59,13 @@ def _filled(house: Installation) -> int:
         _sign(house, row)
         with open_writing(house.engine) as session:
             version = transitions.get_parameter_set(session, row.id).version
-            promotions_module.promote(session, house.actor("olga"), row.id, version)
+            approvals.promote(session, house.actor("olga"), row.id, version)
     return sensor_id
 
 
 def _submit(house: Installation, row: ParameterSet) -> None:
     with open_writing(house.engine) as session:
-        submissions.submit(session, house.actor("ana"), house.blobs, row.id, "It moved.", row.version)
+        approvals.submit(session, house.actor("ana"), house.blobs, row.id, "It moved.", row.version)
 
 
 def _sign(house: Installation, row: ParameterSet) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries as runs
-from boresight.console.runs.run_events import events_of_run
+from boresight.console.runs.queries import events_of_run
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import chain

@@ -6,8 +6,7 @@ from itertools import count
 import pytest
 
 from boresight.console.runs import queries as runs
-from boresight.console.runs.queries import RunEnd
-from boresight.console.runs.run_events import Line
+from boresight.console.runs.queries import Line, RunEnd
 from boresight.platform.db.sessions import open_writing
 from boresight.workers.link import Report
 from boresight.workers.reconcile import Reconciler

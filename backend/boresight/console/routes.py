@@ -11,7 +11,6 @@ from boresight.console.access import routes as access
 from boresight.console.administration import documentation
 from boresight.console.administration import routes as administration
 from boresight.console.alarms import routes as alarms
-from boresight.console.approvals import gate_routes as gates
 from boresight.console.approvals import routes as approvals
 from boresight.console.audit import routes as audit
 from boresight.console.campaigns import routes as campaigns
@@ -20,7 +19,6 @@ from boresight.console.fleet import routes as fleet
 from boresight.console.jobs import routes as events
 from boresight.console.notes import routes as notes
 from boresight.console.parameter_sets import routes as parameter_sets
-from boresight.console.runs import comparison_routes as comparisons
 from boresight.console.runs import figure_routes as figures
 from boresight.console.runs import routes as runs
 from boresight.console.telemetry import routes as telemetry
@@ -30,13 +28,11 @@ from boresight.console.webhooks import routes as webhooks
 NOUNS = (
     fleet,
     telemetry,
-    comparisons,  # before `runs`, which would take `compare` for a run's number
+    figures,  # before `runs`, which would take `compare` for a run's number
     runs,
-    figures,
     campaigns,
     change_proposals,
     parameter_sets,
-    gates,
     approvals,
     uplinks,
     alarms,

@@ -27,8 +27,7 @@ import orjson
 from distributed import Event, get_worker
 
 from boresight.calibration.calibrate import Progress
-from boresight.console.runs.queries import HeldRun
-from boresight.console.runs.run_events import Line
+from boresight.console.runs.queries import HeldRun, Line
 from boresight.errors import CancelledError
 
 RECORD_EVERY_S = 0.5

@@ -37,8 +37,16 @@ from statistics import median
 from boresight.console.alarms.rules import find_changed_sensors, update_alarms
 from boresight.console.runs import queries as runs
 from boresight.console.runs.dry_runs import TimedRun, estimate_seconds_per_star, list_timed_runs, predict_duration_s
-from boresight.console.runs.queries import ClaimedRun, HeldRun, RunEnd, WaitingRun, list_sensors, waiting_runs
-from boresight.console.runs.run_events import Line, write_event
+from boresight.console.runs.queries import (
+    ClaimedRun,
+    HeldRun,
+    Line,
+    RunEnd,
+    WaitingRun,
+    list_sensors,
+    waiting_runs,
+    write_event,
+)
 from boresight.platform.db.data_version import DataVersionReader, VersionedCache
 from boresight.platform.db.sessions import Engine as Database
 from boresight.platform.db.sessions import Session, open_reading, open_writing, utc_now

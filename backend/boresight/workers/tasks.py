@@ -23,8 +23,7 @@ import orjson
 
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.telemetry_pieces import StoredTable
-from boresight.console.runs.queries import ClaimedRun, RunEnd
-from boresight.console.runs.run_events import Line
+from boresight.console.runs.queries import ClaimedRun, Line, RunEnd
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, CancelledError, CorruptFileError
 from boresight.platform.blobs.folder import BlobStore

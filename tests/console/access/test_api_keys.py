@@ -6,7 +6,7 @@ import pytest
 
 from boresight.console.access import api_keys, users
 from boresight.console.access.tables import ApiKey
-from boresight.console.approvals import submissions
+from boresight.console.approvals import service as approvals
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError, UnauthenticatedError
 from boresight.platform.actors import COMMAND_LINE, Actor
@@ -110,7 +110,7 @@ def test_what_a_key_changed_is_on_record_as_the_key(
         key, secret = api_keys.create_key(session, people["ana"], label="robot", scopes=["parameter-sets"])
     with open_writing(engine) as session:
         robot = api_keys.actor_of_key(session, secret)
-        submissions.submit(session, robot, blobs, row.id, "better", row.version)
+        approvals.submit(session, robot, blobs, row.id, "better", row.version)
     with open_reading(engine) as session:
         record = audit.last_change(session, f"parameter-sets/{row.id}")
         assert record is not None

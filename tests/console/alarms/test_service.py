@@ -11,8 +11,8 @@ from boresight.console.alarms import rules
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.rules import check_chain
 from boresight.console.alarms.tables import Alarm
-from boresight.console.fleet.drift import GROUND_SHIFTED
 from boresight.console.fleet.status import list_fleet_tiles
+from boresight.console.fleet.trend import GROUND_SHIFTED
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import (
     ConflictError,

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 
 import pytest
 
+from boresight.console import transitions
 from boresight.console.access import users
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval, Signature
@@ -43,7 +44,7 @@ def test_a_second_person_signs_at_the_console_of_another(engine: Engine, people:
     signature = _beside(engine, people["ana"], request_id, "cy")
     assert (signature.user_id, signature.printed_name, signature.console) == (people["cy"].user_id, "Cy", "Ana")
     with open_reading(engine) as session:
-        assert approvals.get_approval(session, request_id).state == "APPROVED"
+        assert transitions.get_approval(session, request_id).state == "APPROVED"
         record = audit.last_change(session, f"approvals/{request_id}")
         assert record is not None
         assert (record.actor, (record.after or {})["console"]) == ("Cy", "Ana")
@@ -75,7 +76,7 @@ def test_over_the_shoulder_signs_nobody_who_may_not(
     with pytest.raises(error, match=says):
         _beside(engine, people[console], request_id, name, password)
     with open_reading(engine) as session:
-        assert approvals.get_approval(session, request_id).state == "OPEN"
+        assert transitions.get_approval(session, request_id).state == "OPEN"
         assert not approvals.list_signatures(session, request_id)
 
 

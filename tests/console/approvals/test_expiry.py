@@ -6,8 +6,8 @@ from datetime import datetime
 import pytest
 
 from boresight.console import transitions
-from boresight.console.approvals import promotions, submissions
 from boresight.console.approvals import service as approvals
+from boresight.console.approvals import staleness
 from boresight.console.approvals.tables import Approval
 from boresight.console.jobs.heartbeat import Heartbeat
 from boresight.console.parameter_sets import service as parameter_sets
@@ -30,7 +30,7 @@ def ask(engine: Engine, people: People, blobs: BlobStore, candidate: Callable[..
     def make(policy: Policy = POLICY) -> Approval:
         row = candidate()
         with open_writing(engine) as session:
-            return submissions.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=policy)
+            return approvals.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=policy)
 
     return make
 
@@ -42,7 +42,7 @@ def _sign(engine: Engine, actor: Actor, approval: Approval) -> None:
 
 def _states(engine: Engine, approval: Approval) -> tuple[str, str]:
     with open_reading(engine) as session:
-        row = approvals.get_approval(session, approval.id)
+        row = transitions.get_approval(session, approval.id)
         return row.state, transitions.get_parameter_set(session, row.parameter_set_id).ground_state
 
 
@@ -90,7 +90,7 @@ def test_an_approval_that_nobody_used_in_time_promotes_nothing(
     _sign(engine, people["cy"], approval)
     monkeypatch.setattr("boresight.console.approvals.staleness.utc_now", lambda: "2999-01-01T00:00:00.000000Z")
     with open_writing(engine) as session, pytest.raises(ConflictError, match="expired at"):
-        promotions.promote(session, people["dee"], approval.parameter_set_id, 3)
+        approvals.promote(session, people["dee"], approval.parameter_set_id, 3)
     assert _states(engine, approval) == ("EXPIRED", "EXPIRED")
 
 
@@ -100,13 +100,13 @@ def test_what_expired_may_be_submitted_again_and_what_was_promoted_never_expires
     late, used = ask(AT_ONCE), ask()
     _sign(engine, people["cy"], used)
     with open_writing(engine) as session:
-        approvals.expire_due_requests(session)
+        staleness.expire_due_requests(session)
         row = transitions.get_parameter_set(session, late.parameter_set_id)
-        submissions.submit(session, people["ana"], blobs, row.id, "once more", row.version)
-        promotions.promote(session, people["dee"], used.parameter_set_id, 3)
+        approvals.submit(session, people["ana"], blobs, row.id, "once more", row.version)
+        approvals.promote(session, people["dee"], used.parameter_set_id, 3)
     monkeypatch.setattr("boresight.console.approvals.staleness.utc_now", lambda: "2999-01-01T00:00:00.000000Z")
     with open_writing(engine) as session:
-        assert approvals.expire_due_requests(session) == []
+        assert staleness.expire_due_requests(session) == []
     assert _states(engine, used) == ("APPROVED", "BASELINE")
 
 
@@ -116,15 +116,15 @@ def test_an_operator_asks_to_roll_back_to_a_former_baseline_in_less_time(
     approval = ask()
     _sign(engine, people["cy"], approval)
     with open_writing(engine) as session:
-        promotions.promote(session, people["dee"], approval.parameter_set_id, 3)
+        approvals.promote(session, people["dee"], approval.parameter_set_id, 3)
         ground = parameter_sets.list_parameter_sets(session, ground_state="SUPERSEDED")[0]
-        back = submissions.roll_back(session, people["dee"], blobs, ground.id, "it drifts", ground.version)
+        back = approvals.roll_back(session, people["dee"], blobs, ground.id, "it drifts", ground.version)
     assert (approval.kind, _days(approval)) == ("PROMOTION", 30.0)
     assert (back.kind, _days(back), back.submitted_by) == ("ROLLBACK", 3.0, people["dee"].user_id)
     _sign(engine, people["cy"], back)
     with open_writing(engine) as session:
         row = transitions.get_parameter_set(session, ground.id)
-        assert promotions.promote(session, people["dee"], row.id, row.version).ground_state == "BASELINE"
+        assert approvals.promote(session, people["dee"], row.id, row.version).ground_state == "BASELINE"
         record = audit.last_change(session, f"parameter-sets/{ground.id}")
         assert record is not None
         assert (record.action, (record.after or {})["kind"]) == ("promoted", "ROLLBACK")
@@ -134,11 +134,11 @@ def test_a_roll_back_that_expired_stays_superseded(engine: Engine, people: Peopl
     approval = ask()
     _sign(engine, people["cy"], approval)
     with open_writing(engine) as session:
-        promotions.promote(session, people["dee"], approval.parameter_set_id, 3)
+        approvals.promote(session, people["dee"], approval.parameter_set_id, 3)
         ground = parameter_sets.list_parameter_sets(session, ground_state="SUPERSEDED")[0]
         asked = (blobs, ground.id, "it drifts", ground.version)
-        back = submissions.roll_back(session, people["dee"], *asked, policy=AT_ONCE)
-        approvals.expire_due_requests(session)
+        back = approvals.roll_back(session, people["dee"], *asked, policy=AT_ONCE)
+        staleness.expire_due_requests(session)
     assert _states(engine, back) == ("EXPIRED", "SUPERSEDED")
 
 
@@ -147,6 +147,6 @@ def test_there_is_no_way_back_to_what_never_was_baseline(
 ) -> None:
     row = candidate()
     with open_writing(engine) as session, pytest.raises(ConflictError, match="was never baseline"):
-        submissions.roll_back(session, people["dee"], blobs, row.id, "it drifts", row.version)
+        approvals.roll_back(session, people["dee"], blobs, row.id, "it drifts", row.version)
     with open_writing(engine) as session, pytest.raises(ForbiddenError, match="analyst or operator"):
-        submissions.roll_back(session, people["cy"], blobs, row.id, "it drifts", row.version)
+        approvals.roll_back(session, people["cy"], blobs, row.id, "it drifts", row.version)

@@ -6,9 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import sqlalchemy as sa
 
-from boresight.console.approvals import promotions, submissions
-from boresight.console.approvals import promotions as promotions_module
 from boresight.console.approvals import service as approvals
+from boresight.console.approvals import service as promotions
+from boresight.console.approvals import service as promotions_module
+from boresight.console.approvals import service as submissions
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.errors import ForbiddenError, StaleError

@@ -2,7 +2,7 @@
 
 import pytest
 
-from boresight.console.approvals import service as approvals
+from boresight.console import transitions
 from boresight.platform.db.sessions import open_reading
 
 PASSWORD = "correct horse battery"
@@ -70,7 +70,7 @@ def test_a_second_person_signs_at_the_submitters_console_and_the_roll_says_so(si
     assert "Alan Approver at the console of Ada Analyst Password given by Command line at 20" in text
     assert "Ada Analyst" in ada.get("/approvals"), "the console's log-in became another's"
     with open_reading(site.engine) as session:
-        assert approvals.get_approval(session, 1).state == "APPROVED"
+        assert transitions.get_approval(session, 1).state == "APPROVED"
 
 
 def test_nobody_signs_over_ones_own_shoulder(site, address):

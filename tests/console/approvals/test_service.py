@@ -4,9 +4,10 @@ from collections.abc import Callable, Mapping
 
 import pytest
 
+from boresight.console import transitions
 from boresight.console.access import api_keys, users
-from boresight.console.approvals import promotions, submissions
 from boresight.console.approvals import service as approvals
+from boresight.console.approvals import staleness
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.uplinks.tables import TableDefinition
@@ -37,7 +38,7 @@ def request_of(
     def make(submitted_by: str = "ana", launched_by: str = "ana") -> Approval:
         row = candidate(launched_by)
         with open_writing(engine) as session:
-            return submissions.submit(session, people[submitted_by], blobs, row.id, "better", row.version)
+            return approvals.submit(session, people[submitted_by], blobs, row.id, "better", row.version)
 
     return make
 
@@ -67,7 +68,7 @@ def test_one_approval_by_a_second_person_approves(
     signature = _sign(engine, people["cy"], approval)
     assert _states(engine, approval) == ("APPROVED", "APPROVED")
     assert (signature.printed_name, signature.decision, signature.meaning) == ("Cy", "APPROVE", "I decide")
-    assert signature.shown_sha256 == approvals.compute_binding_sha256(approval)
+    assert signature.shown_sha256 == staleness.compute_binding_sha256(approval)
     with open_reading(engine) as session:
         assert [row.id for row in approvals.list_signatures(session, approval.id)] == [signature.id]
         assert audit.verify(session).ok
@@ -85,7 +86,7 @@ def test_one_refusal_blocks(
     assert record is not None
     assert "too few stars at the rim" in str(record.reason)
     with open_writing(engine) as session, pytest.raises(ConflictError, match="is REJECTED: Cy refused it"):
-        submissions.submit(session, people["ana"], blobs, row.id, "once more", row.version)
+        approvals.submit(session, people["ana"], blobs, row.id, "once more", row.version)
 
 
 def test_a_refusal_stops_even_what_another_approved(
@@ -98,7 +99,7 @@ def test_a_refusal_stops_even_what_another_approved(
     _sign(engine, people["bo"], approval, "REFUSE", seen_version=2)
     assert _states(engine, approval) == ("REJECTED", "REJECTED")
     with open_writing(engine) as session, pytest.raises(ConflictError, match="not APPROVED"):
-        promotions.promote(session, people["dee"], approval.parameter_set_id, 4)
+        approvals.promote(session, people["dee"], approval.parameter_set_id, 4)
 
 
 def test_a_refusal_comes_too_late_after_the_promotion(
@@ -107,7 +108,7 @@ def test_a_refusal_comes_too_late_after_the_promotion(
     approval = request_of()
     _sign(engine, people["cy"], approval)
     with open_writing(engine) as session:
-        promotions.promote(session, people["dee"], approval.parameter_set_id, 3)
+        approvals.promote(session, people["dee"], approval.parameter_set_id, 3)
     with pytest.raises(ConflictError, match="is APPROVED: Cy approved it"):
         _sign(engine, people["bo"], approval, "REFUSE", seen_version=2)
     assert _states(engine, approval) == ("APPROVED", "BASELINE")
@@ -157,7 +158,7 @@ def test_a_set_submitted_by_a_key_is_submitted_by_its_owner(
         secret = api_keys.create_key(session, people["bo"], label="robot", scopes=["parameter-sets"])[1]
     with open_writing(engine) as session:
         robot = api_keys.actor_of_key(session, secret)
-        approval = submissions.submit(session, robot, blobs, row.id, "better", row.version)
+        approval = approvals.submit(session, robot, blobs, row.id, "better", row.version)
     with pytest.raises(ForbiddenError, match="You submitted this set"):
         _sign(engine, people["bo"], approval)
 
@@ -267,4 +268,4 @@ def test_requests_are_listed_by_state_newest_first(
         assert [row.id for row in approvals.list_approvals(session, state="OPEN")] == [second.id]
         assert [row.id for row in approvals.list_approvals(session, before_id=second.id)] == [first.id]
         with pytest.raises(NotFoundError, match="no request"):
-            approvals.get_approval(session, 99)
+            transitions.get_approval(session, 99)

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from boresight.console import transitions
-from boresight.console.approvals import gate_profiles, gates, promotions, submissions
+from boresight.console.approvals import gate_profiles, gates, staleness
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval
 from boresight.console.parameter_sets import service as parameter_sets
@@ -36,7 +36,7 @@ def ask(engine: Engine, people: People, blobs: BlobStore, finished_run: Callable
                 run = finished_run(session, people[by].user_id, **result)
                 row = parameter_sets.create_from_run(session, people[by], blobs, run.id)
             now = transitions.get_parameter_set(session, row.id)
-            return submissions.submit(session, people[by], blobs, row.id, "better", now.version, policy=policy)
+            return approvals.submit(session, people[by], blobs, row.id, "better", now.version, policy=policy)
 
     return make
 
@@ -45,17 +45,17 @@ def _sign(
     engine: Engine, actor: Actor, approval: Approval, decision: str = "APPROVE", policy: Policy = POLICY
 ) -> Approval:
     with open_writing(engine) as session:
-        seen = approvals.get_approval(session, approval.id).version
+        seen = transitions.get_approval(session, approval.id).version
         words = (decision, "I decide", "seen", proved(session, actor, PASSWORD), seen)
         approvals.sign(session, actor, approval.id, *words, policy=policy)
     with open_reading(engine) as session:
-        return approvals.get_approval(session, approval.id)
+        return transitions.get_approval(session, approval.id)
 
 
 def _promote(engine: Engine, actor: Actor, approval: Approval, policy: Policy = POLICY) -> str:
     with open_writing(engine) as session:
         row = transitions.get_parameter_set(session, approval.parameter_set_id)
-        return promotions.promote(session, actor, row.id, row.version, policy=policy).ground_state
+        return approvals.promote(session, actor, row.id, row.version, policy=policy).ground_state
 
 
 def test_a_request_that_needs_two_stays_open_after_one_and_is_approved_after_two(
@@ -123,17 +123,17 @@ def test_a_waiver_asks_for_a_new_request_with_a_second_approval(engine: Engine, 
 
 def _state(engine: Engine, approval: Approval) -> str:
     with open_reading(engine) as session:
-        return approvals.get_approval(session, approval.id).state
+        return transitions.get_approval(session, approval.id).state
 
 
 def test_a_signature_stands_for_gate_report_waivers_and_time(ask: Ask) -> None:
     approval = ask()
-    shown = approvals.compute_binding_sha256(approval)
+    shown = staleness.compute_binding_sha256(approval)
     for name in ("gate_report_sha256", "profile_sha256", "incumbent_sha256", "table_definition_sha256", "waivers"):
         other = Approval(**{**_columns(approval), "bound": approval.bound | {name: "another"}})
-        assert approvals.compute_binding_sha256(other) != shown
+        assert staleness.compute_binding_sha256(other) != shown
     for name, value in (("needed", 2), ("kind", "ROLLBACK"), ("expires_utc", "2099-01-01T00:00:00.000000Z")):
-        assert approvals.compute_binding_sha256(Approval(**{**_columns(approval), name: value})) != shown
+        assert staleness.compute_binding_sha256(Approval(**{**_columns(approval), name: value})) != shown
 
 
 def _columns(approval: Approval) -> dict[str, Any]:

@@ -6,7 +6,6 @@ import pytest
 
 from boresight.console import transitions
 from boresight.console.access import api_keys
-from boresight.console.approvals import discussions, promotions, submissions
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval
 from boresight.console.campaigns import service as campaigns
@@ -43,16 +42,16 @@ def created(
 def ask(engine: Engine, people: People, blobs: BlobStore) -> Callable[..., Approval]:
     def make(row: ParameterSet, submitter: str = "ana", policy: Policy = POLICY) -> Approval:
         with open_writing(engine) as session:
-            return submissions.submit(session, people[submitter], blobs, row.id, "better", row.version, policy=policy)
+            return approvals.submit(session, people[submitter], blobs, row.id, "better", row.version, policy=policy)
 
     return make
 
 
 def _sign(engine: Engine, actor: Actor, approval: Approval, policy: Policy = POLICY) -> str:
     with open_writing(engine) as session:
-        seen = approvals.get_approval(session, approval.id).version
+        seen = transitions.get_approval(session, approval.id).version
         approve(session, actor, approval, seen_version=seen, policy=policy)
-        return approvals.get_approval(session, approval.id).state
+        return transitions.get_approval(session, approval.id).state
 
 
 def _signers(engine: Engine, approval: Approval, policy: Policy = POLICY) -> dict[str, tuple[str, ...] | None]:
@@ -81,7 +80,7 @@ def test_each_of_the_three_parts_excludes_and_all_are_named(
     with pytest.raises(ForbiddenError, match=r"submitted this set and launched run \d+ behind this set and created"):
         _sign(engine, people["bo"], approval)
     with open_writing(engine) as session, pytest.raises(ConflictError, match="Bo submitted this set"):
-        discussions.assign(session, people["ana"], approval.id, people["bo"].user_id, approval.version)
+        approvals.assign(session, people["ana"], approval.id, people["bo"].user_id, approval.version)
 
 
 def test_a_set_created_with_a_key_is_its_owners(
@@ -131,10 +130,10 @@ def test_a_roll_back_excludes_who_created_the_former_baseline(
         _sign(engine, people["cy"], approval)
         with open_writing(engine) as session:
             version = transitions.get_parameter_set(session, row.id).version
-            promotions.promote(session, people["dee"], row.id, version)
+            approvals.promote(session, people["dee"], row.id, version)
     with open_writing(engine) as session:
         version = transitions.get_parameter_set(session, rows[0].id).version
-        back = submissions.roll_back(session, people["dee"], blobs, rows[0].id, "It drifts.", version)
+        back = approvals.roll_back(session, people["dee"], blobs, rows[0].id, "It drifts.", version)
     with pytest.raises(ForbiddenError, match="You created this set"):
         _sign(engine, people["bo"], back)
     assert _sign(engine, people["cy"], back) == "APPROVED"
@@ -163,5 +162,5 @@ def test_what_the_creator_signed_while_four_eyes_was_off_does_not_pass_once_it_i
     with open_writing(engine) as session:
         version = transitions.get_parameter_set(session, row.id).version
         with pytest.raises(ConflictError, match="0 of 1 approvals by a second person"):
-            promotions.promote(session, people["dee"], row.id, version)
+            approvals.promote(session, people["dee"], row.id, version)
         assert four_eyes(session, row, POLICY)["kept"] is False

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from boresight.console import transitions
-from boresight.console.approvals import gate_profiles, gates, promotions, submissions
+from boresight.console.approvals import gate_profiles, gates
 from boresight.console.approvals import service as approvals
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -156,25 +156,25 @@ def test_waiving_makes_an_open_request_stale_and_the_next_one_needs_two_approval
     waive, engine, blobs, people, blocked
 ):
     with open_writing(engine) as session:
-        first = submissions.submit(session, people["ana"], blobs, blocked.id, "It moved.", blocked.version)
+        first = approvals.submit(session, people["ana"], blobs, blocked.id, "It moved.", blocked.version)
         seen = transitions.get_parameter_set(session, blocked.id).version
     assert first.needed == 1
     waive(seen=seen)
     with open_writing(engine) as session:
-        assert approvals.get_approval(session, first.id).state == "STALE"
+        assert transitions.get_approval(session, first.id).state == "STALE"
         row = transitions.get_parameter_set(session, blocked.id)
-        again = submissions.submit(session, people["ana"], blobs, row.id, "With the waiver.", row.version)
+        again = approvals.submit(session, people["ana"], blobs, row.id, "With the waiver.", row.version)
         assert again.needed == 2
 
 
 def test_a_set_that_is_promoted_with_a_waiver_tells_of_it_as_baseline(waive, engine, blobs, people, blocked):
     waive()
     with open_writing(engine) as session:
-        request = submissions.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
+        request = approvals.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
         for name in ("cy", "bo"):
             approve(session, people[name], request)
         row = transitions.get_parameter_set(session, blocked.id)
-        promotions.promote(session, people["dee"], row.id, row.version)
+        approvals.promote(session, people["dee"], row.id, row.version)
     with open_reading(engine) as session:
         assert parameter_sets.get_baseline(session, 1).id == blocked.id
         assert gates.verdicts(session, [blocked.id]) == {blocked.id: "NO-DATA (1 gate waived)"}
@@ -185,11 +185,11 @@ def test_a_package_tells_the_verdict_that_was_signed_also_when_its_waiver_is_ove
 ):
     waive()
     with open_writing(engine) as session:
-        request = submissions.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
+        request = approvals.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
         for name in ("cy", "bo"):
             approve(session, people[name], request)
         row = transitions.get_parameter_set(session, blocked.id)
-        promotions.promote(session, people["dee"], row.id, row.version)
+        approvals.promote(session, people["dee"], row.id, row.version)
         package = packages.build(session, people["dee"], blobs, row.id)
         shown = gates.verdicts(session, [blocked.id])[blocked.id]
     with zipfile.ZipFile(blobs.path(package.sha256)) as packed:

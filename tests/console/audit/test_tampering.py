@@ -17,7 +17,6 @@ import sqlalchemy as sa
 from boresight.console.access import api_keys, users
 from boresight.console.alarms import rules
 from boresight.console.alarms.rules import check_chain
-from boresight.console.approvals import discussions, promotions
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import ChangeProposal, GateProfile, GateReport, Waiver
 from boresight.console.campaigns.tables import Campaign, CampaignRun
@@ -65,11 +64,11 @@ def store(kept: Path, request: pytest.FixtureRequest) -> Iterator[Engine]:
 
 def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: ParameterSet) -> None:
     with open_writing(engine) as session:
-        promotions.promote(session, people["dee"], row.id, row.version)
+        approvals.promote(session, people["dee"], row.id, row.version)
         for state in ("SENT", "LOADED"):
             uplinks.record(session, people["dee"], row.id, state, "pass 4711")
         approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
-        discussions.remark(session, people["ana"], approval.id, "The focus moved.")
+        approvals.remark(session, people["ana"], approval.id, "The focus moved.")
         api_keys.create_key(session, people["ana"], label="passes", scopes=["runs"])
         users.change_roles(session, people["root"], people["eve"].user_id or 0, ["viewer", "operator"])
         with tempfile.TemporaryDirectory() as folder:

@@ -7,10 +7,11 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
+from boresight.console import transitions
 from boresight.console.access import api_keys, users
 from boresight.console.access.tables import User
 from boresight.console.alarms import rules as clock
-from boresight.console.approvals import gate_profiles, proposals, submissions
+from boresight.console.approvals import gate_profiles, proposals
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import ChangeProposal, GateProfile
 from boresight.console.change_proposals import service as second_person
@@ -191,14 +192,14 @@ def test_requests_stay_open_while_a_change_is_proposed_and_become_stale_with_its
 ) -> None:
     made = candidate()
     with open_writing(engine) as session:
-        approval = submissions.submit(session, two["ana"], blobs, made.id, "better", made.version)
+        approval = approvals.submit(session, two["ana"], blobs, made.id, "better", made.version)
     row = propose("ana", plain_definition("inverted_wang"), "table-definition")
     with open_reading(engine) as session:
         assert approvals.why_not_sign(session, two["cy"], approval.id) is None
     with open_writing(engine) as session:
         done = second_person.confirm(session, two["ann"], row.id, 1)
         assert table_definitions.definition_in_force(session, 1).number == done.number == 1
-        assert approvals.get_approval(session, approval.id).state == "STALE"
+        assert transitions.get_approval(session, approval.id).state == "STALE"
 
 
 def test_a_proposal_expires_by_itself_or_by_who_comes_too_late(

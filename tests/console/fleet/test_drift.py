@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from boresight.console.fleet import drift
+from boresight.console.fleet import trend as drift
 from boresight.console.fleet.trend import Trend, _periods, read_trend
 from boresight.console.fleet.trend_document import advise, trend_document
 from boresight.platform.db.sessions import Session

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from boresight.console.alarms.rules import evaluate_rules
-from boresight.console.approvals import submissions
+from boresight.console.approvals import service as approvals
 from boresight.console.fleet.status import (
     STATUS_WORDS,
     SensorFacts,
@@ -115,7 +115,7 @@ def test_a_request_that_waits_is_a_caution(
 ) -> None:
     row = candidate()
     with open_writing(engine) as session:
-        submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
+        approvals.submit(session, people["ana"], blobs, row.id, "better", row.version)
     tile = _tile(engine)
     assert (tile.status, tile.sentence) == ("caution", f"{row.name} waits for a signature.")
 

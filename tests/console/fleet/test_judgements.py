@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from boresight.console.alarms.rules import evaluate_rules
-from boresight.console.fleet import drift
 from boresight.console.fleet import queries as sensors
 from boresight.console.fleet import status as judgements
+from boresight.console.fleet import trend as drift
 from boresight.console.fleet.trend import read_trend
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit

@@ -6,7 +6,7 @@ from weakref import WeakKeyDictionary
 
 import pytest
 
-from boresight.console.approvals import submissions
+from boresight.console.approvals import service as approvals
 from boresight.console.fleet.pages import overview
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.platform.db.sessions import open_writing
@@ -22,7 +22,7 @@ def site(site):
 def submitted(site):
     with open_writing(site.engine) as session:
         row = parameter_sets.create_from_run(session, site.actor("ada"), site.blobs, 1)
-        submissions.submit(session, site.actor("ada"), site.blobs, row.id, "Focus moved with temperature.", row.version)
+        approvals.submit(session, site.actor("ada"), site.blobs, row.id, "Focus moved with temperature.", row.version)
         return row.name
 
 

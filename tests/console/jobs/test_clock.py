@@ -5,12 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from boresight.console import lists
+from boresight.console import lists, transitions
 from boresight.console.alarms import rules as clock
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals import submissions
 from boresight.console.approvals.tables import Approval
 from boresight.console.jobs.heartbeat import Heartbeat
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -46,12 +45,12 @@ def due(
 ) -> Approval:
     row = candidate()
     with open_writing(engine) as session:
-        return submissions.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=AT_ONCE)
+        return approvals.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=AT_ONCE)
 
 
 def _state(engine: Engine, approval: Approval) -> str:
     with open_reading(engine) as session:
-        return approvals.get_approval(session, approval.id).state
+        return transitions.get_approval(session, approval.id).state
 
 
 def _alarm(engine: Engine) -> Alarm | None:

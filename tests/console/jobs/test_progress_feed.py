@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.console.jobs.broadcast import EventCursor, RecentProgress
-from boresight.console.runs.run_events import Line, write_event
+from boresight.console.runs.queries import Line, write_event
 from boresight.platform.db.sessions import open_writing
 from tests.console.jobs.test_events import following
 from tests.served import House

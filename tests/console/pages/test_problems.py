@@ -4,7 +4,7 @@ import pytest
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 
-from boresight.console.pages.problem import problem_page
+from boresight.console.pages.rendering import problem_page
 from boresight.errors import (
     OverloadedError,
     PasswordDueError,

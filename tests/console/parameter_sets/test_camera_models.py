@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping
 import pytest
 
 from boresight.cameras import CAMERA_MODELS
-from boresight.console.approvals import promotions, submissions
 from boresight.console.approvals import service as approvals
 from boresight.console.fleet import service as sensors
 from boresight.console.parameter_sets import service as parameter_sets
@@ -42,10 +41,10 @@ def test_a_set_of_every_model_is_approved_and_becomes_baseline(
         )  # fmt: skip
         run.sensor_id, run.sensor_document = sensor.id, sensor.document
         row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
-        submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
+        approvals.submit(session, people["ana"], blobs, row.id, "better", row.version)
         approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
         approve(session, people["cy"], approval)
-        promoted = promotions.promote(session, people["dee"], row.id, row.version)
+        promoted = approvals.promote(session, people["dee"], row.id, row.version)
 
     assert promoted.ground_state == "BASELINE"
     assert promoted.document["parameters"] == estimate

@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 
 from boresight.console import transitions
-from boresight.console.approvals import promotions, submissions
 from boresight.console.approvals import service as approvals
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -117,14 +116,14 @@ def test_only_an_analyst_makes_and_submits(
         parameter_sets.create_from_run(session, people[name], blobs, run.id)
     row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
     with pytest.raises(ForbiddenError, match="role analyst"):
-        submissions.submit(session, people[name], blobs, row.id, "better", row.version)
+        approvals.submit(session, people[name], blobs, row.id, "better", row.version)
     assert row.ground_state == "CANDIDATE"
 
 
 def test_nobody_in_particular_cannot_submit(engine: Engine, candidate: Candidate, blobs: BlobStore) -> None:
     row = candidate()
     with open_writing(engine) as session, pytest.raises(ForbiddenError, match="answer for this"):
-        submissions.submit(session, COMMAND_LINE, blobs, row.id, "better", row.version)
+        approvals.submit(session, COMMAND_LINE, blobs, row.id, "better", row.version)
 
 
 def test_a_request_binds_set_run_and_incumbent(engine: Engine, submitted: Callable[[], ParameterSet]) -> None:
@@ -149,7 +148,7 @@ def test_a_transition_needs_the_version_that_was_seen(
 ) -> None:
     row = candidate()
     with open_writing(engine) as session, pytest.raises(PreconditionRequiredError, match="If-Match"):
-        submissions.submit(session, people["ana"], blobs, row.id, "better", None)
+        approvals.submit(session, people["ana"], blobs, row.id, "better", None)
 
 
 def test_an_old_version_is_told_who_changed_what_and_when(
@@ -157,7 +156,7 @@ def test_an_old_version_is_told_who_changed_what_and_when(
 ) -> None:
     row = submitted()
     with open_writing(engine) as session, pytest.raises(StaleError) as refusal:
-        submissions.withdraw(session, people["ana"], row.id, 1)
+        approvals.withdraw(session, people["ana"], row.id, 1)
     assert "you saw v1, it is v2" in str(refusal.value)
     assert "Ana submitted it at 20" in str(refusal.value)
 
@@ -165,7 +164,7 @@ def test_an_old_version_is_told_who_changed_what_and_when(
 def test_a_submission_needs_its_reason(engine: Engine, people: People, candidate: Candidate, blobs: BlobStore) -> None:
     row = candidate()
     with open_writing(engine) as session, pytest.raises(RefusedInputError, match="Give the reason"):
-        submissions.submit(session, people["ana"], blobs, row.id, "  ", row.version)
+        approvals.submit(session, people["ana"], blobs, row.id, "  ", row.version)
 
 
 def test_what_is_submitted_is_not_submitted_again(
@@ -173,7 +172,7 @@ def test_what_is_submitted_is_not_submitted_again(
 ) -> None:
     row = submitted()
     with open_writing(engine) as session, pytest.raises(ConflictError, match="is SUBMITTED: Ana submitted it"):
-        submissions.submit(session, people["bo"], blobs, row.id, "better", row.version)
+        approvals.submit(session, people["bo"], blobs, row.id, "better", row.version)
 
 
 def test_the_submitter_withdraws_and_may_submit_again(
@@ -181,12 +180,10 @@ def test_the_submitter_withdraws_and_may_submit_again(
 ) -> None:
     row = approved()
     with open_writing(engine) as session:
-        withdrawn = submissions.withdraw(session, people["ana"], row.id, row.version, "found a mistake")
+        withdrawn = approvals.withdraw(session, people["ana"], row.id, row.version, "found a mistake")
         assert withdrawn.ground_state == "WITHDRAWN"
         assert approvals.list_approvals(session)[0].state == "WITHDRAWN"
-        assert (
-            submissions.submit(session, people["ana"], blobs, row.id, "no mistake", withdrawn.version).state == "OPEN"
-        )
+        assert approvals.submit(session, people["ana"], blobs, row.id, "no mistake", withdrawn.version).state == "OPEN"
 
 
 def test_another_analyst_does_not_withdraw(
@@ -194,12 +191,12 @@ def test_another_analyst_does_not_withdraw(
 ) -> None:
     row = submitted()
     with open_writing(engine) as session, pytest.raises(ForbiddenError, match="administrator"):
-        submissions.withdraw(session, people["bo"], row.id, row.version)
+        approvals.withdraw(session, people["bo"], row.id, row.version)
 
 
 def test_a_candidate_has_nothing_to_withdraw_or_promote(engine: Engine, people: People, candidate: Candidate) -> None:
     row = candidate()
     with open_writing(engine) as session, pytest.raises(ConflictError, match="not submitted"):
-        submissions.withdraw(session, people["ana"], row.id, row.version)
+        approvals.withdraw(session, people["ana"], row.id, row.version)
     with open_writing(engine) as session, pytest.raises(ConflictError, match="is CANDIDATE, not APPROVED"):
-        promotions.promote(session, people["dee"], row.id, row.version)
+        approvals.promote(session, people["dee"], row.id, row.version)

@@ -7,12 +7,13 @@ import pytest
 from boresight.calibration.options import CalibrationSettings
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import service as runs
-from boresight.console.runs.dry_runs import ForecastSources, estimate_run_speed
+from boresight.console.runs.dry_runs import estimate_run_speed
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import register_blob
 from boresight.platform.db.sessions import open_writing, utc_now
+from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
 from tests.calibration.conftest import telemetry
@@ -69,7 +70,7 @@ def test_a_forecast_is_kept_until_a_setting_or_the_sensor_changes(session, peopl
 
 
 def test_only_the_latest_forecasts_are_kept(blobs, catalogue, monkeypatch):
-    monkeypatch.setattr("boresight.console.runs.dry_runs.KEPT", 3)
+    monkeypatch.setattr("boresight.platform.jobs.forecasts.KEPT", 3)
     sight = ForecastSources(blobs, lambda: catalogue, Path("nowhere"))
     for number in range(5):
         sight.forecast(f"{number:064}", {}, CalibrationSettings())

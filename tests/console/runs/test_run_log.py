@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from boresight.console.runs.run_events import Line, write_event
+from boresight.console.runs.queries import Line, write_event
 from boresight.console.runs.tables import RUN_STATES
 from boresight.platform.db.sessions import open_writing
 

@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from boresight.console.runs.run_events import Line
+from boresight.console.runs.queries import Line
 from boresight.console.runs.tables import RunEvent
 from boresight.platform.db.sessions import open_writing, utc_after, utc_now
 

@@ -7,7 +7,6 @@ import zipfile
 import pytest
 
 from boresight.console import transitions
-from boresight.console.approvals import promotions, submissions
 from boresight.console.approvals import service as approvals
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -60,7 +59,7 @@ def promoted(engine, people, approved):
     def make():
         row = approved()
         with open_writing(engine) as session:
-            return promotions.promote(session, people["dee"], row.id, row.version)
+            return approvals.promote(session, people["dee"], row.id, row.version)
 
     return make
 
@@ -200,7 +199,7 @@ def test_the_turn_of_the_attitude_travels_where_the_run_began_at_the_set_replace
     with open_writing(engine) as session:
         run = finished_run(session, people["ana"].user_id, alignment=found)
         row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
-        request = submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
+        request = approvals.submit(session, people["ana"], blobs, row.id, "better", row.version)
         approve(session, people["cy"], request)
     files = build(row)[1]
     assert json.loads(files["c_sd.json"])["alignment"] == found
@@ -211,7 +210,7 @@ def test_what_was_signed_with_fewer_eyes_is_said_for_ever(engine, people, build,
     alone = Policy(four_eyes=False)
     row = candidate("bo")
     with open_writing(engine) as session:
-        request = submissions.submit(session, people["bo"], blobs, row.id, "better", row.version, policy=alone)
+        request = approvals.submit(session, people["bo"], blobs, row.id, "better", row.version, policy=alone)
         words = (request.id, "APPROVE", "I approve", "", proved(session, people["bo"], PASSWORD), request.version)
         approvals.sign(session, people["bo"], *words, policy=alone)
     four_eyes = json.loads(build(row)[1]["MANIFEST.json"])["four_eyes"]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import GateProfile
 from boresight.console.fleet import timeline
 from boresight.console.parameter_sets.tables import ONBOARD_STATES, ParameterSet, Promotion
@@ -148,7 +148,7 @@ def _paged(session: Session, length: int, until: str) -> list[Any]:
 def promoted(engine: Engine, people: People, approved: Callable[[], ParameterSet]) -> ParameterSet:
     row = approved()
     with open_writing(engine) as session:
-        return promotions.promote(session, people["dee"], row.id, row.version)
+        return approvals.promote(session, people["dee"], row.id, row.version)
 
 
 def test_an_answer_names_who_asked_who_signed_and_who_promoted(
@@ -195,9 +195,9 @@ def test_a_roll_back_on_the_ground_leaves_the_board_as_it_was_and_says_so(
         )
     with open_writing(engine) as session:
         ground = session.get_one(ParameterSet, 1)
-        approval = submissions.roll_back(session, people["ana"], blobs, 1, "worse than thought", ground.version)
+        approval = approvals.roll_back(session, people["ana"], blobs, 1, "worse than thought", ground.version)
         approve(session, people["cy"], approval)
-        promotions.promote(session, people["dee"], 1, ground.version)
+        approvals.promote(session, people["dee"], 1, ground.version)
     with open_reading(engine) as session:
         known, newest = timeline.get_state_at(session, 1), timeline.events(session, 1, limit=1)[0]
     assert known.differs

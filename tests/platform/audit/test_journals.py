@@ -4,7 +4,7 @@ import pytest
 import sqlalchemy as sa
 
 from boresight.console.fleet.tables import Sensor
-from boresight.console.runs.run_events import Line, write_event, write_events
+from boresight.console.runs.queries import Line, write_event, write_events
 from boresight.console.runs.tables import Run, RunEvent
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.webhooks.tables import Webhook, WebhookDelivery

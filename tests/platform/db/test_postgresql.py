@@ -10,7 +10,7 @@ import pytest
 
 from boresight.console import transitions
 from boresight.console.access import users
-from boresight.console.approvals import promotions, submissions
+from boresight.console.approvals import service as approvals
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import timeline
 from boresight.console.parameter_sets import service as parameter_sets
@@ -90,7 +90,7 @@ def _candidate(engine: Engine, ana: Actor, blobs: BlobStore, folder: Path, f_m: 
 
 def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet, blobs: BlobStore) -> int:
     with open_writing(engine) as session:
-        approval = submissions.submit(session, people["ana"], blobs, row.id, "better", row.version)
+        approval = approvals.submit(session, people["ana"], blobs, row.id, "better", row.version)
         approve(session, people["cy"], approval)
         return transitions.get_parameter_set(session, row.id).version
 
@@ -105,7 +105,7 @@ def test_promotions_at_once_leave_one_baseline_and_one_chain(
     def promote(number: int) -> str:
         try:
             with open_writing(postgresql) as session:
-                return promotions.promote(session, people["dee"], rows[number].id, versions[number]).name
+                return approvals.promote(session, people["dee"], rows[number].id, versions[number]).name
         except StaleError:
             return "stale"
 

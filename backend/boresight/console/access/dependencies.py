@@ -24,7 +24,6 @@ from boresight.console.access.credentials import LogInCookie, bearer, get_actor
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import NO_PROOF, PasswordProof
 from boresight.console.access.sessions import ClientAddress
-from boresight.console.runs.dry_runs import ForecastSources
 from boresight.console.schemas import Row
 from boresight.errors import (
     ForbiddenError,
@@ -36,6 +35,7 @@ from boresight.errors import (
 from boresight.platform.actors import Actor, Policy, require_person
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Engine, Session, mark_dry_run, open_reading, open_writing
+from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.figure_cache import FigureCache
 from boresight.platform.web.openapi import refuses
 from boresight.platform.web.origins import SAFE_METHODS

@@ -7,7 +7,7 @@ Two servers that watch one store agree, for there is one writer at a time and on
 Alarm rules: each is evaluated on the store as it is now.
 
 ========== ======== ==========================================================================================
-`DRIFT`    serious  the parameters do not hold any more (`console.fleet.drift`), 0.1 % false alarms for each look;
+`DRIFT`    serious  the parameters do not hold any more (`console.fleet.trend`), 0.1 % false alarms for each look;
                     a shift against a ground calibration alone is no drift
 `AGE`      caution  the baseline is older than `fleet.OLD_DAYS`
 `MISMATCH` critical a read-back of one of the sensor's sets did not match what was sent

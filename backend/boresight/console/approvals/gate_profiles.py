@@ -152,7 +152,6 @@ def name_profile(sensor_id: int) -> str:
 
 
 def _require_seen(session: Session, current: GateProfile, seen_number: int | None) -> None:
-    """Refuse a change by someone who did not see the profile in force."""
     if seen_number is None:
         raise PreconditionRequiredError('Say which version of the gate profile you saw: If-Match: "v<number>".')
     if seen_number == current.number:
@@ -208,7 +207,6 @@ def _tried(
     profiles: tuple[Profile, Profile],
     basis: str,
 ) -> TriedProfile:
-    """Judge one run by the profile that is tried and by the one in force."""
     new, now = (gates.judge(profile, measured) for profile in profiles)
     return TriedProfile(run, set_name, new["verdict"], new["blocking"], now["verdict"], now["blocking"], basis)
 

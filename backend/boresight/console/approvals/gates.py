@@ -134,7 +134,6 @@ def _incumbent(session: Session, row: ParameterSet) -> ParameterSet | None:
 def _choose_validation_frames(
     session: Session, row: ParameterSet, run: Run | None, incumbent: ParameterSet | None
 ) -> TelemetrySet | None:
-    """Choose the frames to look at."""
     behind = [run, None if incumbent is None or incumbent.run_id is None else session.get_one(Run, incumbent.run_id)]
     fitted = {known.telemetry_set_id for known in behind if known is not None}
     own = None if run is None or run.validation_set_id is None else session.get(TelemetrySet, run.validation_set_id)
@@ -230,7 +229,6 @@ def record_report(session: Session, actor: Actor, assessment: GateAssessment) ->
 
 
 def _record(session: Session, actor: Actor, assessment: GateAssessment) -> GateReport:
-    """Store a report if what it rests on is as it was."""
     row = get_parameter_set(session, assessment.parameter_set_id)
     profile = ensure_profile(session, actor, row.sensor_id)
     bound = assessment.document["bound"]

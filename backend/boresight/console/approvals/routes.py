@@ -1,6 +1,9 @@
 """Requests for approval: read, sign, refuse. Only people sign, each with the password given again.
 
 The discussion of a request for approval: assignment, remarks, opened evidence.
+
+Gate profiles of a sensor: the limits in force and before, setting others, trying some on past runs. Gate reports of a
+parameter set: assess it, read what was found, waive a gate.
 """
 
 from __future__ import annotations
@@ -11,7 +14,12 @@ from fastapi import Depends, Query
 from pydantic import BaseModel, ConfigDict, Field, SecretStr
 from starlette.requests import Request
 
+from boresight.console import transitions
 from boresight.console.access.dependencies import (
+    Blobs,
+    Database,
+    DryRunSight,
+    IsDryRun,
     PasswordChecks,
     Reading,
     SeenVersion,
@@ -22,13 +30,188 @@ from boresight.console.access.dependencies import (
     own_password,
 )
 from boresight.console.access.passwords import PasswordProof
-from boresight.console.approvals import schemas
+from boresight.console.approvals import gate_profiles, gates, schemas
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals.tables import Approval, Opening, Remark
-from boresight.console.operation import Beside, operations
-from boresight.platform.db.sessions import Session
-from boresight.platform.web.openapi import refuses
+from boresight.console.approvals.gates import read_gate_inputs
+from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Opening, Remark, Waiver
+from boresight.console.change_proposals import service as second_person
+from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
+from boresight.console.operation import Answer, Beside, operations
+from boresight.console.uplinks.tables import TableDefinition
+from boresight.platform.actors import require_role, require_scope
+from boresight.platform.db.sessions import Session, open_reading
+from boresight.platform.web.openapi import refusals, refuses
 from boresight.platform.web.paging import Id, Listing, Page, Paged
+
+gate_profile_router = operations("/sensors", tags=["gates"])
+
+GATES = Field(
+    description="One object a gate that differs from the default; keys that are left out are the default's.",
+    examples=[[{"name": "validation-rms", "limit": 2.0, "marginal": 1.3, "must_have_data": True}]],
+)
+
+
+class Limits(BaseModel):
+    """A profile to try."""
+
+    model_config = ConfigDict(extra="forbid")
+    gates: list[dict[str, Any]] = GATES
+
+
+class NewProfile(Limits):
+    """A profile to put into force, and why."""
+
+    reason: str = Field(examples=["Two lost passes in October: validation is needed from now on."])
+
+
+@gate_profile_router.get(
+    "/{sensor_id}/gate-profiles",
+    summary="List the gate profiles of a sensor",
+    response_model=Page[schemas.GateProfile],
+)
+def list_gate_profiles(sensor_id: Id, session: Reading, page: Paged) -> Answer:
+    """List every version of a sensor's limits, newest first; the first is in force, and its ETag is for setting another."""
+    found = gate_profiles.list_profiles(session, sensor_id)
+    older = [row for row in found if page.last_id is None or row.id < page.last_id]  # ids grow with the numbers
+    return Answer(page.cut(older[: page.limit + 1]), headers={"ETag": schemas.GateProfile.etag(found[0])})
+
+
+@gate_profile_router.post(
+    "/{sensor_id}/gate-profiles",
+    summary="Set the limits of a sensor",
+    status_code=201,
+    response_model=schemas.GateProfile,
+    responses=PROPOSED,
+)
+def set_gate_profile(
+    sensor_id: Id, profile: NewProfile, actor: Who, seen: SeenVersion, policy: ServerPolicy, session: Writing
+) -> GateProfile | TableDefinition | Answer:
+    """Put other limits into force. The sensor's undecided requests become STALE, for their verdict may be another.
+
+    Where the setting `second_person` is on, the change is proposed, answered with 202, and moves nothing until another
+    administrator confirms it.
+    """
+    document = {"gates": profile.gates}
+    made = second_person.change(
+        session, actor, "gate-profile", sensor_id, document, profile.reason, seen, policy=policy
+    )
+    return in_force_or_proposed(session, made)
+
+
+@gate_profile_router.post(
+    "/{sensor_id}/gate-profiles:dry-run", summary="Try limits on past runs", response_model=schemas.DryRunOfProfile
+)
+def try_gate_profile(sensor_id: Id, profile: Limits, asked: IsDryRun, session: Reading, blobs: Blobs) -> Answer:
+    """Say of each of the sensor's newest runs what these limits would have blocked; nothing is stored in any case."""
+    found = gate_profiles.dry_run(session, blobs, sensor_id, {"gates": profile.gates})
+    items = [
+        {
+            "run_id": tried.run.id,
+            "parameter_set": tried.set_name,
+            "verdict": tried.verdict,
+            "blocking": tried.blocking,
+            "verdict_now": tried.verdict_now,
+            "blocking_now": tried.blocking_now,
+            "basis": tried.basis,
+        }
+        for tried in found
+    ]
+    return Answer({"items": items}, headers={"X-Validate-Only": "true"} if asked else {})
+
+
+gate_report_router = operations("/parameter-sets", tags=["gates"])
+
+LAID_OVER = ("verdict", "words", "blocking", "waived", "gates", "held_out", "bound")
+
+Hash = Annotated[
+    str,
+    Query(
+        pattern="^[0-9a-f]{64}$",
+        description="A request's `bound.gate_report_sha256`: that report, be it the newest or not.",
+    ),
+]
+
+
+class Waiving(BaseModel):
+    """Which gate a set passes in spite of, why, and until when."""
+
+    model_config = ConfigDict(extra="forbid")
+    gate: str = Field(examples=["coverage"])
+    code: str = Field(description=f"One of {', '.join(gates.CODES)}.", examples=["data-limited"])
+    reason: str = Field(
+        description=f"In at least {gates.LEAST_LETTERS} letters.",
+        examples=["One corner was in eclipse all month; the arcs there are extrapolated and we know it."],
+    )
+    expires_utc: str = Field(
+        description=f"ISO 8601, within {gates.LONGEST_DAYS} days; the gate then blocks again.",
+        examples=["2026-12-01T00:00:00Z"],
+    )
+    password: SecretStr = Field(description="Your own, given again.")
+
+
+ProvenWaiver = Annotated[PasswordProof, own_password(Waiving)]
+
+
+def _examine(parameter_set_id: Id, actor: Who, sight: DryRunSight, engine: Database) -> gates.GateAssessment:
+    """See the validation frames before the writing transaction: that takes seconds, and there is one writer."""
+    require_role(actor, *gates.ASSESSORS)
+    require_scope(actor, "parameter-sets")
+    with open_reading(engine) as session:
+        case = read_gate_inputs(session, parameter_set_id)
+    return gates.examine(case, sight.blobs, sight.catalogue(), sight.catalogue_folder)
+
+
+Examined = Annotated[gates.GateAssessment, Depends(_examine)]
+
+
+def _shown(session: Session, row: GateReport) -> Beside:
+    """Return a report with the waivers laid over it, and whether what it rests on is as it was."""
+    document = gates.with_waivers(session, row)
+    laid_over = {name: document[name] for name in LAID_OVER}
+    given = gates.all_waivers(session, row.parameter_set_id)
+    return Beside(row, **laid_over, holds=not gates.moved_since(session, row), waivers=given)
+
+
+@gate_report_router.post(
+    "/{parameter_set_id}:assess",
+    summary="Hold it against its gates",
+    status_code=201,
+    response_model=schemas.GateReport,
+    responses=refusals(412),
+)
+def assess_parameter_set(
+    parameter_set_id: Id,  # noqa: ARG001 - of the dependency that examines it
+    actor: Who,
+    examined: Examined,
+    session: Writing,
+) -> Beside:
+    """Match the validation frames under this set and the incumbent, judge every gate, and keep the report.
+
+    The same evidence gives the same report, which is then the one that is there. Where the evidence moved while the frames
+    were matched the answer is 412: assess it again. An open request that binds another report is STALE at its next signature.
+    """
+    return _shown(session, gates.record_report(session, actor, examined))
+
+
+@gate_report_router.get(
+    "/{parameter_set_id}/gate-report", summary="Read what its gates found", response_model=schemas.GateReport
+)
+def get_gate_report(parameter_set_id: Id, session: Reading, sha256: Hash | None = None) -> Beside:
+    """Read the newest report, or the one that a request binds, with the waivers; `holds` says whether its evidence moved since."""
+    return _shown(session, gates.get_report(session, parameter_set_id, sha256))
+
+
+@gate_report_router.post(
+    "/{parameter_set_id}:waive", summary="Waive a gate", status_code=201, response_model=schemas.Waiver
+)
+def waive_gate(
+    parameter_set_id: Id, signed: Waiving, actor: Who, seen: SeenVersion, proof: ProvenWaiver, session: Writing
+) -> Waiver:
+    """Let this set pass in spite of a gate that blocks it, in person. The next request then needs two approvals."""
+    return gates.waive(
+        session, actor, parameter_set_id, signed.gate, signed.code, signed.reason, signed.expires_utc, proof, seen
+    )
+
 
 router = operations("/approvals", tags=["approvals"])
 
@@ -87,7 +270,7 @@ def list_approvals(
 @router.get("/{approval_id}", summary="Read a request", response_model=schemas.Approval)
 def get_approval(approval_id: Id, session: Reading) -> Beside:
     """Read a request with its signatures; the ETag is for signing."""
-    return with_signatures(session, approvals.get_approval(session, approval_id))
+    return with_signatures(session, transitions.get_approval(session, approval_id))
 
 
 @router.get("/{approval_id}/signers", summary="List who may sign", response_model=Page[schemas.Signer])
@@ -120,7 +303,7 @@ def approve(
 ) -> Beside:
     """Approve, as a second person: neither who submitted or created the set nor who launched its run; no administrator, no key."""
     approvals.sign(session, actor, approval_id, "APPROVE", signed.meaning, signed.comment, proof, seen, policy=policy)
-    return with_signatures(session, approvals.get_approval(session, approval_id))
+    return with_signatures(session, transitions.get_approval(session, approval_id))
 
 
 @router.post("/{approval_id}:refuse", summary="Sign against it", response_model=schemas.Approval)
@@ -135,7 +318,7 @@ def refuse(
 ) -> Beside:
     """Refuse with a comment; one refusal blocks, also after an approval, until the set is promoted."""
     approvals.sign(session, actor, approval_id, "REFUSE", signed.meaning, signed.comment, proof, seen, policy=policy)
-    return with_signatures(session, approvals.get_approval(session, approval_id))
+    return with_signatures(session, transitions.get_approval(session, approval_id))
 
 
 @router.post(
@@ -154,7 +337,7 @@ def sign_over_the_shoulder(
     approvals.sign_over_the_shoulder(
         session, actor, approval_id, signed.decision, signed.meaning, signed.comment, proof, seen, policy=policy
     )
-    return with_signatures(session, approvals.get_approval(session, approval_id))
+    return with_signatures(session, transitions.get_approval(session, approval_id))
 
 
 discussion_router = operations("/approvals/{approval_id}", tags=["approvals"])

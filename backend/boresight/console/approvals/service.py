@@ -8,18 +8,33 @@ Who else gave the password of who signs stands in the signature, as `passwords.p
 
 Over the shoulder a second person signs at the console of another, with name and password: the signature is theirs, the
 console's owner stands beside it, and the log-in of the console stays whose it was.
+
+Promotion: an approved set becomes its sensor's baseline, the one before is superseded, all in one transaction. Rolling back is
+the same move with an older set. The signatures are counted again there, by the policy that holds now, so that what was signed
+while four-eyes was off does not pass once it is on.
+
+Nothing of the discussion decides. Remarks and openings are only ever added. Which evidence a person opened is shown beside
+their signature and not enforced: a click proves no reading.
+
+A request is opened for a set that should become baseline, and taken back. One for a set that was baseline once is a roll-back: it
+goes the same way, has its own shorter time, and may be opened by an operator too, who sees what flies. A waiver in force asks
+for two approvals at least.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Sequence
 
 from boresight.console import list_queries as lists
 from boresight.console.access import users
 from boresight.console.access.passwords import PasswordProof, password_by
+from boresight.console.access.tables import User
 from boresight.console.alarms import rules as clock
+from boresight.console.alarms.rules import update_alarms
+from boresight.console.approvals import gates
 from boresight.console.approvals import queries as rows
-from boresight.console.approvals.discussions import assign, list_openings, list_remarks, record_opening, remark
+from boresight.console.approvals.gates import GateAssessment
 from boresight.console.approvals.signers import (
     Signer,
     list_signers,
@@ -28,44 +43,43 @@ from boresight.console.approvals.signers import (
     second_persons,
 )
 from boresight.console.approvals.staleness import (
+    bind_evidence,
     compute_binding_sha256,
-    expire_due_requests,
-    is_any_request_due,
     is_expired,
+    make_others_stale,
     refuse_blocked,
     refuse_changed_evidence,
     refuse_expired,
 )
-from boresight.console.approvals.tables import Approval, Signature
+from boresight.console.approvals.tables import Approval, Opening, Remark, Signature
 from boresight.console.list_queries import Signatory
+from boresight.console.parameter_sets import queries as set_rows
+from boresight.console.parameter_sets.service import record_promotion
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.transitions import get_approval, move, require_seen, resting_state, who_changed
-from boresight.errors import ConflictError, ForbiddenError, RefusedInputError, StaleError
-from boresight.platform.actors import POLICY, Actor, Policy, require_person
-from boresight.platform.db.sessions import Session, utc_now
+from boresight.console.transitions import (
+    get_approval,
+    get_parameter_set,
+    move,
+    name_subject,
+    require_seen,
+    resting_state,
+    who_changed,
+)
+from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError, StaleError
+from boresight.platform.actors import (
+    DAY_S,
+    POLICY,
+    Actor,
+    Policy,
+    require_person,
+    require_role,
+    require_scope,
+    require_user,
+)
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.db.sessions import Session, utc_after, utc_now
 from boresight.platform.web.text_validation import refuse_control_characters
-
-__all__ = [
-    "DECISIONS",
-    "assign",
-    "compute_binding_sha256",
-    "expire_due_requests",
-    "get_approval",
-    "is_any_request_due",
-    "list_approvals",
-    "list_openings",
-    "list_remarks",
-    "list_signatures",
-    "newest_open",
-    "record_opening",
-    "refuse_beside",
-    "remark",
-    "sign",
-    "sign_over_the_shoulder",
-    "signatory",
-    "who_may_sign",
-    "why_not_sign",
-]
 
 DECISIONS = ("APPROVE", "REFUSE")
 
@@ -197,7 +211,6 @@ def _refuse_undecidable(
 
 
 def _refuse_words(decision: str, meaning: str, comment: str) -> None:
-    """Refuse a signature that does not say what it means."""
     if decision not in DECISIONS:
         raise RefusedInputError(f"The decision is APPROVE or REFUSE, not {decision!r}.")
     if not meaning.strip():
@@ -261,7 +274,6 @@ def _decide(
     signature: Signature,
     policy: Policy,
 ) -> None:
-    """Bring request and set into the state that the signature gives them."""
     told = {
         "shown_sha256": signature.shown_sha256,
         "console": signature.console,
@@ -282,3 +294,242 @@ def _decide(
     approval.closed_utc = signature.signed_utc
     move(session, actor, approval, "APPROVED", "approved", reason=reason, **told)
     move(session, actor, parameter_set, "APPROVED", "approved", reason=reason)
+
+
+LONGEST_REMARK = 4000
+EVIDENCE = re.compile(r"[a-z0-9][a-z0-9-]{0,63}")
+
+
+def assign(
+    session: Session,
+    actor: Actor,
+    approval_id: int,
+    user_id: int | None,
+    seen_version: int | None,
+    *,
+    policy: Policy = POLICY,
+) -> Approval:
+    """Ask a person to decide on an open request; None asks nobody in particular again."""
+    require_person(actor, "assign a request")
+    require_role(actor, "analyst", "operator", "approver", "administrator")
+    approval = get_approval(session, approval_id)
+    require_seen(session, approval, seen_version)
+    if approval.state != "OPEN":
+        raise ConflictError(f"Request {approval.id} is {approval.state}: {who_changed(session, approval)}.")
+    named = None if user_id is None else _signer(session, approval, user_id, policy)
+    approval.assigned_to = None if named is None else named.id
+    asked = "nobody in particular" if named is None else named.printed_name
+    move(session, actor, approval, "OPEN", "assigned", assigned_to=asked)
+    return approval
+
+
+def _signer(session: Session, approval: Approval, user_id: int, policy: Policy) -> User:
+    user = session.get(User, user_id)
+    if user is None:
+        raise NotFoundError(f"There is no user {user_id}.")
+    if user.disabled_utc is not None:
+        raise ConflictError(f"{user.printed_name} is disabled; ask another approver.")
+    found = next((one for one in list_signers(session, approval, policy) if one.user.id == user_id), None)
+    if found is None:
+        raise ConflictError(
+            f"{user.printed_name} cannot sign this request, having no role approver; ask another person."
+        )
+    if found.refusal is not None:
+        raise ConflictError(f"{found.refusal} Ask another approver.")
+    return user
+
+
+def remark(session: Session, actor: Actor, approval_id: int, text: str) -> Remark:
+    """Say something about a request, be it decided or not."""
+    user_id = require_person(actor, "discuss a request")
+    require_role(actor, "analyst", "operator", "approver", "administrator")
+    approval = get_approval(session, approval_id)
+    refuse_control_characters(remark=text)
+    if not text.strip() or len(text) > LONGEST_REMARK:
+        raise RefusedInputError(f"A remark has 1 to {LONGEST_REMARK} characters; this one has {len(text.strip())}.")
+    row = Remark(
+        approval_id=approval.id,
+        user_id=user_id,
+        printed_name=actor.printed_name,
+        text=text.strip(),
+        made_utc=utc_now(),
+    )
+    session.add(row)
+    session.flush()
+    audit.append(session, actor, "remarked", f"{name_subject(approval)}/remarks/{row.id}", None, {"text": row.text})
+    return row
+
+
+def list_remarks(session: Session, approval_id: int) -> Sequence[Remark]:
+    """Return what was said about a request, in order."""
+    return rows.remarks(session, get_approval(session, approval_id).id)
+
+
+def record_opening(session: Session, actor: Actor, approval_id: int, evidence: str) -> Opening:
+    """Keep that a person opened a piece of a request's evidence; only the first time counts."""
+    user_id = require_person(actor, "open evidence")
+    approval = get_approval(session, approval_id)
+    if not EVIDENCE.fullmatch(evidence):
+        raise RefusedInputError("Name the evidence in small letters, digits and -, such as gate-report or radial.")
+    if (known := rows.find_opening(session, approval.id, user_id, evidence)) is not None:
+        return known
+    row = Opening(approval_id=approval.id, user_id=user_id, evidence=evidence, opened_utc=utc_now())
+    session.add(row)
+    session.flush()
+    return row
+
+
+def list_openings(session: Session, approval_id: int) -> Sequence[Opening]:
+    """Return who opened which evidence of a request, in order."""
+    return rows.openings(session, get_approval(session, approval_id).id)
+
+
+def promote(
+    session: Session, actor: Actor, parameter_set_id: int, seen_version: int | None, *, policy: Policy = POLICY
+) -> ParameterSet:
+    """Make an approved set the baseline, supersede the old one and make every other request stale, all in one."""
+    require_role(actor, "operator")
+    require_scope(actor, "parameter-sets")
+    row = get_parameter_set(session, parameter_set_id)
+    require_seen(session, row, seen_version)
+    approval = rows.find_latest(session, row.id, "APPROVED")
+    if row.ground_state != "APPROVED" or approval is None:
+        raise ConflictError(f"{row.name} is {row.ground_state}, not APPROVED: {who_changed(session, row)}.")
+    refuse_expired(session, approval, row)
+    refuse_changed_evidence(session, actor, approval, row)
+    refuse_blocked(session, row)
+    _refuse_lone(session, approval, policy)
+    incumbent = set_rows.baseline(session, row.sensor_id)
+    now = utc_now()
+    if incumbent is not None:
+        incumbent.baseline_to_utc = now
+        move(session, actor, incumbent, "SUPERSEDED", "superseded", reason=f"{row.name} became baseline")
+    row.baseline_from_utc, row.baseline_to_utc = now, None
+    move(session, actor, row, "BASELINE", "promoted", reason=approval.reason, approval=approval.id, kind=approval.kind)
+    record_promotion(session, actor, row, approval)
+    make_others_stale(session, actor, row)
+    update_alarms(session, [row.sensor_id])
+    return row
+
+
+def _refuse_lone(session: Session, approval: Approval, policy: Policy) -> None:
+    """Refuse an approval that lacks second persons: it was signed while four-eyes was off, or its signer made the set."""
+    signed = len(second_persons(session, approval, policy))
+    if signed < approval.needed:
+        raise ConflictError(
+            f"Request {approval.id} has {signed} of {approval.needed} approvals by a second person: it was signed "
+            "while four-eyes was off, or by who created the set. Withdraw it and submit the set again."
+        )
+
+
+SUBMITTABLE = ("CANDIDATE", "WITHDRAWN", "EXPIRED", "SUPERSEDED")
+
+
+def submit(
+    session: Session,
+    actor: Actor,
+    blobs: BlobStore,
+    parameter_set_id: int,
+    reason: str,
+    seen_version: int | None,
+    assessment: GateAssessment | None = None,
+    *,
+    policy: Policy = POLICY,
+) -> Approval:
+    """Ask that a set become baseline, binding the hashes of what an approver will be shown."""
+    require_role(actor, "analyst")
+    row = _submittable(session, actor, parameter_set_id, reason, seen_version)
+    if not reason.strip():
+        raise RefusedInputError("Give the reason why this set should become the baseline.")
+    gates.report_for_submission(session, actor, blobs, row.id, assessment)
+    return _open(session, actor, row, reason.strip(), policy)
+
+
+def roll_back(
+    session: Session,
+    actor: Actor,
+    blobs: BlobStore,
+    parameter_set_id: int,
+    reason: str,
+    seen_version: int | None,
+    assessment: GateAssessment | None = None,
+    *,
+    policy: Policy = POLICY,
+) -> Approval:
+    """Ask that a former baseline become baseline again."""
+    require_role(actor, "analyst", "operator")
+    row = _submittable(session, actor, parameter_set_id, reason, seen_version)
+    if row.baseline_from_utc is None:
+        raise ConflictError(f"{row.name} was never baseline, so there is nothing to roll back to; submit it instead.")
+    if not reason.strip():
+        raise RefusedInputError("Give the reason why the sensor should go back to this set.")
+    gates.report_for_submission(session, actor, blobs, row.id, assessment)
+    return _open(session, actor, row, reason.strip(), policy)
+
+
+def is_submittable(session: Session, actor: Actor, parameter_set_id: int) -> bool:
+    """Whether it is worth while to assess a set for this actor: a request for it would not be refused at once."""
+    may = actor.roles.intersection({"analyst", "operator"}) and (
+        actor.scopes is None or "parameter-sets" in actor.scopes
+    )
+    return bool(may) and get_parameter_set(session, parameter_set_id).ground_state in SUBMITTABLE
+
+
+def _submittable(
+    session: Session, actor: Actor, parameter_set_id: int, reason: str, seen_version: int | None
+) -> ParameterSet:
+    require_scope(actor, "parameter-sets")
+    require_user(actor, "submit a parameter set")
+    refuse_control_characters(reason=reason)
+    row = get_parameter_set(session, parameter_set_id)
+    require_seen(session, row, seen_version)
+    if row.ground_state not in SUBMITTABLE:
+        raise ConflictError(f"{row.name} is {row.ground_state}: {who_changed(session, row)}. It cannot be submitted.")
+    return row
+
+
+def _open(session: Session, actor: Actor, row: ParameterSet, reason: str, policy: Policy) -> Approval:
+    """Open the request, with its time and the approvals that it needs."""
+    bound = bind_evidence(session, row)
+    is_rollback = row.baseline_from_utc is not None
+    days = policy.rollback_days if is_rollback else policy.approval_days
+    approval = Approval(
+        parameter_set_id=row.id,
+        state="OPEN",
+        reason=reason,
+        submitted_utc=utc_now(),
+        submitted_by=require_user(actor, "submit a parameter set"),
+        bound=bound,
+        kind="ROLLBACK" if is_rollback else "PROMOTION",
+        needed=policy.needed(waived=bool(bound["waivers"])),
+        expires_utc=utc_after(days * DAY_S),
+    )
+    session.add(approval)
+    session.flush()
+    told = {"set": row.name, "bound": bound, "kind": approval.kind, "needed": approval.needed}
+    told |= {"expires_utc": approval.expires_utc, "four_eyes": policy.four_eyes}
+    audit.append(session, actor, "opened", name_subject(approval), None, told, reason)
+    move(session, actor, row, "SUBMITTED", "asked to roll back to" if is_rollback else "submitted", reason=reason)
+    return approval
+
+
+def withdraw(
+    session: Session, actor: Actor, parameter_set_id: int, seen_version: int | None, reason: str = ""
+) -> ParameterSet:
+    """Take a request back: its submitter, or an administrator."""
+    require_scope(actor, "parameter-sets")
+    refuse_control_characters(reason=reason)
+    row = get_parameter_set(session, parameter_set_id)
+    require_seen(session, row, seen_version)
+    approval = rows.find_latest(session, row.id, "OPEN", "APPROVED")
+    if row.ground_state not in {"SUBMITTED", "APPROVED"} or approval is None:
+        raise ConflictError(
+            f"{row.name} is {row.ground_state}, not submitted: {who_changed(session, row)}. "
+            "There is nothing to withdraw."
+        )
+    if actor.user_id != approval.submitted_by:
+        require_role(actor, "administrator")
+    approval.closed_utc = utc_now()
+    move(session, actor, approval, "WITHDRAWN", "withdrew", reason=reason.strip() or None)
+    move(session, actor, row, resting_state(row, "WITHDRAWN"), "withdrew", reason=reason.strip() or None)
+    return row

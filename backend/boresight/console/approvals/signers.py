@@ -82,7 +82,6 @@ def refuse_signer(session: Session, actor: Actor, approval: Approval, policy: Po
 
 
 def _listed(parts: Sequence[SetPart]) -> str:
-    """Join what somebody did."""
     return " and ".join(part.deed for part in parts)
 
 

@@ -165,7 +165,6 @@ def expire_due_requests(session: Session) -> Sequence[Approval]:
 
 
 def _expire(session: Session, approval: Approval) -> None:
-    """Close a request as EXPIRED."""
     row = session.get_one(ParameterSet, approval.parameter_set_id)
     approval.closed_utc = utc_now()
     reason = f"nobody decided on it before {approval.expires_utc}"

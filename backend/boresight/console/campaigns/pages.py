@@ -80,7 +80,6 @@ def campaigns_csv(session: Reading, actor: Who) -> Response:  # noqa: ARG001 - w
 
 
 def _csv_row(view: CampaignView, people: Mapping[int, str]) -> dict[str, Any]:
-    """Lay out a campaign for a program."""
     row = view.row
     return {
         "campaign": view.id,
@@ -160,7 +159,6 @@ async def launch_failed(request: Request, actor: Who, campaign_id: int) -> Respo
 
 
 async def _done(request: Request, campaign_id: int, change: Callable[..., Any], words: str) -> Response:
-    """Make a change and go back to the campaign with what came of it."""
     outcome = await attempt(request, change)
     if outcome.refusal is not None:
         return redirect_refused(f"/campaigns/{campaign_id}", outcome.refusal)
@@ -332,7 +330,6 @@ def _page(
     given: FormData | QueryParams,
     outcome: AttemptResult[Any] | None = None,
 ) -> HTMLResponse:
-    """Render the form with what was typed and what the check said."""
     refusal = outcome.refusal if outcome else None
     return render(
         request,

@@ -13,7 +13,7 @@ import sqlalchemy as sa
 
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.fleet.tables import Sensor
-from boresight.console.runs.run_events import Line, write_events
+from boresight.console.runs.queries import Line, write_events
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import seals

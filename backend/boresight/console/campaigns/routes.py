@@ -8,13 +8,77 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.console import schemas as console_schemas
 from boresight.console.access.dependencies import IsDryRun, Reading, Seen, SeenTag, Who, Writing
-from boresight.console.campaigns import schemas
 from boresight.console.campaigns import service as campaigns
 from boresight.console.campaigns.queries import MemberStatus
 from boresight.console.campaigns.service import MOST_SENSORS, CampaignView, MemberRequest, make_result_line
 from boresight.console.operation import Answer, Beside, operations
+from boresight.console.schemas import Document, Row
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import Id, Listing, Page, Paged
+
+
+class Campaign(Row):
+    """One setting over many sensors."""
+
+    versioned_by = ("id", "cancelled_utc", "newest_id")
+    moves_beneath = True  # its counts move under one tag
+    location = "/campaigns/{row.id}"
+
+    id: int
+    label: str
+    preset: str | None
+    settings: Document
+    launched_utc: str
+    launched_by: int | None
+    cancelled_utc: str | None
+    state: str = Field(
+        description="`UNDER WAY`, `CANCELLING`, `CANCELLED`, `SUCCEEDED`, or `ENDED` where a run did not succeed."
+    )
+    sensors: int
+    ended: int = Field(description="Sensors that need no more waiting for.")
+    fraction: float = Field(description="0 to 1.")
+    counts: dict[str, int] = Field(description="Sensors by the state of their run, or `NOT LAUNCHED`.")
+
+
+class CampaignResult(Row):
+    """What one sensor of a campaign came to; null is what its run has not."""
+
+    id: int
+    sensor_id: int
+    sensor: str
+    run_id: int | None
+    state: str = Field(description="Of the run, or `NOT LAUNCHED`.")
+    reason: str | None = Field(description="Why it failed, was lost, was cancelled, or could not be launched.")
+    rms_initial_arc_rad: float | None
+    rms_final_arc_rad: float | None
+    validation_rms_initial_arc_rad: float | None
+    validation_rms_final_arc_rad: float | None
+    status: str | None
+    level: str | None = Field(description="The verdict: normal, caution, serious or critical.")
+    weak_directions: int | None
+    weakest: str | None
+    advice: str | None
+
+
+class RefusedMember(BaseModel):
+    """A sensor that could not have a run, and why."""
+
+    sensor_id: int
+    sensor: str
+    refusal: str
+
+
+class DryRunOfCampaign(BaseModel):
+    """What a campaign would be, from `validate_only=true`."""
+
+    label: str
+    preset: str | None
+    settings: Document
+    sensors: int
+    runs: int
+    predicted_s: float = Field(description="Of all runs together, seconds of computing.")
+    refused: list[RefusedMember]
+
 
 router = operations("/campaigns", tags=["runs"])
 
@@ -64,17 +128,15 @@ class CampaignCancellation(BaseModel):
 
 
 def _shown(view: CampaignView) -> Beside:
-    """Return a campaign with its counts."""
     told = {name: getattr(view, name) for name in ("state", "sensors", "ended", "fraction", "counts", "newest_id")}
     return Beside(view.row, **told)
 
 
 def _require_seen(session: Session, campaign_id: int, seen: Seen) -> None:
-    """Refuse a transition by someone who did not see the campaign as it is."""
-    seen.require(schemas.Campaign, _shown(campaigns.read_campaign(session, campaign_id)), f"Campaign {campaign_id}")
+    seen.require(Campaign, _shown(campaigns.read_campaign(session, campaign_id)), f"Campaign {campaign_id}")
 
 
-@router.get("", summary="List campaigns", response_model=Page[schemas.Campaign])
+@router.get("", summary="List campaigns", response_model=Page[Campaign])
 def list_campaigns(session: Reading, page: Paged) -> Listing[CampaignView]:
     """List campaigns with the counts of their runs, newest first."""
     return page.cut(campaigns.list_campaigns(session, before_id=page.last_id, limit=page.limit + 1), _shown)
@@ -84,8 +146,8 @@ def list_campaigns(session: Reading, page: Paged) -> Listing[CampaignView]:
     "",
     summary="Launch a campaign",
     status_code=202,
-    response_model=schemas.Campaign,
-    responses={200: {"model": schemas.DryRunOfCampaign, "description": "The dry run of `validate_only`."}},
+    response_model=Campaign,
+    responses={200: {"model": DryRunOfCampaign, "description": "The dry run of `validate_only`."}},
 )
 def launch_campaign(order: CampaignLaunch, actor: Who, session: Writing, asked: IsDryRun) -> Beside | Answer:
     """Queue a run for every sensor that can have one; the others are listed with the cause. All or nothing in one transaction."""
@@ -99,26 +161,24 @@ def launch_campaign(order: CampaignLaunch, actor: Who, session: Writing, asked: 
         validate_only=asked or order.validate_only,
     )
     if isinstance(made, dict):
-        return Answer(made, shape=schemas.DryRunOfCampaign, is_trial=True)
+        return Answer(made, shape=DryRunOfCampaign, is_trial=True)
     return _shown(campaigns.read_campaign(session, made.id))
 
 
-@router.get("/{campaign_id}", summary="Read a campaign", response_model=schemas.Campaign)
+@router.get("/{campaign_id}", summary="Read a campaign", response_model=Campaign)
 def get_campaign(campaign_id: Id, session: Reading) -> Beside:
     """Read a campaign: how many of its runs are in each state, and how far it is."""
     return _shown(campaigns.read_campaign(session, campaign_id))
 
 
-@router.get(
-    "/{campaign_id}/results", summary="List what the sensors came to", response_model=Page[schemas.CampaignResult]
-)
+@router.get("/{campaign_id}/results", summary="List what the sensors came to", response_model=Page[CampaignResult])
 def list_campaign_results(campaign_id: Id, session: Reading, page: Paged) -> Listing[MemberStatus]:
     """List the newest run of every sensor with its cause or its figures, in the order of launch."""
     found = campaigns.results(session, campaign_id, after_id=page.last_id or 0, limit=page.limit + 1)
     return page.cut(found, make_result_line)
 
 
-@router.post("/{campaign_id}:cancel", summary="Stop a campaign", response_model=schemas.Campaign)
+@router.post("/{campaign_id}:cancel", summary="Stop a campaign", response_model=Campaign)
 def cancel_campaign(
     campaign_id: Id,
     actor: Who,
@@ -136,7 +196,7 @@ def cancel_campaign(
     "/{campaign_id}:launch-failed",
     summary="Launch again what failed",
     status_code=202,
-    response_model=schemas.Campaign,
+    response_model=Campaign,
 )
 def relaunch_campaign(campaign_id: Id, actor: Who, seen: SeenTag, session: Writing) -> Beside:
     """Queue new runs for the sensors whose run failed, was lost, or could not be launched."""

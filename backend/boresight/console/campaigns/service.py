@@ -24,9 +24,8 @@ from boresight.console.campaigns.queries import Counted, MemberStatus
 from boresight.console.campaigns.tables import Campaign
 from boresight.console.fleet import queries as sensor_rows
 from boresight.console.fleet.tables import Sensor
-from boresight.console.runs.dry_runs import expected_s
+from boresight.console.runs.dry_runs import RunRequest, check_run_request, expected_s, refuse_label
 from boresight.console.runs.presets import chosen_settings
-from boresight.console.runs.requests import RunRequest, check_run_request, refuse_label
 from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES
 from boresight.errors import BoresightError, ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
@@ -235,7 +234,6 @@ def launch_campaign(
 def _dry_run(
     session: Session, plans: Sequence[CampaignMemberPlan], label: str, preset: str | None, settings: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Say what a campaign would be."""
     orders = [place.order for place in plans if place.order is not None]
     refused = [place for place in plans if place.order is None]
     return {
@@ -336,5 +334,4 @@ def results(session: Session, campaign_id: int, *, after_id: int = 0, limit: int
 
 
 def _subject(row: Campaign) -> str:
-    """Name a campaign as the audit log does."""
     return f"campaigns/{row.id}"

@@ -35,7 +35,6 @@ class ProposalComment(BaseModel):
 
 
 def _shown(session: Session, row: ChangeProposal) -> Beside:
-    """Return a proposal with what it changes."""
     return Beside(row, differences=second_person.differences(session, row))
 
 

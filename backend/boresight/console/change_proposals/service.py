@@ -139,7 +139,6 @@ def differences(session: Session, row: ChangeProposal) -> list[ChangedEntry]:
 
 
 def _refuse_decider(session: Session, actor: Actor, row: ChangeProposal) -> None:
-    """Refuse whoever is not a second person for a proposal."""
     user_id = require_person(actor, "confirm or refuse a change")
     require_role(actor, *MAY_CONFIRM[row.kind])
     if user_id == row.proposed_by:
@@ -171,7 +170,6 @@ def _in_force(session: Session, kind: str, sensor_id: int) -> int:
 
 
 def _base(session: Session, row: ChangeProposal) -> Mapping[str, Any]:
-    """Return the document of the version that a proposal was made against."""
     asked = {"before_number": row.base_number + 1, "limit": 1}
     if row.kind == "gate-profile":
         profiles = gate_rows.profiles(session, row.sensor_id, **asked)

@@ -146,7 +146,6 @@ IN_CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row a calib
 
 
 def _known(model: str | None) -> str | None:
-    """Refuse a camera model that does not exist."""
     if model is not None and model not in CAMERA_MODELS:
         raise RefusedInputError(f"There is no camera model {model!r}; choose from {MODELS}.")
     return model

@@ -20,12 +20,9 @@ from weakref import WeakKeyDictionary
 
 from boresight.console.alarms import queries as alarms_queries
 from boresight.console.alarms.tables import Alarm
-from boresight.console.fleet import drift
-from boresight.console.fleet import queries as rows
-from boresight.console.fleet import queries as trends
-from boresight.console.fleet.drift import GROUND_SHIFTED
+from boresight.console.fleet import queries
 from boresight.console.fleet.tables import Sensor
-from boresight.console.fleet.trend import read_trends
+from boresight.console.fleet.trend import GROUND_SHIFTED, document, judge_drift, read_trends
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
 from boresight.platform.db.sessions import Session, utc_now
@@ -36,7 +33,7 @@ TOGETHER = 16  # sensors whose runs are held in memory at once
 
 @dataclass(frozen=True)
 class DriftVerdict:
-    """What `drift.judge_drift` said: its verdict, its sentence, and the figures as JSON."""
+    """What `judge_drift` said: its verdict, its sentence, and the figures as JSON."""
 
     verdict: str
     sentence: str
@@ -61,13 +58,10 @@ def get_drift_verdicts(
     unknown = [sensor.id for sensor in sensors if of_store.get(sensor.id, (None,))[0] != rests_on[sensor.id]]
     anew = unknown if most is None else unknown[:most]
     for start in range(0, len(anew), TOGETHER):
-        asked = rows.sensors(session, anew[start : start + TOGETHER])
+        asked = queries.sensors(session, anew[start : start + TOGETHER])
         for sensor_id, trend in read_trends(session, asked).items():
-            found = drift.judge_drift(trend)
-            of_store[sensor_id] = (
-                rests_on[sensor_id],
-                DriftVerdict(found.verdict, found.sentence, drift.document(found)),
-            )
+            found = judge_drift(trend)
+            of_store[sensor_id] = (rests_on[sensor_id], DriftVerdict(found.verdict, found.sentence, document(found)))
     return {sensor.id: of_store[sensor.id][1] for sensor in sensors if sensor.id in of_store}
 
 
@@ -126,10 +120,10 @@ class SensorFacts:
 
 def list_sensor_statuses(session: Session, sensor_ids: Collection[int] | None = None) -> list[SensorStatus]:
     """Return how every sensor of the fleet stands, or some, by name; a fraction of what their tiles cost."""
-    heads = trends.sensor_heads(session, sensor_ids)
-    baselines, runs = trends.baseline_heads(session, sensor_ids), trends.last_run_heads(session, sensor_ids)
-    onboard, counts = trends.onboard_heads(session, sensor_ids), trends.set_counts(session, sensor_ids)
-    waiting, drifting = trends.waiting_approvals(session, sensor_ids), _drifting(session)
+    heads = queries.sensor_heads(session, sensor_ids)
+    baselines, runs = queries.baseline_heads(session, sensor_ids), queries.last_run_heads(session, sensor_ids)
+    onboard, counts = queries.onboard_heads(session, sensor_ids), queries.set_counts(session, sensor_ids)
+    waiting, drifting = queries.waiting_approvals(session, sensor_ids), _drifting(session)
     known = {
         head.id: SensorFacts(
             baseline=baselines.get(head.id),
@@ -168,9 +162,9 @@ def list_tiles(session: Session, stand: Sequence[SensorStatus], *, documents: bo
     On request sensors and baselines come without their documents.
     """
     ids = [one.sensor_id for one in stand]
-    sensors = {sensor.id: sensor for sensor in trends.sensors(session, ids, documents=documents)}
-    baselines, runs = trends.baselines(session, ids, documents=documents), trends.last_runs(session, ids)
-    onboard, counts = trends.onboard_sets(session, ids), trends.set_counts(session, ids)
+    sensors = {sensor.id: sensor for sensor in queries.sensors(session, ids, documents=documents)}
+    baselines, runs = queries.baselines(session, ids, documents=documents), queries.last_runs(session, ids)
+    onboard, counts = queries.onboard_sets(session, ids), queries.set_counts(session, ids)
     return [
         SensorTile(
             sensor=sensors[one.sensor_id],
@@ -202,7 +196,7 @@ def _ground_shifted(
     is known of them until a later look, or the watch, which judges every sensor in its rounds, has asked.
     """
     asked = [head for head in heads if _is_on_the_ground(known[head.id])]
-    stamps = trends.stamps(session, [head.id for head in asked])
+    stamps = queries.stamps(session, [head.id for head in asked])
     asked = [head for head in asked if head.id in stamps]
     baselines = {head.id: known[head.id].baseline for head in asked}
     judged = get_drift_verdicts(session, asked, baselines, stamps, most=MOST_JUDGED)
@@ -219,7 +213,7 @@ def _drifting(session: Session) -> dict[int | None, Alarm]:
 
 def list_recent_summaries(session: Session, sensor_ids: Collection[int], limit: int) -> dict[int, list[dict[str, Any]]]:
     """Return of some sensors the summaries of their newest runs that succeeded, oldest first."""
-    return trends.recent_summaries(session, sensor_ids, limit)
+    return queries.recent_summaries(session, sensor_ids, limit)
 
 
 def _worst(known: SensorFacts) -> tuple[str, str]:
@@ -258,7 +252,6 @@ def list_findings(known: SensorFacts) -> Iterator[tuple[str, str]]:
 
 
 def _onboard_findings(known: SensorFacts) -> Iterator[tuple[str, str]]:
-    """Yield what the read-backs say about the baseline."""
     for row in known.onboard:
         if row.onboard_state == "MISMATCH":
             yield "critical", f"The read-back of {row.name} does not match what was sent."
@@ -267,7 +260,6 @@ def _onboard_findings(known: SensorFacts) -> Iterator[tuple[str, str]]:
 
 
 def _run_findings(run: Any) -> Iterator[tuple[str, str]]:
-    """Yield what the newest run says."""
     if run is None:
         return
     if run.state in {"FAILED", "LOST"}:
@@ -283,7 +275,7 @@ def _run_findings(run: Any) -> Iterator[tuple[str, str]]:
 def _result_finding(run_id: int, summary: Mapping[str, Any]) -> tuple[str, str]:
     """Say what a finished calibration means for the sensor; critical is kept for what is on board."""
     level = judge_result(summary)
-    status, advice = str(summary.get("status") or "converged"), _first_sentence(summary)
+    status, advice = str(summary.get("status") or "converged"), str(summary.get("advice") or "look at its page.")
     if level == "normal":
         return level, f"Run {run_id} converged."
     if status == "converged":
@@ -298,9 +290,3 @@ def judge_result(summary: Mapping[str, Any]) -> str:
     level = str(summary.get("level") or LEVEL_OF_STATUS.get(status, "serious"))
     doubted = summary.get("advice") or summary.get("weak_directions") or summary.get("chi2_consistent") is False
     return max(level, "caution" if doubted else "normal", key=LEVELS.index)
-
-
-def _first_sentence(summary: Mapping[str, Any]) -> str:
-    """Return the first sentence of a run's advice; where the summary has none, where to look."""
-    advice = str(summary.get("advice") or "look at its page.")
-    return f"{advice.split('. ', maxsplit=1)[0].rstrip('.')}."

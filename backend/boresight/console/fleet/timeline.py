@@ -275,7 +275,6 @@ def read_situations(session: Session) -> list[SensorSituation]:
 
 
 def _learned_later(session: Session, sensor_id: int, time_utc: str) -> Records:
-    """Return the records made after a time of what happened before it."""
     return [
         (row, record)
         for row, record in sensor_rows.records_after(session, sensor_id, time_utc)

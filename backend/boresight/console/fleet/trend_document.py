@@ -22,10 +22,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.cameras import CAMERA_MODELS
-from boresight.console.fleet import drift as drifts
-from boresight.console.fleet.drift import GROUND_SHIFTED, DriftResult, judge_drift
+from boresight.console.fleet import trend as drifts
 from boresight.console.fleet.status import OLD_DAYS, count_days_since
-from boresight.console.fleet.trend import BaselinePeriod, Trend, TrendPoint, get_time_span, read_trend
+from boresight.console.fleet.trend import (
+    GROUND_SHIFTED,
+    BaselinePeriod,
+    DriftResult,
+    Trend,
+    TrendPoint,
+    get_time_span,
+    judge_drift,
+    read_trend,
+)
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.db.sessions import Session
@@ -131,7 +139,6 @@ def _ratio(trend: Trend, own: TrendPoint | None, stars: int) -> float | None:
 
 
 def _reasons(drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, age_d: float | None) -> Sequence[str]:
-    """Return what the answer rests on."""
     said = [drift.sentence]
     if data.sets:
         kinds = f"{len(data.sets)} set{'s' * (len(data.sets) > 1)} of {count(data.stars)} stars"
@@ -178,7 +185,6 @@ def write_trend_document(trend: Trend, found: DriftResult, advice: Advice) -> di
 
 
 def _point(point: TrendPoint) -> dict[str, Any]:
-    """Write a calibration."""
     return {
         "run_id": point.run_id,
         "label": point.label,
@@ -202,7 +208,6 @@ def _point(point: TrendPoint) -> dict[str, Any]:
 
 
 def _period(period: BaselinePeriod) -> dict[str, Any]:
-    """Write a baseline's time."""
     return {
         "parameter_set_id": period.set_id,
         "name": period.name,

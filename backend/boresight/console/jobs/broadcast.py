@@ -35,7 +35,7 @@ from typing import Any
 import orjson
 
 from boresight.console.access import queries as login_sessions
-from boresight.console.runs import run_events
+from boresight.console.runs import queries as run_events
 from boresight.console.runs.tables import RunEvent
 from boresight.platform.actors import Actor
 from boresight.platform.audit import queries as audit

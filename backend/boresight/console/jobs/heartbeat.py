@@ -11,8 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from boresight.console.alarms import rules as clock
-from boresight.console.approvals import proposals
-from boresight.console.approvals import service as approvals
+from boresight.console.approvals import proposals, staleness
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from boresight.platform.jobs.periodic_thread import PeriodicThread
 
@@ -67,9 +66,9 @@ class Heartbeat:
         with open_reading(self._database) as session:
             if clock.is_held(session):
                 return
-            waiting = approvals.is_any_request_due(session) or proposals.any_due(session)
+            waiting = staleness.is_any_request_due(session) or proposals.any_due(session)
         if waiting:
             with open_writing(self._database) as session:
-                approvals.expire_due_requests(session)
+                staleness.expire_due_requests(session)
                 proposals.expire_due(session)
             self._tell()

@@ -65,5 +65,4 @@ async def add(request: Request, actor: Who, kind: str, subject_id: int, text: An
 
 
 def _add(actor: Actor, kind: str, subject_id: int, text: str, session: Session) -> Note:
-    """Hand the text to the service."""
     return notes.add_note(session, actor, kind, subject_id, text)

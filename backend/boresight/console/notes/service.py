@@ -59,7 +59,6 @@ def add_note(session: Session, actor: Actor, kind: str, subject_id: int, text: s
 
 
 def _require_subject(session: Session, kind: str, subject_id: int) -> None:
-    """Refuse a thing that is not there."""
     if kind not in NOTE_SUBJECTS:
         raise NotFoundError(f"There are no notes on {kind}; on {', '.join(NOTE_SUBJECTS)} there are.")
     table, word = TABLES[kind]

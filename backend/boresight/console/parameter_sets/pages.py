@@ -24,9 +24,9 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.console import transitions
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, same_for_roles
-from boresight.console.approvals import gates, promotions, submissions
+from boresight.console.approvals import gates
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals.gate_assessment import assess_before_submission
+from boresight.console.approvals.dependencies import assess_before_submission
 from boresight.console.approvals.pages.gates import make_gates_panel
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet import service as sensors
@@ -129,7 +129,6 @@ def _csv_rows(session: Session, view: TableView, names: RunNames) -> Iterator[di
 
 
 def _csv_row(row: ParameterSet, names: RunNames) -> dict[str, Any]:
-    """Lay out a set for a program."""
     return {
         "number": row.id,
         "set": row.name,
@@ -181,7 +180,7 @@ def list_set_actions(row: ParameterSet, actor: Actor, request: Approval | None) 
     """Say which transitions a set's state has, and why the actor may not make one."""
     submitter = request is not None and request.submitted_by == actor.user_id
     submitted = row.ground_state in {"SUBMITTED", "APPROVED"}
-    submittable, was_baseline = row.ground_state in submissions.SUBMITTABLE, row.baseline_from_utc is not None
+    submittable, was_baseline = row.ground_state in approvals.SUBMITTABLE, row.baseline_from_utc is not None
     return {
         "roll_back": SetAction(
             submittable and was_baseline,
@@ -209,7 +208,6 @@ def list_set_actions(row: ParameterSet, actor: Actor, request: Approval | None) 
 
 
 def _why_not_promote(row: ParameterSet, actor: Actor) -> str | None:
-    """Say why a submitted set is not promoted by this person now."""
     if row.ground_state == "SUBMITTED":
         return "An approver must sign first; then an operator promotes."
     if "operator" not in actor.roles:
@@ -309,13 +307,13 @@ def _page(
 @parameter_set_router.post("/parameter-sets/{set_id:int}/submit")
 async def submit(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
     """Ask that a set become baseline."""
-    return await _asked(request, session, actor, set_id, submissions.submit)
+    return await _asked(request, session, actor, set_id, approvals.submit)
 
 
 @parameter_set_router.post("/parameter-sets/{set_id:int}/roll-back")
 async def roll_back(request: Request, session: Reading, actor: Who, set_id: int) -> Response:
     """Ask that a former baseline become baseline again."""
-    return await _asked(request, session, actor, set_id, submissions.roll_back)
+    return await _asked(request, session, actor, set_id, approvals.roll_back)
 
 
 async def _asked(
@@ -345,7 +343,7 @@ async def withdraw(request: Request, session: Reading, actor: Who, set_id: int) 
     form = await read_texts(request)
 
     def change(session: Session) -> ParameterSet:
-        return submissions.withdraw(session, actor, set_id, seen_version(form), form.get("reason", ""))
+        return approvals.withdraw(session, actor, set_id, seen_version(form), form.get("reason", ""))
 
     return await _changed(request, session, actor, set_id, change, "{} is withdrawn.")
 
@@ -356,7 +354,7 @@ async def promote(request: Request, session: Reading, actor: Who, set_id: int) -
     form = await read_texts(request)
 
     def change(session: Session) -> ParameterSet:
-        return promotions.promote(session, actor, set_id, seen_version(form), policy=request.app.state.policy)
+        return approvals.promote(session, actor, set_id, seen_version(form), policy=request.app.state.policy)
 
     return await _changed(
         request, session, actor, set_id, change, "{} is the baseline now; nothing on board has changed."

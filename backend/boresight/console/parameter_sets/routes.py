@@ -10,9 +10,9 @@ from starlette.responses import Response
 
 from boresight.console import transitions
 from boresight.console.access.dependencies import SAME_FOR_ALL, Blobs, Reading, SeenVersion, ServerPolicy, Who, Writing
-from boresight.console.approvals import promotions, submissions
 from boresight.console.approvals import schemas as approval_schemas
-from boresight.console.approvals.gate_assessment import AssessedBefore
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.dependencies import AssessedBefore
 from boresight.console.approvals.routes import with_signatures
 from boresight.console.operation import Beside, json_response, operations
 from boresight.console.parameter_sets import schemas, service
@@ -115,7 +115,7 @@ def submit_parameter_set(
     blobs: Blobs,
 ) -> Beside:
     """Ask that this set become the baseline. It is held against its gates, and the request binds what was found."""
-    row = submissions.submit(session, actor, blobs, parameter_set_id, submission.reason, seen, measured, policy=policy)
+    row = approvals.submit(session, actor, blobs, parameter_set_id, submission.reason, seen, measured, policy=policy)
     return with_signatures(session, row)
 
 
@@ -136,7 +136,7 @@ def roll_back_parameter_set(
     blobs: Blobs,
 ) -> Beside:
     """Ask that a superseded set become the baseline again; it is signed and promoted like any other, in less time."""
-    row = submissions.roll_back(session, actor, blobs, parameter_set_id, back.reason, seen, measured, policy=policy)
+    row = approvals.roll_back(session, actor, blobs, parameter_set_id, back.reason, seen, measured, policy=policy)
     return with_signatures(session, row)
 
 
@@ -146,7 +146,7 @@ def withdraw_parameter_set(
 ) -> ParameterSet:
     """Take the request for a submitted or approved set back."""
     reason = withdrawal.reason if withdrawal else ""
-    return submissions.withdraw(session, actor, parameter_set_id, seen, reason)
+    return approvals.withdraw(session, actor, parameter_set_id, seen, reason)
 
 
 @router.post("/{parameter_set_id}:promote", summary="Make it the baseline", response_model=schemas.ParameterSet)
@@ -154,4 +154,4 @@ def promote_parameter_set(
     parameter_set_id: Id, actor: Who, seen: SeenVersion, policy: ServerPolicy, session: Writing
 ) -> ParameterSet:
     """Make an approved set the sensor's baseline; the one before is superseded in the same transaction."""
-    return promotions.promote(session, actor, parameter_set_id, seen, policy=policy)
+    return approvals.promote(session, actor, parameter_set_id, seen, policy=policy)

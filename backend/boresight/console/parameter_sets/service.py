@@ -116,7 +116,6 @@ def create_from_run(session: Session, actor: Actor, blobs: BlobStore, run_id: in
 
 
 def _succeeded_run(session: Session, run_id: int) -> Run:
-    """Return a run that has a result."""
     run = session.get(Run, run_id)
     if run is None:
         raise NotFoundError(f"There is no run {run_id}.")

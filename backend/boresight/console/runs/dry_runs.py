@@ -1,11 +1,4 @@
-"""What a run would be, before it is queued: its size, its time, what it will know, and what to beware of.
-
-Forecasts of runs, kept by what they follow from: the table's content address, the sensor's document, the settings.
-
-A forecast takes a tenth of a second and a form asks for one at every change, so those that were made are kept, the latest of them.
-One that cannot be made is a sentence and no refusal: the run may be queued all the same, and will say why it cannot do more.
-
-How much work a run is, before it begins: arcs, seconds.
+"""What a run would be, before it is queued: its request, checked, its size, its time, and what to beware of.
 
 An exposure of N stars gives 2N-3 arcs, so S stars in X exposures give 2S - 3X. The time is that of the newest runs of
 the same method, scaled by the number of stars: every estimator here is linear in it. Where no run has been made yet, a
@@ -15,89 +8,96 @@ down; what it computes meanwhile is not seen, so its pace is used only where no 
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from statistics import median, quantiles
 from typing import Any
 
-from boresight.calibration.evaluation.forecast import MOST_FRAMES, MOST_STARS, forecast
 from boresight.calibration.options import CalibrationSettings
+from boresight.cameras import CAMERA_MODELS
+from boresight.console.fleet.tables import Sensor
 from boresight.console.runs.queries import recent_runs
-from boresight.console.runs.requests import RunRequest
-from boresight.errors import BoresightError, CorruptFileError
-from boresight.platform.blobs.folder import BlobStore
-from boresight.platform.blobs.working_tables import table_path
-from boresight.platform.db.documents import compute_sha256
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.db.sessions import Session
-from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.read.frames import read_sample
+from boresight.platform.jobs.forecasts import ForecastSources
+from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.telemetry.sensors import parse_sensor
 
-KEPT = 500
+LABEL_LENGTH = 200
 
 
 @dataclass(frozen=True)
-class ForecastSources:
-    """What a dry run may look at besides the rows: stored tables and the star catalogue."""
+class RunRequest:
+    """What a run is asked to do, checked."""
 
-    blobs: BlobStore
-    catalogue: Callable[[], Catalogue | None]
-    catalogue_folder: Path
-    _made: OrderedDict[str, dict[str, Any]] = field(default_factory=OrderedDict)
-    _lock: threading.Lock = field(default_factory=threading.Lock)
+    sensor: Sensor
+    telemetry: TelemetrySet
+    validation: TelemetrySet | None
+    settings: CalibrationSettings
+    label: str
 
-    def forecast(
-        self, table_sha256: str, sensor_document: Mapping[str, Any], settings: CalibrationSettings
-    ) -> dict[str, Any]:
-        """Foretell a run; see `calibration.evaluation.forecast`. Without a forecast `at` is None and `sentence` says why."""
-        key = compute_sha256([table_sha256, dict(sensor_document), settings.document()])
-        with self._lock:
-            if key in self._made:
-                self._made.move_to_end(key)
-                return self._made[key]
-        try:
-            made = self._forecast(table_sha256, sensor_document, settings)
-        except CorruptFileError as error:  # until it is restored
-            return unseen(str(error).rstrip("."))
-        with self._lock:
-            self._made[key] = made
-            while len(self._made) > KEPT:
-                self._made.popitem(last=False)
-        return made
+    def columns(self) -> dict[str, Any]:
+        """Return the columns of a run's row that are fixed at its launch."""
+        return {
+            "sensor_id": self.sensor.id,
+            "telemetry_set_id": self.telemetry.id,
+            "validation_set_id": None if self.validation is None else self.validation.id,
+            "method": self.settings.method,
+            "settings": self.settings.document(),
+            "sensor_document": self.sensor.document,
+            "label": self.label,
+        }
 
-    def _forecast(
-        self, table_sha256: str, sensor_document: Mapping[str, Any], settings: CalibrationSettings
-    ) -> dict[str, Any]:
-        """Read the sample and foretell, or say why not."""
-        try:
-            sample = read_sample(table_path(self.blobs, table_sha256), MOST_FRAMES, MOST_STARS)
-            if (catalogue := self.catalogue()) is None:
-                return unseen("this server has no star catalogue")
-            return forecast(sample, parse_sensor(sensor_document), catalogue, settings, self.catalogue_folder)
-        except CorruptFileError:
-            raise
-        except BoresightError as error:
-            return unseen(str(error).rstrip("."))
+    def on_record(self) -> dict[str, Any]:
+        """Return what the audit log keeps of a launch."""
+        return {
+            "sensor": self.sensor.name,
+            "telemetry_set": self.telemetry.name,
+            "settings": self.settings.document(),
+        }
 
 
-def unseen(why: str) -> dict[str, Any]:
-    """Return the forecast of a run that nothing can be foretold of."""
-    return {
-        "sentence": f"No sigma can be foretold: {why}.",
-        "free": [],
-        "sigma": {},
-        "typical_sigma": {},
-        "weak": None,
-        "weak_directions": [],
-        "help": [],
-        "observability": None,
-        "frames_sampled": 0,
-        "frames": 0,
-        "at": None,
-    }
+def check_run_request(
+    session: Session,
+    sensor_id: int,
+    telemetry_set_id: int,
+    settings: Mapping[str, Any],
+    validation_set_id: int | None = None,
+    label: str = "",
+) -> RunRequest:
+    """Check the choices of a run against one another."""
+    sensor = session.get(Sensor, sensor_id)
+    if sensor is None:
+        raise NotFoundError(f"There is no sensor {sensor_id}; choose one of the list.")
+    telemetry = _get_set(session, sensor, telemetry_set_id)
+    validation = None if validation_set_id is None else _get_set(session, sensor, validation_set_id)
+    if validation is not None and validation.id == telemetry.id:
+        raise RefusedInputError(f"{telemetry.name} cannot validate a calibration made from itself; choose another set.")
+    refuse_label(label)
+    parsed = CalibrationSettings.parse(settings)
+    known = CAMERA_MODELS[sensor.document["camera_model"]].parameter_names
+    if strange := [name for name in parsed.free or () if name not in known]:
+        raise RefusedInputError(f"{sensor.name} has no parameter {', '.join(strange)}; choose from {', '.join(known)}.")
+    return RunRequest(sensor, telemetry, validation, parsed, label.strip())
+
+
+def refuse_label(label: str) -> None:
+    """Refuse a label that is too long or holds control characters."""
+    if len(label) > LABEL_LENGTH:
+        raise RefusedInputError(f"The label has {len(label)} characters; shorten it to {LABEL_LENGTH}.")
+    refuse_control_characters(label=label)
+
+
+def _get_set(session: Session, sensor: Sensor, set_id: int) -> TelemetrySet:
+    found = session.get(TelemetrySet, set_id)
+    if found is None:
+        raise NotFoundError(f"There is no telemetry set {set_id}; choose one of the list.")
+    if found.sensor_id != sensor.id:
+        raise RefusedInputError(f"{found.name} is telemetry of another sensor; choose a set of {sensor.name}.")
+    if found.archived_utc is not None:
+        raise ConflictError(f"{found.name} was archived on {found.archived_utc[:10]}; choose a set that is in use.")
+    return found
 
 
 FIRST_GUESS_S_PER_STAR = 5e-5
@@ -220,7 +220,6 @@ def expected_s(session: Session, orders: Sequence[RunRequest]) -> float:
 
 
 def _warnings(order: RunRequest, free: Sequence[str], pairs: int) -> list[str]:
-    """Gather what an analyst should know before queueing."""
     warnings = [str(sentence) for sentence in order.telemetry.quality.get("warnings") or ()]
     if pairs < 10 * len(free):
         warnings.append(f"About {pairs} arcs for {len(free)} parameters is little; free fewer or use a longer set.")

@@ -80,7 +80,6 @@ def list_worst_frames(document: Mapping[str, Any]) -> dict[int, tuple[float, flo
 def _line(
     index: FrameIndex, place_in_list: int, place: int, worst: Mapping[int, tuple[float, float | None]]
 ) -> FrameLine:
-    """Describe a frame by its place in the index."""
     frame = int(index.frame[place])
     detections = int(index.first_row[place + 1] - index.first_row[place])
     return FrameLine(place_in_list, frame, detections, *worst.get(frame, (None, None)))

@@ -2,8 +2,6 @@
 
 Some come with Boresight; the others are the mission's own, saved by an analyst. A saved preset never changes: saving under the same
 name makes its next version, and what was launched with an older one still says so. Archiving takes a version out of the choice.
-
-Queries on presets.
 """
 
 from __future__ import annotations
@@ -12,28 +10,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import sqlalchemy as sa
-
 from boresight.calibration.options import CalibrationSettings
 from boresight.console import list_queries as lists
+from boresight.console.runs import queries
 from boresight.console.runs.tables import Preset
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.web.text_validation import normal_name, refuse_control_characters
-
-
-def newest_of_name(session: Session, name: str) -> Preset | None:
-    """Return the newest version of a name, archived or not."""
-    return session.scalar(sa.select(Preset).where(Preset.name == name).order_by(Preset.number.desc()).limit(1))
-
-
-def newest_in_use(session: Session) -> Sequence[Preset]:
-    """Return the newest version of every name that is not archived, by name."""
-    newest = sa.select(sa.func.max(Preset.id)).where(Preset.archived_utc.is_(None)).group_by(Preset.name)
-    return session.scalars(sa.select(Preset).where(Preset.id.in_(newest)).order_by(Preset.name)).all()
-
 
 NAME_LENGTH = 60
 SENTENCE_LENGTH = 300
@@ -100,7 +85,7 @@ _BY_KEY = {offer.key: offer for offer in BUILT_IN}
 
 def list_offers(session: Session) -> list[OfferedPreset]:
     """Return what can be chosen: Boresight's own, then the newest version of each of the mission's, by name."""
-    return [*BUILT_IN, *map(make_offer, newest_in_use(session))]
+    return [*BUILT_IN, *map(make_offer, queries.presets_in_use(session))]
 
 
 def make_offer(row: Preset) -> OfferedPreset:
@@ -143,7 +128,7 @@ def save_preset(session: Session, actor: Actor, name: str, sentence: str, settin
     name, sentence = normal_name("name", name), sentence.strip()
     _refuse_words(name, sentence)
     document = _whole(settings)
-    before = newest_of_name(session, name)
+    before = queries.newest_preset(session, name)
     if (
         before is not None
         and before.archived_utc is None
@@ -166,7 +151,6 @@ def save_preset(session: Session, actor: Actor, name: str, sentence: str, settin
 
 
 def _refuse_words(name: str, sentence: str) -> None:
-    """Refuse a name or a sentence that would not do in a list."""
     if not name or len(name) > NAME_LENGTH:
         raise RefusedInputError(f"Give the preset a name of up to {NAME_LENGTH} characters.")
     if not sentence or len(sentence) > SENTENCE_LENGTH:

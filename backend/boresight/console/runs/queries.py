@@ -14,26 +14,99 @@ asked to stop never ends as anything but CANCELLED. An event of kind `lost` is w
 many of them as allowed end the run: FAILED when its worker processes died, LOST when only its servers were seen to go.
 The end is put on record in the transaction that writes it; what passes before it is not.
 
-Queries on queued runs: what decides how long each takes, and what a claimed run needs.
-
-Reading many runs: pages of the list, counts, and what past runs tell about the next.
+The log has one line an event, in the order they happened, a sentence for people with the same as fields beside it. Kinds: `state`
+for every change of state, `log` for what the computation says, `lost` for every attempt that died with its worker or its
+server. Writers are one at a time, so numbers ascend in the order of commits and whoever follows the log from a number on
+misses nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, cast
 
 import sqlalchemy as sa
 from sqlalchemy.orm import aliased
 
-from boresight.console.runs.run_events import Line, write_event, write_events
-from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run, RunEvent
+from boresight.console.runs.tables import TERMINAL_RUN_STATES, Preset, Run, RunEvent
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import chain, seals
+from boresight.platform.audit import seals as journals
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import Session, utc_after, utc_now
+
+LEVELS = ("info", "warning", "error")
+LEVEL_OF_STATE = {"FAILED": "error", "LOST": "error", "CANCELLED": "warning", "CANCELLING": "warning"}
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line."""
+
+    kind: str
+    message: str
+    state: str | None = None
+    cause: str | None = None
+    level: str = "info"
+    numbers: Mapping[str, float] | None = None
+
+    @classmethod
+    def log(cls, message: str, numbers: Mapping[str, float] | None = None, *, level: str = "info") -> Line:
+        """Say what a computation says."""
+        return cls("log", message, level=level, numbers=numbers)
+
+    @classmethod
+    def moved(cls, state: str, cause: str | None = None) -> Line:
+        """Say that a run is in another state."""
+        message = f"{state}: {cause}" if cause else state
+        return cls("state", message, state, cause or None, LEVEL_OF_STATE.get(state, "info"))
+
+    @classmethod
+    def begun(cls, attempt: int, owner: str) -> Line:
+        """Say that an attempt computes."""
+        return cls("state", f"RUNNING: attempt {attempt} on {owner}", "RUNNING")
+
+    @classmethod
+    def queued_again(cls, cause: str) -> Line:
+        """Say that a run waits again, its attempt having ended without a result."""
+        return cls("state", f"QUEUED: again, because {cause}", "QUEUED", cause, "warning")
+
+    @classmethod
+    def attempt_ended(cls, attempt: int, cause: str, *, is_lost: bool) -> Line:
+        """Say why an attempt ended without a result, and whether that counts against its run."""
+        kind, level = ("lost", "error") if is_lost else ("log", "warning")
+        return cls(kind, f"Attempt {attempt}: {cause}", cause=cause, level=level)
+
+
+def write_event(session: Session, run_id: int, attempt: int, line: Line) -> None:
+    """Add a line to a run's log."""
+    write_events(session, [(run_id, attempt, line)])
+
+
+def write_events(session: Session, lines: Sequence[tuple[int, int, Line]]) -> None:
+    """Add lines to the logs of runs and their attempts in this order, however many in one statement."""
+    now = utc_now()
+    given = [{"run_id": run_id, "attempt": attempt, "at_utc": now, **asdict(line)} for run_id, attempt, line in lines]
+    if given:
+        session.flush()  # what waits was said before
+        session.execute(sa.insert(RunEvent), journals.chained(session, RunEvent, given))
+
+
+def events_of_run(session: Session, run_id: int, after_id: int, limit: int | None) -> list[RunEvent]:
+    """Return the log of one run in order, from the line after `after_id`; at most `limit` lines, None for all."""
+    query = sa.select(RunEvent).where(RunEvent.run_id == run_id, RunEvent.id > after_id)
+    return list(session.scalars(query.order_by(RunEvent.id).limit(limit)))
+
+
+def newest_event_id(session: Session) -> int:
+    """Return the number of the newest log line of any run; 0 where there is none."""
+    return session.scalar(sa.select(sa.func.max(RunEvent.id))) or 0
+
+
+def events_after(session: Session, after_id: int, limit: int) -> list[RunEvent]:
+    """Return the log lines of all runs in order, from the line after `after_id`."""
+    return list(session.scalars(sa.select(RunEvent).where(RunEvent.id > after_id).order_by(RunEvent.id).limit(limit)))
 
 
 @dataclass(frozen=True)
@@ -338,7 +411,6 @@ def give_up_expired(session: Session, max_attempts: int) -> list[HeldRun]:
 
 
 def _matched(session: Session, statement: sa.Update) -> bool:
-    """Say whether an update changed a row."""
     return session.execute(statement.returning(Run.id)).first() is not None
 
 
@@ -383,3 +455,14 @@ def recent_runs(session: Session, method: str, limit: int) -> list[tuple[dict[st
 def list_sensors(session: Session, run_ids: Collection[int]) -> list[int]:
     """Return the sensors that some runs are of, each once."""
     return list(session.scalars(sa.select(Run.sensor_id).where(Run.id.in_(run_ids)).distinct().order_by(Run.sensor_id)))
+
+
+def newest_preset(session: Session, name: str) -> Preset | None:
+    """Return the newest version of a name, archived or not."""
+    return session.scalar(sa.select(Preset).where(Preset.name == name).order_by(Preset.number.desc()).limit(1))
+
+
+def presets_in_use(session: Session) -> Sequence[Preset]:
+    """Return the newest version of every name that is not archived, by name."""
+    newest = sa.select(sa.func.max(Preset.id)).where(Preset.archived_utc.is_(None)).group_by(Preset.name)
+    return session.scalars(sa.select(Preset).where(Preset.id.in_(newest)).order_by(Preset.name)).all()

@@ -164,7 +164,6 @@ def result_so_far(session: Session, blobs: BlobStore, run_id: Id) -> dict[str, A
 
 
 def _nothing_yet(state: str) -> dict[str, Any]:
-    """Say as a calibration that there is none."""
     status: Literal["running", "none"] = "running" if state in {"QUEUED", "RUNNING", "CANCELLING"} else "none"
     return {"schema": "boresight.calibration/1", "status": status, "run_state": state}
 
@@ -182,12 +181,10 @@ class NewPreset(BaseModel):
 
 
 def _own(offer: OfferedPreset) -> Beside:
-    """Return one of Boresight's own."""
     return Beside(offer, **dict.fromkeys(("id", "number", "created_utc", "created_by", "archived_utc")))
 
 
 def _saved(row: Preset) -> Beside:
-    """Return a saved version."""
     return Beside(row, key=str(row.id), settings=row.document)
 
 

@@ -13,17 +13,16 @@ from typing import Any
 
 from boresight.console import list_queries as lists
 from boresight.console.fleet.tables import Sensor
-from boresight.console.runs import queries as run_lists
-from boresight.console.runs import run_events
+from boresight.console.runs import queries
 from boresight.console.runs.calibration_document import read_result
-from boresight.console.runs.dry_runs import ForecastSources, dry_run
-from boresight.console.runs.requests import check_run_request
+from boresight.console.runs.dry_runs import check_run_request, dry_run
 from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.db.sessions import Session
+from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.text_validation import refuse_control_characters
 
 
@@ -45,7 +44,7 @@ def launch(  # noqa: PLR0913 - who launches what, and four choices by name
     run_request = check_run_request(session, sensor_id, telemetry_set_id, settings, validation_set_id, label)
     if validate_only:
         return dry_run(session, run_request, sight)
-    run = run_lists.add_run(session, **run_request.columns(), launched_by=actor.user_id)
+    run = queries.add_run(session, **run_request.columns(), launched_by=actor.user_id)
     audit.append(session, actor, "launched", f"runs/{run.id}", None, run_request.on_record())
     return run
 
@@ -59,7 +58,7 @@ def cancel(session: Session, actor: Actor, run_id: int, reason: str = "") -> Run
     if before in TERMINAL_RUN_STATES:
         raise ConflictError(f"Run {run_id} is {before} already; there is nothing to stop.")
     said = f"Cancelled by {actor.printed_name}" + (f": {reason.strip()}" if reason.strip() else ".")
-    run_lists.request_cancel(session, run_id, said)
+    queries.request_cancel(session, run_id, said)
     after = get_run(session, run_id)
     if after.state != before:
         audit.append(
@@ -70,7 +69,7 @@ def cancel(session: Session, actor: Actor, run_id: int, reason: str = "") -> Run
 
 def get_run(session: Session, run_id: int) -> Run:
     """Return a run."""
-    run = run_lists.find_run(session, run_id)
+    run = queries.find_run(session, run_id)
     if run is None:
         raise NotFoundError(f"There is no run {run_id}; choose one of the list.")
     return run
@@ -104,22 +103,22 @@ def list_runs(
 
 def runs_of_set(session: Session, telemetry_set_id: int, limit: int) -> tuple[list[Run], int]:
     """Return the newest runs that fitted or validated with a telemetry set, and how many there are."""
-    return run_lists.runs_of_set(session, telemetry_set_id, limit)
+    return queries.runs_of_set(session, telemetry_set_id, limit)
 
 
 def newest_finished(session: Session, sensor_id: int, limit: int) -> list[Run]:
     """Return a sensor's newest runs that succeeded, those with a validation set before all others."""
-    return run_lists.newest_finished(session, sensor_id, limit)
+    return queries.newest_finished(session, sensor_id, limit)
 
 
 def place_in_queue(session: Session, run_id: int) -> int:
     """Return how many runs are in front of one that waits."""
-    return run_lists.count_queued_before(session, run_id)
+    return queries.count_queued_before(session, run_id)
 
 
 def count_by_state(session: Session) -> dict[str, int]:
     """Count the runs in every state, zero where there are none."""
-    counted = run_lists.count_by_state(session)
+    counted = queries.count_by_state(session)
     return {state: counted.get(state, 0) for state in RUN_STATES}
 
 
@@ -161,9 +160,9 @@ def _in_model_order(document: dict[str, Any]) -> dict[str, Any]:
 def log_lines(session: Session, run_id: int, *, after_id: int = 0, limit: int | None = None) -> list[RunEvent]:
     """Return a run's log in order, from the line after `after_id`: all of it, or at most `limit` lines."""
     get_run(session, run_id)
-    return run_events.events_of_run(session, run_id, after_id, limit)
+    return queries.events_of_run(session, run_id, after_id, limit)
 
 
 def find_adjacent_runs(session: Session, run_id: int) -> tuple[int | None, int | None]:
     """Return the numbers of the runs before and after one, None at an end of the list."""
-    return run_lists.neighbours(session, run_id)
+    return queries.neighbours(session, run_id)

@@ -140,7 +140,7 @@ def request_page(
     typed: TypedText | None = None,
 ) -> HTMLResponse:
     """Render a request, with a refused form's words in their place."""
-    approval = approvals.get_approval(session, approval_id)
+    approval = transitions.get_approval(session, approval_id)
     row = transitions.get_parameter_set(session, approval.parameter_set_id)
     sensor = sensors.get_sensor(session, row.sensor_id)
     incumbent = find_bound_incumbent(session, row, approval)
@@ -180,7 +180,6 @@ def request_page(
 
 
 def _decisions(approval: Approval, row: ParameterSet) -> list[tuple[str, str]]:
-    """Name the effect of each decision that the request's state still has."""
     refuse = ("REFUSE", f"Refuse {row.name}")
     return [("APPROVE", f"Approve {row.name} for baseline"), refuse] if approval.state == "OPEN" else [refuse]
 
@@ -277,7 +276,6 @@ def _narrowed(show: str, actor: Actor) -> dict[str, Any]:
 
 
 def _csv_row(entry: InboxRow) -> dict[str, Any]:
-    """Lay out a request for a program."""
     known = entry.approval
     return {
         "request": known.id,
@@ -295,7 +293,6 @@ def _csv_row(entry: InboxRow) -> dict[str, Any]:
 
 
 def _entries(request: Request, session: Session, actor: Actor, found: Sequence[Approval]) -> list[InboxRow]:
-    """Look up what the inbox says of each request."""
     names, policy = read_names(session), request.app.state.policy
     verdicts = gates.verdicts(session, {known.parameter_set_id for known in found})
     return [
@@ -349,7 +346,7 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
     def change(session: Session, proof: PasswordProof) -> tuple[Signature, str]:
         sign = approvals.sign if kind == "sign" else approvals.sign_over_the_shoulder
         made = sign(session, actor, approval_id, *words, proof, seen_version(form), policy=policy)
-        return made, approvals.get_approval(session, approval_id).state
+        return made, transitions.get_approval(session, approval_id).state
 
     outcome = await attempt(request, change, prove)
     if outcome.value is None:
@@ -360,7 +357,6 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
 def _again(
     request: Request, actor: Actor, approval_id: int, refusal: ShownRefusal | None, typed: TypedText
 ) -> HTMLResponse:
-    """Show a request with why it was not signed."""
     with open_reading(request.app.state.engine) as session:
         return request_page(request, session, actor, approval_id, refusal=refusal, typed=typed)
 
@@ -371,7 +367,7 @@ async def open_evidence(
 ) -> Response:
     """Keep that a piece of evidence was opened, and go there."""
     with open_reading(request.app.state.engine) as session:
-        row = transitions.get_parameter_set(session, approvals.get_approval(session, approval_id).parameter_set_id)
+        row = transitions.get_parameter_set(session, transitions.get_approval(session, approval_id).parameter_set_id)
         incumbent = parameter_sets.get_baseline(session, row.sensor_id)
     known = list_evidence_addresses(row, incumbent)
     if evidence not in known:

@@ -5,13 +5,19 @@ Assessing sees frames under two sets, which takes seconds: it is done before the
 The panel of gates that the pages of a set, of a request and of the gates themselves share.
 
 `make_gates_panel` fills it, the macro `gates_panel` of `approvals/gates_panel.html` prints it. Its forms post to `gate_report`.
+
+The limits of a sensor: the form that edits them, what they would have blocked, and every version there was. Everybody may try
+limits on past runs; only an administrator puts them into force. What was typed stays in the form, whether it was tried, refused
+or lost the race with another's change.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import run_in_threadpool
@@ -21,9 +27,11 @@ from boresight.console import transitions
 from boresight.console.access import users
 from boresight.console.access.dependencies import Who, csrf
 from boresight.console.access.passwords import PasswordProof
-from boresight.console.approvals import gate_profiles, gates
+from boresight.console.approvals import gate_profiles, gates, proposals
+from boresight.console.approvals.gate_profiles import TriedProfile
 from boresight.console.approvals.gates import read_gate_inputs
-from boresight.console.approvals.tables import GateReport, Waiver
+from boresight.console.approvals.tables import ChangeProposal, GateProfile, GateReport, Waiver
+from boresight.console.change_proposals import service as second_person
 from boresight.console.fleet import service as sensors
 from boresight.console.pages.rendering import (
     ShownRefusal,
@@ -35,11 +43,15 @@ from boresight.console.pages.rendering import (
     seen_version,
 )
 from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.pages.list import read_names
+from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
-from boresight.platform.actors import Actor, require_role
+from boresight.platform.actors import Actor, Policy, require_role
 from boresight.platform.db.sessions import Session, open_reading, utc_after, utc_now
 from boresight.platform.web.paging import parse_row_id
+from boresight.verdicts.gates import GATES, Gate
 from boresight.verdicts.gates.judgement import GateRow, gate_rows
+from boresight.verdicts.gates.profile import THRESHOLDS
 
 USUAL_DAYS = 7
 ONLY_WAIVERS = "Only an analyst or an approver may waive a gate; ask an administrator for the role."
@@ -114,7 +126,6 @@ def make_gates_panel(
 
 
 def _name(session: Session, report: GateReport | None) -> str:
-    """Return who assessed the set."""
     if report is None or report.created_by is None:
         return "Boresight"
     return users.get_user(session, report.created_by).printed_name
@@ -191,7 +202,6 @@ async def waive(request: Request, actor: Who, set_id: int) -> Response:
 def _waived(
     actor: Actor, set_id: int, typed: TypedWaiver, given: dict[str, str], session: Session, proof: PasswordProof
 ) -> Waiver:
-    """Waive as the form says."""
     days = parse_row_id(typed.days)
     if days is None or days > gates.LONGEST_DAYS:
         raise RefusedInputError(
@@ -200,3 +210,188 @@ def _waived(
     expires_utc = utc_after(days * gates.DAY_S - 1.0)  # a waiver of the longest time is within it
     version = seen_version(given)
     return gates.waive(session, actor, set_id, typed.gate, typed.code, typed.reason, expires_utc, proof, version)
+
+
+BOXES = ("waivable", "must_have_data", "observe_only")
+GOOD_SIDE = {"below": "at most", "above": "at least", "around": "off by no more than a factor of", "met": "must be met"}
+
+
+@dataclass(frozen=True)
+class GateLine:
+    """A gate in the form: what it asks, and what stands in its fields."""
+
+    gate: Gate
+    side: str
+    limit: str
+    marginal: str
+    boxes: Mapping[str, bool]
+
+
+@dataclass(frozen=True)
+class GateProfileContext:
+    """What a form left behind on the page."""
+
+    typed: Mapping[str, Any] | None = None
+    reason: str = ""
+    refusal: ShownRefusal | None = None
+    tried: Sequence[TriedProfile] | None = None
+    changes: Sequence[str] = field(default_factory=tuple)
+
+
+@router.get("/sensors/{sensor_id:int}/gates", response_class=HTMLResponse)
+def gate_profile_page(request: Request, actor: Who, sensor_id: int) -> HTMLResponse:
+    """Show the limits of a sensor."""
+    return _profile_page(request, actor, sensor_id, GateProfileContext())
+
+
+def _profile_page(request: Request, actor: Actor, sensor_id: int, shown: GateProfileContext) -> HTMLResponse:
+    """Render the limits, with what a form left behind."""
+    with open_reading(request.app.state.engine) as session:
+        versions = gate_profiles.list_profiles(session, sensor_id)
+        return render(
+            request,
+            "approvals/gate_profile.html",
+            refused=shown.refusal,
+            sensor=sensors.get_sensor(session, sensor_id),
+            current=versions[0],
+            lines=list_gate_lines(shown.typed or write_form(versions[0].document)),
+            versions=[(row, describe_changes(row, earlier)) for row, earlier in _with_earlier(versions)],
+            names=read_names(session),
+            pending=proposals.open_proposals(session, sensor_id, "gate-profile"),
+            confirmed=proposals.confirmed_by_number(session, sensor_id, "gate-profile"),
+            second_person=request.app.state.policy.second_person,
+            summary=None if shown.tried is None else describe_effect(shown.tried),
+            may_set=None
+            if "administrator" in actor.roles
+            else "Only an administrator sets limits: who sets them neither "
+            "runs nor signs. You may try limits on past runs and ask for them.",
+            shown=shown,
+        )
+
+
+def write_form(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Write a profile as the form's fields."""
+    typed: dict[str, Any] = {}
+    for entry in document["gates"]:
+        for key in THRESHOLDS:
+            typed[f"{entry['name']}.{key}"] = "" if entry[key] is None else f"{entry[key]:.15g}"
+        typed |= {f"{entry['name']}.{key}": entry[key] for key in BOXES}
+    return typed
+
+
+def list_gate_lines(typed: Mapping[str, Any]) -> list[GateLine]:
+    """Lay the form out, a line a gate."""
+    return [
+        GateLine(
+            gate,
+            GOOD_SIDE[gate.direction],
+            typed.get(f"{name}.limit", ""),
+            typed.get(f"{name}.marginal", ""),
+            {key: bool(typed.get(f"{name}.{key}")) for key in BOXES},
+        )
+        for name, gate in GATES.items()
+    ]
+
+
+def read_profile_form(typed: Mapping[str, Any]) -> dict[str, Any]:
+    """Read the form's fields as a profile."""
+    entries = []
+    for name, gate in GATES.items():
+        entry: dict[str, Any] = {"name": name}
+        if gate.direction != "met":
+            entry |= {key: _number(gate, key, str(typed.get(f"{name}.{key}", ""))) for key in THRESHOLDS}
+        if not gate.critical:
+            entry |= {key: bool(typed.get(f"{name}.{key}")) for key in BOXES}
+        entries.append(entry)
+    return {"gates": entries}
+
+
+def _number(gate: Gate, key: str, text: str) -> float | None:
+    """Read a threshold; an empty field is none."""
+    if not text.strip():
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise RefusedInputError(f"{gate.title}: the {key} {text.strip()!r} is no number; leave it empty for none.")
+    return value
+
+
+def _with_earlier(versions: Sequence[GateProfile]) -> list[tuple[GateProfile, GateProfile | None]]:
+    """Pair each version, newest first, with the one before it."""
+    return list(zip(versions, [*versions[1:], None], strict=True))
+
+
+def describe_changes(row: GateProfile, earlier: GateProfile | None) -> list[str]:
+    """Say what a version changed."""
+    if earlier is None:
+        return []
+    changes = []
+    for old, new in zip(earlier.document["gates"], row.document["gates"], strict=True):
+        changes += [
+            f"{GATES[new['name']].title}, {key.replace('_', ' ')}: {_word(old[key])} → {_word(new[key])}"
+            for key in new
+            if old[key] != new[key]
+        ]
+    return changes
+
+
+def _word(value: Any) -> str:
+    if value is None:
+        return "none"
+    return {True: "yes", False: "no"}[value] if isinstance(value, bool) else f"{value:.15g}"
+
+
+def describe_effect(tried: Sequence[TriedProfile]) -> str:
+    """Say in a sentence what limits would have done."""
+    if not tried:
+        return "There is no finished run to try them on."
+    newly = [f"#{one.run.id}" for one in tried if one.blocking and not one.blocking_now]
+    freed = [f"#{one.run.id}" for one in tried if one.blocking_now and not one.blocking]
+    blocked = sum(bool(one.blocking) for one in tried)
+    parts = [f"These limits would have blocked {blocked} of the newest {len(tried)} runs."]
+    parts += [f"Blocked that are not now: {', '.join(newly)}."] if newly else []
+    parts += [f"No longer blocked: {', '.join(freed)}."] if freed else []
+    return " ".join(parts if newly or freed else [*parts, "The same as the limits in force."])
+
+
+@router.post("/sensors/{sensor_id:int}/gates", response_class=HTMLResponse)
+async def change(request: Request, actor: Who, sensor_id: int) -> Response:
+    """Try limits on past runs, or put them into force."""
+    typed = await read_texts(request)
+    if typed.get("action") == "try":
+        return await run_in_threadpool(_try, request, actor, sensor_id, typed)
+    policy = request.app.state.policy
+    outcome = await attempt(request, partial(_set, actor, sensor_id, typed, policy))
+    if outcome.value is None:
+        shown = GateProfileContext(typed, typed.get("reason", ""), outcome.refusal)
+        return await run_in_threadpool(_profile_page, request, actor, sensor_id, shown)
+    if isinstance(outcome.value, ChangeProposal):
+        flash = "Proposed: it takes effect when another administrator confirms it."
+        return redirect(f"/change-proposals/{outcome.value.id}", flash=flash)
+    words = f"Version {outcome.value.number} of the limits is in force; undecided requests are STALE."
+    return redirect(f"/sensors/{sensor_id}/gates", flash=words)
+
+
+def _set(
+    actor: Actor, sensor_id: int, typed: Mapping[str, str], policy: Policy, session: Session
+) -> GateProfile | TableDefinition | ChangeProposal:
+    """Put what was typed into force, or propose it."""
+    seen = parse_row_id(typed.get("number", ""))
+    asked = ("gate-profile", sensor_id, read_profile_form(typed), typed.get("reason", ""), seen)
+    return second_person.change(session, actor, *asked, policy=policy)
+
+
+def _try(request: Request, actor: Actor, sensor_id: int, typed: Mapping[str, str]) -> HTMLResponse:
+    shown = GateProfileContext(typed, typed.get("reason", ""))
+    try:
+        with open_reading(request.app.state.engine) as session:
+            tried = gate_profiles.dry_run(session, request.app.state.blobs, sensor_id, read_profile_form(typed))
+        shown = GateProfileContext(typed, typed.get("reason", ""), tried=tried)
+    except NotFoundError:
+        raise
+    except BoresightError as error:
+        shown = GateProfileContext(typed, typed.get("reason", ""), ShownRefusal.of(error))
+    return _profile_page(request, actor, sensor_id, shown)

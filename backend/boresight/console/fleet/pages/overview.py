@@ -64,7 +64,6 @@ NOTHING = WaitingItems(0, ())
 
 
 def _signatures(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
-    """Find the open requests that this person may sign now."""
     signatory = approvals.signatory(session, actor, policy=policy)
     if signatory is None:
         return NOTHING
@@ -83,7 +82,6 @@ def _requests(session: Session, where: Mapping[str, Any], level: str, words: str
 
 
 def _proposals(session: Session, actor: Actor) -> WaitingItems:
-    """Find the proposed changes that this person may decide on."""
     able = [
         row for row in proposals.open_proposals(session) if second_person.why_not_decide(session, actor, row) is None
     ]
@@ -99,15 +97,14 @@ def _proposals(session: Session, actor: Actor) -> WaitingItems:
     return WaitingItems(len(able), first)
 
 
-def _alarms(session: Session, actor: Actor) -> WaitingItems:
-    """Find the alarms that wait for whoever may handle them."""
+def _alarms(session: Session, actor: Actor, names: Mapping[int, str]) -> WaitingItems:
     if not actor.roles.intersection(alarms.HANDLERS):
         return NOTHING
     newest = alarms.list_alarms(session, alarms.AlarmFilter(state="unacknowledged"), limit=MOST_ACTIONS)
     first = []
     for alarm in newest:
-        gist = alarm.sentence.split(". ", maxsplit=1)[0].rstrip(".")
-        first.append(WaitingAction(alarm.level, f"Alarm {alarm.id}: {gist}.", f"/alarms/{alarm.id}", "Handle"))
+        gist = f"{names.get(alarm.sensor_id or 0, 'A sensor')} drifts." if alarm.kind == "DRIFT" else alarm.sentence
+        first.append(WaitingAction(alarm.level, f"Alarm {alarm.id}: {gist}", f"/alarms/{alarm.id}", "Handle"))
     return WaitingItems(alarms.unacknowledged(session), first)
 
 
@@ -128,7 +125,6 @@ def _sets(session: Session, where: Mapping[str, Any], words: str, label: str) ->
 
 
 def _own_requests(session: Session, actor: Actor) -> Iterator[WaitingItems]:
-    """Yield this person's requests that came back."""
     if actor.user_id is None:
         return
     for state, words in zip(CAME_BACK, ("went stale: evaluate again", "was refused: read why"), strict=True):
@@ -160,7 +156,6 @@ def _next_step(one: SensorStatus, unused: Collection[int]) -> WaitingAction | No
 
 
 def _converged(one: SensorStatus) -> bool:
-    """Tell whether a sensor's newest run came to rest."""
     run = one.last_run
     return run is not None and run.state == "SUCCEEDED" and (run.summary or {}).get("status") == "converged"
 
@@ -218,12 +213,10 @@ def choose_drawn_sensors(standings: Sequence[SensorStatus]) -> Sequence[SensorSt
 
 
 def _shown_first(standings: Sequence[SensorStatus]) -> Sequence[SensorStatus]:
-    """Order the sensors as a page shows them."""
     return standings if len(standings) <= MOST_TILES else sorted(standings, key=lambda one: -LEVELS.index(one.status))
 
 
 def _list_recent_calibrations(session: Session, tiles: Sequence[SensorTile]) -> dict[int, RecentCalibrations]:
-    """Return how each sensor's calibrations went lately."""
     summaries = fleet.list_recent_summaries(session, [tile.sensor.id for tile in tiles], RUNS_IN_A_SPARKLINE)
     drifting = alarms.open_of_sensors(session, "DRIFT", [tile.sensor.id for tile in tiles])
     return {
@@ -248,7 +241,6 @@ def _recorded(session: Session) -> Iterator[RecentEvent]:
 
 
 def _ended_runs(session: Session, names: Mapping[int, str]) -> Iterator[RecentEvent]:
-    """Yield the ends of the newest runs."""
     for run in runs.list_runs(session, state=TERMINAL_RUN_STATES, limit=RECENT_EVENTS):
         if run.ended_utc:
             gist = " · ".join(filter(None, (names.get(run.sensor_id), run.label, run.reason)))
@@ -263,7 +255,6 @@ def _events(session: Session, standings: Sequence[SensorStatus]) -> list[RecentE
 
 
 def _fleet(session: Session) -> FleetView:
-    """Read what everybody is shown."""
     standings = fleet.list_sensor_statuses(session)
     tiles = fleet.list_tiles(session, choose_drawn_sensors(standings), documents=False)
     return FleetView(
@@ -284,7 +275,8 @@ def _ours(session: Session, actor: Actor, desk: FleetView) -> tuple[WaitingItems
     found = desk.by_roles.get(actor.roles)
     if found is None:
         rest = (*_promotions(session, actor), _calibrations(session, desk.standings, actor))
-        found = desk.by_roles[actor.roles] = (_alarms(session, actor), rest)
+        names = {one.sensor_id: one.name for one in desk.standings}
+        found = desk.by_roles[actor.roles] = (_alarms(session, actor, names), rest)
     return found
 
 

@@ -288,7 +288,6 @@ class SensorContext:
 
 
 def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: SensorContext) -> HTMLResponse:
-    """Render a sensor."""
     with open_reading(request.app.state.engine) as session:
         sensor, baseline = sensors.get_sensor(session, sensor_id), parameter_sets.get_baseline(session, sensor_id)
         newest = runs.list_runs(session, sensor_id=sensor_id, limit=RUNS_SHOWN)
@@ -353,7 +352,6 @@ async def edit(
 
 
 def _edit(actor: Actor, sensor_id: int, text: str, version: int | None, session: Session) -> Sensor:
-    """Hand the typed document to the service."""
     return sensors.edit_sensor(session, actor, sensor_id, read_document(text), version)
 
 

@@ -160,7 +160,6 @@ def _standing(session: Session, view: TableView) -> dict[int, SensorStatus] | No
 
 
 def _where(chosen: Mapping[int, SensorStatus] | None) -> dict[str, Any]:
-    """Narrow a view to these sensors."""
     return {} if chosen is None else {"status": None, "among": list(chosen)}
 
 
@@ -171,7 +170,6 @@ def _tiles(session: Session, sensor_ids: Sequence[int], chosen: Mapping[int, Sen
 
 
 def _every_tile(session: Session, view: TableView) -> Iterator[SensorTile]:
-    """Yield the tile of every sensor of a view."""
     chosen = _standing(session, view)
     ids = iter([sensor.id for sensor in read_all(session, view, **_where(chosen))])
     while some := list(islice(ids, ROWS_AT_ONCE)):
@@ -179,7 +177,6 @@ def _every_tile(session: Session, view: TableView) -> Iterator[SensorTile]:
 
 
 def _csv_row(tile: SensorTile) -> dict[str, Any]:
-    """Lay out a sensor for a program."""
     sensor, baseline = tile.sensor, tile.baseline
     document = sensor.document
     return {
@@ -198,7 +195,6 @@ def _csv_row(tile: SensorTile) -> dict[str, Any]:
 
 
 def _page(request: Request, roles: frozenset[str], shown: SensorsContext) -> HTMLResponse:
-    """Render the list and the form."""
     view = read_view(request, SENSORS)
     with open_reading(request.app.state.engine) as session:
         chosen = _standing(session, view)
@@ -222,7 +218,6 @@ def _page(request: Request, roles: frozenset[str], shown: SensorsContext) -> HTM
 
 
 def _models() -> Sequence[tuple[str, Sequence[str]]]:
-    """Return every camera model with its parameters."""
     return [(name, model.parameter_names) for name, model in CAMERA_MODELS.items()]
 
 
@@ -242,7 +237,6 @@ async def register(request: Request, actor: Who) -> Response:
 
 
 def _register(actor: Actor, text: str, session: Session) -> Sensor:
-    """Hand the typed document to the service."""
     return sensors.register_sensor(session, actor, read_document(text))
 
 

@@ -214,7 +214,6 @@ def _unlike(compared: Sequence[MethodRun]) -> list[str]:
 
 
 def _lines(compared: Sequence[MethodRun]) -> list[MethodLine]:
-    """Lay the table out."""
     scores = [method_scores(one.result) for one in compared]
     lines = [
         MethodLine(
@@ -282,19 +281,16 @@ def _against_truth(scores: Sequence[MethodScores]) -> list[MethodLine]:
 
 
 def _settled(one: MethodRun, score: MethodScores) -> str:
-    """Write how long a method took to its end."""
     if is_sequential(one.run.method):
         return MISSING if score.settled_frames is None else _many(score.settled_frames, "frame")
     return MISSING if score.settled_iterations is None else _many(score.settled_iterations, "iteration")
 
 
 def _many(number_of: int, what: str) -> str:
-    """Write so many of something."""
     return f"{count(number_of)} {what}{'' if number_of == 1 else 's'}"
 
 
 def _verdict(value: float | None, consistent: bool | None, digits: int) -> str:
-    """Write a statistic with what its bounds say of it."""
     said = {True: " consistent", False: " not consistent", None: ""}[consistent]
     return MISSING if value is None else f"{number(value, digits)}{said}"
 
@@ -374,7 +370,6 @@ def differences(compared: Sequence[ComparedRun], names: RunNames) -> list[Differ
 
 
 def _description(one: ComparedRun, names: RunNames) -> dict[str, str]:
-    """Describe a run in short texts."""
     run, result = one.run, one.result
     rms, nis = result.get("rms_arc_rad") or {}, result.get("nis") or {}
     held_out = (result.get("validation") or {}).get("rms_arc_rad") or {}
@@ -405,7 +400,6 @@ def _chosen(one: ComparedRun) -> dict[str, Any]:
 
 
 def _text(value: Any) -> str:
-    """Write a setting as a person would."""
     if value is None:
         return "–"
     if isinstance(value, list | tuple):
@@ -441,7 +435,6 @@ def compare_page(
 
 
 def _tables(found: Comparison, view: CompareView, names: RunNames) -> Mapping[str, Any]:
-    """Lay out everything that the page shows of a comparison."""
     rows, lines, pairs = differences(found.compared, names), parameter_lines(found), correlation_lines(found)
     return {
         "rows": [row for row in rows if view.everything or row.differs],

@@ -107,13 +107,11 @@ def round_down(value: float) -> float:
 
 
 def _ticks(size: int) -> list[int]:
-    """Round pixel numbers along an axis."""
     step = max(1, int(round_down(2 * size / TICKS)))
     return list(range(0, size, step))
 
 
 def _mark(star: Mapping[str, Any], names: Sequence[str]) -> DetectionMark:
-    """Lay a detection out."""
     vectors = tuple(
         Vector(name, star[name]["d_px"][1], star[name]["d_px"][0], sum(star[name]["sigma_px"]) / 2)
         for name in names
@@ -125,7 +123,6 @@ def _mark(star: Mapping[str, Any], names: Sequence[str]) -> DetectionMark:
 
 
 def _title(star: Mapping[str, Any]) -> str:
-    """What a detection's tooltip says."""
     number = star["star_id"] or star["given_star_id"]
     said = [f"HIP {number}" if number else "no star", star["fate"]]
     if star["reason"]:
@@ -193,7 +190,6 @@ def make_frames_part(session: Session, request: Request, run: Run) -> dict[str, 
 
 
 def _page(page: FramePage) -> dict[str, Any]:
-    """Give the template its words."""
     return {"frames": page, "shown": SHOWN, "scales": SCALES, "clear_sigma": CLEAR_SIGMA}
 
 
@@ -207,7 +203,6 @@ def _asked_frame(text: str | None) -> str | None:
 
 
 def _first(session: Session, blobs: Any, run: Run, worst: Sequence[FrameLine]) -> str:
-    """The frame to open with."""
     lines = worst or frames.list_frames(session, blobs, run.id, limit=1)
     if not lines:
         raise NotFoundError("The telemetry has no frames.")
@@ -215,7 +210,6 @@ def _first(session: Session, blobs: Any, run: Run, worst: Sequence[FrameLine]) -
 
 
 def _laid_out(view: Mapping[str, Any], worst: Sequence[FrameLine], address: Mapping[str, str]) -> FramePage:
-    """Lay a frame out for the template."""
     exposure = _chosen(view["exposures"], address.get("exposure"))
     if exposure is None:
         return FramePage(why=GONE.format(view["why_nothing"]), view=view, worst=worst, address=address)
@@ -266,7 +260,6 @@ def _written(attitude: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _lines(values: Sequence[float] | None) -> str:
-    """Numbers below one another."""
     return MISSING if values is None else "\n".join(number(value, 3) for value in values)
 
 

@@ -39,13 +39,13 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import AttemptResult, ShownRefusal, attempt, get_texts, redirect, render
 from boresight.console.runs import presets
 from boresight.console.runs import service as runs
-from boresight.console.runs.dry_runs import ForecastSources
 from boresight.console.runs.presets import OfferedPreset
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
+from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.numbers import count, duration
 
@@ -513,7 +513,6 @@ def _answer(
     outcome: AttemptResult[Any],
     form: FormData,
 ) -> HTMLResponse:
-    """Render the form that was sent."""
     sensor_id = parse_row_id(typed.sensor_id)
     offered = offer(session, origin.find, sensor_id, [typed.telemetry_set_id, typed.validation_set_id])
     return _page(request, session, actor, typed, origin, offered, outcome=outcome, form=form)
@@ -540,7 +539,6 @@ def _page(
     outcome: AttemptResult[Any] | None = None,
     form: FormData | None = None,
 ) -> HTMLResponse:
-    """Render the form with what was typed and what the check said."""
     refusal: ShownRefusal | None = outcome.refusal if outcome else None
     words = get_texts(form) if form is not None else request.query_params
     moved = form is not None and form.get("intent") in {"queue", "save"}

@@ -196,7 +196,6 @@ def _fit(status: str | None, level: str) -> str | None:
 
 
 def _from_to(before: float | None, after: float | None) -> str:
-    """Print an RMS before and after."""
     return MISSING if after is None else f"{urad(before)} → {urad(after)}"
 
 
@@ -246,7 +245,6 @@ def runs_csv(request: Request, session: Reading) -> Response:
 
 
 def _csv_row(run: Run, names: RunNames) -> dict[str, Any]:
-    """Lay out a run for a program."""
     line, summary = make_run_line(run, names), run.summary or {}
     return {
         "run": run.id,

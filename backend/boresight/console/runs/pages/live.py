@@ -100,7 +100,6 @@ def _of_failure(run: Run, log: Sequence[RunEvent]) -> list[StateNotice]:
 
 
 def _of_partial(run: Run) -> list[StateNotice]:
-    """Say how far a run had come whose estimate does not count."""
     fraction, message = ((run.progress or {}).get(name) for name in ("fraction", "message"))
     if not fraction:
         return []
@@ -111,7 +110,6 @@ def _of_partial(run: Run) -> list[StateNotice]:
 
 
 def _of_attempts(log: Sequence[RunEvent]) -> list[StateNotice]:
-    """Say why there is more than one attempt."""
     again = [line for line in log if line.state == "QUEUED" and line.cause]
     if not again:
         return []
@@ -129,7 +127,6 @@ def _of_silence(run: Run) -> list[StateNotice]:
 
 
 def _stopping_sentence(run: Run, log: Sequence[RunEvent]) -> str:
-    """Say who asked for the stop and when."""
     asked = [line.at_utc for line in log if line.state == "CANCELLING"]
     since = f"Asked at {clock(asked[-1])}, {duration(seconds_since(asked[-1]))} ago. " if asked else ""
     return (
@@ -158,7 +155,6 @@ def _queue_sentence(session: Session, run: Run, workers: Mapping[str, Any] | Non
 
 
 def _waits_for(session: Session, workers: Mapping[str, Any] | None) -> str:
-    """Say what keeps the first of the queue from starting."""
     if not workers or not workers.get("turns"):
         return NO_WORKERS
     threads = workers.get("threads") or 0

@@ -444,7 +444,6 @@ def get_part_address(run_id: int, part: str) -> str:
 
 
 def _standing(part: str, result: Result, notes: int) -> Standing:
-    """Say with a level and a word how a part stands."""
     if part == "notes" and notes:
         return "standby", count(notes)
     judge = JUDGES.get(part)

@@ -7,7 +7,8 @@ from typing import Annotated
 from fastapi import Depends
 
 from boresight.console.access.dependencies import Database, DryRunSight, Who
-from boresight.console.approvals import gates, submissions
+from boresight.console.approvals import gates
+from boresight.console.approvals import service as approvals
 from boresight.console.approvals.gates import read_gate_inputs
 from boresight.platform.db.sessions import open_reading
 from boresight.platform.web.paging import Id
@@ -21,7 +22,7 @@ def assess_before_submission(
     A report that holds but was made without looking at validation frames does not count where there are some.
     """
     with open_reading(engine) as session:
-        if not submissions.is_submittable(session, actor, parameter_set_id):
+        if not approvals.is_submittable(session, actor, parameter_set_id):
             return None
         case = read_gate_inputs(session, parameter_set_id)
         report = gates.latest_report(session, parameter_set_id)

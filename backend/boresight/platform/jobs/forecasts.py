@@ -1,0 +1,90 @@
+"""Forecasts of runs, kept by what they follow from: the table's content address, the sensor's document, the settings.
+
+A forecast takes a tenth of a second and a form asks for one at every change, so those that were made are kept, the latest of them.
+One that cannot be made is a sentence and no refusal: the run may be queued all the same, and will say why it cannot do more.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from boresight.calibration.evaluation.forecast import MOST_FRAMES, MOST_STARS, forecast
+from boresight.calibration.options import CalibrationSettings
+from boresight.errors import BoresightError, CorruptFileError
+from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.working_tables import table_path
+from boresight.platform.db.documents import compute_sha256
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.read.frames import read_sample
+from boresight.telemetry.sensors import parse_sensor
+
+LABEL_LENGTH = 200
+
+
+KEPT = 500
+
+
+@dataclass(frozen=True)
+class ForecastSources:
+    """What a dry run may look at besides the rows: stored tables and the star catalogue."""
+
+    blobs: BlobStore
+    catalogue: Callable[[], Catalogue | None]
+    catalogue_folder: Path
+    _made: OrderedDict[str, dict[str, Any]] = field(default_factory=OrderedDict)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def forecast(
+        self, table_sha256: str, sensor_document: Mapping[str, Any], settings: CalibrationSettings
+    ) -> dict[str, Any]:
+        """Foretell a run; see `calibration.evaluation.forecast`. Without a forecast `at` is None and `sentence` says why."""
+        key = compute_sha256([table_sha256, dict(sensor_document), settings.document()])
+        with self._lock:
+            if key in self._made:
+                self._made.move_to_end(key)
+                return self._made[key]
+        try:
+            made = self._forecast(table_sha256, sensor_document, settings)
+        except CorruptFileError as error:  # until it is restored
+            return unseen(str(error).rstrip("."))
+        with self._lock:
+            self._made[key] = made
+            while len(self._made) > KEPT:
+                self._made.popitem(last=False)
+        return made
+
+    def _forecast(
+        self, table_sha256: str, sensor_document: Mapping[str, Any], settings: CalibrationSettings
+    ) -> dict[str, Any]:
+        """Read the sample and foretell, or say why not."""
+        try:
+            sample = read_sample(table_path(self.blobs, table_sha256), MOST_FRAMES, MOST_STARS)
+            if (catalogue := self.catalogue()) is None:
+                return unseen("this server has no star catalogue")
+            return forecast(sample, parse_sensor(sensor_document), catalogue, settings, self.catalogue_folder)
+        except CorruptFileError:
+            raise
+        except BoresightError as error:
+            return unseen(str(error).rstrip("."))
+
+
+def unseen(why: str) -> dict[str, Any]:
+    """Return the forecast of a run that nothing can be foretold of."""
+    return {
+        "sentence": f"No sigma can be foretold: {why}.",
+        "free": [],
+        "sigma": {},
+        "typical_sigma": {},
+        "weak": None,
+        "weak_directions": [],
+        "help": [],
+        "observability": None,
+        "frames_sampled": 0,
+        "frames": 0,
+        "at": None,
+    }
