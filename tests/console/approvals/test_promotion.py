@@ -7,9 +7,6 @@ import pytest
 import sqlalchemy as sa
 
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals import service as promotions
-from boresight.console.approvals import service as promotions_module
-from boresight.console.approvals import service as submissions
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.errors import ForbiddenError, StaleError
@@ -30,7 +27,7 @@ def _approve(session: Session, approver: Actor, set_id: int) -> None:
 
 def _promote(engine: Engine, actor: Actor, row: ParameterSet) -> ParameterSet:
     with open_writing(engine) as session:
-        return promotions_module.promote(session, actor, row.id, row.version)
+        return approvals.promote(session, actor, row.id, row.version)
 
 
 def _states(engine: Engine) -> dict[str, str]:
@@ -74,7 +71,7 @@ def test_a_promotion_that_fails_at_its_end_leaves_the_old_baseline(
     def break_down(*_: object) -> None:
         raise OSError("the disk is full")
 
-    monkeypatch.setattr(promotions, "make_others_stale", break_down)
+    monkeypatch.setattr(approvals, "make_others_stale", break_down)
     with pytest.raises(OSError, match="disk"):
         _promote(engine, people["dee"], row)
     assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "APPROVED"}
@@ -134,9 +131,9 @@ def test_rollback_is_a_new_request_for_an_older_set(
     _promote(engine, people["dee"], row)
     with open_writing(engine) as session:
         ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
-        submissions.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
+        approvals.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
         _approve(session, people["cy"], ground.id)
-        promotions_module.promote(session, people["dee"], ground.id, ground.version)
+        approvals.promote(session, people["dee"], ground.id, ground.version)
     assert _states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "SUPERSEDED"}
 
 
@@ -146,6 +143,6 @@ def test_a_rollback_withdrawn_stays_superseded(
     _promote(engine, people["dee"], approved())
     with open_writing(engine) as session:
         ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
-        submissions.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
-        submissions.withdraw(session, people["ana"], ground.id, ground.version)
+        approvals.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
+        approvals.withdraw(session, people["ana"], ground.id, ground.version)
         assert ground.ground_state == "SUPERSEDED"
