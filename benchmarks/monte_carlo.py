@@ -13,7 +13,7 @@ parameters, and the worst), the mean and median NEES with the 95 % bounds that t
 estimator predicts to the one it has, and its time a frame.
 
 **more-data**: of each sensor a set of 200 frames is calibrated and its sigma after further frames is predicted as
-`trust.more_data` does; then the longer set is simulated, on the same orbit from the same start, and calibrated. A cell gives
+`trust.efficiency` does; then the longer set is simulated, on the same orbit from the same start, and calibrated. A cell gives
 predicted over found sigma, the mean over seeds: its geometric mean over parameters, and the parameter farthest from one. The claim
 to meet is 10 % for every parameter. Further frames see other fields, and on some orbits these are richer or poorer than the first
 200: five times the data is where that shows. A filter with process noise has no row: its sigma follows its last few frames,

@@ -7,8 +7,7 @@ import pytest
 
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
-from boresight.simulation.scenarios import parse_scenario
-from boresight.simulation.scenes import simulate
+from boresight.simulation.scenes import parse_scenario, simulate
 from tests.calibration.test_pinhole_radial import SENSOR, TRUTH
 
 WIDE = np.array([1e-3, 1e-4, 10.0, 10.0, 0.1, 20.0])

@@ -13,8 +13,7 @@ from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
 from boresight.figures.chart import Trace
 from boresight.figures.report import render_report
-from boresight.simulation.scenarios import parse_scenario
-from boresight.simulation.scenes import simulate
+from boresight.simulation.scenes import parse_scenario, simulate
 
 TRUTH = {"s": 1.0, "f_m": 0.016, "u0_px": 970.0, "v0_px": 550.0, "k1": -0.5, "k2": 0.5}
 SENSOR = {

@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from boresight.calibration.trust.drop_one import NEEDED, drop_one, drop_one_sentence
-from boresight.calibration.trust.efficiency import arc_length_rad, arc_sigma_map, efficiency
+from boresight.calibration.trust.efficiency import arc_length_rad, arc_sigma_map, efficiency, more_data
 from boresight.calibration.trust.fitted_set import Unavailable, chosen
-from boresight.calibration.trust.more_data import more_data
-from boresight.calibration.trust.two_halves import two_halves
+from boresight.calibration.trust.refits import NEEDED, drop_one, drop_one_sentence, two_halves
 from boresight.estimation import batch
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.estimation.statistics.cramer_rao import centroid_rows

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
-from boresight.simulation import scenarios
-from boresight.simulation.scenarios import calibration_scenario, parse_scenario, scenario_document, validation_scenario
+from boresight.simulation import scenes
+from boresight.simulation.scenes import calibration_scenario, parse_scenario, scenario_document, validation_scenario
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
 from boresight.telemetry.sensors import sensor_document
 
@@ -48,7 +48,7 @@ def test_a_document_reads_back_as_the_scenario_it_was_written_from(scenario):
 
 
 def test_the_example_on_the_modules_page_is_the_first_calibration_set():
-    page = scenarios.__doc__
+    page = scenes.__doc__
     example = parse_scenario(json.loads(page[page.index("{") : page.rindex("}") + 1]))
     assert_same(replace(example, truth=st16_truth(1), seed=100), calibration_scenario(1))
     np.testing.assert_allclose(example.truth[:2], st16_truth(1)[:2])

@@ -60,19 +60,11 @@ REASON = (
 class Conversion:
     """Parameters in the target model.
 
-    Parameters
-    ----------
-    x
-        (n_parameters,) SI, in the target's order.
-    P
-        (n_parameters, n_parameters) their covariance, or None where none was given.
-    misfit_px, rms_px
-        Largest, and root mean square, distance over the detector between where the two models see a star; infinite where the
-        target sees none.
-    misfit_rad, rms_rad
-        The same as angles between the two directions of a pixel.
-    lost_sigma_px
-        Largest one-sigma over the detector of that part of the given covariance which the target cannot express; 0 without one.
+    `x`: (n_parameters,) SI, in the target's order. `P`: (n_parameters, n_parameters) their covariance, or None where none was
+    given. `misfit_px`, `rms_px`: largest, and root mean square, distance over the detector between where the two models see a
+    star; infinite where the target sees none. `misfit_rad`, `rms_rad`: the same as angles between the two directions of a
+    pixel. `lost_sigma_px`: largest one-sigma over the detector of that part of the given covariance which the target cannot
+    express; 0 without one.
     """
 
     x: FloatArray
@@ -89,16 +81,8 @@ def convert(
 ) -> Conversion:
     """Write parameters of one camera model in another, as closely as that can say them.
 
-    Parameters
-    ----------
-    x
-        (n_parameters,) of the source, SI.
-    source, target
-        Names in `CAMERA_MODELS`.
-    detector
-        Rows, columns, and pixel pitch in metres.
-    P
-        (n_parameters, n_parameters) covariance of x.
+    `x`: (n_parameters,) of the source, SI. `source`, `target`: names in `CAMERA_MODELS`. `detector`: rows, columns, and pixel
+    pitch in metres. `P`: (n_parameters, n_parameters) covariance of x.
     """
     if source == target:
         return Conversion(x.copy(), None if P is None else P.copy(), 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -204,24 +188,11 @@ def converted(
 ) -> dict[str, Any]:
     """Write parameters of a sensor in another camera model, schema `boresight.parameters/1`.
 
-    Parameters
-    ----------
-    document
-        Calibration, parameter set, or names and values, as `parameter_file` reads it.
-    sensor
-        Whose parameters they are.
-    name
-        What refusals call the document.
-    target
-        Name of the other model.
-    allowed_px
-        Largest misfit over the detector; `ALLOWED_SHARE` of the sensor's centroid_sigma_px where None.
-
-    Raises
-    ------
-    RefusedInputError
-        When there is no such model, the parameters are none of this sensor, the other model cannot follow them closely enough,
-        or what comes out is no plausible camera; says by how much, and why.
+    `document`: calibration, parameter set, or names and values, as `parameter_file` reads it. `sensor`: whose parameters they
+    are. `name`: what refusals call the document. `target`: name of the other model. `allowed_px`: largest misfit over the
+    detector; `ALLOWED_SHARE` of the sensor's centroid_sigma_px where None. Raises RefusedInputError when there is no such
+    model, the parameters are none of this sensor, the other model cannot follow them closely enough, or what comes out is no
+    plausible camera; says by how much, and why.
     """
     x, P = _given(document, sensor, name, target)
     allowed = ALLOWED_SHARE * sensor.centroid_sigma_px if allowed_px is None else allowed_px
@@ -299,12 +270,7 @@ def sensor_under(sensor: Sensor, written: Mapping[str, Any]) -> Sensor:
     Their typical sigmas are those of the old model carried over, where these are larger than what is usual in the new one: a
     parameter that the old model has not, or holds more closely, must be free to move.
 
-    Parameters
-    ----------
-    sensor
-        Under the old model.
-    written
-        What `converted` gave.
+    `sensor`: under the old model. `written`: what `converted` gave.
     """
     camera = CAMERA_MODELS[written["camera_model"]]
     old = CAMERA_MODELS[sensor.camera_model]
@@ -324,10 +290,7 @@ def sensor_under(sensor: Sensor, written: Mapping[str, Any]) -> Sensor:
 def sensor_file(sensor: Sensor, written: Mapping[str, Any]) -> dict[str, Any]:
     """Write the sensor file of converted parameters.
 
-    Raises
-    ------
-    RefusedInputError
-        When it is no sensor that could be registered; names the field.
+    Raises RefusedInputError when it is no sensor that could be registered; names the field.
     """
     document = sensor_document(sensor_under(sensor, written))
     parse_sensor(document)

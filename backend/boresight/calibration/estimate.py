@@ -27,14 +27,8 @@ from boresight.estimation.stored_arcs import Arcs
 class Compared:
     """A cosine estimate judged by the arcs' true covariance.
 
-    Parameters
-    ----------
-    A
-        (n_free, n_free) the information it has, in typical sigmas.
-    chi2
-        Whitened sum of squares of the arcs at the estimate.
-    remark
-        What a person should know, one sentence or two.
+    `A`: (n_free, n_free) the information it has, in typical sigmas. `chi2`: whitened sum of squares of the arcs at the
+    estimate. `remark`: what a person should know, one sentence or two.
     """
 
     A: FloatArray
@@ -74,14 +68,8 @@ MOVED = 1.0
 class Robustness:
     """Huber's loss beside least squares.
 
-    Parameters
-    ----------
-    threshold
-        In whitened sigmas.
-    downweighted, arcs
-        Arcs beyond it at the estimate, and all.
-    x, x_without
-        (n_parameters,) the estimate, and where least squares ends on the same arcs, SI.
+    `threshold`: in whitened sigmas. `downweighted`, `arcs`: arcs beyond it at the estimate, and all. `x`, `x_without`:
+    (n_parameters,) the estimate, and where least squares ends on the same arcs, SI.
     """
 
     threshold: float
@@ -94,12 +82,8 @@ class Robustness:
 def robust_view(found: Robustness, names: Sequence[str], sigma: FloatArray) -> dict[str, Any]:
     """Write the `robust` object of the calibration JSON.
 
-    Parameters
-    ----------
-    names
-        All parameters of the camera, in order.
-    sigma
-        (n_parameters,) one-sigma of the estimate, SI; NaN where not estimated.
+    `names`: all parameters of the camera, in order. `sigma`: (n_parameters,) one-sigma of the estimate, SI; NaN where not
+    estimated.
     """
     shift = (found.x - found.x_without) / np.where(sigma > 0, sigma, np.nan)
     share, expected = found.downweighted / found.arcs, 2 * float(ndtr(-found.threshold))
@@ -157,28 +141,11 @@ class Parameters:
 class Estimate:
     """An estimate on its way or at its end.
 
-    Parameters
-    ----------
-    x
-        (n_parameters,) state, SI.
-    A
-        (n_free, n_free) information of the data alone, in typical sigmas.
-    P
-        (n_free, n_free) covariance of the estimate in typical sigmas; a filter's includes its start.
-    chi2
-        Whitened sum of squares of the set at x.
-    status
-        As in the contract, or `running`.
-    iterations
-        Batch iterations, or linearisations of a filter in all.
-    steps
-        Batch iterates, empty for a filter.
-    history
-        A filter's updates so far; None for the batch.
-    robust
-        What Huber's loss changed; None for any other estimate.
-    remarks
-        Sentences that a person should read beside the numbers.
+    `x`: (n_parameters,) state, SI. `A`: (n_free, n_free) information of the data alone, in typical sigmas. `P`: (n_free,
+    n_free) covariance of the estimate in typical sigmas; a filter's includes its start. `chi2`: whitened sum of squares of the
+    set at x. `status`: as in the contract, or `running`. `iterations`: batch iterations, or linearisations of a filter in all.
+    `steps`: batch iterates, empty for a filter. `history`: a filter's updates so far; None for the batch. `robust`: what
+    Huber's loss changed; None for any other estimate. `remarks`: sentences that a person should read beside the numbers.
     """
 
     x: FloatArray

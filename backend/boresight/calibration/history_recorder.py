@@ -33,12 +33,8 @@ CHUNK = 16_384
 class IntervalPeaks:
     """Extremes of the interval that each kept update ends, itself included; leading dimension n_kept.
 
-    Parameters
-    ----------
-    nis, dof, frame
-        The largest normalised innovation per degree of freedom, its degrees of freedom, and the frame that it is of.
-    low, high
-        (n_kept, n_parameters) of the states, SI.
+    `nis`, `dof`, `frame`: the largest normalised innovation per degree of freedom, its degrees of freedom, and the frame that
+    it is of. `low`, `high`: (n_kept, n_parameters) of the states, SI.
     """
 
     nis: FloatArray
@@ -51,10 +47,7 @@ class IntervalPeaks:
 class FilterCourse:
     """The history of a filter; arrays named as in `FilterHistory`, and `frame`, the frame number of each update.
 
-    Parameters
-    ----------
-    state
-        Before the first update.
+    `state`: before the first update.
     """
 
     def __init__(self, state: FilterState) -> None:

@@ -45,18 +45,9 @@ class LeftOut:
 class Problem:
     """A telemetry set ready for estimation.
 
-    Parameters
-    ----------
-    sensor
-        Whose telemetry it is.
-    arcs
-        Stars in order, in memory or in files; `phi` and `band` are filled by `whiten_at`.
-    time_utc
-        (n_frames,) time of each frame that takes part, or None.
-    frames_in_set
-        Frames in the telemetry, taking part or not.
-    left_out
-        What takes no part.
+    `sensor`: whose telemetry it is. `arcs`: stars in order, in memory or in files; `phi` and `band` are filled by `whiten_at`.
+    `time_utc`: (n_frames,) time of each frame that takes part, or None. `frames_in_set`: frames in the telemetry, taking part
+    or not. `left_out`: what takes no part.
     """
 
     sensor: Sensor
@@ -112,10 +103,7 @@ def build_problem(
 ) -> Problem:
     """Choose and order the stars of a telemetry set.
 
-    Raises
-    ------
-    RefusedInputError
-        When matched rows can be given no direction at all, see `sky.directions`.
+    Raises RefusedInputError when matched rows can be given no direction at all, see `sky.directions`.
     """
     s_i = star_directions(
         telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue

@@ -30,14 +30,8 @@ BLOCK = 200
 class StarFields:
     """Star fields as a structure of arrays, without noise.
 
-    Parameters
-    ----------
-    star_start
-        (n_fields + 1,) first star of each field.
-    s_i
-        (n_stars, 3) catalogue directions, ICRS.
-    row_px, col_px
-        (n_stars,) where the true camera shows them.
+    `star_start`: (n_fields + 1,) first star of each field. `s_i`: (n_stars, 3) catalogue directions, ICRS. `row_px`, `col_px`:
+    (n_stars,) where the true camera shows them.
     """
 
     star_start: IntArray
@@ -72,24 +66,9 @@ def random_fields(
 ) -> StarFields:
     """Draw star fields.
 
-    Parameters
-    ----------
-    sensor, truth
-        Detector, and its true parameters (n_parameters,).
-    s_i
-        (n, 3) directions of the stars that the sensor sees.
-    n_fields
-        How many; those with too few stars are drawn again.
-    rng
-        Source of randomness.
-    galactic_latitude_deg
-        Boresights lie no farther from the Galactic plane.
-    minimum_stars
-        Of a field.
-
-    Returns
-    -------
-    The fields in the order drawn.
+    `sensor`, `truth`: detector, and its true parameters (n_parameters,). `s_i`: (n, 3) directions of the stars that the sensor
+    sees. `n_fields`: how many; those with too few stars are drawn again. `rng`: source of randomness. `galactic_latitude_deg`:
+    boresights lie no farther from the Galactic plane. `minimum_stars`: of a field. Returns the fields in the order drawn.
     """
     counts: list[IntArray] = []
     stars, rows, columns = list[IntArray](), list[FloatArray](), list[FloatArray]()

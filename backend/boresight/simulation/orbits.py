@@ -66,16 +66,8 @@ CAP_TARGETS = 16
 class Orbit:
     """A circular orbit fixed at a start time.
 
-    Parameters
-    ----------
-    altitude_m
-        Over the equatorial radius.
-    inclination_rad
-        Sun-synchronous ones are a little over 90 deg.
-    node_hour
-        Local solar time of the ascending node, hours.
-    start_utc
-        The instant of t = 0 and argument of latitude 0.
+    `altitude_m`: over the equatorial radius. `inclination_rad`: sun-synchronous ones are a little over 90 deg. `node_hour`:
+    local solar time of the ascending node, hours. `start_utc`: the instant of t = 0 and argument of latitude 0.
     """
 
     altitude_m: float
@@ -174,12 +166,7 @@ def attitude(motion: str, orbit: Orbit, t_s: FloatArray, pointing_rad: float) ->
 def usable(orbit: Orbit, t_s: FloatArray, boresight: FloatArray) -> NDArray[np.bool_]:
     """Tell (n,) where the satellite is in sunlight and neither the Sun nor the Earth comes near the field of view.
 
-    Parameters
-    ----------
-    t_s
-        (n,) seconds after the orbit's start.
-    boresight
-        (n, 3) unit vectors, ICRS.
+    `t_s`: (n,) seconds after the orbit's start. `boresight`: (n, 3) unit vectors, ICRS.
     """
     position, _, _ = state(orbit, t_s)
     sun = sun_direction(orbit.times_utc(t_s))

@@ -87,10 +87,7 @@ SENSOR_NUMBERS = tuple(range(1, len(CHANGES) + 1))
 def st16_sensor(number: int) -> Sensor:
     """Describe sensor 1 to 6 of E Table I as its ground calibration does; all eight parameters free, parity +1.
 
-    Raises
-    ------
-    NotFoundError
-        When there is no such sensor.
+    Raises NotFoundError when there is no such sensor.
     """
     _require_number(number)
     return Sensor(
@@ -128,10 +125,7 @@ def wu_sensor(centroid_sigma_px: float = WU_IMPLIED_SIGMA_PX) -> Sensor:
 def st16_truth(number: int) -> FloatArray:
     """Return the true parameters (8,) of sensor 1 to 6, SI, in state order: ground plus E Table III.
 
-    Raises
-    ------
-    NotFoundError
-        When there is no such sensor.
+    Raises NotFoundError when there is no such sensor.
     """
     _require_number(number)
     truth: FloatArray = GROUND + CHANGES[number - 1] * TYPICAL_SIGMA

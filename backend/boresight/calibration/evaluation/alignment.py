@@ -64,22 +64,10 @@ AXES = ("x (the rows axis)", "y (the columns axis)", "z (the boresight)")
 class Alignment:
     """The mean rotation from attitudes under old parameters to those under new ones.
 
-    Parameters
-    ----------
-    quaternion
-        (4,) R, x y z w.
-    covariance
-        (3, 3) of its rotation vector about the axes of the detector triad, rad²: parameters and scatter.
-    covariance_of_mean
-        (3, 3) from the scatter alone.
-    scatter_rad
-        Root mean square turn of one frame away from the mean.
-    noise_rad
-        The same as centroid noise makes of one attitude, to see the scatter beside.
-    frames
-        How many took part.
-    consistent
-        Whether both halves of the set agree.
+    `quaternion`: (4,) R, x y z w. `covariance`: (3, 3) of its rotation vector about the axes of the detector triad, rad²:
+    parameters and scatter. `covariance_of_mean`: (3, 3) from the scatter alone. `scatter_rad`: root mean square turn of one
+    frame away from the mean. `noise_rad`: the same as centroid noise makes of one attitude, to see the scatter beside.
+    `frames`: how many took part. `consistent`: whether both halves of the set agree.
     """
 
     quaternion: FloatArray
@@ -104,16 +92,9 @@ class Alignment:
 def align(problem: Problem, x_0: FloatArray, x: FloatArray, P: FloatArray) -> Alignment | None:
     """Compare the attitudes of every exposure under two states.
 
-    Parameters
-    ----------
-    x_0, x
-        (n_parameters,) old and new state, SI.
-    P
-        (n_parameters, n_parameters) covariance of x, SI; zero rows for fixed parameters, NaN where not determined.
-
-    Returns
-    -------
-    The alignment; None for fewer than two frames, whose scatter says nothing.
+    `x_0`, `x`: (n_parameters,) old and new state, SI. `P`: (n_parameters, n_parameters) covariance of x, SI; zero rows for
+    fixed parameters, NaN where not determined. Returns the alignment; None for fewer than two frames, whose scatter says
+    nothing.
     """
     arcs, camera = problem.arcs.whole(), problem.camera
     if arcs.n_frames < 2:
@@ -176,12 +157,7 @@ def _between_blocks(theta: FloatArray, weights: FloatArray) -> tuple[FloatArray,
 def sensitivity(problem: Problem, x: FloatArray, sigma_rad: FloatArray) -> FloatArray:
     """J (3, n_parameters): how the mean reported attitude turns with each parameter, rad per SI unit.
 
-    Parameters
-    ----------
-    x
-        (n_parameters,) state, SI.
-    sigma_rad
-        (n_stars,) direction errors that weigh the stars of an attitude.
+    `x`: (n_parameters,) state, SI. `sigma_rad`: (n_stars,) direction errors that weigh the stars of an attitude.
     """
     arcs = problem.arcs.whole()
     chosen, starts = _spread(arcs)

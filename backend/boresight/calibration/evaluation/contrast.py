@@ -69,16 +69,8 @@ class SharedData:
 def covariance_of_difference(P_a: FloatArray, P_b: FloatArray, shared: SharedData) -> FloatArray:
     """Covariance of x_a - x_b.
 
-    Parameters
-    ----------
-    P_a, P_b
-        (n_parameters, n_parameters) covariances, SI; zero rows for what was not estimated.
-    shared
-        What their data have in common.
-
-    Returns
-    -------
-    (n_parameters, n_parameters), without negative eigenvalues.
+    `P_a`, `P_b`: (n_parameters, n_parameters) covariances, SI; zero rows for what was not estimated. `shared`: what their data
+    have in common. Returns (n_parameters, n_parameters), without negative eigenvalues.
     """
     kind = shared.kind
     if kind == "disjoint":
@@ -104,16 +96,9 @@ def sigma_of_difference(P_a: FloatArray, P_b: FloatArray, D: FloatArray) -> Floa
 def joint_test(difference: FloatArray, D: FloatArray, sigma: FloatArray) -> tuple[float, int, float] | None:
     """Test all parameters together: d^T D^+ d, chi-square of as many degrees of freedom as D has directions.
 
-    Parameters
-    ----------
-    difference, D
-        (n_parameters,) x_a - x_b and its covariance, SI.
-    sigma
-        (n_parameters,) of `sigma_of_difference`; parameters without one are left out.
-
-    Returns
-    -------
-    The statistic, its degrees of freedom and the chance of a larger one if the runs had one truth; None where nothing is left.
+    `difference`, `D`: (n_parameters,) x_a - x_b and its covariance, SI. `sigma`: (n_parameters,) of `sigma_of_difference`;
+    parameters without one are left out. Returns the statistic, its degrees of freedom and the chance of a larger one if the
+    runs had one truth; None where nothing is left.
     """
     told = np.isfinite(sigma)
     if not told.any():
@@ -138,16 +123,9 @@ STRONG = 0.5
 class Contrast:
     """One run against the reference; arrays (n_parameters,) in the model's order, SI, NaN where nothing is known.
 
-    Parameters
-    ----------
-    difference
-        The run's value minus the reference's.
-    covariance
-        (n_parameters, n_parameters) of the difference.
-    sigma
-        Of the difference; NaN where what differs is not noise, see `LEAST_SHARE`.
-    joint
-        Statistic, degrees of freedom and p of all parameters together; None where no difference is noise.
+    `difference`: the run's value minus the reference's. `covariance`: (n_parameters, n_parameters) of the difference. `sigma`:
+    of the difference; NaN where what differs is not noise, see `LEAST_SHARE`. `joint`: statistic, degrees of freedom and p of
+    all parameters together; None where no difference is noise.
     """
 
     difference: FloatArray
@@ -210,17 +188,9 @@ def radial_contrast(
 ) -> dict[str, Any] | None:
     """Displacement along the radius of one result against another, with one-sigma; None where a result has none.
 
-    Parameters
-    ----------
-    against
-        Of the two results.
-    detector
-        Rows, columns, and pixel pitch in metres.
-
-    Returns
-    -------
-    dict with `radius_px`, `difference_px`, `sigma_px`, `difference_arcsec`, `sigma_arcsec`, lists of one length with null for
-    what is not noise, and `data_radius_px`, the outermost star that both have seen.
+    `against`: of the two results. `detector`: rows, columns, and pixel pitch in metres. Returns dict with `radius_px`,
+    `difference_px`, `sigma_px`, `difference_arcsec`, `sigma_arcsec`, lists of one length with null for what is not noise, and
+    `data_radius_px`, the outermost star that both have seen.
     """
     camera = CAMERA_MODELS[str(result.get("camera_model"))]
     x, x_0 = (read_values(one, camera.parameter_names) for one in (result, reference))

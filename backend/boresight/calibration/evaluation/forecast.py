@@ -65,23 +65,11 @@ def forecast(
 ) -> dict[str, Any]:
     """Foretell what a calibration of the whole set will know.
 
-    Parameters
-    ----------
-    sample
-        Some of its frames.
-    sensor, catalogue, settings, cache_folder
-        As for `calibrate`.
-
-    Returns
-    -------
-    `sentence`; `free`; `sigma` {name: SI or null}; `typical_sigma`; `weak`, the number of weak directions, and `weak_directions`,
-    a sentence each; `help`, what would make them known; `observability` as in the calibration JSON; `frames_sampled`, `frames`;
-    `at`: `fitted`, `present`, or null where nothing can be foretold.
-
-    Raises
-    ------
-    RefusedInputError
-        When the free parameters are not the sensor's, or directions cannot be had.
+    `sample`: some of its frames. `sensor`, `catalogue`, `settings`, `cache_folder`: as for `calibrate`. Returns `sentence`;
+    `free`; `sigma` {name: SI or null}; `typical_sigma`; `weak`, the number of weak directions, and `weak_directions`, a
+    sentence each; `help`, what would make them known; `observability` as in the calibration JSON; `frames_sampled`, `frames`;
+    `at`: `fitted`, `present`, or null where nothing can be foretold. Raises RefusedInputError when the free parameters are not
+    the sensor's, or directions cannot be had.
     """
     parameters = select_free_parameters(sensor, settings)
     sets = Dataset(

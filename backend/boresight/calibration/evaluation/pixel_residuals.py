@@ -42,20 +42,11 @@ class FreeCovariance:
 class PixelResiduals:
     """Residuals of the stars of some exposures.
 
-    Parameters
-    ----------
-    r
-        (n_stars, 2) residual, row and column, pixels; NaN where an exposure has no attitude.
-    M
-        (n_stars, 2, 2) share of a star's own error in its residual; of a star left out, its error with those of the others.
-    from_sky
-        (n_stars, 2, 2) pixels a radian by which a star would move if its place went east and north.
-    inverse
-        (n_stars, 2, 3) pixels a radian by which a star moves with its direction in D.
-    C
-        (n_exposures, 3, 3) attitude, ICRS to the triad.
-    attitude_covariance
-        (n_exposures, 3, 3) of it about the axes of the triad, rad^2, from centroid noise at known parameters.
+    `r`: (n_stars, 2) residual, row and column, pixels; NaN where an exposure has no attitude. `M`: (n_stars, 2, 2) share of a
+    star's own error in its residual; of a star left out, its error with those of the others. `from_sky`: (n_stars, 2, 2) pixels
+    a radian by which a star would move if its place went east and north. `inverse`: (n_stars, 2, 3) pixels a radian by which a
+    star moves with its direction in D. `C`: (n_exposures, 3, 3) attitude, ICRS to the triad. `attitude_covariance`:
+    (n_exposures, 3, 3) of it about the axes of the triad, rad^2, from centroid noise at known parameters.
     """
 
     r: FloatArray
@@ -76,18 +67,9 @@ def pixel_residuals(
 ) -> PixelResiduals:
     """Residuals at a state.
 
-    Parameters
-    ----------
-    camera, parity
-        Of the sensor.
-    x
-        (n_parameters,) SI.
-    arcs
-        Stars by exposures, directions included; each exposure keeps two stars or more.
-    freedom
-        What the stars decided of the parameters; a covariance of zero takes x as known.
-    kept
-        (n_stars,) stars that attitudes rest on; all when None.
+    `camera`, `parity`: of the sensor. `x`: (n_parameters,) SI. `arcs`: stars by exposures, directions included; each exposure
+    keeps two stars or more. `freedom`: what the stars decided of the parameters; a covariance of zero takes x as known. `kept`:
+    (n_stars,) stars that attitudes rest on; all when None.
     """
     kept = np.ones(arcs.n_stars, np.bool_) if kept is None else kept
     rows = centroid_rows(camera, x, arcs, freedom.free, freedom.scale, kept)

@@ -65,11 +65,9 @@ ADDS_NOTHING = 0.005
 def frame_observability(problem: Problem, parameters: Parameters, estimate: Estimate) -> dict[str, Any]:
     """Judge single frames and references at the estimate.
 
-    Returns
-    -------
-    `frame` (n,), the frames taken; `minimum_singular_value`, by curve (n,): `model_1` ... `model_4`, `sigma_1` ... `sigma_3`;
-    `information`, one entry a reference with `share` of the bound's (geometric mean over the parameters), `least_share` and
-    `least`, the parameter that has it; `sentence`.
+    Returns `frame` (n,), the frames taken; `minimum_singular_value`, by curve (n,): `model_1` ... `model_4`, `sigma_1` ...
+    `sigma_3`; `information`, one entry a reference with `share` of the bound's (geometric mean over the parameters),
+    `least_share` and `least`, the parameter that has it; `sentence`.
     """
     arcs = whiten_at(chosen(problem.arcs.whole(), _taken(problem.arcs.whole())), problem.camera, estimate.x)
     view = View(problem.camera, estimate.x, parameters.free, parameters.scale)

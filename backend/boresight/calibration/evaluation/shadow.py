@@ -32,9 +32,7 @@ MOST_DIFFERING = 1000
 def shadow_view(telemetry: Telemetry, baseline: MatchedFrames, candidate: MatchedFrames) -> dict[str, Any]:
     """Set two sightings of one set side by side.
 
-    Returns
-    -------
-    dict with `frames`, one object a frame and at most `MOST_FRAMES` of them, those that differ first; `frames_in_set`;
+    Returns dict with `frames`, one object a frame and at most `MOST_FRAMES` of them, those that differ first; `frames_in_set`;
     `flight_tolerance_rad`; and `summary` of all frames.
     """
     lost, gained = _moved(baseline, candidate), _moved(candidate, baseline)
@@ -101,12 +99,8 @@ def _ids(seen: MatchedFrames, moved: BoolArray, rows: IntArray) -> list[int]:
 def summary(baseline: BoolArray, candidate: BoolArray, stars_lost: int, stars_gained: int) -> dict[str, Any]:
     """Count what each state alone solves.
 
-    Parameters
-    ----------
-    baseline, candidate
-        (n_frames,) whether each frame is available.
-    stars_lost, stars_gained
-        Sightings of stars that only the baseline, and only the candidate, accepts.
+    `baseline`, `candidate`: (n_frames,) whether each frame is available. `stars_lost`, `stars_gained`: sightings of stars that
+    only the baseline, and only the candidate, accepts.
     """
     b, c = int(np.sum(baseline & ~candidate)), int(np.sum(candidate & ~baseline))
     p = mcnemar(b, c)

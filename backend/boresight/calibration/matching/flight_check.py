@@ -81,20 +81,9 @@ class FlightCheckInput(Protocol):
 class FlightCheck:
     """What the flight code accepts.
 
-    Parameters
-    ----------
-    accepted
-        (n_rows,) matches whose arcs all agree.
-    valid
-        (n_exposures,) whether an attitude would be reported.
-    reason
-        (n_exposures,) index into `FLIGHT_REASONS`, 0 = valid.
-    frames
-        (n_frames,) frame numbers.
-    valid_frames
-        (n_frames,) whether any exposure of the frame is valid.
-    matched_in_frame
-        (n_frames,) accepted matches of its valid exposures.
+    `accepted`: (n_rows,) matches whose arcs all agree. `valid`: (n_exposures,) whether an attitude would be reported. `reason`:
+    (n_exposures,) index into `FLIGHT_REASONS`, 0 = valid. `frames`: (n_frames,) frame numbers. `valid_frames`: (n_frames,)
+    whether any exposure of the frame is valid. `matched_in_frame`: (n_frames,) accepted matches of its valid exposures.
     """
 
     accepted: BoolArray
@@ -133,18 +122,9 @@ def check_flight(
 ) -> FlightCheck:
     """Apply the flight code's check to matches under a state.
 
-    Parameters
-    ----------
-    telemetry, sensor
-        The detections, at least one row, and the camera they are of.
-    matches
-        Which star each detection is, however that was found.
-    x
-        (n_parameters,) state, SI.
-    tolerance_rad
-        Largest disagreement of an arc.
-    minimum_stars
-        Least number of matches of a valid exposure.
+    `telemetry`, `sensor`: the detections, at least one row, and the camera they are of. `matches`: which star each detection
+    is, however that was found. `x`: (n_parameters,) state, SI. `tolerance_rad`: largest disagreement of an arc.
+    `minimum_stars`: least number of matches of a valid exposure.
     """
     camera = CAMERA_MODELS[sensor.camera_model]
     s_d = camera.directions(x, telemetry.row_px, telemetry.col_px, sensor.pixel_pitch_m)

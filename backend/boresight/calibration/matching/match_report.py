@@ -44,18 +44,9 @@ MOST_CYCLES = 3
 class Cycle:
     """One fit or one filter run.
 
-    Parameters
-    ----------
-    cycle
-        Its number, from 1.
-    matched
-        Stars in the arcs it was made from.
-    rematched
-        Stars that its result matches afterwards.
-    changed
-        Detections whose star is another, or gone, or new, afterwards.
-    rms_arc_rad
-        Unweighted RMS of the arcs at its result.
+    `cycle`: its number, from 1. `matched`: stars in the arcs it was made from. `rematched`: stars that its result matches
+    afterwards. `changed`: detections whose star is another, or gone, or new, afterwards. `rms_arc_rad`: unweighted RMS of the
+    arcs at its result.
     """
 
     cycle: int

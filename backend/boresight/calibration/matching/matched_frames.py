@@ -53,16 +53,8 @@ class GivenMatches:
 class MatchedFrames:
     """A set under one state.
 
-    Parameters
-    ----------
-    x
-        (n_parameters,) the state, SI.
-    matches
-        Which star each detection is.
-    view
-        What the flight code accepts of them.
-    tolerance_rad
-        With which tolerance of an arc.
+    `x`: (n_parameters,) the state, SI. `matches`: which star each detection is. `view`: what the flight code accepts of them.
+    `tolerance_rad`: with which tolerance of an arc.
     """
 
     x: FloatArray
@@ -102,21 +94,11 @@ def match_under_states(
 ) -> list[MatchedFrames]:
     """See a set under each of some states.
 
-    Parameters
-    ----------
-    states
-        (n_parameters,) x and (n_parameters, n_parameters) P each, SI: a state and what is known of its error; with P None as
-        little as of a ground calibration.
-    settings
-        `match`, `minimum_stars`, `flight_tolerance_urad`, and what matching looks at. The matches of a file that gives
-        directions but names no stars stand in any case.
-    cache_folder
-        Where lost-in-space identification keeps its tables.
-
-    Raises
-    ------
-    RefusedInputError
-        When rows that name stars can be given no direction at all, see `sky.directions`.
+    `states`: (n_parameters,) x and (n_parameters, n_parameters) P each, SI: a state and what is known of its error; with P None
+    as little as of a ground calibration. `settings`: `match`, `minimum_stars`, `flight_tolerance_urad`, and what matching looks
+    at. The matches of a file that gives directions but names no stars stand in any case. `cache_folder`: where lost-in-space
+    identification keeps its tables. Raises RefusedInputError when rows that name stars can be given no direction at all, see
+    `sky.directions`.
     """
     if settings.match == "given" or (telemetry.star_id is None and telemetry.ra_rad is not None):
         given = read_given_matches(telemetry, sensor, catalogue)

@@ -151,30 +151,14 @@ BLEND_PX = 5.0
 class Matches:
     """A set as matched under some parameters; rows and exposures in file order.
 
-    Parameters
-    ----------
-    star_id
-        (n_rows,) Hipparcos number, 0 = unmatched.
-    s_i
-        (n_rows, 3) apparent direction of the matched star, ICRS; NaN where unmatched.
-    row_reason
-        (n_rows,) place in `sky.matching.ROW_REASONS`.
-    tolerance_rad
-        (n_rows,) radius of the gate each match had to fall in; NaN where unmatched.
-    exposure_start
-        (n_exposures + 1,) first row of each exposure.
-    frame, exposure
-        (n_exposures,) their numbers.
-    start
-        (n_exposures,) place in `sky.matching.STARTS`: where the attitude came from.
-    reason
-        (n_exposures,) place in `sky.matching.EXPOSURE_REASONS`.
-    quaternion
-        (n_exposures, 4) attitude under the parameters matched with, x y z w, ICRS to the right-handed triad of D; NaN where none.
-    attitude_covariance
-        (n_exposures, 3, 3) about the axes of that triad, rad^2: centroid noise and parameters.
-    flags
-        (n_rows,) of the matched star, see `sky.guide_stars`.
+    `star_id`: (n_rows,) Hipparcos number, 0 = unmatched. `s_i`: (n_rows, 3) apparent direction of the matched star, ICRS; NaN
+    where unmatched. `row_reason`: (n_rows,) place in `sky.matching.ROW_REASONS`. `tolerance_rad`: (n_rows,) radius of the gate
+    each match had to fall in; NaN where unmatched. `exposure_start`: (n_exposures + 1,) first row of each exposure. `frame`,
+    `exposure`: (n_exposures,) their numbers. `start`: (n_exposures,) place in `sky.matching.STARTS`: where the attitude came
+    from. `reason`: (n_exposures,) place in `sky.matching.EXPOSURE_REASONS`. `quaternion`: (n_exposures, 4) attitude under the
+    parameters matched with, x y z w, ICRS to the right-handed triad of D; NaN where none. `attitude_covariance`: (n_exposures,
+    3, 3) about the axes of that triad, rad^2: centroid noise and parameters. `flags`: (n_rows,) of the matched star, see
+    `sky.guide_stars`.
     """
 
     star_id: IntArray
@@ -235,16 +219,10 @@ def blend_rad(sensor: Sensor) -> float:
 class Rematcher:
     """A telemetry set ready to be matched under any parameters.
 
-    Parameters
-    ----------
-    telemetry, sensor, catalogue
-        The set, whose it is, and the stars there are.
-    settings
-        `minimum_stars` and `leave_out_doubles` count here.
-    cache_folder
-        Where lost-in-space identification keeps its tables; None makes them anew in every process.
-    sky, epoch
-        Where the telemetry is part of a set: the stars of the whole set, and the first time in it; None takes those of the part.
+    `telemetry`, `sensor`, `catalogue`: the set, whose it is, and the stars there are. `settings`: `minimum_stars` and
+    `leave_out_doubles` count here. `cache_folder`: where lost-in-space identification keeps its tables; None makes them anew in
+    every process. `sky`, `epoch`: where the telemetry is part of a set: the stars of the whole set, and the first time in it;
+    None takes those of the part.
     """
 
     def __init__(

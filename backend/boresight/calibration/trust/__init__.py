@@ -33,15 +33,13 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.trust.advice import trust_advice
 from boresight.calibration.trust.against import residual_against
-from boresight.calibration.trust.drop_one import drop_one, drop_one_sentence
-from boresight.calibration.trust.efficiency import arc_sigma_map, efficiency
+from boresight.calibration.trust.efficiency import arc_sigma_map, efficiency, more_data
 from boresight.calibration.trust.field import residual_distribution, residual_field, residual_outliers
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, fit_best
 from boresight.calibration.trust.innovations import nis_over_time, whiteness, worst_frames
-from boresight.calibration.trust.more_data import more_data
+from boresight.calibration.trust.refits import drop_one, drop_one_sentence, two_halves
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals, residuals
 from boresight.calibration.trust.stars import star_table, stars, stars_sentence
-from boresight.calibration.trust.two_halves import two_halves
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 
@@ -82,18 +80,10 @@ def trust_view(
 ) -> dict[str, Any]:
     """Judge a finished estimate in every way there is.
 
-    Parameters
-    ----------
-    problem, parameters, settings, estimate
-        As `calibrate` has them at its end; the arcs are weighed here.
-    telemetry
-        The set that the problem was built from, with the star numbers that it was built with.
-    catalogue
-        For what it says against a star's place; None says nothing.
-
-    Returns
-    -------
-    The `trust` object of the calibration JSON: every part, null where it cannot be had, with the reason in `unavailable`.
+    `problem`, `parameters`, `settings`, `estimate`: as `calibrate` has them at its end; the arcs are weighed here. `telemetry`:
+    the set that the problem was built from, with the star numbers that it was built with. `catalogue`: for what it says against
+    a star's place; None says nothing. Returns the `trust` object of the calibration JSON: every part, null where it cannot be
+    had, with the reason in `unavailable`.
     """
     view: dict[str, Any] = {
         **dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS, *BESIDE)),

@@ -43,16 +43,8 @@ class Unavailable(Exception):  # noqa: N818 - an answer, not an error
 class FrameSums:
     """What the rows of every frame add up to.
 
-    Parameters
-    ----------
-    chi2
-        (n_frames,) chi2_k.
-    scores, squares
-        (n_frames, n_free) b_k, and the diagonal of H_k^T H_k.
-    leverage
-        (n_frames,) l_k.
-    dof
-        (n_frames,) arcs less leverage.
+    `chi2`: (n_frames,) chi2_k. `scores`, `squares`: (n_frames, n_free) b_k, and the diagonal of H_k^T H_k. `leverage`:
+    (n_frames,) l_k. `dof`: (n_frames,) arcs less leverage.
     """
 
     chi2: FloatArray
@@ -66,16 +58,9 @@ class FrameSums:
 class FittedSet:
     """A finished estimate with its data.
 
-    Parameters
-    ----------
-    problem, parameters, settings, estimate, telemetry, catalogue
-        As `calibrate` has them at its end.
-    x
-        (n_parameters,) best fit of the whole set, SI.
-    arcs
-        The arcs, weighed there.
-    e, H
-        (n_arcs,) whitened residuals and (n_arcs, n_free) scaled Jacobian there.
+    `problem`, `parameters`, `settings`, `estimate`, `telemetry`, `catalogue`: as `calibrate` has them at its end. `x`:
+    (n_parameters,) best fit of the whole set, SI. `arcs`: the arcs, weighed there. `e`, `H`: (n_arcs,) whitened residuals and
+    (n_arcs, n_free) scaled Jacobian there.
     """
 
     problem: Problem
@@ -161,10 +146,7 @@ def fit_best(
 ) -> FittedSet:
     """Find the best fit of the set and take the rows there.
 
-    Raises
-    ------
-    Unavailable
-        When there is nothing to stand on, with the sentence that says why.
+    Raises Unavailable when there is nothing to stand on, with the sentence that says why.
     """
     if estimate.status == "diverged" or not np.isfinite(estimate.x).all():
         raise Unavailable("The fit diverged, so there is no estimate to judge: free fewer parameters or start closer.")

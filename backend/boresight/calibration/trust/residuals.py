@@ -35,18 +35,9 @@ LEAST_SHARE = 1e-6
 class StarResiduals:
     """Residuals of the stars of a set.
 
-    Parameters
-    ----------
-    arcs
-        The frames looked at.
-    frame
-        (n_stars,) frame number.
-    r
-        (n_stars, 2) residual, row and column, pixels; NaN where an exposure has no attitude.
-    M
-        (n_stars, 2, 2) share of a star's own error in its residual.
-    from_sky
-        (n_stars, 2, 2) pixels a radian by which a star would move if its place went east and north.
+    `arcs`: the frames looked at. `frame`: (n_stars,) frame number. `r`: (n_stars, 2) residual, row and column, pixels; NaN
+    where an exposure has no attitude. `M`: (n_stars, 2, 2) share of a star's own error in its residual. `from_sky`: (n_stars,
+    2, 2) pixels a radian by which a star would move if its place went east and north.
     """
 
     arcs: ArcSet
@@ -75,10 +66,7 @@ class StarResiduals:
 def compute_star_residuals(fitted: FittedSet, kept: BoolArray | None = None) -> StarResiduals:
     """Residuals at the estimate.
 
-    Parameters
-    ----------
-    kept
-        (n_stars of the frames looked at,) stars that attitudes rest on; all when None.
+    `kept`: (n_stars of the frames looked at,) stars that attitudes rest on; all when None.
     """
     arcs = fitted.thinned(MOST_FRAMES)
     freedom = FreeCovariance(fitted.parameters.free, fitted.parameters.scale, covariance(fitted.A))

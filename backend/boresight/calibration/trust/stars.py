@@ -41,20 +41,10 @@ BLEND_PX = 5.0
 class StarTable:
     """One entry a star; leading dimension n_stars.
 
-    Parameters
-    ----------
-    star_id, sightings
-        Hipparcos number and how often it was seen.
-    displacement_rad, sigma_rad
-        (n_stars, 2) east and north from the catalogue place, and one-sigma.
-    z
-        Displacement over its sigma: the root of u^T d, spread taken into account.
-    rms_px, worst_z
-        Of its residuals an axis, and the largest single one in sigmas.
-    pixel_rad
-        Angle of a pixel where it was seen.
-    suspect
-        Whether the set contradicts its place.
+    `star_id`, `sightings`: Hipparcos number and how often it was seen. `displacement_rad`, `sigma_rad`: (n_stars, 2) east and
+    north from the catalogue place, and one-sigma. `z`: displacement over its sigma: the root of u^T d, spread taken into
+    account. `rms_px`, `worst_z`: of its residuals an axis, and the largest single one in sigmas. `pixel_rad`: angle of a pixel
+    where it was seen. `suspect`: whether the set contradicts its place.
     """
 
     star_id: IntArray

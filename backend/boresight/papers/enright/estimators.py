@@ -34,8 +34,7 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.estimation.metrics import arc_errors
 from boresight.estimation.statistics.consistency import nees
 from boresight.estimation.statistics.cramer_rao import centroid_rows
-from boresight.simulation.scenarios import Scenario, calibration_scenario, validation_scenario
-from boresight.simulation.scenes import simulate
+from boresight.simulation.scenes import Scenario, calibration_scenario, simulate, validation_scenario
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor

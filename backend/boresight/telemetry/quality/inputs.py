@@ -171,3 +171,13 @@ def row_numbers(inputs: QualityInputs, marked: NDArray[np.bool_]) -> tuple[int, 
 def counted(count: int, one: str, many: str) -> str:
     """Return how many, and what of them in agreement: `1 row names`, `1,204 rows name`."""
     return f"{count:,} {one if count == 1 else many}"
+
+
+def marked_rows(
+    inputs: QualityInputs, code: str, severity: Severity, marked: BoolArray, nouns: tuple[str, str], said: str
+) -> Finding | None:
+    """The finding of marked rows (n_rows,), None where there are none; the sentence: how many of which noun, and what is said."""
+    count = int(marked.sum())
+    if not count:
+        return None
+    return Finding(code, severity, f"{counted(count, *nouns)} {said}", count, row_numbers(inputs, marked))

@@ -47,7 +47,7 @@ from boresight.estimation import MINIMUM_STARS
 from boresight.telemetry.quality.detector import OffDetector, detector_coverage, radial_coverage
 from boresight.telemetry.quality.findings import FINDINGS, SEVERITIES, Finding
 from boresight.telemetry.quality.findings.centroids import off_detector_finding
-from boresight.telemetry.quality.findings.times import gaps_finding
+from boresight.telemetry.quality.findings.columns import gaps_finding
 from boresight.telemetry.quality.inputs import QualityInputs, StarNumbers
 from boresight.telemetry.sampling import Intervals, compute_intervals, compute_sampling
 from boresight.telemetry.schema import Telemetry, joined

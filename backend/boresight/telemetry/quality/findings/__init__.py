@@ -7,22 +7,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from boresight.telemetry.quality.findings import centroids, columns, stars, times
+from boresight.telemetry.quality.findings import centroids, columns, stars
 from boresight.telemetry.quality.inputs import SEVERITIES, Finding, QualityInputs, Severity
 
 FINDINGS: tuple[Callable[[QualityInputs], Finding | None], ...] = (
     stars.nothing_matched,
     stars.few_stars,
     stars.on_one_line,
-    times.frames_descend,
+    columns.frames_descend,
     centroids.stars_off_detector,
     centroids.repeated_stars,
     centroids.repeated_centroids,
-    times.times_missing,
-    times.clock_unset,
-    times.times_descend,
-    times.times_vary_in_exposure,
-    times.sampling_gaps,
+    columns.times_missing,
+    columns.clock_unset,
+    columns.times_descend,
+    columns.times_vary_in_exposure,
+    columns.sampling_gaps,
     stars.unknown_numbers,
     stars.unknown_but_directed,
     stars.many_unmatched,

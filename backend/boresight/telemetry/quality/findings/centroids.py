@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.telemetry.quality.detector import OffDetector, detector_coverage, radial_coverage
-from boresight.telemetry.quality.inputs import Finding, QualityInputs, counted, row_numbers
+from boresight.telemetry.quality.inputs import Finding, QualityInputs, counted, marked_rows, row_numbers
 from boresight.telemetry.schema import repeats_within
 from boresight.telemetry.sensors import Sensor
 
@@ -48,13 +48,9 @@ def off_detector_finding(off: OffDetector, sensor: Sensor) -> Finding | None:
 def detections_off_detector(inputs: QualityInputs) -> Finding | None:
     """Find unmatched detections off the detector."""
     off = ~inputs.matched & ~inputs.on_detector
-    if not off.any():
-        return None
-    sentence = (
-        f"{counted(int(off.sum()), 'unmatched detection is', 'unmatched detections are')} left out of use, off the detector "
-        f"of {inputs.sensor.name}: check row_px and col_px."
-    )
-    return Finding("OFF_DETECTOR_UNMATCHED", "CAUTION", sentence, int(off.sum()), row_numbers(inputs, off))
+    nouns = ("unmatched detection is", "unmatched detections are")
+    said = f"left out of use, off the detector of {inputs.sensor.name}: check row_px and col_px."
+    return marked_rows(inputs, "OFF_DETECTOR_UNMATCHED", "CAUTION", off, nouns, said)
 
 
 def repeated_stars(inputs: QualityInputs) -> Finding | None:
@@ -86,23 +82,20 @@ def repeated_centroids(inputs: QualityInputs) -> Finding | None:
 
 def close_pairs(inputs: QualityInputs) -> Finding | None:
     """Find detections so close to another that each pulls the other's centroid."""
-    close = _close_to_another(inputs)
-    if not close.any():
-        return None
-    what = counted(int(close.sum()), "detection lies", "detections lie")
-    sentence = f"{what} within {_CLOSE_PX:g} px of another in the exposure: blended images have biased centroids."
-    return Finding("CLOSE_PAIRS", "NORMAL", sentence, int(close.sum()), row_numbers(inputs, close))
+    said = f"within {_CLOSE_PX:g} px of another in the exposure: blended images have biased centroids."
+    nouns = ("detection lies", "detections lie")
+    return marked_rows(inputs, "CLOSE_PAIRS", "NORMAL", _close_to_another(inputs), nouns, said)
 
 
 def stuck_detections(inputs: QualityInputs) -> Finding | None:
     """Find unmatched detections that return on the same pixel while the stars move: hot pixels."""
     stuck = _returning(inputs, ~inputs.matched)
     staying_stars = _returning(inputs, inputs.matched)
-    if not stuck.any() or staying_stars.sum() > 0.5 * inputs.matched.sum():
+    if staying_stars.sum() > 0.5 * inputs.matched.sum():
         return None
-    what = counted(int(stuck.sum()), "unmatched detection returns", "unmatched detections return")
-    sentence = f"{what} on the same pixels while the stars move, as hot pixels do: left out of use."
-    return Finding("HOT_PIXELS", "NORMAL", sentence, int(stuck.sum()), row_numbers(inputs, stuck))
+    nouns = ("unmatched detection returns", "unmatched detections return")
+    said = "on the same pixels while the stars move, as hot pixels do: left out of use."
+    return marked_rows(inputs, "HOT_PIXELS", "NORMAL", stuck, nouns, said)
 
 
 def poor_coverage(inputs: QualityInputs) -> Finding | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from boresight.estimation import MINIMUM_STARS
-from boresight.telemetry.quality.inputs import Finding, QualityInputs, Severity, counted, row_numbers
+from boresight.telemetry.quality.inputs import Finding, QualityInputs, Severity, counted, marked_rows, row_numbers
 
 _MANY_UNMATCHED = 0.5
 _MANY_EXPOSURES = 0.2
@@ -77,23 +77,18 @@ def many_unmatched(inputs: QualityInputs) -> Finding | None:
 def unknown_numbers(inputs: QualityInputs) -> Finding | None:
     """Find stars that neither the catalogue knows nor the file gives a direction for."""
     unknown = inputs.unknown & ~inputs.directed
-    if not unknown.any():
-        return None
-    sentence = (
-        f"{counted(int(unknown.sum()), 'row is', 'rows are')} left out of use, for the catalogue does not have the star: "
-        "correct star_id, or give ra_deg and dec_deg."
-    )
-    return Finding("UNKNOWN_STARS", "CAUTION", sentence, int(unknown.sum()), row_numbers(inputs, unknown))
+    said = "left out of use, for the catalogue does not have the star: correct star_id, or give ra_deg and dec_deg."
+    return marked_rows(inputs, "UNKNOWN_STARS", "CAUTION", unknown, ("row is", "rows are"), said)
 
 
 def unknown_but_directed(inputs: QualityInputs) -> Finding | None:
     """Find stars that the catalogue does not have but whose direction the file gives."""
     unknown = inputs.unknown & inputs.directed
-    if not unknown.any():
-        return None
-    what = counted(int(unknown.sum()), "row names a star", "rows name stars")
-    sentence = f"{what} unknown to the catalogue: the direction in the file is used."
-    return Finding("UNKNOWN_STARS_WITH_DIRECTION", "NORMAL", sentence, int(unknown.sum()), row_numbers(inputs, unknown))
+    nouns, said = (
+        ("row names a star", "rows name stars"),
+        "unknown to the catalogue: the direction in the file is used.",
+    )
+    return marked_rows(inputs, "UNKNOWN_STARS_WITH_DIRECTION", "NORMAL", unknown, nouns, said)
 
 
 def absurd_magnitudes(inputs: QualityInputs) -> Finding | None:
@@ -102,11 +97,8 @@ def absurd_magnitudes(inputs: QualityInputs) -> Finding | None:
     if magnitude is None:
         return None
     absurd = (magnitude < _MAGNITUDES[0]) | (magnitude > _MAGNITUDES[1])
-    if not absurd.any():
-        return None
-    what, (least, most) = counted(int(absurd.sum()), "magnitude lies", "magnitudes lie"), _MAGNITUDES
-    sentence = f"{what} outside {least:g} to {most:g}: leave the cell empty where there is no measurement."
-    return Finding("MAGNITUDE_RANGE", "CAUTION", sentence, int(absurd.sum()), row_numbers(inputs, absurd))
+    said = "outside {:g} to {:g}: leave the cell empty where there is no measurement.".format(*_MAGNITUDES)
+    return marked_rows(inputs, "MAGNITUDE_RANGE", "CAUTION", absurd, ("magnitude lies", "magnitudes lie"), said)
 
 
 def mismatched_magnitudes(inputs: QualityInputs) -> Finding | None:
@@ -120,14 +112,11 @@ def mismatched_magnitudes(inputs: QualityInputs) -> Finding | None:
     difference = np.full(len(magnitude), np.nan)
     difference[known] = magnitude[known] - inputs.catalogue.magnitude[index[known]]
     suspect = np.abs(difference - np.nanmedian(difference)) > _MAGNITUDE_MISMATCH
-    if not suspect.any():
-        return None
-    what = counted(int(suspect.sum()), "matched star differs", "matched stars differ")
-    sentence = (
-        f"{what} in brightness by more than {_MAGNITUDE_MISMATCH:g} magnitudes from the catalogue, as false matches do: "
-        "check the matching."
+    nouns = ("matched star differs", "matched stars differ")
+    by = f"in brightness by more than {_MAGNITUDE_MISMATCH:g} magnitudes from the catalogue"
+    return marked_rows(
+        inputs, "MAGNITUDE_MISMATCH", "CAUTION", suspect, nouns, f"{by}, as false matches do: check the matching."
     )
-    return Finding("MAGNITUDE_MISMATCH", "CAUTION", sentence, int(suspect.sum()), row_numbers(inputs, suspect))
 
 
 def velocity_missing(inputs: QualityInputs) -> Finding | None:
@@ -141,9 +130,6 @@ def velocity_missing(inputs: QualityInputs) -> Finding | None:
             "and stretch a 20 degree field by up to 2 arcsec; give vx_km_s, vy_km_s and vz_km_s."
         )
         return Finding("VELOCITY_MISSING", "CAUTION", sentence, int(needed.sum()))
-    missing = needed & inputs.unmoving
-    if not missing.any():
-        return None
-    what = counted(int(missing.sum()), "matched star is", "matched stars are")
-    sentence = f"{what} left out of use for want of a satellite velocity: give it in every row."
-    return Finding("VELOCITY_MISSING", "CAUTION", sentence, int(missing.sum()), row_numbers(inputs, missing))
+    said = "left out of use for want of a satellite velocity: give it in every row."
+    nouns = ("matched star is", "matched stars are")
+    return marked_rows(inputs, "VELOCITY_MISSING", "CAUTION", needed & inputs.unmoving, nouns, said)
