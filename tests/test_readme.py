@@ -113,6 +113,17 @@ def test_the_readme_shows_every_floor_of_the_tree(folder):
     assert folder == "__pycache__" or re.search(rf"^    {folder}/ +\w", README, re.MULTILINE)
 
 
+def test_what_the_readme_says_happens_somewhere_stands_there():
+    section = README.partition("## Where what happens")[2].partition("\n## ")[0]
+    for row in re.findall(r"^\| (?!What|--).*$", section, re.MULTILINE):
+        words = re.findall(r"`([^`]+)`", row)
+        paths = [
+            ROOT / ("" if word.startswith("frontend/") else "backend/boresight") / word for word in words if "." in word
+        ]
+        text = "".join(path.read_text() for path in paths)
+        assert [word for word in words if "." not in word and not re.search(rf"\b{word}\b", text)] == []
+
+
 def test_the_changelog_tells_this_version():
     assert f"\n## {boresight.__version__}\n" in (ROOT / "CHANGELOG.md").read_text()
     assert PROJECT["version"] == boresight.__version__
