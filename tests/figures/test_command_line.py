@@ -7,7 +7,7 @@ import pytest
 
 from boresight.calibration.options import CalibrationSettings
 from boresight.cli import main
-from boresight.figures.notebook import calibrate_command
+from boresight.figures.report import calibrate_command
 
 CHANGED = {
     "method": "sqrf", "variant": "q", "free": ["f_m", "m0_px"], "match": "given", "match_parameters": "baseline",

@@ -8,13 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.figures.style import theme
-from boresight.figures.style.theme import PANELS, THEMES, TOKENS, contrast, read_themes
+from boresight.figures.style.theme import THEMES, TOKENS, read_themes
 from boresight.resources import folder
 
 STATIC = folder("frontend") / "static"
 SHEETS = sorted(STATIC.rglob("*.css"))
 EVERY_THEME = pytest.mark.parametrize("tokens", TOKENS.values(), ids=TOKENS)
 LETTERS, SHAPES = 4.5, 3.0
+PANELS = ("surface-1", "surface-2")  # what a plot may stand on
 SURFACES = ("surface-0", "surface-1", "surface-2", "surface-3")
 STATUS = ("critical", "serious", "caution", "normal", "standby", "off")
 WRITTEN_ON = [
@@ -28,6 +29,18 @@ DRAWN_ON = [
     *itertools.product(("edge",), SURFACES[:3]),
     *itertools.product(("plot", *(f"run-{place}" for place in range(1, 9)), "reference", "truth"), PANELS),
 ]
+
+
+def luminance(colour: str) -> float:
+    channels = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def contrast(one: str, other: str) -> float:
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
 
 colours = st.integers(0, 0xFFFFFF).map("#{:06x}".format)
 

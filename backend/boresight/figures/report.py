@@ -2,16 +2,12 @@
 
 The drawing library and the figures are inside the file; a content security policy in it forbids every connection.
 Everything that came from outside is escaped: text by the template, data by writing `<` as its JSON escape.
-
-Embedded figures: library, data and colours are written into one HTML file.
-
-Everything that came from outside is escaped: in a script element only `<` could end it, so it is written as its JSON
-escape. `figures/drawn_figures.html` is the part of the page that draws them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from shlex import quote
 from typing import Any
 
 import plotly.graph_objects as go
@@ -20,11 +16,11 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from boresight import __version__
+from boresight.calibration.options import OPTIONS, CalibrationSettings, text_of
 from boresight.errors import RefusedInputError
 from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.chart import Result, Trace, figure_json
 from boresight.figures.charts.matching import why_no_matching
-from boresight.figures.notebook import calibrate_command
 from boresight.figures.style.theme import LIGHT_TEMPLATE, TOKENS, declared
 from boresight.figures.tables import (
     HEADINGS,
@@ -150,3 +146,21 @@ def command(result: Result) -> str:
     settings = {**((result.get("inputs") or {}).get("settings") or {}), "method": result.get("method")}
     validation = "VALIDATION" if result.get("validation") else None
     return " ".join(calibrate_command("TELEMETRY", "SENSOR.json", settings, validation, "RESULT.json"))
+
+
+#: Said even where it is the default, because it names the calibration.
+ALWAYS = ("method", "match")
+
+
+def calibrate_command(
+    telemetry: str, sensor: str, settings: Mapping[str, Any], validation: str | None, json_file: str
+) -> list[str]:
+    """Return the words of the command that makes a result again, an option with its value as one."""
+    words = [f"boresight calibrate {quote(telemetry)}", f"--sensor {quote(sensor)}"]
+    for name, default in CalibrationSettings().document().items():
+        flag, value = OPTIONS[name].flag, settings.get(name, default)
+        if flag and value is not None and (value != default or name in ALWAYS):
+            words.append(flag if value is True else f"{flag} {quote(text_of(value))}")
+    if validation:
+        words.append(f"--validate {quote(validation)}")
+    return [*words, f"--json {quote(json_file)}"]

@@ -1,3 +1,3 @@
-"""Whole experiments: how fast the product is beside its peers, and, as they come, the papers' tables made again."""
+"""The tables and figures of two papers, made again on simulated sensors."""
 
 from __future__ import annotations

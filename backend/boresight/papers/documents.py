@@ -40,13 +40,16 @@ from math import log10
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import orjson
 import plotly.graph_objects as go
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from boresight import __version__
 from boresight.errors import RefusedInputError
+from boresight.figures.chart import Trace
 from boresight.figures.report import embed_figures
+from boresight.figures.style import theme
 from boresight.resources import folder
 
 REPRODUCED, IN_KIND, NOT_REPRODUCED = "reproduced", "in kind", "not reproduced"
@@ -162,6 +165,13 @@ def drawing(number: str, title: str, claim: str, conclusion: Conclusion, curves:
     row = judge(number, (), conclusion)
     judged = {"verdict": row.verdict, "reason": row.reason}
     return {"number": number, "title": title, "claim": claim, **judged, "curves": list(curves)}
+
+
+def styled_curves(drawing: Mapping[str, Any], *keys: str) -> Iterator[Any]:
+    """Yield each curve's style and, in the order of the keys, its columns (n,); null is NaN."""
+    curves = drawing["curves"]
+    for curve, style in zip(curves, theme.run_styles([Trace(one["label"], {}) for one in curves]), strict=True):
+        yield style, *(np.array(curve[key], dtype=np.float64) for key in keys)
 
 
 def described(plan: Any) -> dict[str, Any]:

@@ -27,19 +27,7 @@ WIDTHS = (8, 16, 24, 32, 64)
 
 @dataclass(frozen=True)
 class Checksum:
-    """A CRC by name and by parameters.
-
-    Parameters
-    ----------
-    name
-        As documents and people call it.
-    width
-        Bits.
-    poly, init, xorout
-        Polynomial without its highest power, the register's first value, and what is XORed onto its last.
-    refin, refout
-        Whether each byte goes in, and the register comes out, lowest bit first.
-    """
+    """A CRC by its name and its parameters, `width` in bits, the others as Williams names them."""
 
     name: str
     width: int

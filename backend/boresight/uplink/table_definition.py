@@ -259,22 +259,6 @@ def _check_layout(definition: TableDefinition, sensor: Sensor, faults: Faults) -
             )
 
 
-__all__ = [
-    "Decoded",
-    "DecodedField",
-    "TableDefinition",
-    "crc_told",
-    "crc_value",
-    "decode",
-    "encode",
-    "parse_definition",
-    "quantisation_effect",
-    "quantised",
-    "read_definition",
-    "table_crc",
-]
-
-
 @dataclass(frozen=True)
 class DecodedField:
     """A field of an image.
@@ -302,8 +286,7 @@ class Decoded:
 def encode(definition: TableDefinition, parameters: Mapping[str, float]) -> bytes:
     """Lay parameters into the table.
 
-    `parameters`: Number of each parameter of the camera model, SI. Returns (length_bytes,) bytes, the CRC in its
-    place.: .
+    `parameters`: Number of each parameter of the camera model, SI. Returns (length_bytes,) bytes, the CRC in its place.
     """
     image = int.from_bytes(bytes([definition.fill]) * definition.length_bytes, "big")
     for field in definition.fields:
@@ -351,17 +334,12 @@ def quantised(definition: TableDefinition, parameters: Mapping[str, float]) -> d
     return {name: held[name] for name in parameters if name in held}
 
 
-def crc_value(crc: Checksum, content: bytes) -> int:
-    """Compute a CRC of some bytes, all of them."""
-    return crc.value(content)
-
-
 def table_crc(definition: TableDefinition, content: bytes) -> int | None:
     """Compute the table's CRC of an image, of the bytes that it is over; None when the definition names none."""
     if definition.crc is None:
         return None
     first, end = definition.crc_over
-    return crc_value(definition.crc, content[first:end])
+    return definition.crc.value(content[first:end])
 
 
 def crc_told(definition: TableDefinition, content: bytes) -> tuple[Checksum, int] | None:
@@ -371,7 +349,7 @@ def crc_told(definition: TableDefinition, content: bytes) -> tuple[Checksum, int
     """
     if definition.cfe is not None:
         crc = CHECKSUMS["CRC-16/ARC"]
-        return crc, crc_value(crc, content)
+        return crc, crc.value(content)
     value = table_crc(definition, content)
     return None if definition.crc is None or value is None else (definition.crc, value)
 

@@ -54,7 +54,7 @@ def draw_panels(
     figure.update_yaxes(title={"text": "step (σ)", "standoff": 4}, type="log", exponentformat="power", **step)
     names = [_axis_name(figure, *places[1])]
     if any(course is not None and course.axis == "frame" for course in courses):
-        figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}, **cost)
+        figure.add_hline(y=1, line=theme.LEVEL, **cost)
         figure.update_yaxes(title={"text": "NIS / dof, so far", "standoff": 4}, **cost)
     else:
         figure.update_yaxes(title={"text": "cost", "standoff": 4}, type="log", exponentformat="power", **cost)

@@ -38,8 +38,7 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     figure.update_yaxes(title_text="χ² rises by", range=_window(figure, 0), row=1, col=1)
     figure.update_yaxes(title_text="others move (σ)", range=_window(figure, 1), row=2, col=1)
     figure.update_xaxes(showgrid=False)
-    line = {"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}
-    figure.add_hline(y=BY_CHANCE, line=line, row=1, col=1)
+    figure.add_hline(y=BY_CHANCE, line=theme.LEVEL, row=1, col=1)
     return figure
 
 
@@ -60,15 +59,10 @@ def largest_shift(row: Mapping[str, Any]) -> float | None:
 def _bars(one: Part, values: FloatArray, told: FloatArray, hover: str) -> go.Bar:
     """Draw one run's bars; a parameter that is not needed is hatched."""
     trace, style, part = one
-    return go.Bar(
-        x=[quantity(row["name"], trace.result).markup for row in part],
-        y=theme.short(values),
-        customdata=theme.short(told),
-        name=style.label,
-        offsetgroup=style.label,
-        marker={"color": style.colour, "pattern": {"shape": ["" if row.get("needed", True) else "/" for row in part]}},
-        hovertemplate=f"without %{{x}}: {hover}<extra>{style.label}</extra>",
-    )
+    names = [quantity(row["name"], trace.result).markup for row in part]
+    pattern = {"shape": ["" if row.get("needed", True) else "/" for row in part]}
+    more = {"customdata": theme.short(told), "marker": {"color": style.colour, "pattern": pattern}}
+    return theme.bars(style, names, values, f"without %{{x}}: {hover}", offsetgroup=style.label, **more)
 
 
 def _headline(drawn: Sequence[Part]) -> str:

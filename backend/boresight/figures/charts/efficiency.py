@@ -36,16 +36,9 @@ def _ratios(part: Result) -> FloatArray:
 def _bars(one: Part, *, labelled: bool) -> go.Bar:
     trace, style, part = one
     ratios = _ratios(part)
-    return go.Bar(
-        x=[quantity(name, trace.result).markup for name in part["names"]],
-        y=theme.short(ratios),
-        name=style.label,
-        marker={"color": style.colour},
-        text=[f"{ratio:.3g}" if np.isfinite(ratio) else "" for ratio in ratios] if labelled else None,
-        textposition="outside",
-        cliponaxis=False,
-        hovertemplate=f"%{{x}}: %{{y:.4g}} times the bound<extra>{style.label}</extra>",
-    )
+    names = [quantity(name, trace.result).markup for name in part["names"]]
+    text = [f"{ratio:.3g}" if np.isfinite(ratio) else "" for ratio in ratios] if labelled else None
+    return theme.bars(style, names, ratios, "%{x}: %{y:.4g} times the bound", text=text)
 
 
 def _headline(drawn: Sequence[Part]) -> str:

@@ -180,24 +180,13 @@ def _shares(view: Result, key: str = "share") -> FloatArray:
     return column([entry.get(key) for entry in view["information"]])
 
 
-def _label(reference: str) -> str:
-    return LABELS.get(reference, theme.escape(reference))
-
-
 def _bars(one: Part, *, labelled: bool) -> go.Bar:
     trace, style, view = one
     shares = _shares(view)
-    return go.Bar(
-        x=[_label(entry["reference"]) for entry in view["information"]],
-        y=theme.short(shares),
-        name=style.label,
-        marker={"color": style.colour},
-        text=[f"{share:.2f}" if np.isfinite(share) else "open" for share in shares] if labelled else None,
-        textposition="outside",
-        cliponaxis=False,
-        customdata=[_least(entry, trace.result) for entry in view["information"]],
-        hovertemplate=f"%{{y:.3f}}, %{{customdata}}<extra>{style.label}</extra>",
-    )
+    names = [LABELS.get(entry["reference"], theme.escape(entry["reference"])) for entry in view["information"]]
+    text = [f"{share:.2f}" if np.isfinite(share) else "open" for share in shares] if labelled else None
+    least = [_least(entry, trace.result) for entry in view["information"]]
+    return theme.bars(style, names, shares, "%{y:.3f}, %{customdata}", text=text, customdata=least)
 
 
 def _least(entry: Result, result: Result) -> str:

@@ -31,7 +31,7 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     for one in drawn:
         _draw_run(figure, one, POINT_BUDGET // len(drawn), alone=len(drawn) == 1)
     theme.dress(figure, title=_headline(drawn), height_px=440, hovermode="closest")
-    figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2})
+    figure.add_hline(y=1, line=theme.LEVEL)
     figure.update_xaxes(title_text=axis_title("frame", [trace for trace, _, _ in drawn]))
     figure.update_yaxes(title_text="NIS / degree of freedom", rangemode="tozero")
     return figure

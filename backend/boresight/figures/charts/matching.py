@@ -63,17 +63,9 @@ def _bars(style: theme.RunStyle, cycles: Sequence[Result], values: FloatArray, *
     words = [
         f"{value:,.0f}" if value >= 1000 or value == int(value) else f"{value:.4g}" for value in np.nan_to_num(values)
     ]
-    return go.Bar(
-        x=[cycle.get("cycle", i) for i, cycle in enumerate(cycles, start=1)],
-        y=theme.short(values),
-        name=style.label,
-        offsetgroup=style.label,
-        marker={"color": style.colour},
-        text=words if labelled else None,
-        textposition="outside",
-        cliponaxis=False,
-        hovertemplate=f"cycle %{{x}}: %{{y:,.5g}}<extra>{style.label}</extra>",
-    )
+    numbers = [cycle.get("cycle", i) for i, cycle in enumerate(cycles, start=1)]
+    more = {"text": words if labelled else None, "offsetgroup": style.label}
+    return theme.bars(style, numbers, values, "cycle %{x}: %{y:,.5g}", **more)
 
 
 def _headline(drawn: Sequence[Part]) -> str:

@@ -56,17 +56,9 @@ def _bars(seen: Result, style: theme.RunStyle, *, labelled: bool) -> go.Bar:
     values = np.array(seen["singular_values"], dtype=np.float64)
     with np.errstate(divide="ignore"):
         spread = 1.0 / values
-    return go.Bar(
-        x=_modes(len(values)),
-        y=theme.short(np.where(values > 0, values, np.nan)),
-        marker={"color": style.colour},
-        name=style.label,
-        customdata=theme.short(spread),
-        text=[number(value, 3) for value in values] if labelled else None,
-        textposition="outside",
-        cliponaxis=False,
-        hovertemplate=f"s = %{{y:.4g}}<br>σ = %{{customdata:.3g}} typical σ<extra>{style.label}</extra>",
-    )
+    hover = "s = %{y:.4g}<br>σ = %{customdata:.3g} typical σ"
+    more = {"text": [number(value, 3) for value in values] if labelled else None, "customdata": theme.short(spread)}
+    return theme.bars(style, _modes(len(values)), np.where(values > 0, values, np.nan), hover, **more)
 
 
 def _directions(result: Result, seen: Result) -> go.Heatmap:
@@ -122,9 +114,8 @@ def _dress(figure: go.Figure, drawn: Sequence[Part]) -> None:
 
 def _draw_threshold(figure: go.Figure) -> None:
     """Draw the singular value below which a direction is weak, and say so."""
-    line = {"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}
     words = {"annotation_text": f"weak below {THRESHOLD:g}", "annotation_position": "bottom right"}
-    figure.add_hline(y=THRESHOLD, line=line, **words, row=1, col=1)
+    figure.add_hline(y=THRESHOLD, line=theme.LEVEL, **words, row=1, col=1)
 
 
 def _window(drawn: Sequence[Part]) -> list[float]:

@@ -102,8 +102,7 @@ def _dress(figure: go.Figure, drawn: Sequence[Part], n_names: int) -> None:
     span = [float(np.log10(FLOOR)), float(np.log10(largest)) + 0.5]
     figure.update_xaxes(title_text="|Δ| / σ", type="log", range=span, dtick=1, row=1, col=1)
     figure.update_xaxes(title_text="Δ in typical σ, bar ±3σ", zeroline=True, row=1, col=2)
-    level = {"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}
-    figure.add_vline(x=SIGNIFICANT, line=level, row=1, col=1)
+    figure.add_vline(x=SIGNIFICANT, line=theme.LEVEL, row=1, col=1)
 
 
 def _largest(result: Result) -> float:

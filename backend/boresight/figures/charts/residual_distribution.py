@@ -36,7 +36,7 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
             figure.add_trace(trace, row=1, col=2)
     figure.add_trace(_normal_curve(float(np.diff(column(drawn[0][2]["edges"])).mean())), row=1, col=1)
     theme.dress(figure, title=_headline(drawn), height_px=440, hovermode="closest", margin={"t": 96})
-    figure.add_hline(y=0, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}, row=1, col=2)
+    figure.add_hline(y=0, line=theme.LEVEL, row=1, col=2)
     figure.update_xaxes(title_text="residual (σ)", range=[-6, 6], row=1, col=1)
     figure.update_xaxes(title_text="normal deviate", row=1, col=2)
     figure.update_yaxes(rangemode="tozero", tickformat=".0%", row=1, col=1)

@@ -50,17 +50,9 @@ def _map(one: Part) -> go.Heatmap:
 def _bars(one: Part, *, labelled: bool) -> go.Bar:
     trace, style, part = one
     values = column(part["difference_in_sigma"])
-    return go.Bar(
-        x=[quantity(name, trace.result).markup for name in part["names"]],
-        y=theme.short(values),
-        name=style.label,
-        marker={"color": style.colour},
-        text=[theme.signed(value, 2) if np.isfinite(value) else "" for value in values] if labelled else None,
-        textposition="outside",
-        constraintext="none",
-        cliponaxis=False,
-        hovertemplate=f"%{{x}}: %{{y:+.2f}} σ<extra>{style.label}</extra>",
-    )
+    names = [quantity(name, trace.result).markup for name in part["names"]]
+    text = [theme.signed(value, 2) if np.isfinite(value) else "" for value in values] if labelled else None
+    return theme.bars(style, names, values, "%{x}: %{y:+.2f} σ", text=text, constraintext="none")
 
 
 def _dress(figure: go.Figure, drawn: Sequence[Part], n_maps: int) -> None:
@@ -77,7 +69,7 @@ def _dress(figure: go.Figure, drawn: Sequence[Part], n_maps: int) -> None:
     figure.update_yaxes(title_text="difference (σ of the difference)", range=[-reach, reach], **where)
     figure.update_xaxes(showgrid=False, **where)
     for level in (-LIMIT_SIGMA, LIMIT_SIGMA):
-        figure.add_hline(y=level, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2}, **where)
+        figure.add_hline(y=level, line=theme.LEVEL, **where)
 
 
 def _headline(drawn: Sequence[Part]) -> str:

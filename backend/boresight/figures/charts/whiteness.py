@@ -25,7 +25,7 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     theme.dress(figure, title=_headline(drawn), height_px=520, legend=many, hovermode="closest", barmode="group")
     bound = drawn[0][2].get("bound")
     for level in (-bound, bound) if bound is not None else ():
-        figure.add_hline(y=level, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.2})
+        figure.add_hline(y=level, line=theme.LEVEL)
     figure.update_xaxes(title_text="lag (frames)", showgrid=False)
     figure.update_yaxes(title_text="autocorrelation")
     return figure
@@ -33,13 +33,7 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
 
 def _bars(one: Part) -> go.Bar:
     _, style, part = one
-    return go.Bar(
-        x=list(part["lags"]),
-        y=theme.short(column(part["autocorrelation"])),
-        name=style.label,
-        marker={"color": style.colour},
-        hovertemplate=f"lag %{{x}}: %{{y:+.3f}}<extra>{style.label}</extra>",
-    )
+    return theme.bars(style, list(part["lags"]), column(part["autocorrelation"]), "lag %{x}: %{y:+.3f}")
 
 
 def _headline(drawn: Sequence[Part]) -> str:

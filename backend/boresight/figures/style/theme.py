@@ -9,10 +9,7 @@ the panels of every theme and stay apart for the common colour-vision deficienci
 The tokens of the style sheet: one source of colour for pages, plots and reports.
 
 `frontend/static/shared/style.css` declares every colour and letter size as a custom property, in one block a theme. A theme is
-the block `:root`, which is the dark one, overlaid by its own; paper has the block inside `@media print`. The contrast of
-two colours is that of WCAG 2.2: with the relative luminance L = 0.2126 R + 0.7152 G + 0.0722 B of linear sRGB channels,
-
-    contrast = (L_high + 0.05) / (L_low + 0.05).
+the block `:root`, which is the dark one, overlaid by its own; paper has the block inside `@media print`.
 """
 
 from __future__ import annotations
@@ -33,7 +30,6 @@ from boresight.resources import folder
 Tokens = dict[str, str]
 
 THEMES = ("dark", "light", "contrast", "print")
-PANELS = ("surface-1", "surface-2")  # what a plot may stand on
 
 _BLOCK = re.compile(r"^\s*(:root[^{]*?)\s*\{([^}]*)\}", re.MULTILINE)
 _PROPERTY = re.compile(r"--([\w-]+):\s*([^;]+);")
@@ -53,19 +49,6 @@ def read_themes(css: str) -> dict[str, Tokens]:
     return {theme: blocks["dark"] | blocks[theme] for theme in THEMES}
 
 
-def luminance(colour: str) -> float:
-    """Return the relative luminance of `#rrggbb`, 0 black to 1 white."""
-    channels = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels)
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
-
-
-def contrast(one: str, other: str) -> float:
-    """Return the contrast of two colours, 1 to 21, whichever is the letter and whichever the ground."""
-    low, high = sorted((luminance(one), luminance(other)))
-    return (high + 0.05) / (low + 0.05)
-
-
 def declared(tokens: Tokens) -> str:
     """Write tokens as declarations, for the style element of a file that stands alone."""
     return " ".join(f"--{name}: {value};" for name, value in tokens.items())
@@ -81,6 +64,7 @@ RUN_DASHES = ("solid", "dash", "dashdot", "longdash", "solid", "dash", "dashdot"
 REFERENCE_COLOUR = _EVERYWHERE["reference"]
 TRUTH_COLOUR = _EVERYWHERE["truth"]
 CLEAR = "rgba(0,0,0,0)"
+LEVEL = {"color": REFERENCE_COLOUR, "dash": "dot", "width": 1.2}  # of a line to compare with
 UI_REVISION = "boresight"
 BAND_SIGMAS = 3
 SHORT_LENGTH = 14
@@ -246,6 +230,13 @@ def line(style: RunStyle, x: NDArray[np.float64], y: NDArray[np.float64], **opti
     return go.Scatter(
         x=short(x), y=short(y), line={"color": style.colour, "dash": style.dash, "width": 1.8}, **settings
     )
+
+
+def bars(style: RunStyle, x: Sequence[Any], y: NDArray[np.float64], hover: str, **options: Any) -> go.Bar:
+    """Draw a run's bars; their labels, where there are any, stand outside."""
+    labelled = {"textposition": "outside", "cliponaxis": False} if "text" in options else {}
+    settings: dict[str, Any] = {"name": style.label, "marker": {"color": style.colour}} | labelled | options
+    return go.Bar(x=x, y=short(y), hovertemplate=f"{hover}<extra>{style.label}</extra>", **settings)
 
 
 def band(

@@ -46,8 +46,7 @@ def thinning(*, whole: bool = False) -> Iterator[Thinning]:
 def keep_extremes(series: list[NDArray[np.float64]], limit: int = POINT_LIMIT) -> NDArray[np.int64]:
     """Choose the points to draw.
 
-    `series`: Arrays (n_points,) over one axis. Returns (n_kept,) ascending indices; all of them when there are no more
-    than `limit`.: .
+    `series`: Arrays (n_points,) over one axis. Returns (n_kept,) ascending indices, all of them up to `limit`.
     """
     n_points = len(series[0])
     if n_points <= limit:

@@ -1,8 +1,7 @@
 """Enright, Jovanovic and Vaz 2018 made again: every table and figure of section III beside its printed numbers.
 
-`printed` holds the paper's numbers, `estimators` what is run, `trials` runs it on one simulated set, `study` runs all of
-them on both cores, `pooled` puts the sets together; `tables`, `drawings`, `findings`, `matching_findings` and `questions` say
-what came out, `verdicts` holds the rule that judges a row, and `document` and `report` write it down.
+`printed` holds the paper's numbers, `estimators` what is run on each simulated set, `pooled` puts the sets together; `tables`,
+`drawings` and `findings` say what came out, and `study` runs all of it and writes it down. `papers.documents` judges a row.
 """
 
 from __future__ import annotations

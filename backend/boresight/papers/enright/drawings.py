@@ -1,14 +1,8 @@
-"""E Figures 3 to 5 as curves, judged by the conclusions their text draws; `figures.enright_*` draws them.
+"""E Figures 3 to 5 as curves, judged by the conclusions their text draws.
 
 Figure 3: difference of the focal length from the batch's along the run, with three sigmas, sensor 4, started at the ground
 calibration (a) and at the batch's result (b). Figure 4: tail and aggregate RMS from the batch's result, Q and No-Q, sensor 4.
 Figure 5: radial difference of each sequential result from the batch's, sensor 3.
-
-E Figure 3 made again: how the focal length nears the batch's along a run, with three-sigma bounds.
-
-E Figure 5 made again: how far sequential results move a star along the radius against the batch's.
-
-E Figure 4 made again: tail against aggregate RMS of filters that start at the batch's result.
 """
 
 from __future__ import annotations
@@ -19,11 +13,11 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from boresight.arrays import FloatArray
 from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.statistics.uncertainty import radial_difference
-from boresight.figures.chart import Trace
 from boresight.figures.style import theme
-from boresight.papers.documents import Conclusion, Drawing, drawing
+from boresight.papers.documents import Conclusion, Drawing, drawing, styled_curves
 from boresight.papers.enright.estimators import ESTIMATORS
 from boresight.papers.enright.pooled import Pooled, Record
 from boresight.papers.enright.tables import TOLERANCE, TUNING
@@ -165,20 +159,15 @@ def _largest(curve: Drawing, radius_px: float) -> float:
     return float(np.abs(np.array(curve["difference_px"])[within]).max())
 
 
-#: The axis holds the curves after this share of the run; before it they come from tens of micrometres away.
-TRANSIENT_SHARE = 0.15
+#: The axis holds the curves after this share of the run; before it differences come from tens of micrometres away.
+TRANSIENT_SHARE, RMS_TRANSIENT_SHARE = 0.15, 0.1
 
 
 def draw_convergence(drawing: Mapping[str, Any]) -> go.Figure:
-    """Draw the curves of a reproduced Figure 3a or 3b: `label`, `frame`, `difference_um`, `three_sigma_um` each."""
-    curves = drawing["curves"]
-    styles = theme.run_styles([Trace(curve["label"], {}) for curve in curves])
+    """Draw a reproduced Figure 3a or 3b: how the focal length nears the batch's along a run, with three-sigma bounds."""
     figure, seen = go.Figure(), [0.0]
-    for curve, style in zip(curves, styles, strict=True):
-        x, y, reach = (np.array(curve[key], dtype=np.float64) for key in ("frame", "difference_um", "three_sigma_um"))
-        figure.add_trace(theme.band(style, x, y - reach, y + reach))
-        hover = f"%{{y:+.3f}} ±%{{customdata:.3f}} µm (3σ)<extra>{style.label}</extra>"
-        figure.add_trace(theme.line(style, x, y, customdata=theme.short(reach), hovertemplate=hover))
+    for style, x, y, reach in styled_curves(drawing, "frame", "difference_um", "three_sigma_um"):
+        _add_bounded(figure, style, x, y, reach, "µm")
         settled = slice(int(TRANSIENT_SHARE * len(x)), None)
         seen += [*(y - reach)[settled], *(y + reach)[settled]]
     theme.dress(figure, title=f"Figure {drawing['number']}: Δf against the batch, ±3σ", height_px=360)
@@ -188,38 +177,35 @@ def draw_convergence(drawing: Mapping[str, Any]) -> go.Figure:
     return figure
 
 
-def draw_enright_radial(drawing: Mapping[str, Any]) -> go.Figure:
-    """Draw the curves of a reproduced Figure 5: `label`, `radius_px`, `difference_px`, `three_sigma_px` each."""
-    curves = drawing["curves"]
+def draw_radial(drawing: Mapping[str, Any]) -> go.Figure:
+    """Draw a reproduced Figure 5: how far sequential results move a star along the radius against the batch's."""
     figure = go.Figure()
-    for curve, style in zip(curves, theme.run_styles([Trace(one["label"], {}) for one in curves]), strict=True):
-        keys = ("radius_px", "difference_px", "three_sigma_px")
-        x, y, reach = (np.array(curve[key], dtype=np.float64) for key in keys)
-        figure.add_trace(theme.band(style, x, y - reach, y + reach))
-        hover = f"%{{y:+.3f}} ±%{{customdata:.3f}} px (3σ)<extra>{style.label}</extra>"
-        figure.add_trace(theme.line(style, x, y, customdata=theme.short(reach), hovertemplate=hover))
+    for style, x, y, reach in styled_curves(drawing, "radius_px", "difference_px", "three_sigma_px"):
+        _add_bounded(figure, style, x, y, reach, "px")
     theme.dress(figure, title=f"Figure {drawing['number']}: radial difference from the batch, ±3σ", height_px=360)
     figure.update_yaxes(title_text="sequential − batch (px)", zeroline=True)
     figure.update_xaxes(title_text="radius from the principal point (px)")
     return figure
 
 
-#: The axis holds the curves after this share of the run.
-ENRIGHT_RMS_TRANSIENT_SHARE = 0.1
+def _add_bounded(
+    figure: go.Figure, style: theme.RunStyle, x: FloatArray, y: FloatArray, reach: FloatArray, unit: str
+) -> None:
+    """Add a curve with its band."""
+    figure.add_trace(theme.band(style, x, y - reach, y + reach))
+    hover = f"%{{y:+.3f}} ±%{{customdata:.3f}} {unit} (3σ)<extra>{style.label}</extra>"
+    figure.add_trace(theme.line(style, x, y, customdata=theme.short(reach), hovertemplate=hover))
 
 
-def draw_enright_rms(drawing: Mapping[str, Any]) -> go.Figure:
-    """Draw the curves of a reproduced Figure 4: `label`, `frame`, `tail_urad`, `aggregate_urad` each; aggregate is dotted."""
-    curves = drawing["curves"]
+def draw_rms(drawing: Mapping[str, Any]) -> go.Figure:
+    """Draw a reproduced Figure 4: tail against aggregate RMS, dotted, of filters that start at the batch's result."""
     figure, seen = go.Figure(), list[float]()
-    for curve, style in zip(curves, theme.run_styles([Trace(one["label"], {}) for one in curves]), strict=True):
-        x = np.array(curve["frame"], dtype=np.float64)
-        for key, word, dash in (("tail_urad", "tail", style.dash), ("aggregate_urad", "aggregate", "dot")):
-            y = np.array(curve[key], dtype=np.float64)
+    for style, x, tail, aggregate in styled_curves(drawing, "frame", "tail_urad", "aggregate_urad"):
+        for y, word, dash in ((tail, "tail", style.dash), (aggregate, "aggregate", "dot")):
             name = f"{style.label} · {word}"
             look = theme.RunStyle(name, style.colour, dash)
             figure.add_trace(theme.line(look, x, y, hovertemplate=f"%{{y:.2f}} µrad<extra>{name}</extra>"))
-            seen += [float(value) for value in y[int(ENRIGHT_RMS_TRANSIENT_SHARE * len(y)) :] if np.isfinite(value)]
+            seen += [float(value) for value in y[int(RMS_TRANSIENT_SHARE * len(y)) :] if np.isfinite(value)]
     theme.dress(figure, title=f"Figure {drawing['number']}: tail and aggregate RMS", height_px=360)
     margin = 0.05 * (max(seen, default=1.0) - min(seen, default=0.0)) or 1.0
     figure.update_yaxes(title_text="RMS arc error (µrad)", range=[min(seen) - margin, max(seen) + margin])

@@ -19,7 +19,7 @@ from boresight.papers.documents import Finding, finding
 from boresight.papers.enright import printed
 from boresight.papers.enright.estimators import ESTIMATORS, SPARSE_EVERY
 from boresight.papers.enright.pooled import Pooled, Record, mean
-from boresight.papers.enright.tables import NAMES, URAD_PER_RAD, reduced_excess
+from boresight.papers.enright.tables import NAMES, URAD_PER_RAD, reduced_excess, shift_in_sigmas
 from boresight.simulation.sensors import ST16_PIXEL_PITCH_M, TYPICAL_SIGMA
 
 
@@ -360,16 +360,16 @@ def _values(pooled: Pooled) -> str:
     said = []
     for key in SEQUENTIAL:
         pairs = zip(pooled.firsts(key), pooled.firsts("batch"), strict=True)
-        shifts = [abs(_shift(record, batch, name)) for record, batch in pairs for name in batch["covariance"]["names"]]
+        shifts = [
+            abs(shift_in_sigmas(record, batch, name))
+            for record, batch in pairs
+            for name in batch["covariance"]["names"]
+        ]
         said.append(f"{ESTIMATORS[key].label} {np.median(shifts):.2f} (largest {max(shifts):.1f})")
     return (
         f"Median difference from the batch, in the batch's standard deviations, over parameters and sensors: {', '.join(said)}. "
         "No-Q uses the same information; process noise forgets, so Q and No-Refit differ by their own larger uncertainty."
     )
-
-
-def _shift(record: Record, batch: Record, name: str) -> float:
-    return float((record["parameters"][name] - batch["parameters"][name]) / batch["sigma"][name])
 
 
 def _model(pooled: Pooled) -> str:

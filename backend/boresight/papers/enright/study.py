@@ -3,13 +3,7 @@
 Trials are independent, so they run in processes of their own and the document does not depend on their number or order; only what
 stands under `timing` does.
 
-The study's document, schema `boresight.reproduction/1`: plan, tables, figures, findings, answers, records.
-
-Everything but `timing` is a function of the plan alone: the same plan gives the same text.
-
-The study written down: one HTML file that stands alone, its document as JSON, tables and curves as CSV.
-
-Words that findings and answers share: what an estimator's sets say, in one clause with its intervals.
+Its document, schema `boresight.reproduction/1`, is written down as one HTML file that stands alone, as JSON, and in CSV.
 """
 
 from __future__ import annotations
@@ -36,7 +30,7 @@ from boresight.papers.documents import (
     verdict_counts,
     write_files,  # fmt: skip
 )
-from boresight.papers.enright.drawings import draw_convergence, draw_enright_radial, draw_enright_rms, drawings
+from boresight.papers.enright.drawings import draw_convergence, draw_radial, draw_rms, drawings
 from boresight.papers.enright.estimators import DRAWN, ESTIMATORS, SPARSE_EVERY, Record, Trial, run_trial
 from boresight.papers.enright.findings import findings, questions
 from boresight.papers.enright.pooled import Pooled
@@ -133,8 +127,8 @@ Document = Mapping[str, Any]
 DRAW: dict[str, Callable[[Mapping[str, Any]], go.Figure]] = {
     "3a": draw_convergence,
     "3b": draw_convergence,
-    "4": draw_enright_rms,
-    "5": draw_enright_radial,
+    "4": draw_rms,
+    "5": draw_radial,
 }
 
 

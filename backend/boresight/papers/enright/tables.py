@@ -226,7 +226,7 @@ def _distortion(name: str, records: dict[str, Record | None]) -> Row:
         origin = START[name] / factor if name == "f_m" else 0.0
         why = ("no orbital data", NO_GROUND) if key == "batch" else ("erratum", PRINTED_FILTER)
         cells.append(Cell(key, unit, value, ours, ours - reach, ours + reach, 1e-3, origin, *why))
-    shifts = {key: _shift(found[key], found["batch"], name) for key in (*printed.ESTIMATORS[1:], "printed")}
+    shifts = {key: shift_in_sigmas(found[key], found["batch"], name) for key in (*printed.ESTIMATORS[1:], "printed")}
     largest = max((shifts[key] for key in printed.ESTIMATORS[1:]), key=abs)
     sentence = (
         f"largest difference {largest:+.2f} σ of the batch; with one linearisation a frame {shifts['printed']:+.1f} σ."
@@ -234,6 +234,6 @@ def _distortion(name: str, records: dict[str, Record | None]) -> Row:
     return judge(name, cells, Conclusion(abs(largest) > 3, sentence, "erratum", PRINTED_FILTER))
 
 
-def _shift(record: Record, batch: Record, name: str) -> float:
+def shift_in_sigmas(record: Record, batch: Record, name: str) -> float:
     """Difference from the batch in the batch's sigmas."""
     return float((record["parameters"][name] - batch["parameters"][name]) / batch["sigma"][name])

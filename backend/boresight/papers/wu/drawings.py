@@ -1,13 +1,7 @@
-"""W Figures 3, 4, 6 and 8 as curves, judged by the conclusions that their text draws; `figures.wu_*` draws them.
+"""W Figures 3, 4, 6 and 8 as curves, judged by the conclusions that their text draws.
 
 All show the first set of group 2 at 0.2 px. Figures 3 and 4: the smallest singular value of H W of single frames at the truth.
 Figure 6: both criteria along the run. Figure 8, the paper's field experiment: the six parameters along the run, here simulated.
-
-W Figure 6 made again: a criterion on the judging images along the run of each method.
-
-W Figures 3 and 4 made again: the minimum singular value of single frames, by model or by singular value.
-
-W Figure 8 made again: the six parameters along a run, with three-sigma bounds and the truth.
 """
 
 from __future__ import annotations
@@ -22,7 +16,7 @@ from plotly.subplots import make_subplots
 from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.figures.chart import Trace
 from boresight.figures.style import theme
-from boresight.papers.documents import Conclusion, Drawing, drawing
+from boresight.papers.documents import Conclusion, Drawing, drawing, styled_curves
 from boresight.papers.wu.estimators import Record
 from boresight.papers.wu.tables import NO_Q, Pooled
 from boresight.simulation.sensors import WU_TRUTH
@@ -137,30 +131,26 @@ DECADE = 10
 
 
 def draw_criteria(drawing: Mapping[str, Any]) -> go.Figure:
-    """Draw the curves of Figure 6a or 6b: `label`, `frame`, `criterion_arcsec` each.
+    """Draw a reproduced Figure 6a or 6b: a criterion on the judging images along the run of each method.
 
     Frames run in decades, and so does a criterion that spans at least one: criterion B does not, and decades would leave its axis
     without a number.
     """
-    curves = drawing["curves"]
     figure = go.Figure()
-    for curve, style in zip(curves, theme.run_styles([Trace(one["label"], {}) for one in curves]), strict=True):
-        x, y = (np.array(curve[key], dtype=np.float64) for key in ("frame", "criterion_arcsec"))
+    for style, x, y in styled_curves(drawing, "frame", "criterion_arcsec"):
         figure.add_trace(theme.line(style, x, y, hovertemplate=f"%{{y:.3f}}″<extra>{style.label}</extra>"))
     theme.dress(figure, title=f"Figure {drawing['number']}: mean RMS angle error of the judging images", height_px=380)
-    values = [value for curve in curves for value in curve["criterion_arcsec"]]
+    values = [value for curve in drawing["curves"] for value in curve["criterion_arcsec"]]
     decades = {"type": "log", "dtick": 1} if max(values) >= DECADE * min(values) else {"type": "linear"}
     figure.update_yaxes(title_text="arcseconds", **decades)
     figure.update_xaxes(title_text="frame", type="log", dtick=1)
     return figure
 
 
-def draw_wu_observability(drawing: Mapping[str, Any]) -> go.Figure:
-    """Draw the curves of Figure 3 or 4: `label`, `frame`, `minimum_singular_value` each, null where a frame has too few rows."""
-    curves = drawing["curves"]
+def draw_observability(drawing: Mapping[str, Any]) -> go.Figure:
+    """Draw a reproduced Figure 3 or 4: the minimum singular value of single frames, by model or by singular value."""
     figure = go.Figure()
-    for curve, style in zip(curves, theme.run_styles([Trace(one["label"], {}) for one in curves]), strict=True):
-        x, y = (np.array(curve[key], dtype=np.float64) for key in ("frame", "minimum_singular_value"))
+    for style, x, y in styled_curves(drawing, "frame", "minimum_singular_value"):
         hover = f"%{{y:.3g}}<extra>{style.label}</extra>"
         figure.add_trace(theme.line(style, x, y, connectgaps=False, hovertemplate=hover))
     theme.dress(figure, title=f"Figure {drawing['number']}: minimum singular value of H W", height_px=360)
@@ -174,8 +164,8 @@ COLUMNS = 3
 FIRST_FRAME = 5
 
 
-def draw_wu_parameters(drawing: Mapping[str, Any]) -> go.Figure:
-    """Draw the panels of Figure 8: `label`, `unit`, `truth`, `frame`, `value`, `three_sigma` each."""
+def draw_parameters(drawing: Mapping[str, Any]) -> go.Figure:
+    """Draw the panels of a reproduced Figure 8: the six parameters along a run, with three-sigma bounds and the truth."""
     curves = drawing["curves"]
     names = [f"{curve['label']} ({curve['unit']})" for curve in curves]
     figure = make_subplots(rows=-(-len(curves) // COLUMNS), cols=COLUMNS, subplot_titles=names, horizontal_spacing=0.09)

@@ -1,8 +1,7 @@
 """The whole study: which sets, on how many processes, and the document that comes out; the clock runs when they are done.
 
-The study's document, schema `boresight.reproduction/1`: everything but `timing` is a function of the plan alone.
-
-The study written down: one HTML file that stands alone, its document as JSON, tables, sets and curves as CSV.
+Its document, schema `boresight.reproduction/1`, of which all but `timing` is a function of the plan alone, is written down as one
+HTML file that stands alone, as JSON, and in CSV.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from boresight.papers.documents import (
     write_files,
 )
 from boresight.papers.processes import run_all, run_on_one_thread
-from boresight.papers.wu.drawings import LABELS, draw_criteria, draw_wu_observability, draw_wu_parameters, drawings
+from boresight.papers.wu.drawings import LABELS, draw_criteria, draw_observability, draw_parameters, drawings
 from boresight.papers.wu.estimators import FIRST_FRAMES, START_SIGMA, Record, Trial, run_trial
 from boresight.papers.wu.findings import cited, errata, findings
 from boresight.papers.wu.tables import NAMES, Pooled, tables
@@ -114,11 +113,11 @@ def run(plan: Plan, catalogue_folder: Path | None, report: Report | None = None)
 Document = Mapping[str, Any]
 
 DRAW: dict[str, Callable[[Mapping[str, Any]], go.Figure]] = {
-    "3": draw_wu_observability,
-    "4": draw_wu_observability,
+    "3": draw_observability,
+    "4": draw_observability,
     "6a": draw_criteria,
     "6b": draw_criteria,
-    "8": draw_wu_parameters,
+    "8": draw_parameters,
 }
 HEAD = ("set", "magnitude_limit", "noise_px", "stars", "estimator", "weights")
 

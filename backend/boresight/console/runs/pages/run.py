@@ -55,7 +55,7 @@ from boresight.figures.charts.matching import MATCHING, why_no_matching
 from boresight.figures.charts.observability import helpful_data, weakest_words
 from boresight.figures.charts.shadow import SHADOW
 from boresight.figures.history import RmsTail, read_history, settled_step, summarise_tail
-from boresight.figures.notebook import calibrate_command
+from boresight.figures.report import calibrate_command
 from boresight.figures.tables import (
     flight_rows,
     flight_tolerance,
