@@ -17,7 +17,6 @@ answered for the first time, *blocked* the longest time in the 8 seconds after t
 from __future__ import annotations
 
 import copy
-import shutil
 import statistics
 import sys
 import tempfile
@@ -31,25 +30,25 @@ import click
 import httpx
 import numpy as np
 import orjson
-from playwright.sync_api import sync_playwright
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from benchmarks.accuracy import peak_rss_mb
+from benchmarks.monte_carlo import table_of
+from benchmarks.pages.drawings import chromium
 from benchmarks.servers import Server, serving
-from benchmarks.stores import PASSWORD, analysts, opened, settings_in
+from benchmarks.stores import fill, opened, settings_in
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
 from boresight.cli.output import json_option, write_json
-from boresight.console.fleet import service as sensors
 from boresight.console.runs.tables import Run
-from boresight.console.telemetry.tables import TelemetrySet
 from boresight.figures import FIGURES, Trace, figure_json
 from boresight.figures.style.thinning import thinning
+from boresight.platform.actors import SYSTEM
+from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import register_blob
 from boresight.platform.blobs.opening import open_blobs
-from boresight.platform.db.sessions import migrate, open_writing, utc_now
+from boresight.platform.db.sessions import open_writing, utc_now
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.sensors import sensor_document
@@ -99,44 +98,33 @@ def drawn_out(result: Mapping[str, Any], updates: int, rng: np.random.Generator)
     }
 
 
-def furnish(folder: Path, frames: int, runs: int, overlaid: int) -> dict[str, Any]:
-    """Make a store of one real calibration and as many runs like it; returns the result that all runs come from."""
+def furnish(folder: Path, frames: int, runs: int, overlaid: int) -> tuple[dict[str, Any], Mapping[str, str]]:
+    """Make a store of one real calibration and as many runs like it; returns the result that all come from, and a log-in."""
     scenario, settings = (
         replace(calibration_scenario(1), frames=frames),
         CalibrationSettings(method="sqrf", match="given"),
     )
     catalogue = load_catalogue(settings_in(folder).catalogue_folder)
-    telemetry = simulate(scenario, np.random.default_rng(1), catalogue)
-    document = calibrate(telemetry, scenario.sensor, catalogue, settings)
+    document = calibrate(simulate(scenario, np.random.default_rng(1), catalogue), scenario.sensor, catalogue, settings)
     result: dict[str, Any] = orjson.loads(orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY))
-    blobs, rng = open_blobs(settings_in(folder).blob_place), np.random.default_rng(2)
+    blobs, rng, now = open_blobs(settings_in(folder).blob_place), np.random.default_rng(2), utc_now()
     results = [with_noise(result, rng) for _ in range(overlaid)]
     addresses = [blobs.put(orjson.dumps(one)) for one in results]
-    table, now = blobs.put(b"the table itself is not needed"), utc_now()
-    with opened(folder) as engine:
-        migrate(engine)
-        person = analysts(engine, 1)[0]
-        with open_writing(engine) as session:
-            sensor = sensors.register_sensor(session, person, sensor_document(scenario.sensor))
-            for sha256 in (table, *addresses):
-                register_blob(session, blobs, sha256, "application/json")
-            made = TelemetrySet(
-                sensor_id=sensor.id, name="TS-1", purpose="calibration", original_sha256=table, table_sha256=table,
-                frames=frames, stars=result["stars"], quality={"exposures": result["exposures"], "warnings": []},
-                uploaded_utc=now,
-            )  # fmt: skip
-            session.add(made)
-            session.flush()
-            session.add_all(
-                Run(
-                    sensor_id=sensor.id, telemetry_set_id=made.id, method="sqrf", settings=settings.document(),
-                    sensor_document=sensor.document, label=f"run {number + 1}", state="SUCCEEDED", launched_utc=now,
-                    started_utc=now, ended_utc=now, launched_by=person.user_id, result_sha256=addresses[number % overlaid],
-                    summary=summary_of(results[number % overlaid]),
-                )
-                for number in range(runs)
-            )  # fmt: skip
-    return result
+    filled = fill(folder, 0, 1)
+    with opened(folder) as engine, open_writing(engine) as session:
+        for sha256 in addresses:
+            register_blob(session, blobs, sha256, "application/json")
+        session.add_all(
+            Run(
+                sensor_id=filled.sensor_id, telemetry_set_id=filled.telemetry_set_id, method="sqrf", settings=settings.document(),
+                sensor_document=sensor_document(scenario.sensor), label=f"run {number + 1}", state="SUCCEEDED", launched_utc=now,
+                started_utc=now, ended_utc=now, result_sha256=addresses[number % overlaid],
+                summary=summary_of(results[number % overlaid]),
+            )
+            for number in range(runs)
+        )  # fmt: skip
+        audit.append(session, SYSTEM, "imported", "runs", None, {"runs": runs})
+    return result, filled.log_ins[0]
 
 
 def endpoints(server: Server, client: httpx.Client, overlaid: int) -> Rows:
@@ -196,13 +184,11 @@ def pages(client: httpx.Client, overlaid: int) -> Rows:
         "compare, band": f"{compare}&overlay=band", "compare, tables": f"{compare}&overlay=table",
     }  # fmt: skip
     rows: Rows = {}
-    chromium = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+    with chromium() as browser:
         context = browser.new_context(base_url=str(client.base_url), viewport={"width": 1280, "height": 800})
         context.add_init_script(f"({WATCH})()")
-        for cookie in client.cookies.jar:
-            context.add_cookies([{"name": cookie.name, "value": cookie.value or "", "url": str(client.base_url)}])
+        name, _, value = client.headers["Cookie"].partition("=")
+        context.add_cookies([{"name": name, "value": value, "url": str(client.base_url)}])
         for name, address in named.items():
             page = context.new_page()
             page.goto(address, wait_until="domcontentloaded")
@@ -215,18 +201,14 @@ def pages(client: httpx.Client, overlaid: int) -> Rows:
                 "blocked_ms": page.evaluate("watched.blocked"),
             }
             page.close()
-        browser.close()
     return rows
 
 
 def show(title: str, rows: Rows) -> Rows:
     """Print a table of measured numbers, and return them."""
-    table = Table(title=title)
-    keys = list(next(iter(rows.values())))
-    for column in ("what", *keys):
-        table.add_column(column, justify="left" if column == "what" else "right")
+    table = table_of(title, "what", *next(iter(rows.values())))
     for name, row in rows.items():
-        table.add_row(name, *(f"{row[key]:,.1f}" if isinstance(row[key], float) else f"{row[key]:,}" for key in keys))
+        table.add_row(name, *(f"{value:,.1f}" if isinstance(value, float) else f"{value:,}" for value in row.values()))
     Console(width=160, stderr=True).print(table)
     return rows
 
@@ -256,11 +238,10 @@ def main(*, frames: int, runs: int, overlaid: int, browser: bool, json_file: str
     """Make the store, measure, print, and write the JSON."""
     report: dict[str, Any] = {"frames": frames, "runs": runs, "overlaid": overlaid}
     with tempfile.TemporaryDirectory() as name:
-        result = furnish(Path(name), frames, runs, overlaid)
+        result, log_in = furnish(Path(name), frames, runs, overlaid)
         with serving(Path(name), workers=0, mode="SIM") as server:
-            with httpx.Client(base_url=server.address, timeout=120, headers={"Accept-Encoding": "gzip"}) as client:
-                log_in = {"name": "analyst-0", "password": PASSWORD}
-                client.post("/api/v1/sessions", json=log_in).raise_for_status()
+            headers = {"Accept-Encoding": "gzip", **log_in}
+            with httpx.Client(base_url=server.address, timeout=120, headers=headers) as client:
                 report["endpoints"] = show("Figures over REST", endpoints(server, client, overlaid))
                 report["pages"] = show("Pages", pages(client, overlaid)) if browser else {}
             report["server_peak_mb"] = peak_rss_mb(server.pid)

@@ -6,7 +6,8 @@ import base64
 import dataclasses
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote_to_bytes
@@ -14,7 +15,7 @@ from urllib.parse import unquote_to_bytes
 import numpy as np
 import orjson
 import plotly.graph_objects as go
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import Browser, sync_playwright
 from plotly.offline import get_plotlyjs
 from plotly.subplots import make_subplots
 
@@ -101,18 +102,25 @@ def write_figures(*, renew: bool) -> None:
     (DOCS / "figures.md").write_text(guide_page(), encoding="utf-8")
 
 
-def _write(drawings: Iterable[tuple[str, str, int, Path]]) -> None:
-    """Draw figures, each given as JSON, in a format and a width, into files."""
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """Open the Chromium that this machine has, or Playwright's own."""
     program = next(filter(None, map(shutil.which, BROWSERS)), None)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
+        yield browser
+        browser.close()
+
+
+def _write(drawings: Iterable[tuple[str, str, int, Path]]) -> None:
+    """Draw figures, each given as JSON, in a format and a width, into files."""
+    with chromium() as browser:
         page = browser.new_page()
         page.add_script_tag(content=get_plotlyjs())
         for text, form, width, path in drawings:
             head, _, content = page.evaluate(DRAW, [text, form, width]).partition(",")
             from_base64 = head.endswith("base64")
             path.write_bytes(base64.b64decode(content) if from_base64 else unquote_to_bytes(content))
-        browser.close()
 
 
 def guide_page() -> str:

@@ -49,10 +49,10 @@ def follow_parameters(figure: go.Figure, panels: Iterable[Panel], traces: Sequen
             _mark(figure.select_traces(row=panel.row + 1, col=panel.column + 1), how)
 
 
-def follow_column(figure: go.Figure, place: tuple[int, int], column: str, traces: Sequence[Trace]) -> None:
+def follow_column(figure: go.Figure, place: dict[str, int], column: str, traces: Sequence[Trace]) -> None:
     """Mark the curve of a subplot (row and column from 1) that shows a column of the history as it is."""
     if find_running_history(traces):
-        _mark(figure.select_traces(row=place[0], col=place[1]), {"column": column, "factor": 1.0})
+        _mark(figure.select_traces(**place), {"column": column, "factor": 1.0})
 
 
 def follow_errors(figure: go.Figure, factor: float, traces: Sequence[Trace]) -> go.Figure:

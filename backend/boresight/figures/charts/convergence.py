@@ -31,46 +31,46 @@ from boresight.figures.chart import Figure, Result, Table, Trace
 from boresight.figures.history import History, free_names, read_history, settled_step
 from boresight.figures.live_traces import Panel, follow_column, follow_parameters
 from boresight.figures.style import theme
-from boresight.figures.style.axes import axis_title, counted, offer_log, share_cursor
+from boresight.figures.style.axes import axis_title, counted, frame_grid, grid_place, offer_log, share_cursor
 from boresight.figures.style.thinning import keep_extremes
 from boresight.verdicts.numbers import change_label, quantity
 
 PANELS = 2
 POINT_BUDGET = 1200  # a panel, of all runs together
 MOST_MARKED = 3  # runs whose settling is marked; more lines than that hide the curves
-Place = tuple[int, int]
+Place = dict[str, int]  # row and column, from 1
 
 
 def draw_panels(
-    figure: go.Figure, places: tuple[Place, Place], courses: Sequence[History | None], traces: Sequence[Trace]
+    figure: go.Figure, places: Sequence[Place], courses: Sequence[History | None], traces: Sequence[Trace]
 ) -> None:
-    """Add both panels, in the rows and columns (from 1) of `places`; a course that is None is another axis's."""
+    """Add both panels in their places; a course that is None is another axis's."""
     for history, style in zip(courses, theme.run_styles(traces), strict=True):
         if history is not None:
             judged = history.series("cost") if history.axis == "iteration" else innovations(history)
             _draw(figure, places[0], history, judged, style, POINT_BUDGET // len(traces))
             _draw(figure, places[1], history, step_norm(history), style, POINT_BUDGET // len(traces))
-    cost, step = ({"row": row, "col": col} for row, col in places)
+    cost, step = places
     figure.update_yaxes(title={"text": "step (σ)", "standoff": 4}, type="log", exponentformat="power", **step)
-    names = [_axis_name(figure, *places[1])]
+    names = [_axis_name(figure, step)]
     if any(course is not None and course.axis == "frame" for course in courses):
         figure.add_hline(y=1, line=theme.LEVEL, **cost)
         figure.update_yaxes(title={"text": "NIS / dof, so far", "standoff": 4}, **cost)
     else:
         figure.update_yaxes(title={"text": "cost", "standoff": 4}, type="log", exponentformat="power", **cost)
-        names.append(_axis_name(figure, *places[0]))
+        names.append(_axis_name(figure, cost))
     offer_log(figure, names)
 
 
 def _draw(figure: go.Figure, place: Place, history: History, y: FloatArray, style: theme.RunStyle, limit: int) -> None:
     kept = keep_extremes([y], limit)
     settings = {"hovertemplate": f"%{{y:.4g}}<extra>{style.label}</extra>", "showlegend": False}
-    figure.add_trace(theme.line(style, history.x[kept], y[kept], **settings), row=place[0], col=place[1])
+    figure.add_trace(theme.line(style, history.x[kept], y[kept], **settings), **place)
 
 
-def _axis_name(figure: go.Figure, row: int, column: int) -> str:
+def _axis_name(figure: go.Figure, place: Place) -> str:
     """Return the layout's name of a subplot's y axis."""
-    return str(next(iter(figure.select_yaxes(row=row, col=column))).plotly_name)
+    return str(next(iter(figure.select_yaxes(**place))).plotly_name)
 
 
 def innovations(history: History) -> FloatArray:
@@ -160,11 +160,12 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     for panel in panels:
         _draw_references(figure, panel, traces, span)
         _frame_panel(figure, panel)
-    _dress(figure, traces, axis, n_rows, n_panels)
+    _dress(figure, traces, axis, n_panels)
     along = [course if course and course.axis == axis else None for course in courses]
-    draw_panels(figure, (_place(n_panels - 2, columns), _place(n_panels - 1, columns)), along, traces)
+    judges = [grid_place(number, columns) for number in (n_panels - 2, n_panels - 1)]
+    draw_panels(figure, judges, along, traces)
     follow_parameters(figure, panels, traces)
-    follow_column(figure, _place(len(panels), columns), "nis_per_dof", traces)
+    follow_column(figure, judges[0], "nis_per_dof", traces)
     mark_settled(figure, along, traces, n_panels)
     return share_cursor(figure, counted(axis, traces))
 
@@ -173,24 +174,12 @@ def _columns(n_panels: int) -> int:
     return 3 if n_panels <= FEW_PANELS else 4
 
 
-def _place(number: int, columns: int) -> tuple[int, int]:
-    """Return row and column, from 1, of a panel."""
-    return number // columns + 1, number % columns + 1
-
-
-def _dress(figure: go.Figure, traces: Sequence[Trace], axis: str, n_rows: int, n_panels: int) -> go.Figure:
-    """Name the axis on the lowest panel of each column and hide the empty places of the grid."""
-    theme.dress(figure, title=_headline(traces), height_px=110 + n_rows * PANEL_HEIGHT_PX)
-    figure.update_xaxes(showticklabels=True)
+def _dress(figure: go.Figure, traces: Sequence[Trace], axis: str, n_panels: int) -> None:
+    """Give the grid its title, height and axes."""
     columns = _columns(n_panels)
-    for place in range(n_rows * columns):
-        row, column = divmod(place, columns)
-        if place >= n_panels:
-            figure.update_xaxes(visible=False, row=row + 1, col=column + 1)
-            figure.update_yaxes(visible=False, row=row + 1, col=column + 1)
-        elif place + columns >= n_panels:
-            figure.update_xaxes(title_text=axis_title(axis, traces), row=row + 1, col=column + 1)
-    return figure
+    theme.dress(figure, title=_headline(traces), height_px=110 - (-n_panels // columns) * PANEL_HEIGHT_PX)
+    figure.update_xaxes(showticklabels=True)
+    frame_grid(figure, n_panels, columns, axis_title(axis, traces))
 
 
 def _headline(traces: Sequence[Trace]) -> str:

@@ -16,6 +16,7 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Result, Table
 from boresight.figures.style import theme
+from boresight.figures.style.axes import frame_grid, grid_place
 from boresight.figures.trust_parts import Part, column, part_figure
 from boresight.verdicts.numbers import quantity
 
@@ -31,7 +32,7 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     n_rows = -(-len(names) // COLUMNS)
     figure = make_subplots(n_rows, COLUMNS, horizontal_spacing=0.085, vertical_spacing=0.24 / n_rows)
     for i, name in enumerate(names):
-        _panel(figure, drawn, name, {"row": i // COLUMNS + 1, "col": i % COLUMNS + 1}, named=i == 0)
+        _panel(figure, drawn, name, grid_place(i, COLUMNS), named=i == 0)
     _dress(figure, drawn, n_rows, len(names))
     return figure
 
@@ -98,13 +99,7 @@ def _dress(figure: go.Figure, drawn: Sequence[Part], n_rows: int, n_panels: int)
         figure.update_traces(showlegend=False)
     figure.update_xaxes(type="log", tickangle=0)
     figure.update_yaxes(type="log")
-    for place in range(n_rows * COLUMNS):
-        where = {"row": place // COLUMNS + 1, "col": place % COLUMNS + 1}
-        if place >= n_panels:
-            figure.update_xaxes(visible=False, **where)
-            figure.update_yaxes(visible=False, **where)
-        elif place + COLUMNS >= n_panels:
-            figure.update_xaxes(title_text="frames", **where)
+    frame_grid(figure, n_panels, COLUMNS, "frames")
 
 
 def table(part: Any) -> Table:

@@ -87,7 +87,7 @@ def _points(result: Result, names: Sequence[str], style: theme.RunStyle) -> go.S
         legendgroup=style.label,
         showlegend=False,
         marker={"color": style.colour, "size": 8},
-        error_x={"type": "data", "array": theme.short(reach), "color": style.colour, "thickness": 1.4, "width": 4},
+        error_x=theme.error_bars(theme.short(reach), style.colour),
         customdata=theme.short(reach),
         hovertemplate=f"%{{y}}: %{{x:+.4g}} ±%{{customdata:.3g}} typical σ (3σ)<extra>{style.label}</extra>",
     )

@@ -6,7 +6,7 @@ A batch run has the error of the whole set at each iteration; beside sequential 
 
 The first frames fall from the initial error by hundreds of microradians and tail and aggregate then differ by a few, so
 a sequential run is drawn twice: whole on the left, and on the right what follows once it had settled, or from where a
-reader wants it. The band is what chance alone does to an RMS of so many arcs (`rms_tail`).
+reader wants it. The band is what chance alone does to an RMS of so many arcs (`boresight.figures.history`).
 
 Residual RMS by axis: rows and columns of the detector, and along and across the radius; on the whole and as it runs.
 
@@ -259,13 +259,7 @@ def _points(found: AxisResiduals, style: theme.RunStyle) -> go.Scatter:
         name=style.label,
         legendgroup=style.label,
         marker={"color": style.colour, "size": 9},
-        error_y={
-            "type": "data",
-            "array": theme.short(3 * levels[:, 1]),
-            "color": style.colour,
-            "thickness": 1.4,
-            "width": 4,
-        },
+        error_y=theme.error_bars(theme.short(3 * levels[:, 1]), style.colour),
         customdata=theme.short(3 * levels[:, 1]),
         hovertemplate=f"%{{x}}: %{{y:.4f}} ±%{{customdata:.4f}} px (3σ)<extra>{style.label}</extra>",
     )

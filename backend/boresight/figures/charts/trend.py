@@ -109,13 +109,7 @@ def _marks(figure: go.Figure, points: Points, name: str, zero: float, row: int) 
         figure.add_scatter(
             x=[_x(point["at_utc"]) for point in shown],
             y=[(point["parameters"][name] - zero) * factor for point in shown],
-            error_y={
-                "type": "data",
-                "array": [3 * point["sigma"][name] * factor for point in shown],
-                "color": colour,
-                "thickness": 1.4,
-                "width": 4,
-            },
+            error_y=theme.error_bars([3 * point["sigma"][name] * factor for point in shown], colour),
             mode="markers",
             marker={"color": colour, "size": 8, "symbol": "circle" if counted else "circle-open"},
             name=label,

@@ -70,6 +70,22 @@ def hatch(figure: go.Figure, x: tuple[float, float], y: tuple[float, float], *, 
     figure.add_trace(drawn, **place)
 
 
+def grid_place(number: int, columns: int) -> dict[str, int]:
+    """Return row and column, from 1, of a panel of a grid."""
+    return {"row": number // columns + 1, "col": number % columns + 1}
+
+
+def frame_grid(figure: go.Figure, n_panels: int, columns: int, title: str) -> None:
+    """Name the x axis on the lowest panel of each column of a grid, and hide its empty places."""
+    for number in range(-(-n_panels // columns) * columns):
+        where = grid_place(number, columns)
+        if number >= n_panels:
+            figure.update_xaxes(visible=False, **where)
+            figure.update_yaxes(visible=False, **where)
+        elif number + columns >= n_panels:
+            figure.update_xaxes(title_text=title, **where)
+
+
 def detector_map(part: Any, key: str, label: str, **scale: Any) -> go.Heatmap:
     """Draw `part[key]` (n_rows, n_columns) in arcsec over the centres of its cells."""
     return go.Heatmap(

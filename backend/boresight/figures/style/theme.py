@@ -232,6 +232,11 @@ def line(style: RunStyle, x: NDArray[np.float64], y: NDArray[np.float64], **opti
     )
 
 
+def error_bars(reach: Any, colour: str) -> dict[str, Any]:
+    """Draw what a mark may be off by."""
+    return {"type": "data", "array": reach, "color": colour, "thickness": 1.4, "width": 4}
+
+
 def bars(style: RunStyle, x: Sequence[Any], y: NDArray[np.float64], hover: str, **options: Any) -> go.Bar:
     """Draw a run's bars; their labels, where there are any, stand outside."""
     labelled = {"textposition": "outside", "cliponaxis": False} if "text" in options else {}
