@@ -51,6 +51,7 @@ from benchmarks.accuracy import cramer_rao
 from benchmarks.stars import wu_field
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.matching.rematch import Rematcher, ground_covariance
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
@@ -84,7 +85,6 @@ PROMISED = {
     "quaternion": (None, None, None),
     "nothing": (None, None, 0.97),
 }
-NORMAL_95 = 1.96
 WU_START_SIGMA = np.array([1e-3, 5e-4, 10.0, 10.0, 0.5, 1.0])
 SUBSETS = ((2, 3), (1, 2), (1, 3), (1, 2, 3), (1,), (2,), (3,))
 CONSOLE = Console(width=160)
@@ -234,10 +234,8 @@ def wilson(part: IntArray, whole: IntArray) -> tuple[float, float]:
     """95 % interval of a share from its counts frame by frame, each (n_frames,)."""
     n, p = float(whole.sum()), part.sum() / whole.sum()
     together = np.sum((part - p * whole) ** 2) / max(n * p * (1 - p), 1e-12)
-    n, z2 = n / max(1.0, together if 0 < p < 1 else 1.0), NORMAL_95**2
-    middle = (p + z2 / (2 * n)) / (1 + z2 / n)
-    half = NORMAL_95 * np.sqrt(p * (1 - p) / n + z2 / (4 * n**2)) / (1 + z2 / n)
-    return max(middle - half, 0.0), min(middle + half, 1.0)
+    low, high = bootstrap.wilson(p, n / max(1.0, together if 0 < p < 1 else 1.0))
+    return max(low, 0.0), min(high, 1.0)
 
 
 def matched(number: int, begin: str, frames: int, catalogue: Catalogue, folder: Path) -> IntArray:
