@@ -31,7 +31,7 @@ import psutil
 from benchmarks import ROOT, Report, held
 from benchmarks.servers import Service, certified, free_port, variables
 from benchmarks.stars import write_synthetic
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
@@ -75,7 +75,7 @@ class Site:
     def __init__(self, folder: Path, method: str) -> None:
         self.folder = folder
         self._method = method
-        self._blobs = BlobStore(folder / "blobs")
+        self._blobs = FolderBlobStore(folder / "blobs")
         self._environment = os.environ | variables(data_folder=folder, blobs="")
         self._environment["PYTHONPATH"] = str(ROOT)  # the workers are asked by a function of this module
         self._environment.setdefault("NUMBA_CACHE_DIR", str(folder / "kernels"))

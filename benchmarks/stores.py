@@ -33,8 +33,8 @@ from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, Session, migrate, open_engine, open_writing, utc_after
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate

@@ -22,8 +22,8 @@ from boresight.figures import FIGURES
 from boresight.figures.example_calibration import get_example_calibrations
 from boresight.figures.report import render_report
 from boresight.platform.actors import COMMAND_LINE
-from boresight.platform.blobs.folder import register_blob
 from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import open_writing, utc_now
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import wu_sensor

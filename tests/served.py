@@ -24,7 +24,7 @@ from boresight.console.runs.queries import Line, write_event
 from boresight.console.runs.tables import Run
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import register_blob
+from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import open_writing
 from boresight.platform.web.connections import Connections
 from boresight.server import _Server, configured, create_app

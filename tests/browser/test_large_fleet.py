@@ -6,7 +6,7 @@ import re
 import pytest
 from playwright.sync_api import expect
 
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.db.sessions import open_engine, open_writing
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
@@ -26,7 +26,7 @@ def analyst(tmp_path_factory, pytestconfig, browser):
     made.command("user", "add", "analyst", "--role", "analyst", *printed, typed=password_of("analyst"))
     engine = open_engine(url_in(made.folder / "data"))
     with open_writing(engine) as session:
-        add_fleet(session, BlobStore(made.folder / "data" / "blobs"), sensor_document(st16_sensor(1)), 250)
+        add_fleet(session, FolderBlobStore(made.folder / "data" / "blobs"), sensor_document(st16_sensor(1)), 250)
     engine.dispose()
     made.start()
     with People(made, browser).seat("analyst") as window:

@@ -10,7 +10,8 @@ import pytest
 from boresight.console.fleet.tables import Sensor
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit.chain import append_own
-from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.blobs.folder import FolderBlobStore
+from boresight.platform.blobs.store import register_blob
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import open_engine, open_writing
 from tests.stores import drop_triggers, triggers_aside, url_in
@@ -126,7 +127,7 @@ def test_a_schema_of_another_version_is_refused_and_left_as_it_is(store, tmp_pat
 
 
 def _store_a_file(folder, content=b"telemetry"):
-    engine, blobs = open_engine(url_in(folder)), BlobStore(folder / "blobs")
+    engine, blobs = open_engine(url_in(folder)), FolderBlobStore(folder / "blobs")
     with open_writing(engine) as session:
         row = register_blob(session, blobs, blobs.put(content), "text/csv")
         append_own(session, "stored", "blobs")

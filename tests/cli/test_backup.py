@@ -16,7 +16,8 @@ from boresight import disks as integrity
 from boresight.console.webhooks.tables import Webhook
 from boresight.errors import RefusedInputError
 from boresight.platform.audit import chain
-from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.blobs.folder import FolderBlobStore
+from boresight.platform.blobs.store import register_blob
 from boresight.platform.db import backup as backups
 from boresight.platform.db.sessions import open_store, open_writing
 from boresight.settings import read_settings
@@ -32,7 +33,7 @@ def filled(boresight, monkeypatch, tmp_path) -> Any:
     (tmp_path / "first").mkdir()
     added = boresight(*ADD, stdin=f"{PASSWORD}\n")
     assert added.exit_code == 0, added.stderr
-    sha256 = BlobStore(tmp_path / "first" / "blobs").put(b"telemetry")
+    sha256 = FolderBlobStore(tmp_path / "first" / "blobs").put(b"telemetry")
     done = boresight("backup", "--out", tmp_path / "all.zip")
     assert done.exit_code == 0, done.stderr
     assert "the database and 1 files" in done.stdout
@@ -52,7 +53,7 @@ def test_what_was_backed_up_comes_back_and_its_audit_log_holds(filled, monkeypat
     done = boresight("restore", archive)
     assert done.exit_code == 0, done.stderr
     assert "are as they were written" in done.stdout
-    assert BlobStore(folder / "blobs").read(sha256) == b"telemetry"
+    assert FolderBlobStore(folder / "blobs").read(sha256) == b"telemetry"
     assert on_postgresql() or stat.S_IMODE((folder / "boresight.sqlite3").stat().st_mode) == 0o600
     assert boresight("audit", "verify").exit_code == 0
     again = boresight(*ADD, stdin=f"{PASSWORD}\n")
@@ -123,7 +124,7 @@ def test_an_installation_moves_to_postgresql_and_back_with_its_log(filled, monke
     monkeypatch.setenv("BORESIGHT_DATABASE_URL", f"sqlite:///{folder}/own.sqlite3")
     back = boresight("restore", tmp_path / "moved.zip")
     assert back.exit_code == 0, back.stderr
-    assert BlobStore(folder / "blobs").read(sha256) == b"telemetry"
+    assert FolderBlobStore(folder / "blobs").read(sha256) == b"telemetry"
     heads = [line.split()[-1] for line in saved.stdout.splitlines() if line.startswith("audit head")]
     assert boresight("audit", "verify", "--head", *heads).exit_code == 0
     for name in ("ana", "bo"):
@@ -185,7 +186,7 @@ def test_a_backup_holds_no_secret_of_a_webhook_and_without_the_key_a_restore_say
 
 def test_a_backup_of_a_corrupt_file_is_refused_or_names_it(filled, monkeypatch, tmp_path):
     boresight, _, sha256 = filled
-    blobs = BlobStore(tmp_path / "first" / "blobs")
+    blobs = FolderBlobStore(tmp_path / "first" / "blobs")
     good = blobs.put(b"another")
     blobs.path(sha256).write_bytes(b"telemetrx")
     refused = boresight("backup", "--out", tmp_path / "b.zip")
@@ -198,12 +199,12 @@ def test_a_backup_of_a_corrupt_file_is_refused_or_names_it(filled, monkeypatch, 
     folder = _into(monkeypatch, tmp_path / "restored")
     back = boresight("restore", tmp_path / "b.zip")
     assert (back.exit_code, sha256 in back.stderr) == (1, True)
-    assert BlobStore(folder / "blobs").read(good) == b"another"
+    assert FolderBlobStore(folder / "blobs").read(good) == b"another"
 
 
 def test_every_corrupt_member_of_a_backup_is_named(filled, monkeypatch, tmp_path):
     boresight, archive, sha256 = filled
-    blobs = BlobStore(tmp_path / "first" / "blobs")
+    blobs = FolderBlobStore(tmp_path / "first" / "blobs")
     others = [blobs.put(content) for content in (b"one", b"two")]
     assert boresight("backup", "--out", tmp_path / "more.zip").exit_code == 0
     with zipfile.ZipFile(tmp_path / "more.zip") as packed:
@@ -221,7 +222,7 @@ def test_every_corrupt_member_of_a_backup_is_named(filled, monkeypatch, tmp_path
 
 
 def _register(folder: Path, content: bytes) -> str:
-    blobs, settings = BlobStore(folder / "blobs"), read_settings()
+    blobs, settings = FolderBlobStore(folder / "blobs"), read_settings()
     with open_store(settings.database_url) as engine, open_writing(engine) as session:
         sha256 = register_blob(session, blobs, blobs.put(content), "text/csv").sha256
         chain.append_own(session, "uploaded", f"files/{sha256[:12]}")
@@ -280,7 +281,7 @@ def test_a_registered_file_that_is_missing_is_refused_or_named_by_backup_and_res
     boresight, _, other = filled
     folder = _into(monkeypatch, tmp_path / "first")
     sha256 = _register(folder, b"to be lost")
-    BlobStore(folder / "blobs").path(sha256).unlink()
+    FolderBlobStore(folder / "blobs").path(sha256).unlink()
     refused = boresight("backup", "--out", tmp_path / "lost.zip")
     assert (refused.exit_code, sha256[:12] in refused.stderr, (tmp_path / "lost.zip").exists()) == (1, True, False)
     kept = boresight("backup", "--keep-going", "--out", tmp_path / "lost.zip")
@@ -291,7 +292,7 @@ def test_a_registered_file_that_is_missing_is_refused_or_named_by_backup_and_res
     folder = _into(monkeypatch, tmp_path / "restored")
     back = boresight("restore", tmp_path / "lost.zip")
     assert (back.exit_code, sha256 in back.stderr) == (1, True)
-    assert BlobStore(folder / "blobs").read(other) == b"telemetry"
+    assert FolderBlobStore(folder / "blobs").read(other) == b"telemetry"
 
 
 def test_restore_names_a_file_that_an_older_backup_lost_unseen(filled, monkeypatch, tmp_path):
@@ -372,7 +373,7 @@ def test_a_zip_bomb_is_refused_in_little_memory_and_place(filled, monkeypatch, t
     try:
         with pytest.raises(RefusedInputError):
             backups.read_backup(
-                bomb, f"sqlite:///{tmp_path}/nowhere/own.sqlite3", BlobStore(tmp_path / "nowhere" / "blobs")
+                bomb, f"sqlite:///{tmp_path}/nowhere/own.sqlite3", FolderBlobStore(tmp_path / "nowhere" / "blobs")
             )
         peak = tracemalloc.get_traced_memory()[1]
     finally:

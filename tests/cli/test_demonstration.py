@@ -13,7 +13,7 @@ from boresight.console.runs import service as runs
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.uplinks import table_definitions
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.db.sessions import migrate, open_engine, open_reading, open_writing
 from boresight.simulation.sensors import st16_truth
 from boresight.sky.catalogue import load_catalogue
@@ -27,7 +27,7 @@ class Demonstration:
 
     def __init__(self, folder):
         self.engine = open_engine(url_in(folder))
-        self.blobs = BlobStore(folder / "blobs")
+        self.blobs = FolderBlobStore(folder / "blobs")
         self.catalogue = load_catalogue(folder)
         self.said = []
         migrate(self.engine)

@@ -18,7 +18,8 @@ from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.blobs.folder import FolderBlobStore
+from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.sessions import Engine, Session, open_engine, open_reading, open_writing, utc_now
 from tests.passwords import add_person, approve
 from tests.served import house
@@ -91,7 +92,7 @@ def session(engine: Engine) -> Iterator[Session]:
 
 @pytest.fixture
 def blobs(tmp_path: Path) -> BlobStore:
-    return BlobStore(tmp_path / "blobs")
+    return FolderBlobStore(tmp_path / "blobs")
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from boresight.console.runs.tables import Preset, Run
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import register_blob
+from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from boresight.platform.web.concurrency_limit import SMALL_BODY_BYTES
 from tests.served import House

@@ -27,8 +27,8 @@ from boresight.console.runs.tables import Run
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore, register_blob
 from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.sessions import Engine, Session, migrate, open_engine, open_reading, open_writing, utc_now
 from boresight.settings import Settings
 from tests.passwords import add_person

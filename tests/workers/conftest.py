@@ -15,8 +15,8 @@ from boresight.console.runs.queries import events_of_run
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import chain
-from boresight.platform.blobs.folder import register_blob
 from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import migrate, open_engine, open_reading, open_writing, utc_now
 from boresight.settings import Settings, read_settings
 from boresight.simulation.sensors import st16_sensor

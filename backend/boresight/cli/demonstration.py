@@ -28,7 +28,7 @@ from boresight.console.telemetry import queries as set_rows
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.uplinks import table_definitions
 from boresight.platform.actors import COMMAND_LINE, Actor
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from boresight.simulation.scenes import Scenario, calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth

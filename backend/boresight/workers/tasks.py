@@ -26,9 +26,9 @@ from boresight.calibration.telemetry_pieces import StoredTable
 from boresight.console.runs.queries import ClaimedRun, Line, RunEnd
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, CancelledError, CorruptFileError
-from boresight.platform.blobs.folder import BlobStore
 from boresight.platform.blobs.locations import BlobLocation
 from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.working_tables import working_table
 from boresight.settings import Settings, read_settings
 from boresight.sky.catalogue import Catalogue, load_catalogue

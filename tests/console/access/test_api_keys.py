@@ -11,7 +11,7 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError, UnauthenticatedError
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_after
 
 

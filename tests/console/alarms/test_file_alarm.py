@@ -12,7 +12,8 @@ from boresight.console.jobs.maintenance import Maintenance
 from boresight.errors import CorruptFileError
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.blobs.folder import FolderBlobStore
+from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from tests.stores import open_migrated, url_in
 
@@ -28,7 +29,7 @@ def store(tmp_path: Path) -> Iterator[Engine]:
 
 @pytest.fixture
 def blobs(tmp_path: Path, store: Engine) -> BlobStore:
-    blobs = BlobStore(tmp_path / "blobs")
+    blobs = FolderBlobStore(tmp_path / "blobs")
     with open_writing(store) as session:
         for content in (CONTENT, b"other"):
             register_blob(session, blobs, blobs.put(content), "application/json")
@@ -90,7 +91,7 @@ def test_another_server_and_one_that_was_started_anew_leave_the_alarm_up_until_t
 ) -> None:
     sha256 = _spoil(blobs)
     _round(_upkeep(store, blobs))
-    again = _upkeep(store, BlobStore(blobs.folder))
+    again = _upkeep(store, FolderBlobStore(blobs.folder))
     again._read_to = "f" * 64
     _round(again)
     assert _alarms(store)[0].active

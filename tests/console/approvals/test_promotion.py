@@ -12,7 +12,7 @@ from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.errors import ForbiddenError, StaleError
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from tests.passwords import approve
 

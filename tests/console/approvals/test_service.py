@@ -23,7 +23,7 @@ from boresight.errors import (
 )
 from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_now
 from tests.passwords import proved
 

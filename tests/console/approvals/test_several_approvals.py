@@ -15,7 +15,7 @@ from boresight.console.runs.tables import Run
 from boresight.errors import ConflictError, ForbiddenError
 from boresight.platform.actors import POLICY, Actor, Policy
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_after
 from tests.console.conftest import SENSOR
 from tests.passwords import proved

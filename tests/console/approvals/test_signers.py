@@ -16,7 +16,7 @@ from boresight.console.runs.tables import Run
 from boresight.console.uplinks.packages import four_eyes
 from boresight.errors import ConflictError, ForbiddenError
 from boresight.platform.actors import POLICY, Actor, Policy
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from tests.console.conftest import PASSWORD
 from tests.passwords import add_person, approve, proved

@@ -21,7 +21,7 @@ from boresight.console.uplinks import table_definitions
 from boresight.errors import BoresightError, ConflictError, ForbiddenError, RefusedInputError, StaleError
 from boresight.platform.actors import COMMAND_LINE, Actor, Policy
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_after
 from boresight.uplink.table_definition import plain_definition
 from tests.console.conftest import SENSOR

@@ -7,7 +7,7 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.sessions import Session, utc_now
 
 PURPOSES = ("calibration", "validation")

@@ -20,7 +20,7 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
 from boresight.console.uplinks import service as uplinks
 from boresight.platform.actors import Actor
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_after
 from boresight.verdicts.verdict import summary_of
 from tests.console.uplinks.services import climb, promote_by_hand

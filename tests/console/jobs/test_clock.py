@@ -14,7 +14,7 @@ from boresight.console.approvals.tables import Approval
 from boresight.console.jobs.heartbeat import Heartbeat
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.platform.actors import Actor, Policy
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from tests.passwords import approve
 

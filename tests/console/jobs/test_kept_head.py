@@ -20,7 +20,7 @@ from boresight.errors import RefusedInputError
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.external_head import ExternalHead, read_head, write_head
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.db.sessions import Engine, open_engine, open_reading, open_writing, utc_now
 from boresight.settings import read_settings
 from tests.stores import open_migrated, url_in
@@ -45,7 +45,7 @@ def _count(store: Engine, times: int) -> None:
 
 def _upkeep(store: Engine, file: Path | None, every_s: float = 0.0) -> Maintenance:
     folder = Path(str(store.url.database)).parent if store.dialect.name == "sqlite" else Path("/nowhere")
-    return Maintenance(store, LIMITS, BlobStore(folder / "blobs"), ExternalHeadFile(file, every_s))
+    return Maintenance(store, LIMITS, FolderBlobStore(folder / "blobs"), ExternalHeadFile(file, every_s))
 
 
 def _round(upkeep: Maintenance) -> None:

@@ -15,7 +15,7 @@ from boresight.console.jobs import maintenance as upkeep_module
 from boresight.console.jobs.maintenance import Maintenance
 from boresight.platform.actors import SessionLimits
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from tests.passwords import add_person
 from tests.stores import open_migrated, url_in
@@ -35,7 +35,7 @@ def store(tmp_path: Path) -> Iterator[Engine]:
 
 
 def _upkeep(store: Engine) -> Maintenance:
-    return Maintenance(store, LIMITS, BlobStore(Path(tempfile.mkdtemp())))
+    return Maintenance(store, LIMITS, FolderBlobStore(Path(tempfile.mkdtemp())))
 
 
 def test_before_the_first_walk_nothing_is_claimed(store: Engine) -> None:

@@ -10,7 +10,7 @@ from boresight.console.fleet import service as sensors
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.runs.tables import Run
 from boresight.platform.actors import COMMAND_LINE, Actor
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, open_writing
 from tests.console.conftest import SENSOR
 from tests.passwords import approve

@@ -20,7 +20,7 @@ from boresight.errors import (
     StaleError,
 )
 from boresight.platform.actors import COMMAND_LINE, Actor
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 

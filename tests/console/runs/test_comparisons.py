@@ -12,7 +12,7 @@ from boresight.console.runs import comparisons
 from boresight.console.runs.comparisons import UnlikeModelsError, compare, document, read_run_ids, table
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import NotFoundError, RefusedInputError
-from boresight.platform.blobs.folder import register_blob
+from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import utc_now
 
 NAMES = ["f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y"]

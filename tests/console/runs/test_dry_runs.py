@@ -11,7 +11,7 @@ from boresight.console.runs.dry_runs import estimate_run_speed
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import register_blob
+from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import open_writing, utc_now
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.telemetry.read.readers import write_parquet

@@ -10,7 +10,7 @@ from boresight.console.runs.pages.frames import SCALES, FramePage, round_down, u
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import register_blob
+from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import open_writing
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.telemetry.read.readers import write_parquet

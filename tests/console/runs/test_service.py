@@ -15,7 +15,7 @@ from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import register_blob
+from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import open_writing, utc_now
 from tests.console.conftest import _result
 

@@ -15,7 +15,7 @@ from boresight.errors import BoresightError, ForbiddenError, NotFoundError, Refu
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from boresight.telemetry.working_table import WorkingTable, is_working_table

@@ -10,7 +10,7 @@ from boresight.console.uplinks.read_backs import SentTable, get_sent_table, read
 from boresight.console.uplinks.tables import TableDefinition, Uplink
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
 from tests.console.conftest import PASSWORD
 from tests.passwords import proved
@@ -58,12 +58,12 @@ def _tell_crc(engine: Engine, actor: Actor, set_id: int) -> None:
     told = sent_table(engine, set_id).crc or ""
     with open_writing(engine) as session:
         seen = session.get_one(ParameterSet, set_id).version
-        read_back(session, actor, BlobStore(Path("nowhere")), set_id, told, "pass 4711", seen)
+        read_back(session, actor, FolderBlobStore(Path("nowhere")), set_id, told, "pass 4711", seen)
 
 
 def sent_table(engine: Engine, set_id: int = 1) -> SentTable:
     with open_reading(engine) as session:
-        return get_sent_table(session, BlobStore(Path("nowhere")), session.get_one(ParameterSet, set_id))
+        return get_sent_table(session, FolderBlobStore(Path("nowhere")), session.get_one(ParameterSet, set_id))
 
 
 def newest(engine: Engine, set_id: int = 1) -> Uplink:

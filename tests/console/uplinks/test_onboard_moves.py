@@ -13,7 +13,7 @@ from boresight.console.uplinks.tables import Uplink
 from boresight.errors import BoresightError, ConflictError, ForbiddenError
 from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, Session, mark_dry_run, open_reading, open_writing, utc_now
 from tests.console.conftest import PASSWORD
 from tests.console.uplinks.services import define, sent_table

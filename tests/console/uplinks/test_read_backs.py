@@ -21,7 +21,7 @@ from boresight.errors import (
 )
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_after
 from tests.console.uplinks.services import DOCUMENT, climb, define, newest, onboard, promote_by_hand, sent_table
 

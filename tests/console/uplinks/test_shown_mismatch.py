@@ -13,7 +13,7 @@ from boresight.console.uplinks.read_backs import read_back
 from boresight.console.uplinks.service import has_shown_mismatch
 from boresight.errors import ConflictError
 from boresight.platform.actors import Actor
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, Session, mark_dry_run, open_writing
 from tests.console.conftest import PASSWORD
 from tests.console.uplinks.services import define, sent_table

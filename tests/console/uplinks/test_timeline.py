@@ -17,7 +17,7 @@ from boresight.console.uplinks.tables import TableDefinition, Uplink
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import (
     Engine,
     Session,

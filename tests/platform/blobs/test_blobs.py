@@ -11,13 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import ConflictError, NotFoundError, UnavailableError
-from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.blobs.folder import FolderBlobStore
+from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.sessions import Engine, open_writing
 
 
 @pytest.fixture
 def blobs(tmp_path: Path) -> BlobStore:
-    return BlobStore(tmp_path / "blobs")
+    return FolderBlobStore(tmp_path / "blobs")
 
 
 def _files(blobs: BlobStore) -> list[Path]:
@@ -27,7 +28,7 @@ def _files(blobs: BlobStore) -> list[Path]:
 @given(content=st.binary(max_size=2000))
 def test_what_is_put_is_read_back_under_its_hash(content: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        blobs = BlobStore(Path(folder))
+        blobs = FolderBlobStore(Path(folder))
         assert blobs.put(content) == hashlib.sha256(content).hexdigest()
         assert blobs.read(blobs.put(content)) == content
         assert len(_files(blobs)) == 1
@@ -93,7 +94,7 @@ def test_a_folder_that_cannot_be_made_is_refused_in_a_sentence_that_names_it(
     (tmp_path / "file").touch()
     folder = tmp_path / "file" / "blobs"
     with pytest.raises(UnavailableError, match=f"^The folder of files {folder} cannot be written"):
-        act(BlobStore(folder))
+        act(FolderBlobStore(folder))
 
 
 def test_looking_at_the_folder_leaves_nothing_behind(blobs: BlobStore) -> None:

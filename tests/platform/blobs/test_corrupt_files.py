@@ -9,12 +9,13 @@ import pytest
 
 from boresight import disks as integrity
 from boresight.errors import CorruptFileError
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.folder import FolderBlobStore
+from boresight.platform.blobs.store import BlobStore
 
 
 @pytest.fixture
 def blobs(tmp_path: Path) -> BlobStore:
-    return BlobStore(tmp_path / "blobs")
+    return FolderBlobStore(tmp_path / "blobs")
 
 
 def _rest(path: Path) -> None:
@@ -62,7 +63,7 @@ def test_a_file_is_hashed_once_a_process(blobs: BlobStore, monkeypatch: pytest.M
     monkeypatch.setattr(integrity, "compute_digest", lambda _: pytest.fail("it was hashed again"))
     for _ in range(3):
         assert blobs.read(sha256) == b"stars"
-    again = BlobStore(blobs.folder)
+    again = FolderBlobStore(blobs.folder)
     assert again.read(sha256) == b"stars"
 
 

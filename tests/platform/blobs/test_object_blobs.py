@@ -13,14 +13,14 @@ from hypothesis import strategies as st
 from obstore.store import MemoryStore, from_url
 
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError, UnavailableError
-from boresight.platform.blobs.bucket import KEPT_S, ObjectBlobStore
+from boresight.platform.blobs.bucket import KEPT_S, BucketBlobStore
 from boresight.platform.blobs.locations import BlobLocation
 from boresight.platform.blobs.opening import open_blobs
 from boresight.settings import read_settings
 from tests.object_store import SECRET, serving_s3
 
 PLENTY = 10**9
-Open = Callable[..., ObjectBlobStore]
+Open = Callable[..., BucketBlobStore]
 
 
 @pytest.fixture(scope="module")
@@ -33,9 +33,9 @@ def s3() -> Iterator[str]:
 def blobs(s3: str, tmp_path: Path) -> Open:
     assert s3
 
-    def machine(name: str = "here", bucket: str = "flight", limit_bytes: int = PLENTY) -> ObjectBlobStore:
+    def machine(name: str = "here", bucket: str = "flight", limit_bytes: int = PLENTY) -> BucketBlobStore:
         opened = open_blobs(BlobLocation(f"s3://{bucket}/blobs", tmp_path / name, limit_bytes))
-        assert isinstance(opened, ObjectBlobStore)
+        assert isinstance(opened, BucketBlobStore)
         return opened
 
     return machine
@@ -166,7 +166,7 @@ def test_any_bytes_come_back_and_a_lost_cache_costs_nothing_but_time(
     tmp_path_factory: pytest.TempPathFactory, content: bytes
 ) -> None:
     folder, store = tmp_path_factory.mktemp("any"), MemoryStore()
-    first, second = (ObjectBlobStore(BlobLocation("memory:///", folder / name, PLENTY), store) for name in "ab")
+    first, second = (BucketBlobStore(BlobLocation("memory:///", folder / name, PLENTY), store) for name in "ab")
     sha256 = first.put(content)
     assert second.read(sha256) == content
     second.path(sha256).unlink()

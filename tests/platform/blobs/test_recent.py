@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import CorruptFileError, NotFoundError
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.db.data_version import LARGEST_SHARE, SizeLimitedCache
 
 
@@ -39,14 +39,14 @@ def test_what_is_too_large_is_made_each_time_and_pushes_nothing_out():
 
 
 def test_a_document_is_parsed_once(tmp_path):
-    blobs = BlobStore(tmp_path)
+    blobs = FolderBlobStore(tmp_path)
     sha256 = blobs.put(b'{"a": 1}')
     assert blobs.document(sha256) == {"a": 1}
     assert blobs.document(sha256) is blobs.document(sha256)
 
 
 def test_a_document_that_was_altered_or_removed_is_not_answered_from_memory(tmp_path):
-    blobs = BlobStore(tmp_path)
+    blobs = FolderBlobStore(tmp_path)
     sha256 = blobs.put(b'{"a": 1}')
     blobs.document(sha256)
     blobs.path(sha256).write_bytes(b'{"a": 22}')

@@ -5,7 +5,7 @@ from unittest import mock
 import pytest
 
 from boresight.disks import compute_digest
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.blobs.working_tables import table_path, working_table
 from boresight.telemetry.read.limits import STORED
 from boresight.telemetry.read.readers import read_telemetry, write_parquet
@@ -15,7 +15,7 @@ from tests.telemetry.test_working_table import assert_same_bits, full
 
 @pytest.fixture
 def blobs(tmp_path):
-    return BlobStore(tmp_path / "blobs")
+    return FolderBlobStore(tmp_path / "blobs")
 
 
 @pytest.fixture

@@ -23,7 +23,8 @@ from boresight.console.uplinks.read_backs import get_sent_table, read_back
 from boresight.errors import StaleError
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.folder import FolderBlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.documents import canonical
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from boresight.uplink.table_definition import plain_definition
@@ -98,7 +99,7 @@ def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet, blo
 def test_promotions_at_once_leave_one_baseline_and_one_chain(
     postgresql: Engine, people: Mapping[str, Actor], tmp_path: Path
 ) -> None:
-    blobs = BlobStore(tmp_path / "blobs")
+    blobs = FolderBlobStore(tmp_path / "blobs")
     rows = [_candidate(postgresql, people["ana"], blobs, tmp_path, 0.016 + n * 1e-6) for n in range(3)]
     versions = [_approve(postgresql, people, row, blobs) for row in rows]
 
@@ -121,7 +122,7 @@ def test_promotions_at_once_leave_one_baseline_and_one_chain(
 def test_the_ladder_and_the_question_of_when_work(
     postgresql: Engine, people: Mapping[str, Actor], tmp_path: Path
 ) -> None:
-    dee, blobs, plain = people["dee"], BlobStore(tmp_path / "blobs"), plain_definition("inverted_wang")
+    dee, blobs, plain = people["dee"], FolderBlobStore(tmp_path / "blobs"), plain_definition("inverted_wang")
     with open_writing(postgresql) as session:
         table_definitions.set_definition(session, people["ana"], 1, plain, "As flown.", 0)
         for state in ("SENT", "LOADED"):

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from boresight.cli import main
 from boresight.disks import LEAST_FREE_BYTES, refuse_unwritable, storage_error
 from boresight.errors import StorageError
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.web.problems import make_problem
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -52,7 +52,7 @@ def test_a_server_on_a_full_disk_says_so_stores_nothing_by_halves_and_goes_on_wh
 
 
 def test_a_limit_on_the_size_of_files_is_a_full_disk_and_leaves_no_scraps(tmp_path: Path) -> None:
-    blobs, child = BlobStore(tmp_path / "blobs"), os.fork()
+    blobs, child = FolderBlobStore(tmp_path / "blobs"), os.fork()
     if child == 0:  # the limit is for good
         resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
         try:

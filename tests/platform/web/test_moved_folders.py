@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from boresight.errors import StorageError
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.db.data_version import DataVersionReader
 from boresight.platform.db.sessions import open_engine, open_reading, open_writing
 from boresight.platform.web import cached_check
@@ -112,7 +112,7 @@ def test_connections_that_are_open_on_a_moved_database_are_refused_too(tmp_path:
 
 
 def test_a_stored_file_is_not_called_missing_where_its_folder_is(tmp_path: Path) -> None:
-    blobs = BlobStore(tmp_path / "blobs")
+    blobs = FolderBlobStore(tmp_path / "blobs")
     sha256 = blobs.put(b"stars")
     blobs.folder.rename(tmp_path / "away")
     for act in (lambda: blobs.read(sha256), lambda: blobs.put(b"more"), blobs.refuse_unusable):

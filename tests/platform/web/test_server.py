@@ -14,7 +14,7 @@ import pytest
 import uvicorn
 from playwright.sync_api import sync_playwright
 
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.web.cached_check import CachedCheck
 from boresight.platform.web.middleware import SECURITY_HEADERS, SECURITY_POLICY
 from boresight.server import _Server, create_app
@@ -93,7 +93,7 @@ def test_a_server_that_cannot_write_its_files_is_not_ready_and_refuses_an_upload
 ) -> None:
     assert house.anybody().get("/readyz").json()["checks"]["files"] == {"ready": True}
     sensor_id = house.new_sensor()["id"]
-    nowhere = BlobStore(tmp_path / "file" / "blobs")
+    nowhere = FolderBlobStore(tmp_path / "file" / "blobs")
     nowhere.folder.parent.write_text("no folder")
     instead = {"blobs": nowhere, "blobs_watched": CachedCheck(nowhere.refuse_unusable)}
     for name, part in instead.items():

@@ -33,7 +33,7 @@ from boresight.errors import (
     UnauthenticatedError,
 )
 from boresight.platform.actors import Actor, Policy, require_person
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, Session, mark_dry_run, open_reading, open_writing
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.figure_cache import FigureCache

@@ -21,7 +21,7 @@ from boresight.console.runs.tables import Run
 from boresight.errors import BoresightError, NotFoundError, PreconditionRequiredError, RefusedInputError, StaleError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.web.text_validation import refuse_control_characters

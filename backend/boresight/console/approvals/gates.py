@@ -56,7 +56,7 @@ from boresight.errors import (
 )
 from boresight.platform.actors import Actor, require_person, require_role, require_scope
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.working_tables import table_path
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, utc_after, utc_now

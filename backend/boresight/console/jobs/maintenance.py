@@ -39,7 +39,7 @@ from boresight.platform.actors import SessionLimits
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.external_head import ExternalHead, read_head, write_head
 from boresight.platform.blobs import files
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_now
 from boresight.platform.jobs.periodic_thread import PeriodicThread
 

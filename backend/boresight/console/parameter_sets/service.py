@@ -40,7 +40,7 @@ from boresight.console.transitions import get_parameter_set, get_sensor, name_su
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.telemetry.sensors import Sensor as SensorDescription

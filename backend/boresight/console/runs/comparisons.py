@@ -27,7 +27,7 @@ from boresight.console.runs import service as runs
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import NotFoundError, RefusedInputError
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.working_tables import table_path
 from boresight.platform.db.sessions import Session
 from boresight.telemetry.sampling import shared_exposures

@@ -30,7 +30,7 @@ from boresight.figures.charts import radial as radial_contrast
 from boresight.figures.history import tailed
 from boresight.figures.style.thinning import thinning
 from boresight.figures.views import aligned, as_band, focus
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.media import CsvFile, csv_response
 from boresight.platform.web.paging import Id, Listing, Page

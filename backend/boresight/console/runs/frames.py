@@ -18,7 +18,7 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.console.runs.service import get_run, result
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry.service import get_telemetry_set
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.working_tables import table_path
 from boresight.platform.db.sessions import Session
 from boresight.sky.catalogue import Catalogue

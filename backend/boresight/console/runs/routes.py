@@ -37,7 +37,7 @@ from boresight.console.runs.frames import FrameLine
 from boresight.console.runs.presets import BUILT_IN, OfferedPreset
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Preset, Run, RunEvent
 from boresight.figures.report import render_report
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import GREATEST_ID, Id, Listing, Page, Paged
 from boresight.platform.web.response_cache import cover_with_tag

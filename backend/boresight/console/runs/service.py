@@ -20,7 +20,7 @@ from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, 
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.text_validation import refuse_control_characters

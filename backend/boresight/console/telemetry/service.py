@@ -23,7 +23,7 @@ from boresight.errors import NotFoundError, RefusedInputError, UnavailableError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs import files
-from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.web.text_validation import normal_name
 from boresight.sky.catalogue import Catalogue

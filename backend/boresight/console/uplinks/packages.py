@@ -34,7 +34,7 @@ from boresight.console.uplinks.tables import Package, TableDefinition
 from boresight.errors import ConflictError, CorruptFileError, NotFoundError, RefusedInputError
 from boresight.platform.actors import POLICY, Actor, Policy, require_role, require_scope
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.uplink.package import build_package
 

@@ -29,7 +29,7 @@ from boresight.console.uplinks.table_definitions import parsed
 from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.actors import Actor
-from boresight.platform.blobs.folder import BlobStore, register_blob
+from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.uplink import table_definition as tables
 from boresight.uplink.cfe import table_image

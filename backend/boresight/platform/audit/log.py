@@ -22,7 +22,7 @@ from boresight.platform.audit.external_head import ExternalHead
 from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.audit.verification import RowMismatch, VerificationFindings
 from boresight.platform.blobs import files
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.lists import newest_rows
 from boresight.platform.db.sessions import Session
 from boresight.platform.db.times import read_time

@@ -1,7 +1,7 @@
 """Blobs in a bucket of an object store, named as in the folder: `prefix/ab/cd/abcd...`.
 
 An object is put once and never changed, so what was fetched stays right for ever. A file is fetched once a machine, into
-a folder in the layout of `BlobStore`: written beside while its SHA-256 is taken, and named only when that is the address,
+a folder in the layout of `FolderBlobStore`: written beside while its SHA-256 is taken, and named only when that is the address,
 so it is there complete and right or not at all. What was asked for longest ago is let go when more lies there than
 allowed, but nothing that was asked for within the last hour: it may be about to be opened. Who has it open keeps it. A
 file here that is not what it was when it was fetched is fetched anew.
@@ -29,8 +29,9 @@ from obstore.store import ObjectStore, from_url
 
 from boresight import disks as integrity
 from boresight.errors import CorruptFileError, ForbiddenError, NotFoundError, UnavailableError
-from boresight.platform.blobs.folder import CHUNK_BYTES, BlobStore
+from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.blobs.locations import BlobLocation
+from boresight.platform.blobs.store import CHUNK_BYTES, BlobStore, open_content, written_beside
 
 KEPT_S = 3600.0  # after it was last asked for
 MARK_S = KEPT_S / 12  # asked for so soon again, a file is not marked again
@@ -39,41 +40,54 @@ ANSWERS_WITHIN, ENDS_WITHIN, TRIED_FOR, LOOKS_FOR = (timedelta(seconds=number) f
 LOOKED_FOR = "is-it-there"
 
 
-class ObjectBlobStore(BlobStore):
+class BucketBlobStore(BlobStore):
     """The blobs of a bucket; `folder` holds what was fetched or put lately."""
 
     def __init__(self, place: BlobLocation, store: ObjectStore, looking: ObjectStore | None = None) -> None:
         super().__init__(place.cache_folder)
         self.kept_at = self.address = place.address
         self.limit_bytes = place.cache_bytes
+        self._here = FolderBlobStore(place.cache_folder, is_cache=True)
         self._store = store
         self._looking = looking or store  # the same, without patience
         self._added_bytes = self.limit_bytes  # measured once at first
 
-    def _enter(self) -> None:
-        """Make the folder of what was fetched, which may be emptied or removed at any time."""
-        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    def open(self, *, make: bool = True) -> None:
+        """Take the folder of what was fetched for the one to use."""
+        self._here.open(make=make)
+
+    def put(self, content: bytes | Path) -> str:
+        """Put bytes, or a copy of a file, into the bucket, keep them here too, and return their address."""
+        with (
+            open_content(content) as source,
+            self._here.writing(),
+            written_beside(source, self.folder) as (written, sha256),
+        ):
+            size = written.stat().st_size
+            with self._asking(
+                f"There is no bucket for {self.address}; make it, or mend the address in BORESIGHT_BLOBS."
+            ):
+                if self._get_size(sha256) != size:
+                    obstore.put(self._store, _key(sha256), written)
+                    if self._get_size(sha256) != size:
+                        raise UnavailableError(
+                            f"The file {sha256[:12]} did not arrive whole in {self.address}; try again, and look at the store."
+                        )
+            self._keep_here(written, sha256, size)
+        return sha256
 
     def send_ahead(self, *files: Path) -> None:
         """Put files that will be put again, which then sends nothing."""
         for file in files:
             self.put(file)
 
-    def _keep(self, written: Path, sha256: str) -> None:
-        """Put a complete file into the bucket, and keep it here too."""
-        size = written.stat().st_size
-        with self._asking(f"There is no bucket for {self.address}; make it, or mend the address in BORESIGHT_BLOBS."):
-            if self._get_size(sha256) != size:
-                obstore.put(self._store, _key(sha256), written)
-                if self._get_size(sha256) != size:
-                    raise UnavailableError(
-                        f"The file {sha256[:12]} did not arrive whole in {self.address}; try again, and look at the store."
-                    )
-        self._keep_here(written, sha256, size)
+    def discard(self, sha256: str) -> None:
+        """Remove the copy here; an object that no row names is harmless."""
+        self._here.discard(sha256)
 
     def refuse_unusable(self) -> None:
         """Ask the store for something that is not there: who answers that is there and lets us in."""
-        super().refuse_unusable()
+        self._here.refuse_unusable()
         with self._asking(""), suppress(FileNotFoundError):
             obstore.head(self._looking, LOOKED_FOR)
 
@@ -86,7 +100,7 @@ class ObjectBlobStore(BlobStore):
 
     def path(self, sha256: str) -> Path:
         """Return a file with the bytes of an address, fetched the first time, to be read only."""
-        place = self._place(sha256)
+        place = self._here.place(sha256)
         try:
             if not integrity.is_intact(place, sha256):
                 place.unlink(missing_ok=True)
@@ -138,7 +152,7 @@ class ObjectBlobStore(BlobStore):
 
     def _fetch(self, sha256: str) -> None:
         """Bring an object here, complete and right or not at all."""
-        self._enter()
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         digest = hashlib.sha256()
         with tempfile.TemporaryDirectory(prefix=".get-", dir=self.folder) as folder:
             written = Path(folder) / sha256
@@ -151,7 +165,7 @@ class ObjectBlobStore(BlobStore):
 
     def _keep_here(self, written: Path, sha256: str, size: int) -> None:
         """Keep a complete file in the folder, and let others go when it holds too much."""
-        super()._keep(written, sha256)
+        self._here.keep(written, sha256)
         self._added_bytes += size
         if self._added_bytes > self.limit_bytes // LOOK_AFTER:
             self._added_bytes = 0
@@ -201,7 +215,7 @@ def _files(folder: Path) -> Iterator[tuple[float, int, Path]]:
 
 
 @cache
-def open_object_blobs(place: BlobLocation) -> ObjectBlobStore:
+def open_bucket(place: BlobLocation) -> BucketBlobStore:
     """Open a bucket, once a process: connections are kept."""
     store = from_url(  # an endpoint without TLS is used only where the environment names one
         place.address,
@@ -213,4 +227,4 @@ def open_object_blobs(place: BlobLocation) -> ObjectBlobStore:
         client_options={"allow_http": True, "connect_timeout": LOOKS_FOR, "timeout": LOOKS_FOR},
         retry_config={"max_retries": 0, "retry_timeout": LOOKS_FOR},
     )
-    return ObjectBlobStore(place, store, looking)
+    return BucketBlobStore(place, store, looking)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import sqlalchemy as sa
 
 from boresight.errors import CorruptFileError, NotFoundError
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.declared import Base
 from boresight.platform.db.sessions import Session

@@ -12,7 +12,7 @@ import secrets
 from pathlib import Path
 
 from boresight import disks as integrity
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.telemetry.read.limits import STORED
 from boresight.telemetry.read.readers import read_chunks
 from boresight.telemetry.working_table import WorkingTableParts, is_working_table

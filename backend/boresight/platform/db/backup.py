@@ -45,7 +45,7 @@ from boresight.disks import compute_digest
 from boresight.errors import ConflictError, CorruptFileError, RefusedInputError
 from boresight.platform.audit import seals as journals
 from boresight.platform.blobs import files
-from boresight.platform.blobs.folder import CHUNK_BYTES, BlobStore
+from boresight.platform.blobs.store import CHUNK_BYTES, BlobStore
 from boresight.platform.db.declared import Base
 from boresight.platform.db.sessions import Engine, migrate, open_engine
 from boresight.platform.db.times import utc_now

@@ -54,7 +54,7 @@ from boresight.console.uplinks.tables import Uplink
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.figures.charts import trend as figure
 from boresight.platform.actors import Actor
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, open_reading, utc_now
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, fixed, is_number, urad

@@ -43,7 +43,7 @@ from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.errors import BoresightError
 from boresight.platform.actors import Actor
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
 
