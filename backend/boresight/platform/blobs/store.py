@@ -2,7 +2,7 @@
 
 The name says what must be inside, so putting the same bytes twice is one file. A file is there complete or not at all, and nobody
 gets it, its bytes or its document without it having been held against its address: what does not fit is refused as corrupt, and
-told to whoever raises alarms. Bytes that no row refers to are harmless, so they are put before the row that names them is committed.
+told to whoever raises alarms. Bytes that no row refers to are harmless, so they are put before the row that names them commits.
 """
 
 from __future__ import annotations
