@@ -48,11 +48,10 @@ from boresight.platform.db.data_version import DataVersionPoller, DataVersionRea
 from boresight.platform.db.sessions import migrate, open_engine, open_reading
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web import static_files
-from boresight.platform.web.cached_check import CachedCheck
 from boresight.platform.web.concurrency_limit import ConcurrencyLimit, ConcurrencyLimits
 from boresight.platform.web.connections import Connections, open_file_limit
 from boresight.platform.web.figure_cache import FigureCache
-from boresight.platform.web.metrics import Metrics
+from boresight.platform.web.metrics import CachedCheck, Metrics
 from boresight.platform.web.middleware import (
     AcceptEncodingMiddleware,
     HeadMiddleware,

@@ -3,8 +3,8 @@
 import pytest
 
 from boresight.console.runs.queries import RunEnd
-from boresight.workers import reconcile as lookout
-from boresight.workers.reconcile import RUNS, AlarmCheck
+from boresight.workers import dispatcher as lookout
+from boresight.workers.dispatcher import RUNS, AlarmCheck
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ import pytest
 
 from boresight.console.runs.dry_runs import TimedRun
 from boresight.console.runs.queries import WaitingRun
-from boresight.workers import reconcile as paces
-from boresight.workers.reconcile import FRESH_S, DurationModel
+from boresight.workers import dispatcher as paces
+from boresight.workers.dispatcher import FRESH_S, DurationModel
 
 SMALL, LARGE = TimedRun(stars=5_000, seconds=0.4), TimedRun(stars=300_000, seconds=3.0)
 

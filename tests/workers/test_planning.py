@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.console.runs.queries import WaitingRun
-from boresight.workers.reconcile import GROUP_RUNS, GROUP_S, LONG_GROUP_S, planned
+from boresight.workers.dispatcher import GROUP_RUNS, GROUP_S, LONG_GROUP_S, planned
 
 
 def waiting(stars, attempts=None):

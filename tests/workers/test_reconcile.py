@@ -8,8 +8,8 @@ import pytest
 from boresight.console.runs import queries as runs
 from boresight.console.runs.queries import Line, RunEnd
 from boresight.platform.db.sessions import open_writing
+from boresight.workers.dispatcher import Reconciler
 from boresight.workers.link import Report
-from boresight.workers.reconcile import Reconciler
 
 NUMBERS = count()
 

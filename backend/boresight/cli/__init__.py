@@ -13,19 +13,15 @@ from boresight.cli.administration import certificates, migrate, user, webhook
 from boresight.cli.assess import assess
 from boresight.cli.audit import audit, backup, restore
 from boresight.cli.calibrate import calibrate
-from boresight.cli.check import check
 from boresight.cli.convert import convert
-from boresight.cli.evaluate import evaluate
-from boresight.cli.export import export
+from boresight.cli.evaluate import check, evaluate
 from boresight.cli.match import match
 from boresight.cli.output import RefusingGroup
 from boresight.cli.report import report
-from boresight.cli.reproduce import reproduce
+from boresight.cli.reproduce import reproduce, simulate
 from boresight.cli.serve import demo, serve
-from boresight.cli.simulate import simulate
-from boresight.cli.table import table
-from boresight.cli.warm import warm
-from boresight.cli.worker import scheduler, worker
+from boresight.cli.table import export, table
+from boresight.cli.worker import scheduler, warm, worker
 
 
 @click.group(cls=RefusingGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})

@@ -30,6 +30,7 @@ from boresight.console.runs.tables import Preset, Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.console.webhooks.tables import WebhookDelivery
+from boresight.errors import RefusedInputError
 from boresight.platform.audit.queries import RECORDS
 from boresight.platform.db.documents import among, number_in, text_in
 from boresight.platform.db.lists import Condition, List, equals, newest_rows
@@ -275,7 +276,8 @@ def count(session: Session, name: str, where: Mapping[str, Any]) -> int:
     """Return how many rows of a list fit its filters."""
     known = LISTS[name]
     narrowed = sa.select(sa.func.count()).select_from(known.table)
-    return session.scalar(narrowed.where(*(known.filters[key](value) for key, value in where.items()))) or 0
+    fitting = (known.filters[key](value) for key, value in _checked(name, where).items())
+    return session.scalar(narrowed.where(*fitting)) or 0
 
 
 def walk(session: Session, name: str, asked: ListQuery) -> Iterator[Any]:
@@ -317,3 +319,31 @@ def _rows(session: Session, known: List, ids: Sequence[int]) -> list[Any]:
     found = session.scalars(sa.select(known.table).where(among(known.table.id, ids)).options(*left_out))
     by_id = {row.id: row for row in found}
     return [by_id[number] for number in ids if number in by_id]
+
+
+def read_page(
+    session: Session, name: str, where: Mapping[str, Any], sort: str, *, before_id: int | None = None, limit: int
+) -> list[Any]:
+    """Return a page of a list; the next page is that before the last row's id."""
+    return page(session, name, _asked(name, where, sort, before_id), limit)
+
+
+def read_all(session: Session, name: str, where: Mapping[str, Any], sort: str) -> Iterator[Any]:
+    """Yield every row of a list in its order."""
+    return walk(session, name, _asked(name, where, sort, None))
+
+
+def _asked(name: str, where: Mapping[str, Any], sort: str, before_id: int | None) -> ListQuery:
+    """Check the names."""
+    known = LISTS[name]
+    if sort.removeprefix("-") not in known.keys:
+        raise RefusedInputError(f"The list is not sorted by {sort!r}; choose from {', '.join(known.keys)}.")
+    return ListQuery(_checked(name, where), sort, before_id)
+
+
+def _checked(name: str, where: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Refuse filters that a list does not know."""
+    known = LISTS[name].filters
+    if strange := sorted(set(where) - set(known)):
+        raise RefusedInputError(f"The list has no filter {', '.join(strange)}; choose from {', '.join(known)}.")
+    return where

@@ -36,10 +36,10 @@ from starlette.responses import Response
 
 from boresight.console.access.credentials import SESSION_COOKIE, get_actor
 from boresight.console.access.dependencies import IsDryRun, Who, Writing, csrf
-from boresight.console.idempotent_responses import forget_responses, response_under
 from boresight.console.schemas import Row
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor
+from boresight.platform.audit.queries import forget_responses, response_under
 from boresight.platform.audit.tables import IdempotentResponse
 from boresight.platform.db.sessions import Session, utc_after, utc_now
 from boresight.platform.web.openapi import dependency_refusals, refusals

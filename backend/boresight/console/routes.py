@@ -8,7 +8,6 @@ from types import ModuleType
 from fastapi import APIRouter
 
 from boresight.console.access import routes as access
-from boresight.console.administration import documentation
 from boresight.console.administration import routes as administration
 from boresight.console.alarms import routes as alarms
 from boresight.console.approvals import routes as approvals
@@ -56,6 +55,6 @@ def include_routes(routes: APIRouter) -> None:
 
     Their routes as they are: a router that includes another has the framework seek, and work out, every route twice.
     """
-    for module in (*NOUNS, administration, documentation):
+    for module in (*NOUNS, administration):
         for router in routers(module):
             routes.routes.extend(router.routes)

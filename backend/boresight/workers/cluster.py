@@ -44,8 +44,7 @@ from boresight.workers.cluster_executor import LENT_TOPIC
 from boresight.workers.dispatched_tasks import UNFIT_TOPIC, WorkerCheck
 from boresight.workers.link import TOPIC, Report, cancel_event
 from boresight.workers.security import PROTOCOL, make_security, own_security
-from boresight.workers.tasks import Work, execute_group
-from boresight.workers.warm_up import WarmUp
+from boresight.workers.tasks import WarmUp, Work, execute_group
 
 #: Of a machine, over its worker processes; the rest is the server's and the system's.
 MEMORY_SHARE = 0.8

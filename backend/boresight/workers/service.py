@@ -25,7 +25,7 @@ from distributed.system import MEMORY_LIMIT
 from boresight.settings import Settings
 from boresight.workers.cluster import CONFIGURATION, MEMORY_SHARE, Nanny, Scheduler
 from boresight.workers.security import PROTOCOL, make_security, refuse_open_link
-from boresight.workers.warm_up import WarmUp
+from boresight.workers.tasks import WarmUp
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 LASTED_S = 60.0

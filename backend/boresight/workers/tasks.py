@@ -4,10 +4,17 @@ A worker opens no database. It gets the addresses of files and values, puts the 
 content address, and returns the address and the figures a list shows. So nothing is lost when whoever asked is gone,
 and an attempt that is computed twice leaves the same bytes in the same place. A folder of blobs must be visible to every
 worker under the same path; of an object store a worker gets the address, and has credentials and cache of its own.
+
+A process is made ready before its first run: kernels compiled or read from the cache, catalogue loaded. That is a plugin of the
+scheduler, so that a worker that replaces a dead one is warmed as well; `boresight warm` does the same once an installation, so
+that not even the first worker waits for the compiler.
 """
 
 from __future__ import annotations
 
+import logging
+import signal
+import threading
 import time
 import traceback
 from collections.abc import Callable
@@ -19,10 +26,14 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, TypedDict, cast
 
+import numpy as np
 import orjson
+from distributed.diagnostics.plugin import WorkerPlugin
 
-from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.calibrate import calibrate
+from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.calibration.telemetry_pieces import StoredTable
+from boresight.cameras import CAMERA_MODELS
 from boresight.console.runs.queries import ClaimedRun, Line, RunEnd
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, CancelledError, CorruptFileError
@@ -31,12 +42,68 @@ from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.working_tables import working_table
 from boresight.settings import Settings, read_settings
+from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.telemetry.schema import Telemetry
-from boresight.telemetry.sensors import parse_sensor
+from boresight.telemetry.sensors import Sensor, parse_sensor
 from boresight.verdicts.verdict import summary_of
 from boresight.workers.cluster_executor import ClusterExecutor, make_scratch_folder
 from boresight.workers.link import Link
+
+log = logging.getLogger(__name__)
+
+FRAMES, STARS = 3, 6
+
+
+class WarmUp(WorkerPlugin):  # type: ignore[misc]  # distributed ships no types
+    """Warm a worker when it appears; `ours` says that the process was started by this server."""
+
+    name = "boresight-warm-up"
+    idempotent = True
+
+    def __init__(self, catalogue_folder: str, *, ours: bool) -> None:
+        self.catalogue_folder = catalogue_folder
+        self.ours = ours
+
+    def setup(self, worker: object) -> None:  # noqa: ARG002 - the interface gives it
+        """Begin warming beside the worker's event loop, which must go on answering the scheduler."""
+        if self.ours:  # Ctrl-C in a terminal reaches the whole process group; the server stops its workers itself
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        threading.Thread(target=self._warm, daemon=True, name="warm").start()
+
+    def _warm(self) -> None:
+        """Warm this worker; a failure only means that its first run is slow."""
+        try:
+            warm(Path(self.catalogue_folder))
+        except Exception:
+            log.exception("This worker could not be warmed; its first run will take longer")
+
+
+def warm(catalogue_folder: Path) -> None:
+    """Calibrate a few made-up stars with every kind of estimator."""
+    catalogue = load_catalogue(catalogue_folder)
+    sensor = st16_sensor(1)
+    choices = [CalibrationSettings(method=method) for method in METHODS]
+    for settings in (*choices, CalibrationSettings(robust="huber")):
+        calibrate(_few_stars(sensor), sensor, catalogue, settings)
+
+
+def _few_stars(sensor: Sensor) -> Telemetry:
+    """Scatter stars over the detector of a sensor at the celestial pole, in agreement with its parameters."""
+    rng = np.random.default_rng(1)
+    n = FRAMES * STARS
+    row_px, col_px = rng.uniform(0, sensor.rows, n), rng.uniform(0, sensor.columns, n)
+    s_d = CAMERA_MODELS[sensor.camera_model].directions(sensor.initial, row_px, col_px, sensor.pixel_pitch_m)
+    return Telemetry(
+        frame=np.repeat(np.arange(FRAMES), STARS),
+        exposure=np.zeros(n, np.int64),
+        row_px=row_px,
+        col_px=col_px,
+        star_id=np.tile(np.arange(1, STARS + 1), FRAMES),
+        ra_rad=np.arctan2(s_d[:, 1], s_d[:, 0]) % (2 * np.pi),
+        dec_rad=np.arcsin(s_d[:, 2]),
+    )
+
 
 CALCULATION = "boresight.calibration.calibrate:calibrate"
 TABLES = 2  # kept in a worker process; none is so large that it is spread

@@ -6,7 +6,7 @@ from typing import Any
 import orjson
 import pytest
 
-from boresight.console.idempotent_responses import response_under
+from boresight.platform.audit.queries import response_under
 from boresight.platform.db.sessions import open_reading
 from tests.served import PASSWORD, House
 

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from boresight.console import lists, transitions
+from boresight.console import list_queries as lists
+from boresight.console import transitions
 from boresight.console.alarms import rules as clock
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm

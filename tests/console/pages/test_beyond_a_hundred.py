@@ -7,7 +7,7 @@ import re
 import pytest
 import sqlalchemy as sa
 
-from boresight.console import lists
+from boresight.console import list_queries as lists
 from boresight.console.access import sessions as session_list
 from boresight.console.access.tables import LoginSession
 from boresight.console.alarms import service as alarms

@@ -10,7 +10,7 @@ from boresight.errors import StorageError
 from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.db.data_version import DataVersionReader
 from boresight.platform.db.sessions import open_engine, open_reading, open_writing
-from boresight.platform.web import cached_check
+from boresight.platform.web import metrics as cached_check
 from boresight.sky.catalogue import Catalogue
 from tests.served import House, house_in
 

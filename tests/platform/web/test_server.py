@@ -15,7 +15,7 @@ import uvicorn
 from playwright.sync_api import sync_playwright
 
 from boresight.platform.blobs.folder import FolderBlobStore
-from boresight.platform.web.cached_check import CachedCheck
+from boresight.platform.web.metrics import CachedCheck
 from boresight.platform.web.middleware import SECURITY_HEADERS, SECURITY_POLICY
 from boresight.server import _Server, create_app
 from tests.served import House, serving, settings_in
@@ -110,7 +110,7 @@ def test_files_are_looked_at_once_in_some_seconds(monkeypatch: pytest.MonkeyPatc
     watched = CachedCheck(lambda: looks.append(None))
     assert [watched.fault() for _ in range(5)] == [""] * 5
     assert len(looks) == 1
-    monkeypatch.setattr("boresight.platform.web.cached_check.LOOK_AGAIN_S", -1.0)
+    monkeypatch.setattr("boresight.platform.web.metrics.LOOK_AGAIN_S", -1.0)
     watched.fault()
     assert len(looks) == 2
 

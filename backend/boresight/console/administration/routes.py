@@ -5,30 +5,56 @@ on this machine where the server listens to nobody else, and otherwise to who is
 
 They answer under any load: the first needs no thread, and the others have one of their own, so that a crowd which waits for the
 threads of the endpoints does not look like a server that is dead.
+
+The documentation of the API is a page of this server too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any
+from typing import Any, Literal
 
 from anyio import CapacityLimiter
 from anyio.lowlevel import RunVar
 from anyio.to_thread import run_sync
 from fastapi import APIRouter
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from boresight.console.access.credentials import current_actor
-from boresight.console.administration import schemas
 from boresight.console.operation import json_response
+from boresight.console.schemas import _Shape
 from boresight.errors import BoresightError
 from boresight.platform.db.engines import refuse_unwritable_store
 from boresight.platform.db.sessions import current_revision, head_revision
 from boresight.platform.web.media import PrometheusText
 from boresight.platform.web.openapi import refusals
 from boresight.platform.web.origins import is_local
+from boresight.resources import folder
+
+
+class Health(_Shape):
+    """That the process answers."""
+
+    status: Literal["ok"]
+
+
+class Check(BaseModel):
+    """One part of the server."""
+
+    model_config = ConfigDict(extra="allow")
+    ready: bool
+    detail: str | None = None
+
+
+class Readiness(_Shape):
+    """Whether store, files and workers are there."""
+
+    status: Literal["ready", "not ready"]
+    checks: dict[str, Check] | None = Field(None, description="For whoever is known.")
+
 
 router = APIRouter(tags=["server"], generate_unique_id_function=lambda route: route.name)
 
@@ -47,17 +73,17 @@ async def _apart(act: Callable[..., Any], *given: Any) -> Any:
 
 
 @router.get("/healthz", name="health", summary="Is the process alive")
-async def health() -> schemas.Health:
+async def health() -> Health:
     """Say that the process answers; nothing else is looked at."""
-    return schemas.Health(status="ok")
+    return Health(status="ok")
 
 
 @router.get(
     "/readyz",
     name="readiness",
     summary="Can it do its work",
-    response_model=schemas.Readiness,
-    responses={503: {"model": schemas.Readiness, "description": "Not ready; `checks` says what is not."}},
+    response_model=Readiness,
+    responses={503: {"model": Readiness, "description": "Not ready; `checks` says what is not."}},
 )
 async def readiness(request: Request) -> Response:
     """Say whether store, files and workers are there: 200, or 503 with what is not.
@@ -133,3 +159,20 @@ async def metrics(request: Request) -> Response:
         await _apart(current_actor, request)
     text = await _apart(request.app.state.metrics.text)
     return PrometheusText(text)
+
+
+documentation_router = APIRouter(
+    include_in_schema=False
+)  # Swagger UI, as a Python package ships it, over our own OpenAPI document
+
+
+@documentation_router.get("/docs")
+def documentation() -> HTMLResponse:
+    """Show every operation, and let who is logged in or has a key try it."""
+    return HTMLResponse((folder("frontend") / "templates" / "shared/documentation.html").read_text())
+
+
+@documentation_router.get("/api/v1/docs")
+def documentation_of_version() -> RedirectResponse:
+    """Lead to the page from beside the routes that it documents."""
+    return RedirectResponse("/docs")

@@ -77,7 +77,7 @@ from boresight.platform.actors import (
     require_user,
 )
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, utc_after, utc_now
 from boresight.platform.web.text_validation import refuse_control_characters
 

@@ -23,7 +23,7 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, QueryParams
 
 from boresight.calibration.options import METHODS, OPTIONS
-from boresight.console import lists
+from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import Reading, Who, csrf
 from boresight.console.campaigns import service as campaigns
 from boresight.console.campaigns.service import FAILED, MOST_SENSORS, CampaignView, MemberRequest, make_result_line

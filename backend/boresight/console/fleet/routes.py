@@ -14,7 +14,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.cameras import CAMERA_MODELS
-from boresight.console import lists
+from boresight.console import list_queries as lists
 from boresight.console import schemas as console_schemas
 from boresight.console.access.dependencies import SAME_FOR_ALL, Reading, SeenVersion, Who, Writing
 from boresight.console.fleet import schemas, timeline

@@ -30,7 +30,7 @@ from urllib.parse import unquote
 from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
 
-from boresight.console import lists
+from boresight.console import list_queries as lists
 from boresight.console.access.credentials import get_actor
 from boresight.console.alarms import service as alarms
 from boresight.console.fleet import service as sensors

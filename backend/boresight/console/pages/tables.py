@@ -18,7 +18,7 @@ from urllib.parse import urlencode
 from fastapi import Request
 from fastapi.responses import Response
 
-from boresight.console import lists
+from boresight.console import list_queries as lists
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import parse_row_id
 
@@ -43,7 +43,7 @@ class TableColumn:
 
 @dataclass(frozen=True)
 class Table:
-    """A list: its name in `boresight.console.lists` and in the address, its columns, its filters and its first order.
+    """A list: its name in `boresight.console.list_queries` and in the address, its columns, its filters and its first order.
 
     `filters` maps what may stand in the address to whether a value is one; `chosen` names the rows' check boxes.
     """

@@ -9,7 +9,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from boresight.platform.audit import chain
-from boresight.platform.audit.tables import AuditRecord
+from boresight.platform.audit.tables import AuditRecord, IdempotentResponse
 from boresight.platform.db.lists import List, equals
 from boresight.platform.db.sessions import Session
 
@@ -84,3 +84,13 @@ def walk(session: Session) -> Generator[dict[str, Any], None, None]:
     with closing(session.execute(query, execution_options={"yield_per": RAW_AT_A_TIME})) as found:
         for row in found:
             yield dict(zip(chain.COLUMNS, row, strict=True))
+
+
+def response_under(session: Session, key: str, actor: str) -> IdempotentResponse | None:
+    """Return what an actor was answered under a key."""
+    return session.get(IdempotentResponse, (key, actor))
+
+
+def forget_responses(session: Session, *, before_utc: str) -> None:
+    """Remove the answers of before a time."""
+    session.execute(sa.delete(IdempotentResponse).where(IdempotentResponse.created_utc < before_utc))

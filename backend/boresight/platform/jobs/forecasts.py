@@ -16,7 +16,7 @@ from typing import Any
 from boresight.calibration.evaluation.forecast import MOST_FRAMES, MOST_STARS, forecast
 from boresight.calibration.options import CalibrationSettings
 from boresight.errors import BoresightError, CorruptFileError
-from boresight.platform.blobs.folder import BlobStore
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.working_tables import table_path
 from boresight.platform.db.documents import compute_sha256
 from boresight.sky.catalogue import Catalogue

@@ -5,6 +5,7 @@ Routes are counted by their template (`/api/v1/runs/{run_id}`), so that no addre
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -12,6 +13,8 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, gene
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.registry import Collector
 from starlette.types import Scope
+
+from boresight.errors import BoresightError
 
 UNROUTED = "none"
 
@@ -56,3 +59,26 @@ class Metrics:
     def text(self) -> bytes:
         """Return all series in the exposition format."""
         return generate_latest(self._registry)
+
+
+LOOK_AGAIN_S = 5.0
+
+
+class CachedCheck:
+    """Something that is usable or not."""
+
+    def __init__(self, refuse: Callable[[], None]) -> None:
+        self._refuse = refuse
+        self._fault = ""
+        self._looked_s = float("-inf")
+
+    def fault(self) -> str:
+        """Return what is wrong, as it was some seconds ago at most; empty where nothing is."""
+        if time.monotonic() - self._looked_s > LOOK_AGAIN_S:
+            try:
+                self._refuse()
+                self._fault = ""
+            except BoresightError as error:
+                self._fault = str(error)
+            self._looked_s = time.monotonic()
+        return self._fault

@@ -11,7 +11,7 @@ from typing import Any
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse
 
-from boresight.console import lists
+from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import Reading, Who, same_for_one
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm

@@ -30,7 +30,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.cameras import CAMERA_MODELS
-from boresight.console import lists
+from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import Reading, Who, csrf
 from boresight.console.alarms import service as alarms
 from boresight.console.approvals import gates
