@@ -46,8 +46,8 @@ from boresight.figures import FIGURES, Trace, figure_json
 from boresight.figures.style.thinning import thinning
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.store import register_blob
 from boresight.platform.blobs.opening import open_blobs
+from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import open_writing, utc_now
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
