@@ -216,3 +216,16 @@ def promoted(people, batch_run):
         window.page.wait_for_url(f"**/parameter-sets/{set_id}")
         window.shoot("07-promoted")
     return Promoted(set_id, request_id)
+
+
+@pytest.fixture(scope="package")
+def key(people):
+    with people.seat("analyst") as window:
+        window.open("/users")
+        form = window.page.get_by_role("region", name="Make a key")
+        form.get_by_label("What uses it").fill("Pass automation")
+        form.get_by_role("checkbox", name="runs").check()
+        form.get_by_role("button", name="Make the key").click()
+        secret = window.page.locator(".secret code").inner_text()
+        assert secret.startswith("bs_")
+        return secret

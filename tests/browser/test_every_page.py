@@ -3,12 +3,11 @@
 import pytest
 from playwright.sync_api import expect
 
+from boresight.console.runs.pages.run import TITLES
+from boresight.figures import CHAPTERS
+
 pytestmark = pytest.mark.browser
 
-PARTS = (
-    *("summary", "convergence", "rms", "distortion", "observability", "residuals"),
-    *("trust", "matching", "frames", "log", "provenance", "notes"),
-)
 ADDRESSES = {
     "log-in": "/login",
     "overview": "/",
@@ -23,7 +22,7 @@ ADDRESSES = {
     "campaign-launch": "/campaigns/new",
     "presets": "/presets",
     "run-batch": "/runs/{batch}",
-    **{f"run-{part}": f"/runs/{{filter}}?part={part}" for part in PARTS},
+    **{f"run-{part}": f"/runs/{{filter}}?part={part}" for part in TITLES},
     "compare": "/compare?runs={batch},{filter}",
     "parameter-sets": "/parameter-sets",
     "parameter-set": "/parameter-sets/{parameters}",
@@ -74,12 +73,21 @@ def visit(window, name, numbers):
     window.figures_drawn()
 
 
+def stands_under_the_verdict(window, part):
+    expect(window.page.locator("#parts [aria-current]")).to_contain_text(TITLES[part])
+    expect(window.page.locator("#verdict")).to_contain_text("converged")
+    drawn = window.page.locator("plot-figure").evaluate_all("all => all.map(one => one.closest('section').id)")
+    assert drawn == [f"figure-{figure.name}" for figure in CHAPTERS.get(part, ())]
+
+
 @pytest.mark.parametrize("name", ADDRESSES)
 def test_a_page_keeps_nobody_out_fits_its_window_and_sends_nothing_by_keys(people, numbers, name):
     with people.seat(VISITORS.get(name, "analyst")) as window:
         visit(window, name, numbers)
         if name in LISTS:
             assert window.page.evaluate(CUT) == [], "what can be done with the rows is not in sight"
+        if (part := name.removeprefix("run-")) in TITLES:
+            stands_under_the_verdict(window, part)
         window.holds_in_themes_and_widths(name)
         window.sends_nothing_by_keys()
         if name in REFUSED:

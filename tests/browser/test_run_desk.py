@@ -1,12 +1,9 @@
-"""The review desk in a real browser: every part of a run's page, its views in the address, and the cursor its charts share."""
+"""The review desk in a real browser: its views in the address, and the cursor its charts share."""
 
 import re
 
 import pytest
 from playwright.sync_api import expect
-
-from boresight.console.runs.pages.run import TITLES
-from boresight.figures import CHAPTERS
 
 pytestmark = pytest.mark.browser
 
@@ -19,19 +16,6 @@ def desk(people, sequential_run):
     with people.seat("analyst") as window:
         window.open(f"/runs/{sequential_run}")
         yield window
-
-
-def test_every_part_stands_under_the_verdict_draws_its_own_figures_and_keeps_nobody_out(desk, sequential_run):
-    for part, title in TITLES.items():
-        desk.open(f"/runs/{sequential_run}?part={part}")
-        expect(desk.page.locator("#parts [aria-current]")).to_contain_text(title)
-        expect(desk.page.locator("#verdict")).to_contain_text("converged")
-        desk.figures_drawn()
-        drawn = desk.page.locator("plot-figure").evaluate_all("all => all.map(one => one.closest('section').id)")
-        assert drawn == [f"figure-{figure.name}" for figure in CHAPTERS.get(part, ())]
-        desk.fits()
-        assert desk.barriers(drawings=False) == [], part
-        desk.shoot(f"desk-{part}", wide=part in {"summary", "distortion"})
 
 
 def test_the_pointer_over_one_chart_marks_the_same_place_in_all_that_share_its_axis(desk, sequential_run):

@@ -13,19 +13,6 @@ ENDED_WITHIN_S = 60
 
 
 @pytest.fixture(scope="module")
-def key(people):
-    with people.seat("analyst") as window:
-        window.open("/users")
-        form = window.page.get_by_role("region", name="Make a key")
-        form.get_by_label("What uses it").fill("Pass automation")
-        form.get_by_role("checkbox", name="runs").check()
-        form.get_by_role("button", name="Make the key").click()
-        secret = window.page.locator(".secret code").inner_text()
-        assert secret.startswith("bs_")
-        return secret
-
-
-@pytest.fixture(scope="module")
 def page_result(people, batch_run):
     with people.seat("analyst") as window:
         return window.result(batch_run)

@@ -40,14 +40,6 @@ def trust_page(people, batch_run):
         yield window
 
 
-@pytest.mark.parametrize("part", ["Trust", "Matching"])
-def test_a_part_keeps_nobody_out_and_fits_its_window(people, batch_run, part):
-    with people.seat("analyst") as window:
-        open_part(window, batch_run, part)
-        window.figures_drawn()
-        window.holds_in_themes_and_widths(f"run-{part.lower()}")
-
-
 def test_the_page_can_be_read_before_its_figures_are_drawn(people, batch_run):
     with people.seat("analyst") as window:
         window.page.route("**/figures/*", lambda _: None)  # no figure ever arrives

@@ -13,6 +13,8 @@ import pytest
 from boresight.cli import main
 from boresight.cli.output import progress
 from boresight.errors import BoresightError, Fault, RefusedInputError
+from boresight.platform.db.sessions import current_revision, head_revision, open_engine
+from tests.stores import url_in
 
 COMMANDS = (
     "calibrate", "match", "evaluate", "convert", "assess", "reproduce", "check", "simulate", "report", "export", "table",
@@ -197,3 +199,59 @@ def test_in_a_terminal_long_work_shows_a_bar():
     os.close(terminal)
     assert "counting" in shown
     assert "%" in shown
+
+
+@pytest.fixture(autouse=True)
+def _own_files(monkeypatch, tmp_path):
+    monkeypatch.setenv("BORESIGHT_BLOBS", str(tmp_path / "blobs"))
+
+
+def _add(store, name):
+    words = ("user", "add", name, "--role", "analyst", "--printed-name", f"Analyst {name}", "--password-stdin")
+    assert store(*words, stdin=f"{PASSWORD}\n").exit_code == 0
+
+
+def _revision(folder):
+    engine = open_engine(url_in(folder))
+    try:
+        return current_revision(engine)
+    finally:
+        engine.dispose()
+
+
+def test_what_a_way_back_removes_is_told_and_wants_agreement_and_a_backup_of_just_now(store, tmp_path):
+    _add(store, "ana")
+    assert store("backup", "--out", tmp_path / "old.zip").exit_code == 0
+    _add(store, "bo")
+    for words in ((), ("--yes",), ("--backup", tmp_path / "old.zip"), ("--yes", "--backup", tmp_path / "old.zip")):
+        refused = store("migrate", "--down", "base", *words)
+        assert (refused.exit_code, "removes 2 rows of users" in refused.stdout) == (1, True), words
+        assert "Nothing was changed" in refused.stderr
+        assert _revision(tmp_path) == head_revision()
+    _add(store, "cy")  # the tables are all there
+    assert store("backup", "--out", tmp_path / "new.zip").exit_code == 0
+    done = store("migrate", "--down", "base", "--yes", "--backup", tmp_path / "new.zip")
+    assert (done.exit_code, "removes 3 rows of users" in done.stdout) == (0, True), done.stderr
+    assert _revision(tmp_path) is None
+
+
+def test_a_way_back_that_removes_columns_with_content_names_them(store, tmp_path):
+    _add(store, "ana")
+    refused = store("migrate", "--down", "0002")
+    assert refused.exit_code == 1
+    assert "removes audit.rows of" in refused.stdout
+    assert _revision(tmp_path) == head_revision()
+
+
+def test_a_way_back_on_an_empty_store_asks_nothing(store, tmp_path):
+    store("migrate")
+    assert store("migrate", "--down", "base").exit_code == 0
+    assert _revision(tmp_path) is None
+
+
+def test_what_is_no_backup_is_refused(store, tmp_path):
+    _add(store, "ana")
+    (tmp_path / "a.zip").write_text("no zip")
+    refused = store("migrate", "--down", "base", "--yes", "--backup", tmp_path / "a.zip")
+    assert (refused.exit_code, "cannot be read as a backup" in refused.stderr) == (1, True)
+    assert _revision(tmp_path) == head_revision()

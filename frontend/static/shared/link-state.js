@@ -4,8 +4,9 @@
  * Every event of GET /api/v1/events is passed on as a DOM event on `document`: boresight:run, boresight:log,
  * boresight:progress, boresight:audit, with the decoded data in `detail`. A page listens there and opens no stream of its
  * own, for a browser allows few connections to one server; that of a run hears the points of its history too. After a
- * break the browser asks for what it missed by its last event id. A hidden page closes its stream; when it is shown again,
- * or when the server keeps no more what was missed, boresight:missed says that all should be read again.
+ * break the browser asks for what it missed by its last event id. A hidden page closes its stream. When a stream opens, for
+ * what happened since the page was written was not heard, or when the server keeps no more what was missed,
+ * boresight:missed says that all should be read again.
  * LIVE: the server was heard from within 20 s. STALE n s: the stream is open but silent. DISCONNECTED: it is broken.
  * LOGGED OUT: the log-in has ended, here or elsewhere; a notice says why, and nothing more is asked of the server.
  * The body carries the same word in data-link, so that styles can grey what is no longer fresh.
@@ -22,7 +23,6 @@ const said = need("#link-said", HTMLElement); // for screen readers: changes onl
 /** @type {EventSource | null} */
 let source = null;
 let broken = false;
-let opened = false;
 let heardAt = Date.now();
 let ended = false;
 
@@ -48,13 +48,12 @@ const tell = (kind, detail) => document.dispatchEvent(new CustomEvent(`boresight
 
 function open() {
   const run = document.querySelector("live-run")?.getAttribute("run");
-  let again = opened;
+  let isNew = true;
   source = new EventSource(`/api/v1/events${run ? `?history=${run}` : ""}`);
   source.onopen = () => {
     heard();
-    if (again) tell("missed", {});
-    again = false;
-    opened = true;
+    if (isNew) tell("missed", {});
+    isNew = false;
   };
   source.onmessage = heard;
   source.onerror = () => {
@@ -123,6 +122,6 @@ document.addEventListener("visibilitychange", () => {
   if (!document.hidden && !ended) open();
 });
 addEventListener("pagehide", close);
-open();
+addEventListener("DOMContentLoaded", () => source ?? open()); // when every module listens
 setInterval(probe, PROBE_MS);
 setInterval(show, 1000);

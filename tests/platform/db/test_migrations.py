@@ -1,5 +1,8 @@
 """Migrations: the way up and down, on data, ends in the tables the models say; the database guards its own rules."""
 
+from itertools import accumulate
+from typing import Any
+
 import pytest
 import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
@@ -22,6 +25,7 @@ from boresight.platform.db.sessions import (
     downgrade,
     head_revision,
     migrate,
+    open_engine,
     open_reading,
     open_writing,
 )
@@ -280,3 +284,35 @@ def test_text_in_a_number_is_refused(sqlite: Engine) -> None:
 def _execute(store: Engine, statement: str) -> None:
     with open_writing(store) as session:
         session.connection().exec_driver_sql(statement)
+
+
+def test_every_table_and_index_is_spelled_as_the_models_spell_it(sqlite: Engine, tmp_path: Any) -> None:
+    direct = open_engine(f"sqlite:///{tmp_path}/direct.sqlite3")
+    with direct.begin() as connection:
+        Base.metadata.create_all(connection)
+    migrated, modelled = _spelling(sqlite), _spelling(direct)
+    assert {name: _parts(sql) for name, sql in migrated.items()} == {
+        name: _parts(sql) for name, sql in modelled.items()
+    }
+    direct.dispose()
+
+
+def _parts(sql: str) -> set[str]:
+    head, _, rest = sql.partition("(")
+    body, _, tail = rest.rpartition(")")
+    depths = accumulate((letter == "(") - (letter == ")") for letter in body)
+    cut = "".join("\n" if letter == "," and depth == 0 else letter for letter, depth in zip(body, depths, strict=True))
+    return {head.strip().replace('"', ""), tail.strip(), *(part.strip().replace('"', "") for part in cut.split("\n"))}
+
+
+def _spelling(engine: Engine) -> dict[str, str]:
+    query = "SELECT name, sql FROM sqlite_master WHERE type IN ('table', 'index') AND sql IS NOT NULL"
+    with engine.connect() as connection:
+        rows = connection.exec_driver_sql(query)
+        return {name: " ".join(sql.split()) for name, sql in rows if name != "alembic_version"}
+
+
+def test_every_table_is_strict(sqlite: Engine) -> None:
+    tables = {name: sql for name, sql in _spelling(sqlite).items() if sql.startswith("CREATE TABLE")}
+    assert len(tables) == len(Base.metadata.tables)
+    assert all(sql.endswith("STRICT") for sql in tables.values())

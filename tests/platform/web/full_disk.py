@@ -1,4 +1,4 @@
-"""A server and commands on a small disk of their own that is filled; `test_full_disk` runs it in a mount namespace."""
+"""A server and commands on a small disk of their own that is filled; `test_moved_folders` runs it in a mount namespace."""
 
 import json
 import os

@@ -1,20 +1,37 @@
-"""A data folder or a folder of files that is moved away under a running server is one sentence, and used again when it is back."""
+"""A folder that is moved, a disk that is full, a database that is gone: one sentence each, and used again when it is back."""
 
+import errno
+import gc
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
+import psycopg
 import pytest
+import sqlalchemy as sa
+from click.testing import CliRunner
 
+from boresight.cli import main
+from boresight.disks import LEAST_FREE_BYTES, refuse_unwritable, storage_error
 from boresight.errors import StorageError
 from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.db.data_version import DataVersionReader
-from boresight.platform.db.sessions import open_engine, open_reading, open_writing
+from boresight.platform.db.sessions import Engine, open_engine, open_reading, open_writing
 from boresight.platform.web import metrics as cached_check
+from boresight.platform.web.problems import make_problem
 from boresight.sky.catalogue import Catalogue
-from tests.served import House, house_in
+from tests.postgresql import server
+from tests.served import PASSWORD, House, add_people, house_in, serving, settings_in
 
-pytestmark = pytest.mark.sqlite("its file is moved")
+MOVED = pytest.mark.sqlite("its file is moved")
 
 
 @pytest.fixture
@@ -39,6 +56,7 @@ def _answers(house: House, client: Any, sensor_id: int) -> dict[str, tuple[int, 
     return {name: (answer.status_code, answer.headers.get("retry-after")) for name, answer in asked.items()}
 
 
+@MOVED
 @pytest.mark.parametrize("instead", [False, True], ids=["absent", "another folder in its place"])
 def test_a_data_folder_that_is_moved_away_is_refused_never_made_anew_and_used_again_when_it_is_back(
     own: House, tmp_path: Path, instead: bool
@@ -69,6 +87,7 @@ def test_a_data_folder_that_is_moved_away_is_refused_never_made_anew_and_used_ag
     assert client.post("/api/v1/sensors", json=own.sensor_file()).status_code == 201
 
 
+@MOVED
 @pytest.mark.parametrize("instead", [False, True], ids=["absent", "an empty one in its place"])
 def test_a_folder_of_files_that_is_moved_away_is_noticed_and_used_again_when_it_is_back(
     own: House, tmp_path: Path, instead: bool
@@ -94,6 +113,7 @@ def test_a_folder_of_files_that_is_moved_away_is_noticed_and_used_again_when_it_
     assert own.upload(client, own.new_sensor()["id"]).status_code == 201
 
 
+@MOVED
 def test_connections_that_are_open_on_a_moved_database_are_refused_too(tmp_path: Path) -> None:
     place = tmp_path / "data" / "boresight.sqlite3"
     engine = open_engine(f"sqlite:///{place}")
@@ -120,3 +140,107 @@ def test_a_stored_file_is_not_called_missing_where_its_folder_is(tmp_path: Path)
             act()
     (tmp_path / "away").rename(blobs.folder)
     assert blobs.read(sha256) == b"stars"
+
+
+ROOT = Path(__file__).resolve().parents[3]
+MOUNT = "mount -t tmpfs -o size=32m none {disk} && exec {python} -m tests.platform.web.full_disk {disk}"
+
+
+@pytest.mark.sqlite("its file is on the disk that is filled")
+@pytest.mark.skipif(os.geteuid() != 0 or shutil.which("unshare") is None, reason="only root mounts a small disk")
+def test_a_server_on_a_full_disk_says_so_stores_nothing_by_halves_and_goes_on_when_there_is_room(
+    tmp_path: Path,
+) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    script = MOUNT.format(disk=disk, python=sys.executable)
+    done = subprocess.run(
+        ["unshare", "-m", "sh", "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=240, check=False
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    told = json.loads(done.stdout.splitlines()[-1])
+    for name in ("upload", "sensor", "log in"):
+        status, retry_after, text = told["full"][name]
+        assert (status, retry_after) == (503, "30"), (name, text)
+        assert "make room" in json.loads(text)["detail"], (name, text)
+    assert told["full"]["ready"][0] == 503
+    assert told["read"] == 200
+    assert told["left behind"] == []
+    assert told["command"][0] == 1
+    assert told["command"][1].startswith("boresight: The disk of the database is full")
+    assert told["command"][1].count("\n") == 1
+    assert told["again"] == 201
+    assert told["read only"][0] == 1
+    assert told["read only"][1].count("\n") == 1
+    assert "cannot be written" in told["read only"][1]
+
+
+def test_a_limit_on_the_size_of_files_is_a_full_disk_and_leaves_no_scraps(tmp_path: Path) -> None:
+    blobs, child = FolderBlobStore(tmp_path / "blobs"), os.fork()
+    if child == 0:  # the limit is for good
+        resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
+        try:
+            blobs.put(bytes(50_000))
+        except StorageError:
+            os._exit(7)
+        os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
+    assert [path for path in blobs.folder.rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.parametrize(
+    ("number", "said"), [(errno.ENOSPC, "is full"), (errno.EDQUOT, "is full"), (errno.EROFS, "cannot be written")]
+)
+def test_a_system_error_of_a_disk_is_503_with_a_time_to_come_back_and_any_other_is_a_defect(
+    number: int, said: str
+) -> None:
+    problem = make_problem(OSError(number, os.strerror(number), "/data/x"))
+    assert (problem.status, problem.headers) == (503, {"Retry-After": "30"})
+    assert f"/data/x {said}" in problem.detail
+    assert make_problem(OSError(errno.EIO, "io")).status == 500
+    assert storage_error(FileNotFoundError(errno.ENOENT, "absent", "x")) is None
+
+
+def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match="is not there"):
+        refuse_unwritable(tmp_path / "absent" / "file")
+    refuse_unwritable(tmp_path / "file")
+    assert LEAST_FREE_BYTES > 1 << 20
+
+
+def test_a_command_whose_data_folder_cannot_be_made_says_so_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    environment = {"BORESIGHT_DATA_FOLDER": str(tmp_path / "file" / "data"), "BORESIGHT_DATABASE_URL": ""}
+    done = CliRunner(env=environment).invoke(main, ["audit", "verify"])
+    assert (done.exit_code, done.stderr.count("\n")) == (1, 1)
+    assert "is not there" in done.stderr
+
+
+PATIENCE_S = 30
+
+
+def test_requests_are_refused_while_postgresql_is_gone_and_answered_when_it_is_back(
+    postgresql: Engine, tmp_path: Path
+) -> None:
+    url = postgresql.url.render_as_string(hide_password=False)
+    settings = settings_in(tmp_path / "data", database_url=url)
+    add_people(settings)
+    with serving(settings) as (address, _), httpx.Client(base_url=address, timeout=30) as client:
+        assert client.post("/api/v1/sessions", json={"name": "ada", "password": PASSWORD}).status_code == 201
+        with postgresql.connect() as connection:
+            connection.execute(sa.text("CHECKPOINT"))  # the tests' server writes no commit to disk by itself
+        server().stop()
+        try:
+            gone = client.get("/api/v1/sensors")
+            unready = client.get("/readyz")
+        finally:
+            server().start()
+        assert (gone.status_code, gone.json()["title"]) == (503, "Unavailable")
+        assert "The database does not answer" in gone.json()["detail"]
+        assert unready.status_code == 503
+        until_s = time.monotonic() + PATIENCE_S
+        while (back := client.get("/api/v1/sensors")).status_code != 200:
+            assert time.monotonic() < until_s, back.text
+            time.sleep(0.1)
+    for cursor in [one for one in gc.get_objects() if isinstance(one, psycopg.ServerCursor)]:
+        cursor._close()  # its connection is gone, and the driver would warn of it in whichever test comes then

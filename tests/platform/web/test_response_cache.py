@@ -4,6 +4,7 @@ import asyncio
 import re
 import threading
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -24,6 +25,7 @@ from boresight.platform.actors import SYSTEM, SessionLimits
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_engine, open_writing, utc_after
 from boresight.platform.web import response_cache as standing
+from boresight.platform.web.response_cache import NAME_GAP, TOKEN_GAP, CompressedPage
 from tests.effort import effort
 from tests.platform.web.test_concurrency_limit import gate_of
 from tests.served import PASSWORD, House, serving
@@ -510,3 +512,26 @@ def test_after_any_acts_what_stands_ready_equals_what_would_be_answered(house: H
         for client in people:
             for path in LISTS:
                 assert shown(client.get(path)) == fresh(client, path), (act, path)
+
+
+GAPS = (TOKEN_GAP.encode(), NAME_GAP.encode())
+PIECES = st.lists(st.one_of(st.sampled_from(GAPS), st.binary(max_size=300)), max_size=12)
+VALUES = st.tuples(st.binary(max_size=200), st.one_of(st.binary(max_size=20), st.just(b"n" * 70_000)))
+
+
+@given(pieces=PIECES, values=VALUES)
+def test_a_filled_sheet_is_the_page_with_the_values_in_its_gaps(
+    pieces: list[bytes], values: tuple[bytes, bytes]
+) -> None:
+    page = b"".join(pieces)
+    wanted = b"".join(values[GAPS.index(piece)] if piece in GAPS else piece for piece in pieces)
+    assert CompressedPage(page, GAPS, compressed=False).filled(values) == wanted
+    reader = zlib.decompressobj(16 + zlib.MAX_WBITS)
+    assert reader.decompress(CompressedPage(page, GAPS, compressed=True).filled(values)) + reader.flush() == wanted
+    assert reader.eof
+    assert not reader.unused_data
+
+
+def test_a_page_is_compressed_as_well_as_without_gaps() -> None:
+    page = b"<tr><td>run</td></tr>" * 2000 + GAPS[0] + b"<tr><td>run</td></tr>" * 2000
+    assert len(CompressedPage(page, GAPS, compressed=True).filled((b"t", b"n"))) < 2 * len(zlib.compress(page, 5))

@@ -1,4 +1,4 @@
-"""What holds for every answer, and the server's own routes: health, readiness, metrics, static files, documentation."""
+"""What holds for every answer (headers, codings, HEAD), and the server's own routes: health, metrics, static files."""
 
 from __future__ import annotations
 
@@ -6,17 +6,20 @@ import dataclasses
 import gzip
 import re
 import socket
+import time
 from pathlib import Path
 
 import httpx
 import plotly
 import pytest
 import uvicorn
+from hypothesis import given
+from hypothesis import strategies as st
 from playwright.sync_api import sync_playwright
 
 from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.web.metrics import CachedCheck
-from boresight.platform.web.middleware import SECURITY_HEADERS, SECURITY_POLICY
+from boresight.platform.web.middleware import SECURITY_HEADERS, SECURITY_POLICY, takes_gzip
 from boresight.server import _Server, create_app
 from tests.served import House, serving, settings_in
 
@@ -220,3 +223,122 @@ def test_nobody_else_reads_the_database(tmp_path: Path) -> None:
     assert modes
     assert set(modes.values()) == {0o600}
     assert settings.data_folder.stat().st_mode & 0o777 == 0o700
+
+
+TABLE = {
+    "gzip": True,
+    "GZIP": True,
+    "x-gzip": True,
+    "*": True,
+    "gzip, deflate, br, zstd": True,
+    "br;q=1.0, gzip;q=0.8, *;q=0.1": True,
+    "gzip;q=0.001": True,
+    "Gzip ; Q=1": True,
+    "identity;q=0, *": True,
+    "gzip;q=0": False,
+    "gzip; q=0.000": False,
+    "gzip;q=0, identity": False,
+    "gzip;q=0, *": False,
+    "*;q=0": False,
+    "identity": False,
+    "identity;q=1, gzip;q=0.5": False,
+    "": False,
+    "br": False,
+    "gzipped": False,
+    "gzip;q=much": False,
+    "gzip;q=nan": False,
+    "gzip;q=2": False,
+}
+ROUTES = ("/static/shared/style.css", "/metrics", "/api/v1/runs", "/runs", "/api/v1/openapi.json")
+
+
+@pytest.mark.parametrize(("accepted", "taken"), TABLE.items())
+def test_weights_stars_and_capitals_are_read_as_the_standard_has_them(accepted: str, taken: bool) -> None:
+    assert takes_gzip(accepted.encode()) is taken
+
+
+@given(
+    st.lists(st.sampled_from(("gzip", "*", "identity", "br", ";q=", ";", ",", "0", "1", ".5", " ", "é")), max_size=12)
+)
+def test_nothing_is_packed_unless_gzip_or_anything_is_named_and_no_header_is_an_error(parts: list[str]) -> None:
+    accepted = "".join(parts)
+    assert not takes_gzip(accepted.encode()) or {"gzip", "*"} & set(parts)
+
+
+@pytest.mark.parametrize("path", ROUTES)
+def test_every_route_sends_what_is_accepted(house: House, path: str) -> None:
+    for _ in range(3):
+        house.launched()
+    client = house.person("ada")
+    for accepted, taken in TABLE.items():
+        answer = client.get(path, headers={"Accept-Encoding": accepted})
+        assert answer.status_code == 200
+        assert ("content-encoding" in answer.headers) is taken, accepted
+
+
+def test_a_header_given_in_two_lines_is_one_list(house: House) -> None:
+    lines = [("Accept-Encoding", "br"), ("Accept-Encoding", "gzip;q=0")]
+    assert "content-encoding" not in house.anybody().get("/static/shared/style.css", headers=lines).headers
+
+
+PATHS = (
+    "/healthz",
+    "/readyz",
+    "/static/shared/style.css",
+    "/api/v1/runs",
+    "/api/v1/sensors",
+    "/runs",
+    "/login",
+    "/docs",
+)
+OF_EACH_ANSWER = {"date", "x-request-id", "transfer-encoding"}
+
+
+@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize("accepted", ["gzip", "identity"])
+def test_the_headers_are_those_of_get_and_there_is_no_body(house: House, path: str, accepted: str) -> None:
+    client = house.person("ada")
+    for _ in range(2):  # the second may stand ready
+        whole, head = (
+            client.request(method, path, headers={"Accept-Encoding": accepted}) for method in ("GET", "HEAD")
+        )
+        assert (head.status_code, head.content) == (whole.status_code, b"")
+        assert head.headers["content-length"] == whole.headers["content-length"]
+        assert _lasting(head.headers) == _lasting(whole.headers)
+
+
+def _lasting(headers: httpx.Headers) -> dict[str, set[str]]:
+    return {name: set(value.split(", ")) for name, value in headers.items() if name not in OF_EACH_ANSWER}
+
+
+def test_a_file_is_measured_and_not_sent(house: House) -> None:
+    _, set_id = house.ready_sensor()
+    answer = house.person("ada").head(f"/api/v1/telemetry-sets/{set_id}/file", headers={"Accept-Encoding": "identity"})
+    assert int(answer.headers["content-length"]) == len(house.telemetry_csv)
+    assert answer.content == b""
+
+
+def test_the_event_stream_is_not_begun(house: House) -> None:
+    begun_s = time.monotonic()
+    answer = house.person("ada").head("/api/v1/events")
+    assert (answer.status_code, answer.content) == (200, b"")
+    assert answer.headers["content-type"].startswith("text/event-stream")
+    until_s = begun_s + 5
+    while house.app.state.broadcast.listeners:
+        assert time.monotonic() < until_s
+        time.sleep(0.01)
+    assert time.monotonic() - begun_s < 5
+
+
+def test_what_get_refuses_head_refuses(house: House) -> None:
+    assert house.anybody().head("/api/v1/runs").status_code == 401
+    assert house.person("ada").head("/nothing").status_code == 404
+    assert house.person("ada").head("/api/v1/runs/1:cancel").status_code == 405
+
+
+def test_it_is_counted_as_what_it_is(house: House) -> None:
+    house.anybody().head("/healthz")
+    assert (
+        'boresight_http_requests_total{method="HEAD",route="/healthz",status="200"}'
+        in house.anybody().get("/metrics").text
+    )
