@@ -59,7 +59,6 @@ def table(source: Source, name: str) -> Table:
 
 
 def _figure(name: str) -> Figure:
-    """Find a figure of the registry."""
     if name not in FIGURES:
         raise RefusedInputError(f"There is no figure {name}; choose from {', '.join(FIGURES)}.")
     return FIGURES[name]

@@ -81,7 +81,6 @@ def render_report(result: Result, *, four_eyes: bool = True) -> str:
 
 
 def _examined(result: Result) -> dict[str, Any]:
-    """Gather the chapter on trust."""
     return {
         "trust_marks": trust_marks(result),
         "why_no_trust": why_absent(result, ""),
@@ -92,7 +91,6 @@ def _examined(result: Result) -> dict[str, Any]:
 
 
 def _matched(result: Result) -> dict[str, Any]:
-    """Gather the chapter on matching."""
     matching = result.get("matching") or {}
     return {
         "match_counts": match_counts(matching) if matching else [],

@@ -66,7 +66,6 @@ def csv_bytes(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
 
 
 def _cell(value: Any) -> str:
-    """Write one value."""
     if value is None:
         return ""
     if isinstance(value, str):

@@ -37,7 +37,6 @@ class Entries:
                 faults.add(f"{self._at(str(key))} is no entry of a table definition: {hint}")
 
     def _at(self, key: str) -> str:
-        """Where an entry stands."""
         return f"{self.place}.{key}" if self.place else key
 
     def _wrong(self, key: str, expected: str) -> None:
@@ -192,7 +191,6 @@ def parse_checksum(document: Any, faults: Faults) -> tuple[Checksum, Entries]:
 
 
 def _parsed(entries: Entries, faults: Faults) -> Checksum:
-    """Read every parameter of an algorithm."""
     width = entries.whole("width", min(WIDTHS), max(WIDTHS))
     if width not in WIDTHS:
         faults.add(f"crc.width is {width}: choose {', '.join(map(str, WIDTHS))} bits")

@@ -63,7 +63,6 @@ def build_package(inputs: Inputs) -> bytes:
 
 
 def _definition(inputs: Inputs, sensor: Sensor) -> TableDefinition | None:
-    """Read the table definition, where there is one."""
     named = inputs["definition"]
     return None if named is None else parse_definition(named["document"], sensor)
 
@@ -98,7 +97,6 @@ def _files(
     tables: _Tables,
     said: Mapping[str, Any],
 ) -> dict[str, bytes]:
-    """Return the files of one set."""
     parameters = subject["document"]["parameters"]
     held = {} if definition is None else held_by(definition, parameters)
     return {
@@ -235,7 +233,6 @@ def _number(value: Any) -> str:
 
 
 def _steps(definition: TableDefinition | None, facts: Mapping[str, Any] | None) -> list[Step]:
-    """List what is done, in order."""
     steps: list[Step] = [("Check the package", "sha256sum -c SHA256SUMS", "every file OK")]
     if definition is None or facts is None:
         return [

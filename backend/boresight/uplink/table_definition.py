@@ -169,7 +169,6 @@ def parse_definition(document: Mapping[str, Any], sensor: Sensor) -> TableDefini
 
 
 def _fields(listed: Any, little: bool, sensor: Sensor, faults: Faults) -> tuple[Field, ...]:
-    """Read every field, in the order of the table."""
     if not isinstance(listed, list) or not 0 < len(listed) <= MOST_FIELDS:
         faults.add(f"fields is no list of 1 to {MOST_FIELDS} objects: list what lies in the table")
         return ()
@@ -178,7 +177,6 @@ def _fields(listed: Any, little: bool, sensor: Sensor, faults: Faults) -> tuple[
 
 
 def _field(document: Any, place: str, little: bool, sensor: Sensor, faults: Faults) -> Field:
-    """Read one field."""
     entries = Entries(document, place, FIELD_KEYS, faults)
     kind = entries.kind("type")
     parameter = entries.optional_word("parameter", CAMERA_MODELS[sensor.camera_model].parameter_names)
@@ -299,7 +297,6 @@ def encode(definition: TableDefinition, parameters: Mapping[str, float]) -> byte
 
 
 def _with_bits(definition: TableDefinition, image: int, field: Field, bits: int) -> int:
-    """Put a field's bits in their place."""
     shift = 8 * definition.length_bytes - field.end
     return image & ~(((1 << field.bits) - 1) << shift) | bits << shift
 
@@ -321,7 +318,6 @@ def decode(definition: TableDefinition, content: bytes) -> Decoded:
 
 
 def _decoded(definition: TableDefinition, content: bytes, field: Field) -> DecodedField:
-    """Read one field of an image."""
     shift = 8 * definition.length_bytes - field.end
     bits = int.from_bytes(content, "big") >> shift & ((1 << field.bits) - 1)
     raw, value = field.unpack(bits)

@@ -68,7 +68,6 @@ def table_facts(definition: TableDefinition, files: Mapping[str, bytes]) -> dict
 
 
 def _hex_lines(image: bytes) -> Iterator[str]:
-    """Yield sixteen bytes a line."""
     for start in range(0, len(image), 16):
         yield f"{start:08x}: {image[start : start + 16].hex(' ', -2)}"
 
@@ -133,7 +132,6 @@ def _placed(definition: TableDefinition, image: bytes) -> list[DecodedField]:
 
 
 def _line(one: DecodedField) -> str:
-    """Write a field."""
     field = one.field
     if field.floating:
         kind, low, high = "FLOAT", f"MIN_FLOAT{field.bits}", f"MAX_FLOAT{field.bits}"

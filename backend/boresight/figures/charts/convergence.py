@@ -175,7 +175,6 @@ def _columns(n_panels: int) -> int:
 
 
 def _dress(figure: go.Figure, traces: Sequence[Trace], axis: str, n_panels: int) -> None:
-    """Give the grid its title, height and axes."""
     columns = _columns(n_panels)
     theme.dress(figure, title=_headline(traces), height_px=110 - (-n_panels // columns) * PANEL_HEIGHT_PX)
     figure.update_xaxes(showticklabels=True)

@@ -192,7 +192,6 @@ def _level(way: _Convergence) -> _Convergence:
 def _draw_run(
     figure: go.Figure, trace: Trace, style: theme.RunStyle, way: _Convergence, span: FloatArray, limit: int
 ) -> None:
-    """Add a run's two curves."""
     x = way.course.x if len(way.claimed) == len(way.course.x) else span
     kept = keep_extremes([way.claimed, way.true], limit)
     cost = method_scores(trace.result).ms_per_frame

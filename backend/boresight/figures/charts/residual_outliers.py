@@ -58,7 +58,6 @@ def reasons(result: Result) -> dict[str, int]:
 
 
 def _places(one: Part) -> go.Scatter:
-    """Draw outliers where they were seen."""
     _, style, part = one
     size = column(part["normalised"])
     stars = part.get("star_id") or [None] * len(size)
@@ -85,7 +84,6 @@ def _places(one: Part) -> go.Scatter:
 
 
 def _reasons(one: Part) -> go.Bar:
-    """Draw how much each reason cost."""
     trace, style, _ = one
     found = reasons(trace.result) or {"nothing was left out": 0}
     return go.Bar(

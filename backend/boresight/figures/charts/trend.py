@@ -147,7 +147,6 @@ def _level(figure: go.Figure, ends: tuple[str, str], y: float, label: str, colou
 
 
 def _temperature(figure: go.Figure, points: Points, row: int) -> None:
-    """Draw the temperature of the data."""
     shown = [point for point in points if point["temperature_c"] is not None]
     figure.add_scatter(
         x=[_x(point["at_utc"]) for point in shown],

@@ -154,7 +154,6 @@ def _radial_curve(key: str, record: Record, batch: Record) -> Drawing:
 
 
 def _largest(curve: Drawing, radius_px: float) -> float:
-    """Largest difference within a radius, px."""
     within = np.array(curve["radius_px"]) <= radius_px
     return float(np.abs(np.array(curve["difference_px"])[within]).max())
 
@@ -191,7 +190,6 @@ def draw_radial(drawing: Mapping[str, Any]) -> go.Figure:
 def _add_bounded(
     figure: go.Figure, style: theme.RunStyle, x: FloatArray, y: FloatArray, reach: FloatArray, unit: str
 ) -> None:
-    """Add a curve with its band."""
     figure.add_trace(theme.band(style, x, y - reach, y + reach))
     hover = f"%{{y:+.3f}} ±%{{customdata:.3f}} {unit} (3σ)<extra>{style.label}</extra>"
     figure.add_trace(theme.line(style, x, y, customdata=theme.short(reach), hovertemplate=hover))

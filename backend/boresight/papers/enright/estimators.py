@@ -173,7 +173,6 @@ def _catalogue(folder: Path | None) -> Catalogue:
 
 
 def _data(trial: Trial, catalogue: Catalogue) -> _Data:
-    """Simulate both sets of a trial."""
     scenario = calibration_scenario(trial.sensor, trial.frames)
     held_out = validation_scenario(trial.sensor, trial.validation_frames)
     named = _simulated(replace(scenario, blanked_share=0.0), trial, catalogue)
@@ -204,7 +203,6 @@ def _plain_condition(known: Problem, truth: FloatArray) -> float:
 
 
 def _simulated(scenario: Scenario, trial: Trial, catalogue: Catalogue) -> Telemetry:
-    """Simulate a scenario with the seed of the trial's set."""
     return simulate(scenario, np.random.default_rng(scenario.seed + SEED_STEP * trial.index), catalogue)
 
 
@@ -235,14 +233,12 @@ def _record(trial: Trial, data: _Data, estimator: Estimator, start: FloatArray) 
 
 
 def _thinned(telemetry: Telemetry, every: int) -> Telemetry:
-    """Keep each n-th frame."""
     kept = telemetry.frame % every == 0
     columns = {name: column for name, column in vars(telemetry).items() if isinstance(column, np.ndarray)}
     return replace(telemetry, **{name: column[kept] for name, column in columns.items()})
 
 
 def _state(sensor: Sensor, parameters: Mapping[str, float]) -> FloatArray:
-    """Put named parameters in state order."""
     return np.array([parameters[name] for name in CAMERA_MODELS[sensor.camera_model].parameter_names])
 
 

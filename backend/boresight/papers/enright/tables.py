@@ -63,7 +63,6 @@ def _changes(name: str, records: Sequence[Record]) -> Row:
 
 
 def _interval(evaluation: Record, *path: str) -> tuple[float | None, float | None]:
-    """Bootstrap interval of a number of an evaluation."""
     found: Any = evaluation["intervals"]
     for key in path:
         found = found[key]

@@ -103,7 +103,6 @@ def timing(catalogue_folder: Path | None) -> dict[str, Any]:
 
 
 def _spread(row: FloatArray) -> dict[str, float]:
-    """Median and quartiles of times (n_rounds,)."""
     low, median, high = np.percentile(row, (25, 50, 75)).tolist()
     return {"median": median, "low": low, "high": high}
 
@@ -128,7 +127,6 @@ def _part(name: str, arcs: ArcSet) -> ArcSet:
 
 
 def _forms() -> Mapping[str, Callable[[ArcSet], object]]:
-    """List what is timed, by name."""
     return {
         "svd, as printed": _as_printed("svd"),
         "svd, gain form": _product("svd", "gain"),

@@ -85,7 +85,6 @@ def _passed_by(answer: Mapping[str, Any]) -> bool:
 
 
 def _answer(threshold: Threshold, measured: Measurement) -> dict[str, Any]:
-    """Answer one gate."""
     gate = GATES[threshold.name]
     status = _status(threshold, measured)
     return {
@@ -131,7 +130,6 @@ def _pair(values: Any) -> Ends | None:
 
 
 def _status(threshold: Threshold, measured: Measurement) -> str:
-    """Hold a measurement against the thresholds."""
     if measured.met is not None:
         return measured.met
     if measured.value is None:

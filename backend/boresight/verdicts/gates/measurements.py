@@ -147,7 +147,6 @@ def ends(pair: Sequence[float | None] | None) -> Ends | None:
 
 
 def _score(name: str, evidence: GateInputs) -> Measurement:
-    """Take a score of the held-out frames."""
     if evidence.held_out is None:
         return absent(evidence.no_held_out)
     score, frames = evidence.held_out[name], evidence.held_out["frames"]

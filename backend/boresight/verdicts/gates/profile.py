@@ -82,7 +82,6 @@ def parse_profile(document: Mapping[str, Any]) -> Profile:
 
 
 def _by_name(entries: Any) -> dict[str, Mapping[str, Any]]:
-    """Return the given entries by their gate."""
     if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
         raise RefusedInputError("`gates` is no list of objects: give one object a gate, with its name.")
     given: dict[str, Mapping[str, Any]] = {}
