@@ -38,6 +38,13 @@ DUMMY_CHART = make_figure(
     name="dummy-chart", title="Dummy chart", guide="One bar a run; a taller one has more frames.",
 )
 """,
+    f"{PACKAGE}/telemetry/quality/findings/dummies.py": """
+from boresight.telemetry.quality.inputs import Finding
+from boresight.telemetry.quality.inputs import QualityInputs
+
+def looked_at(inputs: QualityInputs) -> Finding | None:
+    return Finding("DUMMY", "NORMAL", "Every row was looked at.", len(inputs.telemetry))
+""",
     f"{PACKAGE}/console/dummies/__init__.py": "",
     f"{PACKAGE}/console/dummies/routes.py": """
 from pydantic import BaseModel
@@ -104,17 +111,10 @@ LINES = {
             '        Gate("dummy-gate", "Dummy gate", "How many parameters are there?", "below", measure=dummy, limit=99.0),\n',
         ),
     ),
-    f"{PACKAGE}/telemetry/quality/findings/times.py": (
-        (
-            "def frames_descend(",
-            """def dummy_finding(inputs: QualityInputs) -> Finding | None:
-    return Finding("DUMMY", "NORMAL", "Every row was looked at.", len(inputs.telemetry))
-
-
-""",
-        ),
+    f"{PACKAGE}/telemetry/quality/findings/__init__.py": (
+        ("\nFINDINGS:", "from boresight.telemetry.quality.findings import dummies\n"),
+        (")\n\n__all__", "    dummies.looked_at,\n"),
     ),
-    f"{PACKAGE}/telemetry/quality/findings/__init__.py": (("    times.frames_descend,", "    times.dummy_finding,\n"),),
     f"{PACKAGE}/console/routes.py": (
         ("\nNOUNS = (", "from boresight.console.dummies import routes as dummies\n"),
         ("    fleet,\n", "    dummies,\n"),
