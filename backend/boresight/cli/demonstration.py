@@ -22,6 +22,7 @@ import numpy as np
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.access import users
 from boresight.console.access.passwords import prepare_unjudged
+from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import service as sensors
 from boresight.console.runs import service as runs
 from boresight.console.telemetry import queries as set_rows
@@ -136,7 +137,7 @@ class _Fleet:
         names = CAMERA_MODELS[sensor.camera_model].parameter_names
         truth = dict(zip(names, st16_truth(number).tolist(), strict=True))
         with open_writing(self.engine) as session:
-            for row in sensors.list_sensors(session):
+            for row in sensor_queries.sensors(session):
                 if row.name == sensor.name:
                     return row.id
             document = sensor_document(sensor)

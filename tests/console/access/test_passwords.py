@@ -7,6 +7,7 @@ import pytest
 
 from boresight.console.access import users
 from boresight.console.access.passwords import password_by
+from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import ForbiddenError, PasswordDueError
@@ -158,5 +159,5 @@ def test_a_signature_through_a_puppet_says_so_in_its_row_and_on_record(
     assert record is not None
     assert (record.after or {})["password_by"] == signature.password_by
     with open_reading(engine) as session:
-        assert approvals.list_signatures(session, approval.id)[0].password_by == signature.password_by
+        assert approval_queries.signatures(session, approval.id)[0].password_by == signature.password_by
         assert audit.verify(session).ok

@@ -6,6 +6,7 @@ import pytest
 
 from boresight.console import transitions
 from boresight.console.access import users
+from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -77,7 +78,7 @@ def test_over_the_shoulder_signs_nobody_who_may_not(
         _beside(engine, people[console], request_id, name, password)
     with open_reading(engine) as session:
         assert transitions.get_approval(session, request_id).state == "OPEN"
-        assert not approvals.list_signatures(session, request_id)
+        assert not approval_queries.signatures(session, request_id)
 
 
 def test_no_key_and_no_command_line_lends_a_console(engine: Engine, request_id: int) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from boresight.console.approvals import gate_profiles, gates
-from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.errors import ForbiddenError, NotFoundError, StaleError
 from boresight.platform.audit import log as audit
@@ -47,7 +47,7 @@ def test_a_report_binds_what_it_rests_on_and_is_recorded_in_the_audit(candidate,
     report = assess(row.id)
     bound = report.document["bound"]
     with open_reading(engine) as session:
-        assert bound["incumbent_sha256"] == parameter_sets.get_baseline(session, 1).sha256
+        assert bound["incumbent_sha256"] == set_queries.baseline(session, 1).sha256
         assert bound["profile_sha256"] == gate_profiles.profile_in_force(session, 1).sha256
         record = audit.last_change(session, f"parameter-sets/{row.id}/gate-report")
     assert bound["set_sha256"] == row.sha256

@@ -6,6 +6,7 @@ import pytest
 
 from boresight.console import transitions
 from boresight.console.access import api_keys, users
+from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals import staleness
 from boresight.console.approvals.tables import Approval, Signature
@@ -70,7 +71,7 @@ def test_one_approval_by_a_second_person_approves(
     assert (signature.printed_name, signature.decision, signature.meaning) == ("Cy", "APPROVE", "I decide")
     assert signature.shown_sha256 == staleness.compute_binding_sha256(approval)
     with open_reading(engine) as session:
-        assert [row.id for row in approvals.list_signatures(session, approval.id)] == [signature.id]
+        assert [row.id for row in approval_queries.signatures(session, approval.id)] == [signature.id]
         assert audit.verify(session).ok
 
 
@@ -182,7 +183,7 @@ def test_a_wrong_password_signs_nothing(engine: Engine, people: People, request_
         _sign(engine, people["cy"], approval, password="wrong horse battery")
     assert _states(engine, approval) == ("OPEN", "SUBMITTED")
     with open_reading(engine) as session:
-        assert not approvals.list_signatures(session, approval.id)
+        assert not approval_queries.signatures(session, approval.id)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from boresight.console import transitions
 from boresight.console.approvals import gate_profiles, gates
 from boresight.console.approvals import service as approvals
-from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.uplinks import packages
 from boresight.errors import (
@@ -176,7 +176,7 @@ def test_a_set_that_is_promoted_with_a_waiver_tells_of_it_as_baseline(waive, eng
         row = transitions.get_parameter_set(session, blocked.id)
         approvals.promote(session, people["dee"], row.id, row.version)
     with open_reading(engine) as session:
-        assert parameter_sets.get_baseline(session, 1).id == blocked.id
+        assert set_queries.baseline(session, 1).id == blocked.id
         assert gates.verdicts(session, [blocked.id]) == {blocked.id: "NO-DATA (1 gate waived)"}
 
 

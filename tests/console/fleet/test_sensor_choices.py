@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.service import MOST_CHOICES
 from boresight.console.fleet.tables import Sensor
@@ -60,7 +61,7 @@ def test_of_a_large_fleet_the_first_that_hold_the_text_are_offered_and_what_is_k
 ) -> None:
     with open_reading(large) as session:
         found = sensors.choices(session, find=find, keep=keep)
-        every = sensors.get_sensor_names(session)
+        every = sensor_queries.names(session)
     fitting = _fitting(find)
     kept = sorted({every[number] for number in keep if number in every} - set(fitting[:MOST_CHOICES]))
     assert not found.is_all
@@ -73,8 +74,8 @@ def test_of_a_large_fleet_the_first_that_hold_the_text_are_offered_and_what_is_k
 @given(ids=st.sets(st.one_of(st.integers(1, 3 * len(FLEET)), st.integers()), max_size=12))
 def test_names_are_those_of_the_numbers_that_there_are(large: Engine, ids: set[int]) -> None:
     with open_reading(large) as session:
-        every = sensors.get_sensor_names(session)
-        assert sensors.get_sensor_names(session, ids) == {number: every[number] for number in ids if number in every}
+        every = sensor_queries.names(session)
+        assert sensor_queries.names(session, ids) == {number: every[number] for number in ids if number in every}
     assert sorted(every.values()) == sorted(FLEET)
 
 

@@ -6,9 +6,11 @@ import re
 
 import pytest
 
+from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensor import baseline_values, compute_optics
 from boresight.console.fleet.pages.sensors import EXAMPLE, FIELDS, read_document
+from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.platform.db.sessions import open_reading, open_writing
@@ -61,7 +63,7 @@ def test_a_chosen_file_counts_before_typed_text(site):
     data = {"csrf_token": visitor.csrf_token, "document": "{}"}
     assert visitor.send("POST", "/sensors", data=data, files=files).status_code == 303
     with open_reading(site.engine) as session:
-        assert "FROM-FILE" in {row.name for row in sensors.list_sensors(session)}
+        assert "FROM-FILE" in {row.name for row in sensor_queries.sensors(session)}
 
 
 @pytest.mark.parametrize(
@@ -102,7 +104,7 @@ def test_a_ground_calibration_claims_no_measured_sigma(site):
 def test_a_calibrated_baseline_shows_its_sigma_and_its_change_from_the_ground(site):
     with open_writing(site.engine) as session:
         made = parameter_sets.create_from_run(session, site.actor("ada"), site.blobs, 1)
-        ground = parameter_sets.get_baseline(session, 1)
+        ground = set_queries.baseline(session, 1)
         ground.ground_state = "SUPERSEDED"
         session.flush()
         session.get_one(ParameterSet, made.id).ground_state = "BASELINE"

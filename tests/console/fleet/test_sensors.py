@@ -6,7 +6,9 @@ from typing import Any
 
 import pytest
 
+from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import service as sensors
+from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.errors import (
     ConflictError,
@@ -30,7 +32,7 @@ def document(session: Session) -> dict[str, Any]:
 
 
 def test_a_new_sensor_has_its_ground_calibration_as_baseline(session: Session, document: dict[str, Any]) -> None:
-    ground = parameter_sets.get_baseline(session, 1)
+    ground = set_queries.baseline(session, 1)
     assert ground is not None
     assert (ground.name, ground.number, ground.run_id) == ("PS-ST16-1-0", 0, None)
     assert ground.document["parameters"] == document["initial"]
@@ -41,7 +43,7 @@ def test_a_new_sensor_has_its_ground_calibration_as_baseline(session: Session, d
 
 
 def test_its_declared_covariance_is_the_typical_spread_squared(session: Session, document: dict[str, Any]) -> None:
-    ground = parameter_sets.get_baseline(session, 1)
+    ground = set_queries.baseline(session, 1)
     assert ground is not None
     names, matrix = ground.document["covariance"]["names"], ground.document["covariance"]["matrix"]
     for row, name in enumerate(names):
@@ -73,7 +75,7 @@ def test_a_bad_document_leaves_no_sensor_and_no_set(engine: Engine, people: Peop
     with pytest.raises(RefusedInputError), open_writing(engine) as session:
         sensors.register_sensor(session, people["ana"], bad)
     with open_writing(engine) as session:
-        assert [row.name for row in sensors.list_sensors(session)] == ["ST16-1"]
+        assert [row.name for row in sensor_queries.sensors(session)] == ["ST16-1"]
         assert len(parameter_sets.list_parameter_sets(session)) == 1
 
 
@@ -88,13 +90,13 @@ def test_a_name_that_makes_no_file_name_is_refused(
 def test_an_edit_changes_what_runs_start_from_and_leaves_the_sets(
     session: Session, people: People, document: dict[str, Any]
 ) -> None:
-    before = parameter_sets.get_baseline(session, 1)
+    before = set_queries.baseline(session, 1)
     assert before is not None
     sha256 = before.sha256
     document["initial"]["f_m"] = 0.0161
     row = sensors.edit_sensor(session, people["ana"], 1, document, 1)
     assert (row.version, row.document["initial"]["f_m"]) == (2, 0.0161)
-    assert parameter_sets.get_baseline(session, 1).sha256 == sha256  # type: ignore[union-attr]
+    assert set_queries.baseline(session, 1).sha256 == sha256  # type: ignore[union-attr]
     record = audit.last_change(session, "sensors/1")
     assert record is not None
     assert (record.before["initial"]["f_m"], record.after["initial"]["f_m"]) == (0.016, 0.0161)  # type: ignore[index]

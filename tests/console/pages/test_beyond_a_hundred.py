@@ -13,15 +13,18 @@ from boresight.console.access.tables import LoginSession
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals import gate_profiles, proposals
+from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval, ChangeProposal, Signature
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.fleet.pages import overview
 from boresight.console.fleet.tables import Sensor
+from boresight.console.notes import queries as note_queries
 from boresight.console.notes import service as notes
 from boresight.console.notes.tables import Note
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.run import find_parameter_set
 from boresight.console.runs.tables import Run, RunEvent
@@ -203,11 +206,11 @@ def test_no_note_proposal_log_in_or_version_is_left_out_beyond_a_hundred(site, r
         audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
     with open_reading(site.engine) as session:
         assert (
-            notes.count_notes(session, "runs", 1)
+            note_queries.count_notes(session, "runs", 1)
             == len(notes.list_notes(session, site.actor("ada"), "runs", 1))
             == many
         )
-        assert proposals.count_open(session) == len(proposals.list_proposals(session, state="OPEN")) == many
+        assert approval_queries.count_open(session) == len(proposals.list_proposals(session, state="OPEN")) == many
         assert len(session_list.list_sessions(session, site.actor("ada"), is_open=True)) > many
     visitor = site.visitor("ada")
     assert f"Notes {many}" in " ".join(read(visitor.get("/runs/1")).split())
@@ -235,9 +238,9 @@ def test_a_set_of_telemetry_finds_its_runs_and_how_many_there_are_behind_hundred
         audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
     with open_reading(full.engine) as session:
         for number in (1, 2):  # fitted with, and validated with
-            newest, uses = runs.runs_of_set(session, number, 100)
+            newest, uses = run_queries.runs_of_set(session, number, 100)
             assert (len(newest), uses) == (100, MANY + 2)
-        assert runs.runs_of_set(session, other.id, 100)[1] == 520
+        assert run_queries.runs_of_set(session, other.id, 100)[1] == 520
 
 
 def test_a_run_in_a_long_queue_knows_its_place(site, read):
@@ -257,7 +260,7 @@ def test_the_newest_result_with_a_validation_set_is_found_behind_many_without(si
         session.add_all(like(session.get_one(Run, 1), validation_set_id=None) for _ in range(MANY))
         audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
     with open_reading(site.engine) as session:
-        assert runs.newest_finished(session, 1, 1)[0].id == 2
+        assert run_queries.newest_finished(session, 1, 1)[0].id == 2
 
 
 def test_a_long_log_is_given_whole(site):

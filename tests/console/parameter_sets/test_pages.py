@@ -3,7 +3,7 @@
 import pytest
 
 from boresight.console import transitions
-from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets import queries as set_queries
 from boresight.platform.db.sessions import open_reading
 
 
@@ -103,7 +103,7 @@ def test_an_approved_set_becomes_the_baseline_and_supersedes_the_old_one(site, c
     text = read(olga.get(candidate))
     assert "This set is the baseline; it replaced PS-ST16-1-0." in text
     with open_reading(site.engine) as session:
-        assert parameter_sets.get_baseline(session, 1).name == "PS-ST16-1-1"
+        assert set_queries.baseline(session, 1).name == "PS-ST16-1-1"
         assert transitions.get_parameter_set(session, 1).ground_state == "SUPERSEDED"
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from boresight.console import transitions
 from boresight.console.approvals import service as approvals
+from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
@@ -130,7 +131,7 @@ def test_a_request_binds_set_run_and_incumbent(engine: Engine, submitted: Callab
     row = submitted()
     with open_reading(engine) as session:
         approval = approvals.list_approvals(session)[0]
-        incumbent = parameter_sets.get_baseline(session, row.sensor_id)
+        incumbent = set_queries.baseline(session, row.sensor_id)
         run = session.get_one(Run, row.run_id)
         assert incumbent is not None
     hashes = {"set_sha256": row.sha256, "run_result_sha256": run.result_sha256, "incumbent_sha256": incumbent.sha256}

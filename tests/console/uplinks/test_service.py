@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.console import transitions
-from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.tables import ONBOARD_STATES, ParameterSet, Promotion
 from boresight.console.uplinks import service as uplinks
 from boresight.errors import BoresightError, ConflictError, ForbiddenError, RefusedInputError
@@ -116,7 +116,7 @@ def test_nobody_in_particular_records_nothing(engine: Engine) -> None:
 
 
 def _promote_by_hand(session: Session, row: ParameterSet, at_utc: str) -> None:
-    incumbent = parameter_sets.get_baseline(session, row.sensor_id)
+    incumbent = set_queries.baseline(session, row.sensor_id)
     assert incumbent is not None
     incumbent.ground_state = "SUPERSEDED"
     session.flush()

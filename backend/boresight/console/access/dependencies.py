@@ -11,7 +11,7 @@ import hmac
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, cast
 
 from fastapi import Depends, Header, Query
 from fastapi.concurrency import contextmanager_in_threadpool
@@ -209,6 +209,24 @@ class WorkerControl(Protocol):
         """Return how the workers are."""
 
 
+class Server(Protocol):
+    """What a page or a route may use of the server that answers it."""
+
+    settings: Settings
+    policy: Policy
+    engine: Engine
+    blobs: BlobStore
+    catalogue: Callable[[], Catalogue]
+    sight: ForecastSources
+    passwords: PasswordWorker
+    workers: WorkerControl | None
+
+
+def get_server(request: Request) -> Server:
+    """Return the server that answers a request, for what takes no dependencies of its own."""
+    return cast("Server", request.app.state)
+
+
 def of_server(name: str) -> Any:
     """Return a dependency on a part of the server, by its name in the state of the application.
 
@@ -241,8 +259,7 @@ def clear_cookie(request: Request, response: Response) -> None:
 
 async def check_own(request: Request, actor: Actor, password: str) -> PasswordProof:
     """Check the password of who acts, before any transaction begins."""
-    checks: PasswordWorker = request.app.state.passwords
-    return await checks.check_own(actor, password, get_client(request))
+    return await get_server(request).passwords.check_own(actor, password, get_client(request))
 
 
 def own_password(body: type[BaseModel]) -> Any:

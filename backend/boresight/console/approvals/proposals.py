@@ -55,11 +55,6 @@ def open_proposals(session: Session, sensor_id: int | None = None, kind: str | N
     return lists.newest(session, ChangeProposal, sensor=sensor_id, kind=kind, state="OPEN")
 
 
-def count_open(session: Session) -> int:
-    """Count the proposals that wait, of all sensors."""
-    return rows.count_open(session)
-
-
 def confirmed_by_number(session: Session, sensor_id: int, kind: str) -> dict[int, ChangeProposal]:
     """Return the proposals that came into force, by the number of the version that they became."""
     found = lists.newest(session, ChangeProposal, sensor=sensor_id, kind=kind, state="CONFIRMED")

@@ -31,6 +31,7 @@ from boresight.console.access.dependencies import (
 )
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import gate_profiles, gates, schemas
+from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.gates import read_gate_inputs
 from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Opening, Remark, Waiver
@@ -234,7 +235,7 @@ class SigningByName(Signing):
 
 def with_signatures(session: Session, row: Approval) -> Beside:
     """Return a request with its signatures."""
-    return Beside(row, signatures=approvals.list_signatures(session, row.id))
+    return Beside(row, signatures=approval_queries.signatures(session, row.id))
 
 
 Proven = Annotated[PasswordProof, own_password(Signing)]

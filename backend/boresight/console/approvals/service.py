@@ -24,7 +24,7 @@ for two approvals at least.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 from boresight.console import list_queries as lists
 from boresight.console.access import users
@@ -96,11 +96,6 @@ def list_approvals(
     return lists.newest(session, Approval, before_id=before_id, limit=limit, state=state, set=parameter_set_id)
 
 
-def newest_open(session: Session, sensor_ids: Collection[int]) -> dict[int, int]:
-    """Return the number of the newest open request of each of some sensors that has any, by sensor."""
-    return rows.newest_open(session, sensor_ids)
-
-
 def signatory(session: Session, actor: Actor, *, policy: Policy = POLICY) -> Signatory | None:
     """Return who would sign, to narrow the list of requests to those open to them; None where they may sign none at all."""
     try:
@@ -109,16 +104,6 @@ def signatory(session: Session, actor: Actor, *, policy: Policy = POLICY) -> Sig
         return None
     now_utc = "" if clock.is_held(session) else utc_now()  # before every time there is: nothing has expired
     return Signatory(user_id, now_utc, policy.four_eyes)
-
-
-def submitters(session: Session, states: Collection[str]) -> frozenset[int]:
-    """Return who submitted the requests that are in one of these states."""
-    return rows.submitters(session, states)
-
-
-def list_signatures(session: Session, approval_id: int) -> Sequence[Signature]:
-    """Return who signed a request, in order."""
-    return rows.signatures(session, approval_id)
 
 
 def why_not_sign(session: Session, actor: Actor, approval_id: int, *, policy: Policy = POLICY) -> str | None:

@@ -9,8 +9,6 @@ every tick and its sets stay; `intent=all` ticks what is found besides.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -31,7 +29,7 @@ from boresight.console.fleet import service as sensors
 from boresight.console.fleet.service import SensorChoices
 from boresight.console.pages.rendering import (
     AttemptResult,
-    ShownRefusal,
+    ask,
     attempt,
     read_texts,
     redirect,
@@ -43,7 +41,6 @@ from boresight.console.runs import presets
 from boresight.console.runs.pages.launch import LONGEST_NUMBER, LaunchOrigin, TypedForm, read_origin, typed_form
 from boresight.console.runs.pages.list import read_names
 from boresight.console.telemetry import service as telemetry_sets
-from boresight.errors import BoresightError, NotFoundError
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import parse_row_id
@@ -125,22 +122,8 @@ def _rank(line: Mapping[str, Any]) -> tuple[int, int, str]:
 @router.get("/campaigns/{campaign_id:int}/results.csv")
 def campaign_results(session: Reading, actor: Who, campaign_id: int) -> Response:  # noqa: ARG001 - whoever is known may read
     """Send the results over sensors as CSV, arcs in rad."""
-    headers = {"Content-Disposition": f'attachment; filename="campaign-{campaign_id}.csv"'}
-    return Response(_csv(_lines(session, campaign_id)), media_type="text/csv", headers=headers)
-
-
-def _csv(lines: Sequence[Mapping[str, Any]]) -> str:
-    """Write lines as CSV; what a run has not is empty."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, [name for name in lines[0] if name != "id"], extrasaction="ignore")
-    writer.writeheader()
-    writer.writerows([{name: _cell(value) for name, value in line.items()} for line in lines])
-    return text.getvalue()
-
-
-def _cell(value: Any) -> Any:
-    """Keep a spreadsheet from taking a text that people gave for a formula."""
-    return f"'{value}" if isinstance(value, str) and value[:1] in {"=", "+", "-", "@", "\t", "\r"} else value
+    lines = _lines(session, campaign_id)
+    return csv_file(f"campaign-{campaign_id}", [name for name in lines[0] if name != "id"], lines)
 
 
 @router.post("/campaigns/{campaign_id:int}/cancel", response_class=HTMLResponse)
@@ -273,7 +256,7 @@ async def campaign_launch(request: Request, session: Reading, actor: Who) -> Res
         if outcome.value is not None:
             return redirect(f"/campaigns/{outcome.value.id}", flash="The campaign is queued.")
     elif intent not in {"find", "all"}:
-        outcome = await run_in_threadpool(_checked, partial(order, session, validate_only=True))
+        outcome = await run_in_threadpool(ask, partial(order, session, validate_only=True))
     offered = await run_in_threadpool(_offer, session, form)
     if intent == "all":
         offered = replace(offered, ticked={*offered.ticked, *offered.able})
@@ -308,16 +291,6 @@ def _launch(
         preset=preset.key if preset else None,
         validate_only=validate_only,
     )
-
-
-def _checked(ask: partial[Any]) -> AttemptResult[Any]:
-    """Make the dry run: it reads and writes nothing."""
-    try:
-        return AttemptResult(ask(), None)
-    except NotFoundError:
-        raise
-    except BoresightError as error:
-        return AttemptResult(None, ShownRefusal.of(error))
 
 
 def _page(

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.approvals import proposals
 from boresight.console.approvals.proposals import TITLES
 from boresight.console.approvals.tables import ChangeProposal
@@ -59,7 +59,7 @@ def change_proposal_page(request: Request, actor: Who, proposal_id: int) -> HTML
 
 def _page(request: Request, actor: Actor, proposal_id: int, refusal: ShownRefusal | None, comment: str) -> HTMLResponse:
     """Render a proposal, with what a refused form left behind."""
-    with open_reading(request.app.state.engine) as session:
+    with open_reading(get_server(request).engine) as session:
         row = proposals.get_proposal(session, proposal_id)
         own = row.proposed_by == actor.user_id
         return render(

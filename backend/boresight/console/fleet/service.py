@@ -7,7 +7,7 @@ sought. However large the fleet, it costs a few short queries of at most `MOST_C
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,9 +31,7 @@ __all__ = [
     "count",
     "edit_sensor",
     "get_sensor",
-    "get_sensor_names",
     "list_fleet_tiles",
-    "list_sensors",
     "register_sensor",
 ]
 
@@ -93,16 +91,6 @@ def edit_sensor(
     row.version += 1
     audit.append(session, actor, "edited", name_subject(row), before, after)
     return row
-
-
-def list_sensors(session: Session, sensor_ids: Collection[int] | None = None) -> Sequence[Sensor]:
-    """Return the fleet, or the sensors of these numbers, by name."""
-    return rows.sensors(session, sensor_ids)
-
-
-def get_sensor_names(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, str]:
-    """Return the names of these sensors by their numbers; of the whole fleet where None is given."""
-    return rows.names(session, sensor_ids)
 
 
 def count(session: Session) -> int:

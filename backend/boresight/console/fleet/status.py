@@ -211,11 +211,6 @@ def _drifting(session: Session) -> dict[int | None, Alarm]:
     return {row.sensor_id: row for row in found if not (row.shelved_until_utc or "") > utc_now()}
 
 
-def list_recent_summaries(session: Session, sensor_ids: Collection[int], limit: int) -> dict[int, list[dict[str, Any]]]:
-    """Return of some sensors the summaries of their newest runs that succeeded, oldest first."""
-    return queries.recent_summaries(session, sensor_ids, limit)
-
-
 def _worst(known: SensorFacts) -> tuple[str, str]:
     """Return the worst finding; of equally bad ones the one that is looked for first."""
     return min(list_findings(known), key=lambda finding: STATUS_WORDS.index(finding[0]))

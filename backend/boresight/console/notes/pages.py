@@ -12,7 +12,7 @@ from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console.access.dependencies import Who, csrf
+from boresight.console.access.dependencies import Who, csrf, get_server
 from boresight.console.notes import service as notes
 from boresight.console.notes.tables import Note
 from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, render
@@ -40,7 +40,7 @@ def _page(
     request: Request, actor: Actor, kind: str, subject_id: int, typed: str = "", refusal: ShownRefusal | None = None
 ) -> HTMLResponse:
     """Render the notes, with what a refused form left behind."""
-    with open_reading(request.app.state.engine) as session:
+    with open_reading(get_server(request).engine) as session:
         return render(
             request,
             "notes/notes.html",

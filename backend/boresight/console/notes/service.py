@@ -30,11 +30,6 @@ def list_notes(session: Session, actor: Actor, kind: str, subject_id: int) -> Se
     return queries.notes(session, kind, subject_id)
 
 
-def count_notes(session: Session, kind: str, subject_id: int) -> int:
-    """Count the notes on a thing."""
-    return queries.count_notes(session, kind, subject_id)
-
-
 def add_note(session: Session, actor: Actor, kind: str, subject_id: int, text: str) -> Note:
     """Write a note; nobody can change it afterwards."""
     user_id = require_person(actor, "write a note")

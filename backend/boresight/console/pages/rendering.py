@@ -36,7 +36,7 @@ from starlette.exceptions import HTTPException
 import boresight
 from boresight.console.access import users
 from boresight.console.access.credentials import current_actor
-from boresight.console.access.dependencies import check_own, open_write_session
+from boresight.console.access.dependencies import check_own, get_server, open_write_session
 from boresight.console.fleet.timeline import describe_source
 from boresight.console.pages import formats
 from boresight.console.pages.formats import LEVELS, get_level, worst
@@ -99,6 +99,16 @@ class AttemptResult(Generic[T]):
         if self.value is None:
             raise ValueError("there is no value: read the refusal first")
         return self.value
+
+
+def ask(question: Callable[[], T]) -> AttemptResult[T]:
+    """Return what a question came to, or why it was refused; what is not there is for the page of problems."""
+    try:
+        return AttemptResult(question(), None)
+    except NotFoundError:
+        raise
+    except BoresightError as error:
+        return AttemptResult(None, ShownRefusal.of(error))
 
 
 async def attempt(
@@ -286,7 +296,7 @@ def _who_grants(request: Request, status: int) -> str:
     if status != FORBIDDEN or getattr(request.state, "actor", None) is None:
         return ""
     try:
-        with open_reading(request.app.state.engine) as session:
+        with open_reading(get_server(request).engine) as session:
             names = users.administrators(session)
     except Exception:
         log.exception("A refusal could not name the administrators")

@@ -200,4 +200,4 @@ def csv_file(title: str, names: Sequence[str], rows: Iterable[Mapping[str, Any]]
 
 def _plain(value: Any) -> Any:
     """Keep a spreadsheet from taking a person's words for a formula."""
-    return f"'{value}" if isinstance(value, str) and value[:1] in {"=", "+", "-", "@", "\t"} else value
+    return f"'{value}" if isinstance(value, str) and value[:1] in {"=", "+", "-", "@", "\t", "\r"} else value

@@ -23,8 +23,9 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import transitions
 from boresight.console.access.credentials import get_actor
-from boresight.console.access.dependencies import Reading, Who, csrf, same_for_roles
+from boresight.console.access.dependencies import Reading, Who, csrf, get_server, same_for_roles
 from boresight.console.approvals import gates
+from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.dependencies import assess_before_submission
 from boresight.console.approvals.pages.gates import make_gates_panel
@@ -44,7 +45,7 @@ from boresight.console.pages.tables import (
     read_view,
     write_csv,
 )
-from boresight.console.parameter_sets import service
+from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.service import convert_parameter_set
 from boresight.console.parameter_sets.tables import GROUND_STATES, ONBOARD_STATES, ParameterSet
 from boresight.console.runs import service as runs
@@ -253,14 +254,14 @@ def list_lineage(session: Session, row: ParameterSet, requests: Sequence[Approva
 def find_incumbent(session: Session, row: ParameterSet, requests: Sequence[Approval]) -> ParameterSet | None:
     """Return what a set is measured against: the baseline of now, or for a promoted set the one that it replaced."""
     if row.baseline_from_utc is None:
-        return service.get_baseline(session, row.sensor_id)
+        return set_queries.baseline(session, row.sensor_id)
     return find_bound_incumbent(session, row, next((known for known in requests if known.state == "APPROVED"), None))
 
 
 def find_bound_incumbent(session: Session, row: ParameterSet, request: Approval | None) -> ParameterSet | None:
     """Return the set that was baseline when a request was made; None where the request names none."""
     sha256 = request.bound.get("incumbent_sha256") if request is not None else None
-    return None if sha256 is None else service.other_with_document(session, row, sha256)
+    return None if sha256 is None else set_queries.other_with_document(session, row, sha256)
 
 
 @parameter_set_router.get("/parameter-sets/{set_id:int}", response_class=HTMLResponse)
@@ -293,7 +294,7 @@ def _page(
         incumbent=incumbent,
         rows=set_rows(row.document, incumbent.document if incumbent else None, sensor.document),
         requests=requests,
-        signatures=[signature for known in requests for signature in approvals.list_signatures(session, known.id)],
+        signatures=[signature for known in requests for signature in approval_queries.signatures(session, known.id)],
         uplinks=uplinks.list_uplinks(session, parameter_set_id=set_id),
         conversions=list_conversions(session, row),
         panel=make_gates_panel(session, actor, row),
@@ -321,7 +322,7 @@ async def _asked(
 ) -> Response:
     """Open a request, and show it or why it was refused."""
     form = await read_texts(request)
-    reason, state = form.get("reason", ""), request.app.state
+    reason, state = form.get("reason", ""), get_server(request)
     assessed = await run_in_threadpool(assess_before_submission, actor, set_id, state.sight, state.engine)
 
     def change(session: Session) -> Approval:
@@ -354,7 +355,7 @@ async def promote(request: Request, session: Reading, actor: Who, set_id: int) -
     form = await read_texts(request)
 
     def change(session: Session) -> ParameterSet:
-        return approvals.promote(session, actor, set_id, seen_version(form), policy=request.app.state.policy)
+        return approvals.promote(session, actor, set_id, seen_version(form), policy=get_server(request).policy)
 
     return await _changed(
         request, session, actor, set_id, change, "{} is the baseline now; nothing on board has changed."

@@ -24,7 +24,7 @@ The incumbent's parameters, drawn beside the result of a run.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from boresight.calibration.conversion import converted
@@ -187,31 +187,6 @@ def list_parameter_sets(
     return lists.newest(session, ParameterSet, before_id=before_id, limit=limit, sensor=sensor_id, state=ground_state)
 
 
-def set_of_run(session: Session, run_id: int) -> ParameterSet | None:
-    """Return the set that was made from a run; None where none was."""
-    return rows.set_of_run(session, run_id)
-
-
-def other_with_document(session: Session, row: ParameterSet, sha256: str) -> ParameterSet | None:
-    """Return the newest other set of a set's sensor whose document has this hash."""
-    return rows.other_with_document(session, row, sha256)
-
-
-def read_heads(session: Session, set_ids: Collection[int]) -> dict[int, Any]:
-    """Return name and sensor_id of some sets, by id."""
-    return rows.heads(session, set_ids)
-
-
-def runs_with_sets(session: Session, run_ids: Collection[int]) -> set[int]:
-    """Return those of some runs that a set was made of."""
-    return rows.runs_with_sets(session, run_ids)
-
-
-def get_baseline(session: Session, sensor_id: int) -> ParameterSet | None:
-    """Return the sensor's baseline."""
-    return rows.baseline(session, sensor_id)
-
-
 def convert_parameter_set(
     session: Session, parameter_set_id: int, target: str, allowed_px: float | None = None
 ) -> dict[str, Any]:
@@ -223,7 +198,7 @@ def convert_parameter_set(
 
 def get_incumbent_parameters(session: Session, run: Run) -> dict[str, float | None]:
     """Return the baseline's parameters in SI; none where the run started from them or there is no baseline."""
-    baseline = get_baseline(session, run.sensor_id)
+    baseline = rows.baseline(session, run.sensor_id)
     if baseline is None:
         return {}
     parameters: Mapping[str, float | None] = baseline.document.get("parameters") or {}

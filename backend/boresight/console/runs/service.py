@@ -101,21 +101,6 @@ def list_runs(
     )
 
 
-def runs_of_set(session: Session, telemetry_set_id: int, limit: int) -> tuple[list[Run], int]:
-    """Return the newest runs that fitted or validated with a telemetry set, and how many there are."""
-    return queries.runs_of_set(session, telemetry_set_id, limit)
-
-
-def newest_finished(session: Session, sensor_id: int, limit: int) -> list[Run]:
-    """Return a sensor's newest runs that succeeded, those with a validation set before all others."""
-    return queries.newest_finished(session, sensor_id, limit)
-
-
-def place_in_queue(session: Session, run_id: int) -> int:
-    """Return how many runs are in front of one that waits."""
-    return queries.count_queued_before(session, run_id)
-
-
 def count_by_state(session: Session) -> dict[str, int]:
     """Count the runs in every state, zero where there are none."""
     counted = queries.count_by_state(session)
@@ -161,8 +146,3 @@ def log_lines(session: Session, run_id: int, *, after_id: int = 0, limit: int | 
     """Return a run's log in order, from the line after `after_id`: all of it, or at most `limit` lines."""
     get_run(session, run_id)
     return queries.events_of_run(session, run_id, after_id, limit)
-
-
-def find_adjacent_runs(session: Session, run_id: int) -> tuple[int | None, int | None]:
-    """Return the numbers of the runs before and after one, None at an end of the list."""
-    return queries.neighbours(session, run_id)

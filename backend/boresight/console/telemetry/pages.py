@@ -39,7 +39,7 @@ from boresight.console.pages.tables import (
     read_view,
     write_csv,
 )
-from boresight.console.runs import service as runs
+from boresight.console.runs import queries as run_queries
 from boresight.console.runs.pages.list import RunNames, make_run_line, read_names
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.service import PURPOSES, PreparedUpload
@@ -286,7 +286,7 @@ def _edge_of_data(radial: Mapping[str, Any]) -> tuple[float, str] | None:
 def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: int) -> HTMLResponse:
     """Show a set with its quality report."""
     row = telemetry_sets.get_telemetry_set(session, set_id)
-    used_by, uses = runs.runs_of_set(session, row.id, RUNS_SHOWN)
+    used_by, uses = run_queries.runs_of_set(session, row.id, RUNS_SHOWN)
     names = read_names(session, used_by, sensors_of=[row])
     blob = session.get(Blob, row.original_sha256)
     return render(

@@ -23,10 +23,11 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console import transitions
-from boresight.console.access.dependencies import Reading, Who, csrf, get_client
+from boresight.console.access.dependencies import Reading, Who, csrf, get_client, get_server
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import gates, proposals
+from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.pages.gates import make_gates_panel
 from boresight.console.approvals.tables import Approval, Opening, Signature
@@ -42,7 +43,7 @@ from boresight.console.pages.tables import (
     read_view,
     write_csv,
 )
-from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.pages import find_bound_incumbent
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
@@ -144,9 +145,9 @@ def request_page(
     row = transitions.get_parameter_set(session, approval.parameter_set_id)
     sensor = sensors.get_sensor(session, row.sensor_id)
     incumbent = find_bound_incumbent(session, row, approval)
-    result = runs.result(session, request.app.state.blobs, row.run_id) if row.run_id is not None else None
+    result = runs.result(session, get_server(request).blobs, row.run_id) if row.run_id is not None else None
     rows = set_rows(row.document, incumbent.document if incumbent else None, sensor.document)
-    policy = request.app.state.policy
+    policy = get_server(request).policy
     has_figures = row.run_id is not None
     return render(
         request,
@@ -166,7 +167,7 @@ def request_page(
         figures=[FIGURES[name] for name in EVIDENCE_FIGURES if has_figures],
         wide=WIDE,
         remarks=approvals.list_remarks(session, approval_id),
-        signatures=approvals.list_signatures(session, approval_id),
+        signatures=approval_queries.signatures(session, approval_id),
         pending=proposals.open_proposals(session, row.sensor_id) if approval.state in {"OPEN", "APPROVED"} else [],
         signers=approvals.who_may_sign(session, approval_id, policy=policy) if approval.state == "OPEN" else [],
         blocked=approvals.why_not_sign(session, actor, approval_id, policy=policy),
@@ -293,7 +294,7 @@ def _csv_row(entry: InboxRow) -> dict[str, Any]:
 
 
 def _entries(request: Request, session: Session, actor: Actor, found: Sequence[Approval]) -> list[InboxRow]:
-    names, policy = read_names(session), request.app.state.policy
+    names, policy = read_names(session), get_server(request).policy
     verdicts = gates.verdicts(session, {known.parameter_set_id for known in found})
     return [
         InboxRow(
@@ -301,7 +302,7 @@ def _entries(request: Request, session: Session, actor: Actor, found: Sequence[A
             transitions.get_parameter_set(session, known.parameter_set_id),
             names.person(known.submitted_by),
             verdicts.get(known.parameter_set_id),
-            sum(one.decision == "APPROVE" for one in approvals.list_signatures(session, known.id)),
+            sum(one.decision == "APPROVE" for one in approval_queries.signatures(session, known.id)),
             approvals.why_not_sign(session, actor, known.id, policy=policy),
         )
         for known in found
@@ -331,8 +332,8 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
     form = await read_texts(request)
     typed = TypedText(kind, *(form.get(name, "") for name in ("decision", "meaning", "comment", "name")))
     words = (typed.decision, typed.meaning.strip() or MEANINGS.get(typed.decision, ""), typed.comment)
-    policy = request.app.state.policy
-    checks: PasswordWorker = request.app.state.passwords
+    policy = get_server(request).policy
+    checks: PasswordWorker = get_server(request).passwords
 
     def refuse(session: Session) -> None:
         approvals.refuse_beside(session, actor, approval_id, *words, seen_version(form))
@@ -357,7 +358,7 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
 def _again(
     request: Request, actor: Actor, approval_id: int, refusal: ShownRefusal | None, typed: TypedText
 ) -> HTMLResponse:
-    with open_reading(request.app.state.engine) as session:
+    with open_reading(get_server(request).engine) as session:
         return request_page(request, session, actor, approval_id, refusal=refusal, typed=typed)
 
 
@@ -366,9 +367,9 @@ async def open_evidence(
     request: Request, actor: Who, approval_id: int, evidence: Annotated[str, Form()] = ""
 ) -> Response:
     """Keep that a piece of evidence was opened, and go there."""
-    with open_reading(request.app.state.engine) as session:
+    with open_reading(get_server(request).engine) as session:
         row = transitions.get_parameter_set(session, transitions.get_approval(session, approval_id).parameter_set_id)
-        incumbent = parameter_sets.get_baseline(session, row.sensor_id)
+        incumbent = set_queries.baseline(session, row.sensor_id)
     known = list_evidence_addresses(row, incumbent)
     if evidence not in known:
         raise NotFoundError(f"There is no evidence {evidence!r} for this request; choose one of its list.")
@@ -399,7 +400,7 @@ async def assign(request: Request, session: Reading, actor: Who, approval_id: in
 
     def change(session: Session) -> Approval:
         user_id = parse_row_id(form.get("person", ""))
-        policy = request.app.state.policy
+        policy = get_server(request).policy
         return approvals.assign(session, actor, approval_id, user_id, seen_version(form), policy=policy)
 
     outcome = await attempt(request, change)

@@ -25,7 +25,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.console import transitions
 from boresight.console.access import users
-from boresight.console.access.dependencies import Who, csrf
+from boresight.console.access.dependencies import Who, csrf, get_server
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import gate_profiles, gates, proposals
 from boresight.console.approvals.gate_profiles import TriedProfile
@@ -35,6 +35,7 @@ from boresight.console.change_proposals import service as second_person
 from boresight.console.fleet import service as sensors
 from boresight.console.pages.rendering import (
     ShownRefusal,
+    ask,
     attempt,
     proof_of_own,
     read_texts,
@@ -45,7 +46,7 @@ from boresight.console.pages.rendering import (
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.pages.list import read_names
 from boresight.console.uplinks.tables import TableDefinition
-from boresight.errors import BoresightError, NotFoundError, RefusedInputError
+from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor, Policy, require_role
 from boresight.platform.db.sessions import Session, open_reading, utc_after, utc_now
 from boresight.platform.web.paging import parse_row_id
@@ -144,7 +145,7 @@ def _page(
     request: Request, actor: Actor, set_id: int, refusal: ShownRefusal | None = None, typed: TypedWaiver | None = None
 ) -> HTMLResponse:
     """Render the gates of a set, with a refusal and what was typed."""
-    with open_reading(request.app.state.engine) as session:
+    with open_reading(get_server(request).engine) as session:
         row = transitions.get_parameter_set(session, set_id)
         return render(
             request,
@@ -160,17 +161,10 @@ def _page(
 @router.post("/parameter-sets/{set_id:int}/assess", response_class=HTMLResponse)
 async def assess(request: Request, actor: Who, set_id: int) -> Response:
     """Hold a set against its gates and show what was found."""
-    try:
-        examined = await run_in_threadpool(_examine, request, actor, set_id)
-    except NotFoundError:
-        raise
-    except BoresightError as error:
-        return await run_in_threadpool(_page, request, actor, set_id, ShownRefusal.of(error))
-
-    def change(session: Session) -> GateReport:
-        return gates.record_report(session, actor, examined)
-
-    outcome = await attempt(request, change)
+    examined = await run_in_threadpool(ask, partial(_examine, request, actor, set_id))
+    if examined.value is None:
+        return await run_in_threadpool(_page, request, actor, set_id, examined.refusal)
+    outcome = await attempt(request, partial(gates.record_report, actor=actor, assessment=examined.value))
     if outcome.value is None:
         return await run_in_threadpool(_page, request, actor, set_id, outcome.refusal)
     return redirect(f"/parameter-sets/{set_id}/gates", flash=f"Assessed: {outcome.value.verdict}.")
@@ -179,7 +173,7 @@ async def assess(request: Request, actor: Who, set_id: int) -> Response:
 def _examine(request: Request, actor: Actor, set_id: int) -> gates.GateAssessment:
     """Measure and judge a set outside any transaction."""
     require_role(actor, *gates.ASSESSORS)
-    state = request.app.state
+    state = get_server(request)
     with open_reading(state.engine) as session:
         case = read_gate_inputs(session, set_id)
     return gates.examine(case, state.blobs, state.catalogue(), state.settings.catalogue_folder)
@@ -246,7 +240,7 @@ def gate_profile_page(request: Request, actor: Who, sensor_id: int) -> HTMLRespo
 
 def _profile_page(request: Request, actor: Actor, sensor_id: int, shown: GateProfileContext) -> HTMLResponse:
     """Render the limits, with what a form left behind."""
-    with open_reading(request.app.state.engine) as session:
+    with open_reading(get_server(request).engine) as session:
         versions = gate_profiles.list_profiles(session, sensor_id)
         return render(
             request,
@@ -259,7 +253,7 @@ def _profile_page(request: Request, actor: Actor, sensor_id: int, shown: GatePro
             names=read_names(session),
             pending=proposals.open_proposals(session, sensor_id, "gate-profile"),
             confirmed=proposals.confirmed_by_number(session, sensor_id, "gate-profile"),
-            second_person=request.app.state.policy.second_person,
+            second_person=get_server(request).policy.second_person,
             summary=None if shown.tried is None else describe_effect(shown.tried),
             may_set=None
             if "administrator" in actor.roles
@@ -363,7 +357,7 @@ async def change(request: Request, actor: Who, sensor_id: int) -> Response:
     typed = await read_texts(request)
     if typed.get("action") == "try":
         return await run_in_threadpool(_try, request, actor, sensor_id, typed)
-    policy = request.app.state.policy
+    policy = get_server(request).policy
     outcome = await attempt(request, partial(_set, actor, sensor_id, typed, policy))
     if outcome.value is None:
         shown = GateProfileContext(typed, typed.get("reason", ""), outcome.refusal)
@@ -385,13 +379,8 @@ def _set(
 
 
 def _try(request: Request, actor: Actor, sensor_id: int, typed: Mapping[str, str]) -> HTMLResponse:
-    shown = GateProfileContext(typed, typed.get("reason", ""))
-    try:
-        with open_reading(request.app.state.engine) as session:
-            tried = gate_profiles.dry_run(session, request.app.state.blobs, sensor_id, read_profile_form(typed))
-        shown = GateProfileContext(typed, typed.get("reason", ""), tried=tried)
-    except NotFoundError:
-        raise
-    except BoresightError as error:
-        shown = GateProfileContext(typed, typed.get("reason", ""), ShownRefusal.of(error))
+    server = get_server(request)
+    with open_reading(server.engine) as session:
+        found = ask(lambda: gate_profiles.dry_run(session, server.blobs, sensor_id, read_profile_form(typed)))
+    shown = GateProfileContext(typed, typed.get("reason", ""), found.refusal, found.value)
     return _profile_page(request, actor, sensor_id, shown)

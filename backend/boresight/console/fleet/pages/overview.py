@@ -6,25 +6,27 @@ import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse
 
 from boresight.console import list_queries as lists
-from boresight.console.access.dependencies import Reading, Who, same_for_one
+from boresight.console.access.dependencies import Reading, ServerPolicy, Who, Workers, of_server, same_for_one
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals import proposals
+from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.audit.pages import make_audit_line
 from boresight.console.change_proposals import service as second_person
+from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import status as fleet
 from boresight.console.fleet.status import SensorStatus, SensorTile
 from boresight.console.pages.drawings import Sparkline, sparkline
 from boresight.console.pages.formats import LEVELS
 from boresight.console.pages.rendering import render
-from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import TERMINAL_RUN_STATES
 from boresight.platform.actors import Actor, Policy
@@ -73,7 +75,7 @@ def _signatures(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
 def _requests(session: Session, where: Mapping[str, Any], level: str, words: str, label: str) -> WaitingItems:
     """Count the requests that a list is narrowed to, and write the newest of them."""
     newest = lists.read_page(session, "approvals", where, "-request", limit=MOST_ACTIONS)
-    sets = parameter_sets.read_heads(session, [request.parameter_set_id for request in newest])
+    sets = set_queries.heads(session, [request.parameter_set_id for request in newest])
     first = [
         WaitingAction(level, f"{sets[request.parameter_set_id].name} {words}.", f"/approvals/{request.id}", label)
         for request in newest
@@ -136,7 +138,7 @@ def _calibrations(session: Session, standings: Sequence[SensorStatus], actor: Ac
     if "analyst" not in actor.roles:
         return NOTHING
     converged = {one.last_run.id for one in standings if _converged(one)}
-    unused = converged - parameter_sets.runs_with_sets(session, converged)
+    unused = converged - set_queries.runs_with_sets(session, converged)
     found = [action for one in _shown_first(standings) if (action := _next_step(one, unused)) is not None]
     return WaitingItems(len(found), found[:MOST_ACTIONS])
 
@@ -217,7 +219,7 @@ def _shown_first(standings: Sequence[SensorStatus]) -> Sequence[SensorStatus]:
 
 
 def _list_recent_calibrations(session: Session, tiles: Sequence[SensorTile]) -> dict[int, RecentCalibrations]:
-    summaries = fleet.list_recent_summaries(session, [tile.sensor.id for tile in tiles], RUNS_IN_A_SPARKLINE)
+    summaries = sensor_queries.recent_summaries(session, [tile.sensor.id for tile in tiles], RUNS_IN_A_SPARKLINE)
     drifting = alarms.open_of_sensors(session, "DRIFT", [tile.sensor.id for tile in tiles])
     return {
         tile.sensor.id: _read_recent_calibrations(summaries.get(tile.sensor.id, ()), drifting.get(tile.sensor.id))
@@ -261,12 +263,12 @@ def _fleet(session: Session) -> FleetView:
         standings,
         tiles,
         _list_recent_calibrations(session, tiles),
-        approvals.newest_open(session, [tile.sensor.id for tile in tiles]),
+        approval_queries.newest_open(session, [tile.sensor.id for tile in tiles]),
         runs.count_by_state(session),
         _events(session, standings),
         lists.count(session, "approvals", {"state": "OPEN"}),
-        proposals.count_open(session),
-        approvals.submitters(session, CAME_BACK),
+        approval_queries.count_open(session),
+        approval_queries.submitters(session, CAME_BACK),
     )
 
 
@@ -299,18 +301,22 @@ def _counts(standings: Sequence[SensorStatus]) -> dict[str, int]:
     return {level: sum(one.status == level for one in standings) for level in reversed(LEVELS)}
 
 
+Kept = Annotated[VersionedCache[FleetView], of_server("overview")]
+
+
 @router.get("/", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
-def overview_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+def overview_page(
+    request: Request, session: Reading, actor: Who, policy: ServerPolicy, kept: Kept, engine: Workers
+) -> HTMLResponse:
     """Show the fleet."""
-    kept: VersionedCache[FleetView] = request.app.state.overview
     ages = time.monotonic() // HELD_S  # what the rows say of time is read anew with these
     desk, is_older = kept.answer_to(
         ages, partial(_fleet, session), request.state.came_s
     )  # before anything else is read
     if is_older:
         mark_outdated(request)
-    signatures, actions = _mine(session, actor, request.app.state.policy, desk)
-    workers = request.app.state.workers.state() if request.app.state.workers else None
+    signatures, actions = _mine(session, actor, policy, desk)
+    workers = engine.state() if engine else None
     return render(
         request,
         "fleet/overview.html",

@@ -31,7 +31,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
-from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.alarms import service as alarms
 from boresight.console.approvals import gates
 from boresight.console.fleet import service as sensors
@@ -43,8 +43,10 @@ from boresight.console.fleet.trend import read_trend
 from boresight.console.fleet.trend_document import advise, trend_document
 from boresight.console.notes import service as notes
 from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, render
+from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import make_run_line, read_names
 from boresight.console.runs.tables import Run
@@ -87,7 +89,7 @@ class BeforeAfter:
 
 def before_after(session: Session, blobs: BlobStore, sensor_id: int) -> BeforeAfter | None:
     """Return what the newest finished run of a sensor would change, one with a validation set first; None without a run."""
-    for run in runs.newest_finished(session, sensor_id, LOOKED_AT):
+    for run in run_queries.newest_finished(session, sensor_id, LOOKED_AT):
         try:
             result = runs.result(session, blobs, run.id)
         except (ConflictError, NotFoundError):  # its file is gone or no calibration; an older run may still have one
@@ -288,13 +290,13 @@ class SensorContext:
 
 
 def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: SensorContext) -> HTMLResponse:
-    with open_reading(request.app.state.engine) as session:
-        sensor, baseline = sensors.get_sensor(session, sensor_id), parameter_sets.get_baseline(session, sensor_id)
+    with open_reading(get_server(request).engine) as session:
+        sensor, baseline = sensors.get_sensor(session, sensor_id), set_queries.baseline(session, sensor_id)
         newest = runs.list_runs(session, sensor_id=sensor_id, limit=RUNS_SHOWN)
         names = read_names(session, newest)
         sets = parameter_sets.list_parameter_sets(session, sensor_id=sensor_id, limit=SETS_SHOWN)
         promotions = uplinks.list_promotions(session, sensor_id)
-        promoted = parameter_sets.read_heads(session, {one.parameter_set_id for one in promotions})
+        promoted = set_queries.heads(session, {one.parameter_set_id for one in promotions})
         values = baseline_values(sensor, baseline)
         advice = advise(read_trend(session, sensor_id))
         return render(
@@ -321,7 +323,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Sensor
             sets_in_all=lists.count(session, "parameter-sets", {"sensor": sensor_id}),
             telemetry_in_all=lists.count(session, "telemetry", {"sensor": sensor_id, "in_use": True}),
             runs=[make_run_line(run, names) for run in newest],
-            change=before_after(session, request.app.state.blobs, sensor_id),
+            change=before_after(session, get_server(request).blobs, sensor_id),
             as_of=_read_as_of(session, sensor_id, at),
             now=utc_now()[:19] + "Z",
             file_text=shown.text or json.dumps(sensor.document, indent=2),

@@ -18,7 +18,7 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, UploadFile
 
 from boresight.cameras import CAMERA_MODELS
-from boresight.console.access.dependencies import Reading, Roles, Who, csrf
+from boresight.console.access.dependencies import Reading, Roles, Who, csrf, get_server
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import status as fleet
 from boresight.console.fleet.service import SensorChoices
@@ -196,7 +196,7 @@ def _csv_row(tile: SensorTile) -> dict[str, Any]:
 
 def _page(request: Request, roles: frozenset[str], shown: SensorsContext) -> HTMLResponse:
     view = read_view(request, SENSORS)
-    with open_reading(request.app.state.engine) as session:
+    with open_reading(get_server(request).engine) as session:
         chosen = _standing(session, view)
         found = read_page(session, view, **_where(chosen))
         return render(

@@ -25,7 +25,7 @@ from fastapi.responses import HTMLResponse
 
 from boresight.calibration.options import ALL, METHODS, OPTIONS, get_method_title, is_sequential
 from boresight.console.access.credentials import get_actor
-from boresight.console.access.dependencies import Reading
+from boresight.console.access.dependencies import Reading, get_server
 from boresight.console.pages.formats import words
 from boresight.console.pages.rendering import render
 from boresight.console.runs import comparisons
@@ -418,7 +418,7 @@ def compare_page(
     overlay: str = "",
 ) -> HTMLResponse:
     """Show several runs over one another, or say what to choose."""
-    blobs = request.app.state.blobs
+    blobs = get_server(request).blobs
     try:
         run_ids = comparisons.read_run_ids(asked or [])
         if len(run_ids) < 2:

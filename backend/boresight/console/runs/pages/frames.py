@@ -21,6 +21,7 @@ from urllib.parse import urlencode
 
 from fastapi import Request
 
+from boresight.console.access.dependencies import get_server
 from boresight.console.runs import frames
 from boresight.console.runs.frames import FrameLine
 from boresight.console.runs.tables import Run
@@ -174,7 +175,7 @@ class FramePage:
 def make_frames_part(session: Session, request: Request, run: Run) -> dict[str, Any]:
     """Gather the frames part of a run page; whatever stands against showing a frame is a sentence in it."""
     asked = {name: request.query_params[name] for name in ("exposure", "scale", "show") if name in request.query_params}
-    state = request.app.state
+    state = get_server(request)
     try:
         worst = frames.list_frames(session, state.blobs, run.id, order="worst", limit=WORST_SHOWN)
         chosen = _asked_frame(request.query_params.get("frame")) or _first(session, state.blobs, run, worst)

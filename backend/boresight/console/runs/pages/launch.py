@@ -33,16 +33,17 @@ from starlette.datastructures import FormData, QueryParams
 from boresight.calibration.options import METHODS, OPTIONS, CalibrationSettings, get_method_title, said, text_of
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.access.dependencies import DryRunSight, Reading, Who, csrf
+from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.service import SensorChoices
 from boresight.console.fleet.tables import Sensor
-from boresight.console.pages.rendering import AttemptResult, ShownRefusal, attempt, get_texts, redirect, render
+from boresight.console.pages.rendering import AttemptResult, ShownRefusal, ask, attempt, get_texts, redirect, render
 from boresight.console.runs import presets
 from boresight.console.runs import service as runs
 from boresight.console.runs.presets import OfferedPreset
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.errors import BoresightError, NotFoundError, RefusedInputError
+from boresight.errors import NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
 from boresight.platform.jobs.forecasts import ForecastSources
@@ -208,13 +209,13 @@ def offer(session: Session, find: str, sensor_id: int | None, set_ids: Sequence[
     if choices.is_all:
         sets = telemetry_sets.list_telemetry_sets(session, limit=MOST_SETS + 1)
         if len(sets) <= MOST_SETS:
-            return OfferedData(choices, sensors.list_sensors(session), sets, is_whole=True)
+            return OfferedData(choices, sensor_queries.sensors(session), sets, is_whole=True)
     if not choices.names:  # nothing holds what is sought
         choices = replace(choices, names=dict(list(sensors.choices(session).names.items())[:1]))
     chosen = next(number for number in (sensor_id, *choices.names) if number is not None and number in choices.names)
     sets = telemetry_sets.list_telemetry_sets(session, sensor_id=chosen, limit=MOST_SETS)
     older = _older(session, set_ids, chosen, {known.id for known in sets})
-    return OfferedData(choices, sensors.list_sensors(session, [chosen]), [*sets, *older], is_whole=False)
+    return OfferedData(choices, sensor_queries.sensors(session, [chosen]), [*sets, *older], is_whole=False)
 
 
 def _older(session: Session, set_ids: Sequence[str], sensor_id: int, known: set[int]) -> Iterator[TelemetrySet]:
@@ -291,7 +292,7 @@ def first_choice(
 
 def about_its_sensor(session: Session, typed: TypedForm) -> TypedForm:
     """Return a form with the newest sets of the sensor that it names and that sensor's own free parameters."""
-    fleet = sensors.list_sensors(session, _number(typed.sensor_id))
+    fleet = sensor_queries.sensors(session, _number(typed.sensor_id))
     free = {sensor.id: list_free_parameters(sensor) for sensor in fleet}
     return replace(typed, **newest_sets(session, next(iter(free), None)), free=free)
 
@@ -500,7 +501,7 @@ async def launch(request: Request, session: Reading, actor: Who, sight: DryRunSi
     else:
         if intent == "preset" and origin.preset is not None:
             typed = typed.under(origin.preset.settings)
-        outcome = await run_in_threadpool(_checked, session, actor, typed, sight)
+        outcome = await run_in_threadpool(ask, partial(_launch, session, actor, typed, sight))
     return await run_in_threadpool(_answer, request, session, actor, typed, origin, outcome, form)
 
 
@@ -516,16 +517,6 @@ def _answer(
     sensor_id = parse_row_id(typed.sensor_id)
     offered = offer(session, origin.find, sensor_id, [typed.telemetry_set_id, typed.validation_set_id])
     return _page(request, session, actor, typed, origin, offered, outcome=outcome, form=form)
-
-
-def _checked(session: Session, actor: Actor, typed: TypedForm, sight: ForecastSources) -> AttemptResult[Any]:
-    """Make the dry run: it reads and writes nothing, so it holds nobody up."""
-    try:
-        return AttemptResult(_launch(session, actor, typed, sight=sight), None)
-    except NotFoundError:
-        raise
-    except BoresightError as error:
-        return AttemptResult(None, ShownRefusal.of(error))
 
 
 def _page(

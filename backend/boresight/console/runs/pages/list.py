@@ -19,7 +19,7 @@ from boresight.calibration.options import METHODS, CalibrationSettings, get_meth
 from boresight.console.access import users
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, same_for_roles
-from boresight.console.fleet import service as sensors
+from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.status import judge_result
 from boresight.console.pages.formats import instant, seconds_since
@@ -139,7 +139,7 @@ def read_names(session: Session, found: Iterable[Run] = (), *, sensors_of: Itera
 def _names(session: Session, sensor_ids: Collection[int] | None, set_ids: Collection[int] | None) -> RunNames:
     """Read the names of every person, and of these sensors and telemetry sets; of all where None is given."""
     return RunNames(
-        {} if sensor_ids == set() else sensors.get_sensor_names(session, sensor_ids),
+        {} if sensor_ids == set() else sensor_queries.names(session, sensor_ids),
         {} if set_ids == set() else telemetry_sets.get_set_names(session, set_ids),
         {person.id: person.printed_name for person in users.list_users(session)},
     )

@@ -27,9 +27,10 @@ from fastapi.responses import HTMLResponse, JSONResponse, PlainTextResponse, Res
 
 from boresight.calibration.options import CalibrationSettings
 from boresight.console.access.credentials import get_actor
-from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.pages.formats import seconds_since
 from boresight.console.pages.rendering import attempt, read_texts, redirect, redirect_refused, render
+from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import Run, RunEvent
 from boresight.console.telemetry import service as telemetry_sets
@@ -149,7 +150,7 @@ def clock(text: str | None) -> str:
 
 def _queue_sentence(session: Session, run: Run, workers: Mapping[str, Any] | None) -> str:
     """Say how many runs are in front, and what the first of them waits for."""
-    before = runs.place_in_queue(session, run.id)
+    before = run_queries.count_queued_before(session, run.id)
     place = f"Position {before + 1} in the queue." if before else "Next in the queue."
     return f"{place} {_waits_for(session, workers)}"
 
@@ -176,7 +177,7 @@ router = APIRouter(dependencies=[Depends(csrf)])
 def make_live_part(request: Request, session: Session, run: Run) -> dict[str, Any]:
     """Gather what the head of `runs/run.html` shows."""
     progress, log = run.progress or {}, runs.log_lines(session, run.id)
-    workers = request.app.state.workers
+    workers = get_server(request).workers
     return {
         "notices": list_notices(session, run, log, workers.state() if workers else None),
         "fraction": float(progress.get("fraction") or 0.0),

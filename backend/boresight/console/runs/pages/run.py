@@ -32,20 +32,22 @@ from markupsafe import Markup
 from starlette.datastructures import QueryParams
 
 from boresight.calibration.options import get_method_title
-from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.approvals import gates
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
+from boresight.console.notes import queries as note_queries
 from boresight.console.notes import service as notes
 from boresight.console.pages.formats import short_hash, utc, words
 from boresight.console.pages.rendering import attempt, redirect, redirect_refused, render
+from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.frames import make_frames_part
 from boresight.console.runs.pages.list import compute_run_seconds, read_names
 from boresight.console.runs.pages.live import make_live_part, make_log_part
-from boresight.console.runs.service import find_adjacent_runs
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
@@ -576,7 +578,7 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         marks=list_verdict_marks(result),
         judged=make_verdict(result) if list_verdict_marks(result) and result else None,
         part=part,
-        tabs=list_tabs(run_id, part, result, notes.count_notes(session, "runs", run_id)),
+        tabs=list_tabs(run_id, part, result, note_queries.count_notes(session, "runs", run_id)),
         advice=list((result or {}).get("advice") or ()),
         no_result=desk.why_nothing,
         wide=WIDE,
@@ -596,7 +598,7 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
         sensor=sensors.get_sensor(session, run.sensor_id),
         data=telemetry_sets.get_telemetry_set(session, run.telemetry_set_id),
         validation=_find_validation_set(session, run),
-        result=None if is_void else runs.result(session, request.app.state.blobs, run_id),
+        result=None if is_void else runs.result(session, get_server(request).blobs, run_id),
     )
 
 
@@ -615,7 +617,7 @@ def make_run_head(desk: RunReview) -> dict[str, Any]:
         "parameter_set": made,
         "gates": list_run_gates(desk.session, made),
         "header": make_run_header(desk.run, by, desk.data, desk.validation),
-        "neighbours": find_adjacent_runs(desk.session, desk.run.id),
+        "neighbours": run_queries.neighbours(desk.session, desk.run.id),
     }
 
 
@@ -632,13 +634,13 @@ def list_run_gates(session: Session, made: ParameterSet | None) -> dict[str, Any
 
 def find_parameter_set(session: Session, run: Run) -> ParameterSet | None:
     """Return the set that was made from a run, if one was."""
-    return parameter_sets.set_of_run(session, run.id)
+    return set_queries.set_of_run(session, run.id)
 
 
 @router.post("/runs/{run_id:int}/parameter-set")
 async def create_parameter_set(request: Request, actor: Who, run_id: int) -> Response:
     """Make a candidate set from a run's result."""
-    blobs = request.app.state.blobs
+    blobs = get_server(request).blobs
     outcome = await attempt(request, partial(parameter_sets.create_from_run, actor=actor, blobs=blobs, run_id=run_id))
     if outcome.refusal is not None:
         return redirect_refused(f"/runs/{run_id}", outcome.refusal)
