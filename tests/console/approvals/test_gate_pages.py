@@ -5,9 +5,9 @@ import re
 import pytest
 
 from boresight.console.approvals import gate_profiles
-from boresight.console.approvals import gates as waivers
+from boresight.console.approvals import queries as approval_queries
 from boresight.console.parameter_sets import service as parameter_sets
-from boresight.platform.db.sessions import open_reading, open_writing
+from boresight.platform.db.sessions import open_reading, open_writing, utc_now
 from tests.sites import PASSWORD
 
 EDITOR = "/sensors/1/gates"
@@ -133,7 +133,9 @@ def test_a_gate_that_blocks_is_named_and_waived_with_a_reason_and_the_waiver_sta
     assert "cannot be approved" not in words
     assert REASON in words
     with open_reading(site.engine) as session:
-        assert [one.gate for one in waivers.active_waivers(session, blocked)] == ["parameter-shift"]
+        assert [one.gate for one in approval_queries.waivers_in_force(session, blocked, utc_now())] == [
+            "parameter-shift"
+        ]
 
 
 @pytest.mark.parametrize("days", ["0", "31", "many", ""])

@@ -8,6 +8,7 @@ import pytest
 
 from boresight.console import transitions
 from boresight.console.approvals import gate_profiles, gates
+from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -24,7 +25,7 @@ from boresight.errors import (
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.db import sessions
-from boresight.platform.db.sessions import open_reading, open_writing, utc_after
+from boresight.platform.db.sessions import open_reading, open_writing, utc_after, utc_now
 from tests.console.conftest import PASSWORD
 from tests.passwords import approve, proved
 
@@ -71,7 +72,7 @@ def test_an_analyst_or_an_approver_waives_in_person(waive, engine, blocked, who)
     with open_reading(engine) as session:
         record = audit.last_change(session, f"parameter-sets/{blocked.id}/waivers")
         assert (record.actor, record.reason, record.after["gate"]) == (who.title(), REASON, "parameter-shift")
-        assert [one.id for one in gates.active_waivers(session, blocked.id)] == [waiver.id]
+        assert [one.id for one in approval_queries.waivers_in_force(session, blocked.id, utc_now())] == [waiver.id]
 
 
 @pytest.mark.parametrize("who", ["dee", "eve", "root"])
@@ -148,7 +149,7 @@ def test_a_waiver_that_expires_blocks_again_and_stays_in_the_words(waive, engine
     found = document(engine, blocked.id)
     assert (found["words"], found["blocking"]) == ("FAIL (1 gate waived)", ["parameter-shift"])
     with open_reading(engine) as session:
-        assert gates.active_waivers(session, blocked.id) == []
+        assert approval_queries.waivers_in_force(session, blocked.id, utc_now()) == []
         assert len(gates.all_waivers(session, blocked.id)) == 1
 
 

@@ -7,8 +7,8 @@ import re
 import pytest
 
 from boresight.console.campaigns import service as campaigns
-from boresight.console.campaigns.pages import _cell
 from boresight.console.fleet import service as sensors
+from boresight.console.pages.tables import csv_file
 from boresight.console.runs import presets
 from boresight.console.runs.tables import Run
 from boresight.platform.actors import COMMAND_LINE
@@ -151,10 +151,10 @@ def test_results_are_a_table_and_the_same_as_csv_in_radians(site, launched, read
     assert lines[1]["validation_rms_final_arc_rad"] == ""
 
 
-@pytest.mark.parametrize("text", ["=1+1", "+x", "-x", "@x", "\tx"])
+@pytest.mark.parametrize("text", ["=1+1", "+x", "-x", "@x", "\tx", "\rx"])
 def test_a_text_that_looks_like_a_formula_stays_a_text(text):
-    assert _cell(text) == f"'{text}"
-    assert _cell(-1.5) == -1.5
+    written = csv_file("results", ["words", "number"], [{"words": text, "number": -1.5}]).body.decode()
+    assert list(csv.reader(io.StringIO(written)))[1] == [f"'{text}", "-1.5"]
 
 
 def test_the_failed_are_launched_again_and_all_can_be_cancelled(site, launched, read):

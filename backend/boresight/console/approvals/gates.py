@@ -407,12 +407,6 @@ def _blocking_report(session: Session, parameter_set_id: int, name: str, gate: s
     return report
 
 
-def active_waivers(session: Session, parameter_set_id: int) -> Sequence[Waiver]:
-    """Return a set's waivers that hold now, in order."""
-    now = utc_now()
-    return [waiver for waiver in all_waivers(session, parameter_set_id) if waiver.expires_utc > now]
-
-
 def all_waivers(session: Session, parameter_set_id: int) -> Sequence[Waiver]:
     """Return every waiver that a set was ever given, in order."""
     return rows.waivers(session, [parameter_set_id])

@@ -32,7 +32,6 @@ from boresight.verdicts.numbers import MISSING, fixed, number
 SCALES: tuple[int, ...] = tuple(step * 10**power for power in range(5) for step in (1, 2, 5))
 TYPICAL_SHARE = 0.03  # of the detector's width: the length of the typical residual
 BAR_SHARE = 0.1  # of the detector's width: about the length of the scale bar
-CIRCLE_SIGMA = 3.0
 MARGIN_SHARE = 0.06  # of the width, for the axes
 TICKS = 6
 
