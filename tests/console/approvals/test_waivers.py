@@ -145,11 +145,10 @@ def test_a_waiver_that_expires_blocks_again_and_stays_in_the_words(waive, engine
     waive()
     later = sessions.utc_after(2 * DAY_S)
     monkeypatch.setattr(gates, "utc_now", lambda: later)
-    monkeypatch.setattr(gates, "utc_now", lambda: later)
     found = document(engine, blocked.id)
     assert (found["words"], found["blocking"]) == ("FAIL (1 gate waived)", ["parameter-shift"])
     with open_reading(engine) as session:
-        assert approval_queries.waivers_in_force(session, blocked.id, utc_now()) == []
+        assert approval_queries.waivers_in_force(session, blocked.id, later) == []
         assert len(gates.all_waivers(session, blocked.id)) == 1
 
 

@@ -37,13 +37,12 @@ from boresight.console.approvals import queries as rows
 from boresight.console.approvals import staleness
 from boresight.console.approvals.gate_profiles import ensure_profile, profile_in_force
 from boresight.console.approvals.tables import GateReport, Waiver
-from boresight.console.fleet.tables import Sensor as SensorRow
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.calibration_document import read_result
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.console.transitions import get_parameter_set, require_seen, whose_baseline
+from boresight.console.transitions import get_parameter_set, get_sensor, require_seen, whose_baseline
 from boresight.console.uplinks import queries as table_definitions
 from boresight.errors import (
     BoresightError,
@@ -98,7 +97,7 @@ def read_gate_inputs(session: Session, parameter_set_id: int) -> StoredGateInput
     return StoredGateInputs(
         parameter_set_id=row.id,
         name=row.name,
-        sensor_document=session.get_one(SensorRow, row.sensor_id).document,
+        sensor_document=get_sensor(session, row.sensor_id).document,
         candidate=row.document,
         incumbent=None if incumbent is None else incumbent.document,
         result_sha256=None if run is None else run.result_sha256,

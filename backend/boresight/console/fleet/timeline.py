@@ -24,7 +24,6 @@ from typing import Any
 
 from boresight.console.approvals import queries as approval_rows
 from boresight.console.approvals.tables import Approval, GateProfile, Signature, Waiver
-from boresight.console.fleet import queries as rows
 from boresight.console.fleet import queries as sensor_rows
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
@@ -83,17 +82,17 @@ class TimelineReader:
     def of_sensor(cls, session: Session, sensor_id: int) -> TimelineReader:
         """Read the names that a sensor's events speak of."""
         return cls(
-            rows.set_names(session, sensor_id),
-            rows.printed_names(session),
-            rows.list_requests(session, sensor_id),
-            rows.first_promotions(session, sensor_id),
+            sensor_rows.set_names(session, sensor_id),
+            sensor_rows.printed_names(session),
+            sensor_rows.list_requests(session, sensor_id),
+            sensor_rows.first_promotions(session, sensor_id),
         )
 
-    def read(self, key: rows.Key, row: Any) -> TimelineEvent:
+    def read(self, key: sensor_rows.Key, row: Any) -> TimelineEvent:
         """Tell the row behind a key."""
-        told = READERS[rows.KINDS[key.kind]](self, row)
+        told = READERS[sensor_rows.KINDS[key.kind]](self, row)
         return TimelineEvent(
-            id=key.row_id * len(rows.KINDS) + key.kind,
+            id=key.row_id * len(sensor_rows.KINDS) + key.kind,
             at_utc=key.at_utc,
             kind=told.kind,
             state=told.state,

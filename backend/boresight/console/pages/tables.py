@@ -29,7 +29,7 @@ Accepts = Callable[[str], bool]
 
 @dataclass(frozen=True)
 class TableColumn:
-    """One column."""
+    """One column; `csv` names what stands for it in a file."""
 
     name: str
     title: str
@@ -39,6 +39,7 @@ class TableColumn:
     unit: str = ""
     head: bool = False
     optional: bool = False
+    csv: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -182,10 +183,9 @@ def read_all(session: Session, view: TableView, **where: Any) -> Iterable[Any]:
     return lists.read_all(session, view.table.name, narrowed, view.sort)
 
 
-def write_csv(view: TableView, fields: Mapping[str, Sequence[str]], rows: Iterable[Mapping[str, Any]]) -> Response:
+def write_csv(view: TableView, rows: Iterable[Mapping[str, Any]]) -> Response:
     """Give a view as CSV."""
-    names = [name for column in view.columns for name in fields.get(column.name, ())]
-    return csv_file(view.table.name, names, rows)
+    return csv_file(view.table.name, [name for column in view.columns for name in column.csv], rows)
 
 
 def csv_file(title: str, names: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Response:

@@ -62,14 +62,14 @@ SETS = Table(
     "parameter-sets",
     "Parameter sets",
     (
-        TableColumn("set", "Set, of sensor", "-set", "named", head=True),
-        TableColumn("ground", "Ground", "ground"),
-        TableColumn("board", "On board", "board"),
-        TableColumn("gates", "Gates", "", "verdict-words"),
-        TableColumn("run", "From run", "-run"),
-        TableColumn("hash", "SHA-256"),
-        TableColumn("by", "Made by", "by", "named"),
-        TableColumn("baseline", "Baseline since", "-baseline"),
+        TableColumn("set", "Set, of sensor", "-set", "named", head=True, csv=("number", "set", "sensor")),
+        TableColumn("ground", "Ground", "ground", csv=("ground_state",)),
+        TableColumn("board", "On board", "board", csv=("onboard_state",)),
+        TableColumn("gates", "Gates", "", "verdict-words", csv=("verdict",)),
+        TableColumn("run", "From run", "-run", csv=("run",)),
+        TableColumn("hash", "SHA-256", csv=("sha256",)),
+        TableColumn("by", "Made by", "by", "named", csv=("created_by", "created_utc")),
+        TableColumn("baseline", "Baseline since", "-baseline", csv=("baseline_from_utc", "baseline_to_utc")),
     ),
     {
         "sensor": is_number,
@@ -81,16 +81,6 @@ SETS = Table(
     "-set",
     kind="sets",
 )
-CSV_FIELDS = {
-    "set": ("number", "set", "sensor"),
-    "ground": ("ground_state",),
-    "board": ("onboard_state",),
-    "gates": ("verdict",),
-    "run": ("run",),
-    "hash": ("sha256",),
-    "by": ("created_by", "created_utc"),
-    "baseline": ("baseline_from_utc", "baseline_to_utc"),
-}
 
 router = APIRouter(dependencies=[Depends(get_actor)])
 
@@ -118,7 +108,7 @@ def parameter_sets_page(request: Request, session: Reading) -> HTMLResponse:
 def parameter_sets_csv(request: Request, session: Reading) -> Response:
     """Give every set of a view as CSV."""
     view = read_view(request, SETS)
-    return write_csv(view, CSV_FIELDS, _csv_rows(session, view, read_names(session, sensors_of=None)))
+    return write_csv(view, _csv_rows(session, view, read_names(session, sensors_of=None)))
 
 
 def _csv_rows(session: Session, view: TableView, names: RunNames) -> Iterator[dict[str, Any]]:

@@ -60,15 +60,26 @@ SETS = Table(
     "telemetry",
     "Telemetry sets",
     (
-        TableColumn("quality", "Quality"),
-        TableColumn("set", "Set", "set", "name", head=True),
-        TableColumn("sensor", "Sensor", "sensor", "nowrap"),
-        TableColumn("frames", "Frames", "-frames", "num"),
-        TableColumn("stars", "Stars", "-stars", "num"),
-        TableColumn("unmatched", "Unmatched", "-unmatched", "num", "Detections without a star number"),
-        TableColumn("begins", "Begins, span", "", "tight"),
-        TableColumn("temperature", "Temperature", "", "num", "Least and greatest of the set", "°C", optional=True),
-        TableColumn("uploaded", "Uploaded", "-uploaded", "tight"),
+        TableColumn("quality", "Quality", csv=("verdict",)),
+        TableColumn("set", "Set", "set", "name", head=True, csv=("set", "name", "purpose", "archived_utc")),
+        TableColumn("sensor", "Sensor", "sensor", "nowrap", csv=("sensor",)),
+        TableColumn("frames", "Frames", "-frames", "num", csv=("frames",)),
+        TableColumn("stars", "Stars", "-stars", "num", csv=("stars",)),
+        TableColumn(
+            "unmatched", "Unmatched", "-unmatched", "num", "Detections without a star number", csv=("unmatched_share",)
+        ),
+        TableColumn("begins", "Begins, span", "", "tight", csv=("start_utc", "span_s")),
+        TableColumn(
+            "temperature",
+            "Temperature",
+            "",
+            "num",
+            "Least and greatest of the set",
+            "°C",
+            optional=True,
+            csv=("smallest_temperature_c", "largest_temperature_c"),
+        ),
+        TableColumn("uploaded", "Uploaded", "-uploaded", "tight", csv=("uploaded_utc", "uploaded_by")),
     ),
     {
         "sensor": is_number,
@@ -80,17 +91,6 @@ SETS = Table(
     "-uploaded",
     kind="dense",
 )
-CSV_FIELDS = {
-    "quality": ("verdict",),
-    "set": ("set", "name", "purpose", "archived_utc"),
-    "sensor": ("sensor",),
-    "frames": ("frames",),
-    "stars": ("stars",),
-    "unmatched": ("unmatched_share",),
-    "begins": ("start_utc", "span_s"),
-    "temperature": ("smallest_temperature_c", "largest_temperature_c"),
-    "uploaded": ("uploaded_utc", "uploaded_by"),
-}
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def telemetry_csv(request: Request, session: Reading, actor: Who) -> Response:  
     """Give every set of a view as CSV."""
     view, names = read_view(request, SETS), read_names(session, sensors_of=None)
     rows = (_csv_row(row, names) for row in read_all(session, view, **_in_use(view)))
-    return write_csv(view, CSV_FIELDS, rows)
+    return write_csv(view, rows)
 
 
 def _csv_row(row: TelemetrySet, names: RunNames) -> dict[str, Any]:

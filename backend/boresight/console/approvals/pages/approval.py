@@ -197,12 +197,12 @@ REQUESTS = Table(
     "approvals",
     "Requests for approval",
     (
-        TableColumn("request", "Request", "-request", "tight", head=True),
-        TableColumn("set", "Set, of sensor", "set", "named"),
-        TableColumn("gates", "Gates", "", "verdict-words"),
-        TableColumn("reason", "Reason", "", "words"),
-        TableColumn("by", "Submitted by", "by", "named"),
-        TableColumn("expires", "Signed, expires", "expires", "tight"),
+        TableColumn("request", "Request", "-request", "tight", head=True, csv=("request", "kind", "state")),
+        TableColumn("set", "Set, of sensor", "set", "named", csv=("set",)),
+        TableColumn("gates", "Gates", "", "verdict-words", csv=("verdict",)),
+        TableColumn("reason", "Reason", "", "words", csv=("reason",)),
+        TableColumn("by", "Submitted by", "by", "named", csv=("submitted_by", "submitted_utc")),
+        TableColumn("expires", "Signed, expires", "expires", "tight", csv=("signed", "needed", "expires_utc")),
         TableColumn("asked", "Asked of", "", "named"),
         TableColumn("part", "Your part", "", "act"),
     ),
@@ -211,14 +211,6 @@ REQUESTS = Table(
     kind="approvals",
     rows_a_page=100,
 )
-CSV_FIELDS = {
-    "request": ("request", "kind", "state"),
-    "set": ("set",),
-    "gates": ("verdict",),
-    "reason": ("reason",),
-    "by": ("submitted_by", "submitted_utc"),
-    "expires": ("signed", "needed", "expires_utc"),
-}
 EFFECTS = {
     "OPEN": "Signed: another person must sign too before the set is approved.",
     "APPROVED": "Approved: an operator can now promote the set to baseline.",
@@ -264,7 +256,7 @@ def approvals_csv(request: Request, session: Reading, actor: Who) -> Response:
     show = view.where.get("show", "waiting")
     entries = _entries(request, session, actor, list(read_all(session, view, **_narrowed(show, actor))))
     shown = (entry for entry in entries if show != "mine" or entry.blocked is None)
-    return write_csv(view, CSV_FIELDS, (_csv_row(entry) for entry in shown))
+    return write_csv(view, (_csv_row(entry) for entry in shown))
 
 
 def _narrowed(show: str, actor: Actor) -> dict[str, Any]:

@@ -38,7 +38,6 @@ from boresight.console.fleet import service as sensors
 from boresight.console.fleet import timeline
 from boresight.console.fleet.pages.sensors import read_document
 from boresight.console.fleet.tables import Sensor
-from boresight.console.fleet.timeline import AsOf as TimelineState
 from boresight.console.fleet.trend import read_trend
 from boresight.console.fleet.trend_document import advise, trend_document
 from boresight.console.notes import service as notes
@@ -387,7 +386,7 @@ def timeline_page(
     )
 
 
-def _answer(session: Session, sensor_id: int, at: str) -> tuple[TimelineState | None, str | None]:
+def _answer(session: Session, sensor_id: int, at: str) -> tuple[timeline.AsOf | None, str | None]:
     """Answer the question of the form, or say why it cannot be."""
     try:
         return timeline.get_state_at(session, sensor_id, at or None), None

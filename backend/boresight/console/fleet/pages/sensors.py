@@ -71,27 +71,18 @@ SENSORS = Table(
     "sensors",
     "Registered sensors",
     (
-        TableColumn("sensor", "Sensor", "sensor", "nowrap", head=True),
-        TableColumn("status", "Status"),
-        TableColumn("model", "Camera model", "model", "nowrap"),
-        TableColumn("detector", "Detector", "-detector", "num", unit="px"),
-        TableColumn("f", "f", "-f", "num", "Focal length of the baseline", "mm"),
-        TableColumn("baseline", "Baseline", "baseline", "nowrap"),
-        TableColumn("sets", "Sets", "-sets", "num", "Telemetry sets that are in use"),
+        TableColumn("sensor", "Sensor", "sensor", "nowrap", head=True, csv=("number", "sensor", "simulated")),
+        TableColumn("status", "Status", csv=("status", "sentence")),
+        TableColumn("model", "Camera model", "model", "nowrap", csv=("camera_model",)),
+        TableColumn("detector", "Detector", "-detector", "num", unit="px", csv=("rows", "columns")),
+        TableColumn("f", "f", "-f", "num", "Focal length of the baseline", "mm", csv=("f_m",)),
+        TableColumn("baseline", "Baseline", "baseline", "nowrap", csv=("baseline",)),
+        TableColumn("sets", "Sets", "-sets", "num", "Telemetry sets that are in use", csv=("telemetry_sets",)),
     ),
     {"status": accept_one(LEVELS), "q": is_text},
     "sensor",
     kind="dense",
 )
-CSV_FIELDS = {
-    "sensor": ("number", "sensor", "simulated"),
-    "status": ("status", "sentence"),
-    "model": ("camera_model",),
-    "detector": ("rows", "columns"),
-    "f": ("f_m",),
-    "baseline": ("baseline",),
-    "sets": ("telemetry_sets",),
-}
 ROWS_AT_ONCE = 500
 FIELDS = (
     ("name", "Unique in the fleet; becomes part of PS-<sensor>-<n>."),
@@ -149,7 +140,7 @@ def sensors_page(request: Request, roles: Roles, example: str = "") -> HTMLRespo
 def sensors_csv(request: Request, session: Reading, actor: Who) -> Response:  # noqa: ARG001 - whoever is known may read
     """Give every sensor of a view as CSV, lengths in metres."""
     view = read_view(request, SENSORS)
-    return write_csv(view, CSV_FIELDS, map(_csv_row, _every_tile(session, view)))
+    return write_csv(view, map(_csv_row, _every_tile(session, view)))
 
 
 def _standing(session: Session, view: TableView) -> dict[int, SensorStatus] | None:

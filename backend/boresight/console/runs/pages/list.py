@@ -47,14 +47,22 @@ RUNS = Table(
     "runs",
     "Runs",
     (
-        TableColumn("state", "State", "state"),
-        TableColumn("run", "Run", "-run", head=True),
-        TableColumn("label", "Label", "label", "label"),
-        TableColumn("sensor", "Sensor", "sensor"),
-        TableColumn("method", "Method", "method"),
-        TableColumn("data", "Data", "data", "label"),
-        TableColumn("fit", "Fit"),
-        TableColumn("rms", "RMS", "rms", "num", "Arclength RMS before and after, unweighted; sorted by after", "µrad"),
+        TableColumn("state", "State", "state", csv=("state",)),
+        TableColumn("run", "Run", "-run", head=True, csv=("run",)),
+        TableColumn("label", "Label", "label", "label", csv=("label",)),
+        TableColumn("sensor", "Sensor", "sensor", csv=("sensor",)),
+        TableColumn("method", "Method", "method", csv=("method",)),
+        TableColumn("data", "Data", "data", "label", csv=("telemetry_set",)),
+        TableColumn("fit", "Fit", csv=("status",)),
+        TableColumn(
+            "rms",
+            "RMS",
+            "rms",
+            "num",
+            "Arclength RMS before and after, unweighted; sorted by after",
+            "µrad",
+            csv=("rms_initial_arc_rad", "rms_final_arc_rad"),
+        ),
         TableColumn(
             "validation",
             "Validation RMS",
@@ -63,16 +71,17 @@ RUNS = Table(
             "Of the validation set, before and after; sorted by after",
             "µrad",
             optional=True,
+            csv=("validation_rms_initial_arc_rad", "validation_rms_final_arc_rad"),
         ),
-        TableColumn("chi2", "χ² / dof", "-chi2", "num"),
+        TableColumn("chi2", "χ² / dof", "-chi2", "num", csv=("chi2_per_dof",)),
         TableColumn(
             "change", "Change", "change", "num", "Of the RMS, against the parameters the sensor had at launch", "%"
         ),
-        TableColumn("frames", "Frames", "", "num", optional=True),
-        TableColumn("by", "By", "by"),
-        TableColumn("started", "Started", "-started"),
-        TableColumn("ended", "Ended", "-ended", optional=True),
-        TableColumn("duration", "Duration", "", "num"),
+        TableColumn("frames", "Frames", "", "num", optional=True, csv=("frames",)),
+        TableColumn("by", "By", "by", csv=("launched_by",)),
+        TableColumn("started", "Started", "-started", csv=("launched_utc", "started_utc")),
+        TableColumn("ended", "Ended", "-ended", optional=True, csv=("ended_utc",)),
+        TableColumn("duration", "Duration", "", "num", csv=("duration_s",)),
     ),
     {
         "sensor": is_number,
@@ -86,27 +95,12 @@ RUNS = Table(
     kind="runs",
     chosen="runs",
 )
-CSV_FIELDS = {
-    "state": ("state",),
-    "run": ("run",),
-    "label": ("label",),
-    "sensor": ("sensor",),
-    "method": ("method",),
-    "data": ("telemetry_set",),
-    "fit": ("status",),
-    "rms": ("rms_initial_arc_rad", "rms_final_arc_rad"),
-    "validation": ("validation_rms_initial_arc_rad", "validation_rms_final_arc_rad"),
-    "chi2": ("chi2_per_dof",),
-    "frames": ("frames",),
-    "by": ("launched_by",),
-    "started": ("launched_utc", "started_utc"),
-    "ended": ("ended_utc",),
-    "duration": ("duration_s",),
-}
 OF_SUMMARY = (
     "status",
-    *CSV_FIELDS["rms"],
-    *CSV_FIELDS["validation"],
+    "rms_initial_arc_rad",
+    "rms_final_arc_rad",
+    "validation_rms_initial_arc_rad",
+    "validation_rms_final_arc_rad",
     "chi2_per_dof",
     "frames",
 )
@@ -241,7 +235,7 @@ def runs_csv(request: Request, session: Reading) -> Response:
     """Give every run of a view as CSV, in SI."""
     view = read_view(request, RUNS)
     names = _names(session, None, None)
-    return write_csv(view, CSV_FIELDS, (_csv_row(run, names) for run in read_all(session, view)))
+    return write_csv(view, (_csv_row(run, names) for run in read_all(session, view)))
 
 
 def _csv_row(run: Run, names: RunNames) -> dict[str, Any]:
