@@ -1,5 +1,6 @@
 """What holds for every test: which engine the store is on, how much is tried, cheap hashes, no stopwatch on properties."""
 
+import os
 from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
@@ -91,6 +92,15 @@ def catalogue_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def catalogue(catalogue_folder: Path) -> Catalogue:
     return load_catalogue(catalogue_folder)
+
+
+@pytest.fixture(scope="session")
+def real_sky() -> Path:
+    beside = TESTS.parents[1] / "shared/data/real-sky"
+    folder = Path(os.environ.get("BORESIGHT_REAL_SKY", beside))
+    if not folder.is_dir():
+        pytest.skip("the real star fields are not here; BORESIGHT_REAL_SKY says where they are")
+    return folder
 
 
 @pytest.fixture

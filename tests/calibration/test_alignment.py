@@ -134,19 +134,18 @@ def test_a_set_whose_second_half_turns_otherwise_is_not_consistent(problem_of):
     assert not align(replace(problem, arcs=moved), GROUND, TRUTH, KNOWN).consistent
 
 
-def test_the_same_parameters_turn_nothing(problem_of):
+def test_the_same_parameters_turn_nothing_and_one_frame_has_no_scatter_and_so_no_alignment(problem_of):
     view = alignment_view(problem_of(7), TRUTH, TRUTH, KNOWN)
     assert np.abs(view["rotation_arcsec"]).max() < 1e-6
     assert view["consistent"]
     assert "C_SD may stay" in view["sentence"]
     np.testing.assert_allclose(view["c_sd_update"], np.eye(3), atol=1e-12)
-
-
-def test_one_frame_has_no_scatter_and_so_no_alignment(problem_of):
     assert alignment_view(problem_of(8, 1), GROUND, TRUTH, KNOWN) is None
 
 
-def test_the_view_holds_the_numbers_that_its_sentence_says(problem_of):
+def test_the_view_holds_the_numbers_that_its_sentence_says_and_open_sigmas_where_parameters_are_undetermined(
+    problem_of,
+):
     problem = problem_of(9)
     view = alignment_view(problem, GROUND, TRUTH, np.diag((0.1 * SCALE) ** 2))
     assert view["frames"] == 40
@@ -154,9 +153,6 @@ def test_the_view_holds_the_numbers_that_its_sentence_says(problem_of):
     assert (np.array(view["sigma_arcsec"]) > view["sigma_of_mean_arcsec"]).all()
     assert f"{np.linalg.norm(view['rotation_arcsec']):.0f}"[:3] in view["sentence"]
     assert "multiply C_SD from the right" in view["sentence"]
-
-
-def test_undetermined_parameters_leave_the_sigma_open(problem_of):
     view = alignment_view(problem_of(10), GROUND, TRUTH, np.full((8, 8), np.nan))
     assert view["sigma_arcsec"] == [None] * 3
     assert "another such calibration" not in view["sentence"]

@@ -1,16 +1,29 @@
-"""Two states judged on one set: on the same pairs, with intervals that hold, and with the reasons of frames that fail."""
+"""Two states judged on one set: flight rule, common pairs, intervals of resampled frames, and every frame that one alone has."""
 
-from dataclasses import replace
+import itertools
+from dataclasses import dataclass, replace
 
 import numpy as np
 import orjson
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import ndtri
+from scipy.stats import binomtest
 
-from boresight.calibration.evaluation.evaluate import evaluate_parameters
+from boresight.calibration.evaluation import bootstrap, shadow
+from boresight.calibration.evaluation.evaluate import evaluate_matched_frames, evaluate_parameters
+from boresight.calibration.evaluation.shadow import mcnemar, shadow_view, summary
+from boresight.calibration.matching.flight_check import FLIGHT_REASONS, check_flight, compute_flight_tolerance
+from boresight.calibration.matching.matched_frames import common_arcs, match_under_states
 from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.problem import build_problem
 from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import arcs as arcsets
+from boresight.estimation.arcs import arclength
 from boresight.simulation.scenes import calibration_scenario, simulate
+from boresight.sky.directions import star_directions
+from boresight.telemetry.schema import find_exposures
 from tests.estimation.fields import GROUND, NOISE_PX, PITCH, TRUTH
 
 GIVEN, ANEW = CalibrationSettings(match="given"), CalibrationSettings(match="rematch")
@@ -21,57 +34,63 @@ KEYS = {
 CLOSE = GROUND + 0.7 * (TRUTH - GROUND)
 
 
+@pytest.fixture
+def evaluated(telemetry_of, sensor, catalogue):
+    def run(telemetry, initial, final, seed=0):
+        rng = None if seed is None else np.random.default_rng(seed)
+        whole = telemetry_of(telemetry) if isinstance(telemetry, int) else telemetry
+        return evaluate_parameters(whole, sensor, catalogue, initial, final, GIVEN, rng=rng)
+
+    return run
+
+
+def test_the_document_is_the_contracts_and_plain_json_and_without_a_generator_has_no_intervals(evaluated):
+    found, bare = evaluated(1, GROUND, TRUTH), evaluated(1, GROUND, TRUTH, None)
+    assert set(found) >= KEYS
+    assert orjson.loads(orjson.dumps(found)) == found
+    assert (found["schema"], found["frames"]) == ("boresight.evaluation/1", 40)
+    assert found["flight_tolerance_rad"] == pytest.approx(5 * 84.5e-6, rel=1e-3)
+    assert (bare["intervals"]["availability"]["final"], bare["availability"]["final"]) == ([None, None], 1)
+
+
 @pytest.fixture(scope="module")
 def halves(catalogue):
     scenario = replace(calibration_scenario(3), frames=40, blanked_share=0.5)
     return scenario.sensor, simulate(scenario, np.random.default_rng(1), catalogue), scenario.truth
 
 
-def test_the_document_is_the_contracts_and_plain_json(telemetry_of, sensor, catalogue):
-    found = evaluate_parameters(telemetry_of(1), sensor, catalogue, GROUND, TRUTH, GIVEN, rng=np.random.default_rng(0))
-    assert set(found) >= KEYS
-    assert orjson.loads(orjson.dumps(found)) == found
-    assert found["schema"] == "boresight.evaluation/1"
-    assert found["frames"] == 40
-    assert found["flight_tolerance_rad"] == pytest.approx(5 * 84.5e-6, rel=1e-3)
-
-
-def test_a_state_beside_itself_gains_nothing(telemetry_of, sensor, catalogue):
-    found = evaluate_parameters(telemetry_of(1), sensor, catalogue, TRUTH, TRUTH, GIVEN, rng=np.random.default_rng(0))
+def test_a_state_beside_itself_gains_nothing(evaluated):
+    found = evaluated(1, TRUTH, TRUTH)
     assert found["matched_star_ratio"] == found["rms_ratio"] == 1
     assert found["intervals"]["matched_star_ratio"] == found["intervals"]["rms_ratio"] == [1, 1]
-    assert found["availability"]["initial"] == found["availability"]["final"] == 1
+    assert found["availability"] == {"initial": 1, "final": 1}
     assert found["reasons"] == {"initial": {}, "final": {}}
 
 
-def test_every_frame_that_is_not_available_has_its_reason(telemetry_of, sensor, catalogue):
-    found = evaluate_parameters(telemetry_of(2), sensor, catalogue, GROUND, TRUTH, GIVEN)
+def test_every_frame_that_is_not_available_has_its_reason(evaluated):
+    found = evaluated(2, GROUND, TRUTH, None)
     for side in ("initial", "final"):
         failed = round((1 - found["availability"][side]) * found["frames"])
         assert sum(found["reasons"][side].values()) == failed
     assert found["availability"]["initial"] < 0.5 < found["availability"]["final"]
 
 
-def test_both_states_are_judged_on_the_pairs_of_the_larger_set_whichever_side_it_is_on(telemetry_of, sensor, catalogue):
+def test_both_states_are_judged_on_the_pairs_of_the_larger_set_whichever_side_it_is_on(telemetry_of, evaluated):
     telemetry = telemetry_of(3)
-    there = evaluate_parameters(telemetry, sensor, catalogue, CLOSE, TRUTH, GIVEN)
-    back = evaluate_parameters(telemetry, sensor, catalogue, TRUTH, CLOSE, GIVEN)
+    there, back = evaluated(telemetry, CLOSE, TRUTH, None), evaluated(telemetry, TRUTH, CLOSE, None)
     assert there["matched_star_ratio"] > 1
     assert there["common_pairs"] == back["common_pairs"] == 2 * len(telemetry) - 3 * 80
     assert there["rms_arc_rad"]["initial"] == back["rms_arc_rad"]["final"]
     assert there["matched_star_ratio"] == pytest.approx(1 / back["matched_star_ratio"])
 
 
-def test_the_rms_is_the_plain_root_mean_square_of_the_arcs(telemetry_of, sensor, catalogue):
+def test_the_rms_is_the_plain_root_mean_square_of_the_arcs(telemetry_of, evaluated):
     telemetry = telemetry_of(4, frames=1, exposures=1)
-    s_i = np.column_stack([
-        np.cos(telemetry.dec_rad) * np.cos(telemetry.ra_rad),
-        np.cos(telemetry.dec_rad) * np.sin(telemetry.ra_rad),
-        np.sin(telemetry.dec_rad),
-    ])  # fmt: skip
+    ra, dec = telemetry.ra_rad, telemetry.dec_rad
+    s_i = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
     places, _ = arcsets.order(np.array([0, 12]), s_i)
     i, j = places[arcsets.pairs(12)].T
-    found = evaluate_parameters(telemetry, sensor, catalogue, GROUND, TRUTH, GIVEN)
+    found = evaluated(telemetry, GROUND, TRUTH, None)
     for side, x in (("initial", GROUND), ("final", TRUTH)):
         s_d = INVERTED_WANG.directions(x, telemetry.row_px, telemetry.col_px, PITCH)
         errors = arcsets.arclength(s_d[i], s_d[j]) - arcsets.arclength(s_i[i], s_i[j])
@@ -85,9 +104,8 @@ def test_the_interval_of_the_rms_holds_what_the_centroid_noise_says(telemetry_of
     expected = np.sqrt(2 * NOISE_PX**2 * pixel.mean())
     rng, hits = np.random.default_rng(9), 0
     for seed in range(60):
-        found = evaluate_parameters(
-            telemetry_of(100 + seed, frames=30), sensor, catalogue, TRUTH, TRUTH, GIVEN, rng=rng
-        )
+        whole = telemetry_of(100 + seed, frames=30)
+        found = evaluate_parameters(whole, sensor, catalogue, TRUTH, TRUTH, GIVEN, rng=rng)
         low, high = found["intervals"]["rms_arc_rad"]["final"]
         hits += low <= expected <= high
     assert hits >= 51
@@ -106,18 +124,314 @@ def test_half_the_stars_come_back_by_matching_anew_and_sensor_three_becomes_avai
     assert low <= anew["availability"]["initial"] <= high
 
 
-def test_states_under_which_nothing_is_accepted_have_no_rms_and_no_ratio(telemetry_of, sensor, catalogue):
-    longer = TRUTH.copy()
-    longer[0] *= 2
-    found = evaluate_parameters(telemetry_of(5), sensor, catalogue, longer, longer, GIVEN, rng=np.random.default_rng(0))
+def test_states_under_which_nothing_is_accepted_have_no_rms_and_no_ratio(evaluated):
+    longer = TRUTH * np.where(np.arange(8) == 0, 2, 1)
+    found = evaluated(5, longer, longer)
     assert found["availability"] == {"initial": 0, "final": 0}
-    assert found["matched_star_ratio"] is None
     assert found["rms_arc_rad"] == {"initial": None, "final": None}
-    assert found["common_pairs"] == 0
+    assert (found["matched_star_ratio"], found["common_pairs"]) == (None, 0)
     assert orjson.loads(orjson.dumps(found)) == found
 
 
-def test_without_a_generator_there_are_scores_and_no_intervals(telemetry_of, sensor, catalogue):
-    found = evaluate_parameters(telemetry_of(6), sensor, catalogue, GROUND, TRUTH, GIVEN)
-    assert found["intervals"]["availability"]["final"] == [None, None]
-    assert found["availability"]["final"] == 1
+@pytest.fixture
+def seen(telemetry_of, sensor, catalogue):
+    telemetry = telemetry_of(21, frames=30)
+    telemetry.row_px[::170] += 40.0
+    states = [(sensor.initial, None), (TRUTH, None)]
+    ordered = build_problem(telemetry, sensor, catalogue).arcs
+    return telemetry, ordered, match_under_states(telemetry, sensor, catalogue, states, GIVEN)
+
+
+def test_every_star_is_in_one_of_the_sets_in_the_same_order_and_scores_are_those_of_arcs_ordered_anew(seen, sensor):
+    telemetry, ordered, (initial, final) = seen
+    anew = common_arcs(telemetry, sensor, final, 4)
+    kept = common_arcs(telemetry, sensor, final, 4, ordered)
+    assert len(kept) == 2
+    assert sum(arcs.n_exposures for arcs in kept) == anew[0].n_exposures
+    runs, expected = (
+        sorted(rows.tolist() for arcs in sets for rows in np.split(arcs.source_row, arcs.star_start[1:-1]))
+        for sets in (kept, anew[:1])
+    )
+    assert runs == expected
+    found, known = (
+        evaluate_matched_frames(telemetry, sensor, initial, final, GIVEN, np.random.default_rng(1), *order)
+        for order in ((ordered,), ())
+    )
+    assert (found["common_pairs"], found["stars"]) == (known["common_pairs"], known["stars"])
+    assert found["rms_arc_rad"] == pytest.approx(known["rms_arc_rad"], rel=1e-9)
+    assert found["rms_ratio"] == pytest.approx(known["rms_ratio"], rel=1e-9)
+
+
+SETTINGS = CalibrationSettings()
+
+
+@dataclass(frozen=True)
+class Given:
+    s_i: np.ndarray
+    exposure_start: np.ndarray
+    frame: np.ndarray
+
+
+def given_of(telemetry, catalogue=None):
+    exposures = find_exposures(telemetry)
+    s_i = star_directions(
+        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
+    )
+    return Given(s_i, np.append(exposures.start, len(telemetry)), exposures.frame)
+
+
+def plain_agreement(s_d, s_i, tolerance):
+    kept = list(range(len(s_d)))
+    while True:
+        i, j = np.meshgrid(kept, kept, indexing="ij")
+        excess = np.abs(arclength(s_d[i], s_d[j]) - arclength(s_i[i], s_i[j])) - tolerance
+        np.fill_diagonal(excess, -1)
+        counts, totals = (excess > 0).sum(1), np.where(excess > 0, excess, 0).sum(1)
+        if not counts.any():
+            return kept
+        del kept[max(range(len(kept)), key=lambda k: (counts[k], totals[k], k))]
+
+
+@pytest.fixture
+def checked(sensor):
+    tolerance = compute_flight_tolerance(sensor, SETTINGS)
+    return lambda telemetry, matches, x=TRUTH: check_flight(telemetry, sensor, matches, x, tolerance, 4)
+
+
+def test_the_tolerance_is_five_sigmas_of_an_arc_or_what_is_asked_for(sensor):
+    asked = [CalibrationSettings(flight_tolerance_urad=300.0), SETTINGS]
+    tolerances = [compute_flight_tolerance(sensor, settings) for settings in asked]
+    assert tolerances == pytest.approx([300e-6, 5 * 84.5e-6], rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("x", [GROUND, TRUTH], ids=["ground", "truth"])
+def test_the_compiled_check_equals_the_plain_search_and_no_two_accepted_matches_disagree(
+    telemetry_of, sensor, catalogue, checked, seed, x
+):
+    telemetry = telemetry_of(seed, frames=5)
+    matches, tolerance = given_of(telemetry, catalogue), compute_flight_tolerance(sensor, SETTINGS)
+    seen, s_d = checked(telemetry, matches, x), INVERTED_WANG.directions(x, telemetry.row_px, telemetry.col_px, PITCH)
+    for first, last in itertools.pairwise(matches.exposure_start):
+        expected = plain_agreement(s_d[first:last], matches.s_i[first:last], tolerance)
+        rows = first + np.flatnonzero(seen.accepted[first:last])
+        assert (rows - first).tolist() == expected
+        i, j = np.triu_indices(len(rows), 1)
+        error = arclength(s_d[rows[i]], s_d[rows[j]]) - arclength(matches.s_i[rows[i]], matches.s_i[rows[j]])
+        assert np.all(np.abs(error) <= tolerance)
+
+
+def test_a_wrong_match_is_dropped_and_costs_nothing_else(telemetry_of, catalogue, checked):
+    telemetry = telemetry_of(2, frames=10)
+    matches = given_of(telemetry, catalogue)
+    s_i = matches.s_i.copy()
+    s_i[::12] = s_i[6::12]  # the first detection of each exposure is called another star of it
+    seen = checked(telemetry, replace(matches, s_i=s_i))
+    dropped = np.flatnonzero(~seen.accepted)
+    assert set(dropped % 12) <= {0, 6}
+    assert (len(dropped), seen.availability, seen.matched_stars) == (20, 1, 20 * 11)
+
+
+@pytest.mark.parametrize(
+    ("stars", "matched", "wrong", "reason"), [(12, 3, 0, 1), (12, 5, 2, 2), (12, 12, 4, 3), (12, 12, 3, 0)]
+)
+def test_every_reason_is_given_where_it_is_due(telemetry_of, catalogue, checked, stars, matched, wrong, reason):
+    telemetry = telemetry_of(3, frames=1, stars=stars, exposures=1)
+    matches = given_of(telemetry, catalogue)
+    s_i = matches.s_i.copy()
+    s_i[matched:] = np.nan
+    s_i[:wrong] = np.random.default_rng(4).normal(size=(wrong, 3))
+    s_i[:wrong] /= np.linalg.norm(s_i[:wrong], axis=1, keepdims=True)
+    seen = checked(telemetry, replace(matches, s_i=s_i))
+    assert (seen.accepted.sum(), seen.reason.tolist()) == (matched - wrong, [reason])
+    assert seen.valid_frames.tolist() == [reason == 0]
+    assert seen.matched_stars == (matched - wrong if reason == 0 else 0)
+    assert FLIGHT_REASONS[0] == "valid"
+
+
+def test_a_frame_is_available_by_either_exposure_and_counts_the_stars_of_valid_ones(telemetry_of, catalogue, checked):
+    telemetry = telemetry_of(5, frames=3)
+    matches = given_of(telemetry, catalogue)
+    s_i = matches.s_i.copy()
+    s_i[3:12] = np.nan  # frame 0, exposure 0 keeps three
+    s_i[24:48] = np.nan  # frame 1 keeps none
+    seen = checked(telemetry, replace(matches, s_i=s_i))
+    assert seen.frames.tolist() == [0, 1, 2]
+    assert seen.valid_frames.tolist() == [True, False, True]
+    assert seen.matched_in_frame.tolist() == [12, 0, 24]
+    assert seen.availability == pytest.approx(2 / 3)
+
+
+@pytest.mark.parametrize("number", [3, 4])
+def test_sensors_three_and_four_are_seldom_available_at_their_ground_calibration_and_nearly_always_at_the_truth(
+    number, catalogue
+):
+    scenario = calibration_scenario(number)
+    telemetry = simulate(scenario, np.random.default_rng(scenario.seed), catalogue)
+    matches, tolerance = given_of(telemetry, catalogue), compute_flight_tolerance(scenario.sensor, SETTINGS)
+    ground = check_flight(telemetry, scenario.sensor, matches, scenario.sensor.initial, tolerance, 4)
+    truth = check_flight(telemetry, scenario.sensor, matches, scenario.truth, tolerance, 4)
+    assert ground.availability < 0.4
+    assert truth.availability > 0.95
+    assert truth.accepted.sum() > 0.995 * np.isfinite(matches.s_i[:, 0]).sum()
+
+
+@pytest.fixture
+def seen_under(sensor, catalogue):
+    return lambda telemetry, x: match_under_states(telemetry, sensor, catalogue, [(x, None)], GIVEN)[0]
+
+
+def test_what_one_side_loses_the_other_gains(telemetry_of, seen_under):
+    telemetry = telemetry_of(1)
+    ground, truth = seen_under(telemetry, GROUND), seen_under(telemetry, TRUTH)
+    there, back = shadow_view(telemetry, ground, truth), shadow_view(telemetry, truth, ground)
+    assert orjson.loads(orjson.dumps(there)) == there
+    assert there["summary"]["candidate_only"] == back["summary"]["baseline_only"] > 0
+    assert there["summary"]["stars_gained"] == back["summary"]["stars_lost"] > 0
+    for one, other in zip(there["frames"], back["frames"], strict=True):
+        assert (one["gained"], one["lost"]) == (other["lost"], other["gained"])
+        assert (one["baseline"], one["candidate"]) == (other["candidate"], other["baseline"])
+
+
+def test_the_counts_of_stars_and_the_lists_of_frames_agree_and_a_state_beside_itself_changes_nothing(
+    telemetry_of, seen_under
+):
+    telemetry = telemetry_of(2)
+    ground, truth = seen_under(telemetry, GROUND), seen_under(telemetry, TRUTH)
+    found = shadow_view(telemetry, ground, truth)
+    assert [frame["frame"] for frame in found["frames"]] == list(range(40))
+    for frame in found["frames"]:
+        difference = frame["candidate"]["matched"] - frame["baseline"]["matched"]
+        assert len(frame["gained"]) - len(frame["lost"]) == difference
+        assert (frame["baseline"]["reason"] is None) == frame["baseline"]["valid"]
+        own = telemetry.star_id[telemetry.frame == frame["frame"]]
+        assert set(frame["gained"]) | set(frame["lost"]) <= set(own.tolist())
+    assert sum(frame["baseline"]["valid"] for frame in found["frames"]) == ground.view.valid_frames.sum()
+    assert sum(len(frame["gained"]) for frame in found["frames"]) == found["summary"]["stars_gained"]
+    same = shadow_view(telemetry, truth, truth)["summary"]
+    assert [same[key] for key in ("baseline_only", "candidate_only", "stars_lost", "stars_gained", "p")] == [
+        0,
+        0,
+        0,
+        0,
+        1,
+    ]
+    assert same["sentence"].startswith("Both parameter sets solve the same frames")
+    times = np.datetime64("2026-10-01T00:00:00", "us") + telemetry.frame * np.timedelta64(40, "s")
+    timed = shadow_view(replace(telemetry, time_utc=times), truth, truth)
+    assert timed["frames"][1]["time_utc"] == "2026-10-01T00:00:40.000000Z"
+    assert found["frames"][1]["time_utc"] is None
+
+
+def test_a_long_set_keeps_the_frames_that_differ_and_counts_them_all(telemetry_of, seen_under, monkeypatch):
+    telemetry = telemetry_of(4)
+    seen = seen_under(telemetry, TRUTH)
+    failing = seen.view.valid_frames.copy()
+    failing[[5, 17]] = False
+    worse = replace(seen, view=replace(seen.view, valid_frames=failing))
+    monkeypatch.setattr(shadow, "MOST_FRAMES", 6)
+    monkeypatch.setattr(shadow, "MOST_DIFFERING", 3)
+    found = shadow_view(telemetry, seen, worse)
+    kept = [frame["frame"] for frame in found["frames"]]
+    assert {0, 5, 17, 39} <= set(kept)
+    assert kept == sorted(set(kept))
+    assert len(kept) <= 6
+    assert found["frames_in_set"] == 40
+    assert found["summary"]["baseline_only"] == 2
+
+
+@given(b=st.integers(0, 60), c=st.integers(0, 60))
+def test_the_test_is_the_exact_binomial_one(b, c):
+    expected = binomtest(b, b + c).pvalue if b + c else 1.0
+    assert mcnemar(b, c) == pytest.approx(expected, rel=1e-9)
+
+
+def test_alike_states_are_told_apart_no_more_often_than_the_test_says():
+    rng = np.random.default_rng(6)
+    p = [mcnemar(int(rng.binomial(40, 0.5)), 0) for _ in range(3)]  # one-sided splits are never called chance
+    fair = [mcnemar(b, 40 - b) for b in rng.binomial(40, 0.5, 2000).tolist()]
+    assert max(p) < 0.05
+    assert np.mean(np.array(fair) < 0.05) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("baseline", "candidate", "words"),
+    [
+        ([1, 1, 0, 0], [1, 1, 0, 0], "solve the same frames"),
+        ([0] * 9, [1] * 9, "solves 9 frames that the baseline loses and loses no frame that the baseline solves"),
+        ([1, 1], [0, 1], "loses 1 frame that the baseline solves and solves no frame that the baseline loses"),
+        ([1, 1], [0, 1], "which chance alone would explain"),
+    ],
+)
+def test_the_summary_says_it_in_a_sentence(baseline, candidate, words):
+    found = summary(np.array(baseline, bool), np.array(candidate, bool), 1, 2)
+    assert words in found["sentence"]
+    assert "2 sightings of stars are gained and 1 lost" in found["sentence"]
+
+
+def frames_that_fail(rng, n, correlation, share):
+    steps = rng.normal(size=n + 100) * np.sqrt(1 - correlation**2)
+    state = np.empty(n + 100)
+    state[0] = rng.normal()
+    for i in range(1, n + 100):
+        state[i] = correlation * state[i - 1] + steps[i]
+    return (state[100:] < ndtri(share)).astype(float)
+
+
+def covered(rng, correlation, share, *, blocks, sets=300, n=200):
+    hits = 0
+    for _ in range(sets):
+        series = frames_that_fail(rng, n, correlation, share)
+        length = bootstrap.block_length(series) if blocks else 1
+        shares = bootstrap.resampled_sums(series[:, None], length, rng, 400)[:, 0] / (-(-n // length) * length)
+        low, high = bootstrap.share_interval(series.mean(), shares, n / length)
+        hits += low <= share <= high
+    return hits / sets
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.8])
+@pytest.mark.parametrize("share", [0.2, 0.95])
+def test_intervals_of_blocks_hold_the_truth_about_as_often_as_they_say(correlation, share):
+    assert covered(np.random.default_rng(5), correlation, share, blocks=True) > 0.87
+
+
+def test_intervals_of_single_frames_would_not_where_neighbours_are_alike():
+    assert covered(np.random.default_rng(6), 0.8, 0.2, blocks=False) < 0.75
+
+
+def test_independent_frames_are_drawn_one_by_one_and_alike_ones_in_runs():
+    rng = np.random.default_rng(7)
+    alone, alike = (
+        np.median([bootstrap.block_length(frames_that_fail(rng, 400, correlation, 0.5)) for _ in range(20)])
+        for correlation in (0.0, 0.8)
+    )
+    assert alone == 1
+    assert 5 < alike < 40
+    for series in (np.ones(50), np.array([1.0]), np.array([1.0, 0.0])):  # does not vary, or hardly exists
+        assert bootstrap.block_length(series) == 1
+
+
+@given(n=st.integers(1, 60), length=st.integers(1, 20), seed=st.integers(0, 1000))
+def test_resampled_sums_are_sums_of_whole_blocks(n, length, seed):
+    length = min(n, length)
+    ones = np.ones((n, 2))
+    sums = bootstrap.resampled_sums(ones, length, np.random.default_rng(seed), 7)
+    np.testing.assert_allclose(sums, np.full((7, 2), -(-n // length) * length))
+
+
+def test_the_resampled_mean_is_unbiased_and_has_the_spread_of_the_mean_also_where_blocks_are_longer():
+    rng = np.random.default_rng(8)
+    values = rng.normal(size=(300, 1))
+    means = bootstrap.resampled_sums(values, 1, rng, 4000)[:, 0] / 300
+    assert means.mean() == pytest.approx(values.mean(), abs=4 * values.std() / np.sqrt(300 * 4000))
+    assert means.std() == pytest.approx(values.std() / np.sqrt(300), rel=0.05)
+    many = np.random.default_rng(10).normal(size=(20_000, 1))
+    sums = bootstrap.resampled_sums(np.column_stack([many, np.ones(20_000)]), 1, rng, 2000)
+    assert (sums[:, 0] / sums[:, 1]).std() == pytest.approx(many.std() / np.sqrt(20_000), rel=0.08)
+
+
+def test_a_share_without_exceptions_has_an_interval_and_an_end_that_is_not_finite_is_null():
+    low, high = bootstrap.share_interval(1.0, np.ones(100), 200)
+    assert (low, high) == (pytest.approx(0.981, abs=1e-3), 1)  # Wilson's score interval, 200 of 200
+    scores = np.concatenate([np.linspace(1, 2, 900), np.full(100, np.inf)])
+    assert bootstrap.interval(1.5, scores, 200) == [pytest.approx(1.03, abs=0.02), None]

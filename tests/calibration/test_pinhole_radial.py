@@ -1,4 +1,4 @@
-"""The pinhole camera through the whole calibration: W's sensor over a simulated sky, and all that is said about its result."""
+"""The pinhole camera through the whole calibration: W's sensor over a simulated sky, and points beyond its turn."""
 
 from dataclasses import replace
 
@@ -58,15 +58,15 @@ def test_every_method_finds_the_truth_within_what_it_claims(results, method):
     assert 0.9 < result["chi2_per_dof"] < 1.1
 
 
-def test_the_attitude_correction_is_given_with_its_error(results):
+def test_the_attitude_correction_every_part_of_trust_and_the_report_are_there(results):
     alignment = results["batch"]["alignment"]
     # the principal point moved by ten pixels of 37 arcsec along either axis
     turned = np.hypot(*alignment["rotation_arcsec"][:2])
     assert turned == pytest.approx(np.hypot(10, 10) * 37.4, abs=4 * max(alignment["sigma_arcsec"]))
-
-
-def test_every_part_of_the_trust_view_is_there(results):
     assert results["batch"]["trust"]["unavailable"] == {}
+    page = render_report(results["batch"])
+    assert "pinhole_radial" in page
+    assert all(name in page for name in TRUTH)
 
 
 @pytest.mark.parametrize("name", sorted(FIGURES))
@@ -74,12 +74,6 @@ def test_every_figure_draws_it(results, name):
     if name == "shadow":
         pytest.skip("only a run that was matched by two sets of parameters has one")
     assert FIGURES[name].draw([Trace("WU-1", results["batch"])]).data
-
-
-def test_the_report_names_its_parameters(results):
-    page = render_report(results["batch"])
-    assert "pinhole_radial" in page
-    assert all(name in page for name in TRUTH)
 
 
 def test_matches_are_found_without_any_given(scenario, telemetry, catalogue):
@@ -113,3 +107,39 @@ def test_rows_that_have_no_direction_are_matched_with_nothing(scenario, telemetr
 def test_a_truth_whose_distortion_turns_back_on_the_detector_is_refused():
     with pytest.raises(RefusedInputError, match="turns back short of a corner"):
         parse_scenario({"sensor": SENSOR, "truth": TRUTH | {"k1": -10.0}})
+
+
+WIDE = np.array([1e-3, 1e-4, 10.0, 10.0, 0.1, 20.0])
+FIELD = {"sensor": SENSOR, "truth": TRUTH, "frames": 30, "exposures": 1, "magnitude_limit": 5.5, "seed": 3}
+
+
+@pytest.fixture(scope="module")
+def short_scenario():
+    return parse_scenario(FIELD)
+
+
+@pytest.fixture(scope="module")
+def short_telemetry(short_scenario, catalogue):
+    return simulate(short_scenario, np.random.default_rng(short_scenario.seed), catalogue)
+
+
+@pytest.fixture
+def calibrated(short_scenario, short_telemetry, catalogue):
+    def run(sigma, method="ukf", **chosen):
+        sensor = replace(short_scenario.sensor, typical_sigma=sigma)
+        return calibrate(
+            short_telemetry, sensor, catalogue, CalibrationSettings(method=method, match="given", **chosen)
+        )
+
+    return run
+
+
+def test_the_first_sentence_names_the_parameter_whose_spread_it_was_and_what_it_says_helps(calibrated):
+    result = calibrated(WIDE)
+    assert result["status"] == "diverged"
+    assert "states 2.4 of its sigmas away" in result["advice"][0]
+    assert "by k2 the lens turns back" in result["advice"][0]
+    assert "choose sqrf" in result["advice"][0]
+    assert calibrated(WIDE, "sqrf")["status"] == "converged"
+    assert calibrated(WIDE, initial_sigma_scale=0.5)["status"] == "converged"
+    assert calibrated(WIDE / 20)["status"] == "converged"

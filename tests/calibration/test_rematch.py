@@ -4,10 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from boresight.calibration.matching.rematch import matched_telemetry
+from boresight.calibration.matching.rematch import ground_covariance, matched_telemetry
+from boresight.cameras.inverted_wang import INVERTED_WANG
+from boresight.estimation.statistics.consistency import chi_square
+from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.matching import LEFT_OUT, STARTS
-from tests.calibration.rematched import SENSORS, Score, sky
+from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.sensors import read_sensor
+from tests.calibration.sets import SENSORS, Score, Sky, sky
 
 
 @pytest.fixture(scope="session")
@@ -29,7 +35,7 @@ def test_half_of_the_names_come_back_and_hardly_any_is_wrong(catalogue, start, l
     assert score.wrong_share <= most_wrong
 
 
-def test_the_quaternion_alone_is_start_enough(catalogue):
+def test_from_quaternions_alone_the_sky_is_matched_though_names_are_missing_or_all_wrong(catalogue):
     score = Score()
     for number in SENSORS:
         field = sky(catalogue, number, 30)
@@ -39,6 +45,13 @@ def test_the_quaternion_alone_is_start_enough(catalogue):
         score.count(matches, replace(telemetry, star_id=np.zeros_like(field.true)), field.true)
     assert score.recovered >= 0.97
     assert score.wrong_share <= 0.002
+    for number in (3, 5):
+        field = sky(catalogue, number, 30)
+        wrong = np.random.default_rng(5).permutation(field.true)
+        named = replace(field.telemetry, star_id=np.where(wrong == field.true, 0, wrong))
+        score.count(field.match(named), replace(named, star_id=np.zeros_like(field.true)), field.true)
+    assert score.recovered >= 0.95
+    assert score.wrong_share <= 0.003
 
 
 @pytest.mark.parametrize("number", [1, 4])
@@ -87,17 +100,6 @@ def test_wrong_names_are_found_out(catalogue, start, most_kept, of):
     assert changed > 250
     assert kept <= most_kept * changed
     assert score.wrong_share <= 0.002
-
-
-def test_a_set_whose_names_are_all_wrong_is_matched_from_its_quaternions_all_the_same(catalogue):
-    score = Score()
-    for number in (3, 5):
-        field = sky(catalogue, number, 30)
-        wrong = np.random.default_rng(5).permutation(field.true)
-        named = replace(field.telemetry, star_id=np.where(wrong == field.true, 0, wrong))
-        score.count(field.match(named), replace(named, star_id=np.zeros_like(field.true)), field.true)
-    assert score.recovered >= 0.95
-    assert score.wrong_share <= 0.003
 
 
 def test_an_upright_image_gives_the_same_matches_and_attitudes(catalogue):
@@ -161,7 +163,7 @@ def test_double_stars_are_left_out_when_asked_and_say_so(catalogue):
     assert not (every.row_reason == LEFT_OUT).any()
 
 
-def test_the_order_of_the_frames_and_their_company_do_not_matter(catalogue):
+def test_the_order_of_the_frames_does_not_matter_and_no_exposure_has_a_star_twice(catalogue):
     field = sky(catalogue, 5, 20)
     telemetry = field.blanked(0.3)
     order = np.argsort(-telemetry.frame, kind="stable")
@@ -170,12 +172,108 @@ def test_the_order_of_the_frames_and_their_company_do_not_matter(catalogue):
     forth, back = field.match(telemetry), field.match(backwards)
     np.testing.assert_array_equal(back.star_id, forth.star_id[order])
     np.testing.assert_array_equal(back.row_reason, forth.row_reason[order])
-
-
-def test_an_exposure_never_has_a_star_twice(catalogue):
     field = sky(catalogue, 4, 40)
     for share in (0.0, 0.5, 0.9):
         matches = field.match(field.blanked(share))
         for first, last in zip(matches.exposure_start[:-1], matches.exposure_start[1:], strict=True):
             found = matches.star_id[first:last][matches.star_id[first:last] > 0]
             assert len(set(found)) == len(found)
+
+
+def nees(matches, true):
+    good = matches.valid
+    theta = (Rotation.from_quat(matches.quaternion[good]) * Rotation.from_quat(true[good]).inv()).as_rotvec()
+    return np.einsum("ni,nij,nj->n", theta, np.linalg.inv(matches.attitude_covariance[good]), theta)
+
+
+def consistent(values):
+    expected = chi_square(float(np.sum(values)), 3 * len(values))
+    return expected.consistent
+
+
+def test_attitude_errors_under_the_truth_are_those_of_the_centroid_noise(catalogue):
+    field = sky(catalogue, 1, 120, start="refined")
+    known = replace(field, P=1e-6 * field.P)
+    matches = known.match(field.telemetry)
+    values = nees(matches, field.telemetry.quaternion[matches.exposure_start[:-1]])
+    assert len(values) > 200
+    assert consistent(values)
+
+
+def test_attitude_errors_under_wrong_parameters_are_those_that_their_covariance_foretells(catalogue):
+    rng, scenario = np.random.default_rng(5), calibration_scenario(1, 1)
+    sensor = scenario.sensor
+    P, parts = ground_covariance(sensor, 2.0), []
+    for k in range(150):
+        orbit = replace(scenario.orbit, start_utc=scenario.orbit.start_utc + np.timedelta64(37 * k, "m"))
+        truth = sensor.initial + np.sqrt(np.diag(P)) * rng.normal(size=8)
+        drawn = replace(scenario, truth=truth, orbit=orbit, exposures=1, blanked_share=0.0)
+        parts.append(replace(simulate(drawn, rng, catalogue), unknown={}))
+        parts[-1].frame[:] = k
+    arrays = [name for name, value in vars(parts[0]).items() if isinstance(value, np.ndarray)]
+    telemetry = replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays})
+    matches = Sky(telemetry, sensor, catalogue, sensor.initial, P).match(telemetry)
+    values = nees(matches, telemetry.quaternion[matches.exposure_start[:-1]])
+    assert len(values) > 130
+    assert consistent(values)
+
+
+def lifted(field, strength, rng):
+    telemetry = matched_telemetry(field.telemetry, field.match(field.telemetry))
+    named = telemetry.star_id > 0
+    ra, dec, q = telemetry.ra_rad[named], telemetry.dec_rad[named], Rotation.from_quat(telemetry.quaternion[named])
+    s = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    zenith = q.inv().apply(np.array([0.6, 0.4, np.sqrt(0.48)]))
+    height = np.sum(s * zenith, axis=1)[:, None]
+    s += strength * (zenith - height * s) / height
+    s /= np.linalg.norm(s, axis=1, keepdims=True)
+    row, col = INVERTED_WANG.project(field.x, q.apply(s), field.sensor.pixel_pitch_m)
+    arrays = {name: value.copy() for name, value in vars(telemetry).items() if isinstance(value, np.ndarray)}
+    arrays["row_px"][named] = row + 0.437 * rng.normal(size=len(row))
+    arrays["col_px"][named] = col + 0.437 * rng.normal(size=len(row))
+    arrays["ra_rad"][named], arrays["dec_rad"][named] = np.arctan2(s[:, 1], s[:, 0]), np.arcsin(s[:, 2])
+    return replace(telemetry, **arrays)
+
+
+def test_a_file_s_own_directions_are_kept_and_what_they_hold_is_carried_to_unnamed_stars(catalogue):
+    field = sky(catalogue, 1, 30, start="refined")
+    whole = lifted(field, 1e-3, np.random.default_rng(2))
+    named = (whole.star_id > 0) & (np.random.default_rng(3).random(len(whole)) < 0.7)
+    part = replace(
+        whole, star_id=np.where(named, whole.star_id, 0), ra_rad=np.where(named, whole.ra_rad, np.nan),
+        dec_rad=np.where(named, whole.dec_rad, np.nan), quaternion=None,
+    )  # fmt: skip
+    matches = field.match(part)
+    kept = named & (matches.star_id == whole.star_id)
+    again = matched_telemetry(part, matches)
+    np.testing.assert_allclose(again.ra_rad[kept] % (2 * np.pi), whole.ra_rad[kept] % (2 * np.pi), atol=1e-9)
+    assert kept.sum() > 0.98 * named.sum()
+    rich = np.add.reduceat(named, matches.exposure_start[:-1], dtype=int) >= 6
+    sought = np.repeat(rich, np.diff(matches.exposure_start)) & ~named & (whole.star_id > 0)
+    assert sought.sum() > 80
+    assert np.mean(matches.star_id[sought] == whole.star_id[sought]) > 0.95
+    assert np.sum((matches.star_id > 0) & (matches.star_id != whole.star_id)) <= 2
+
+
+def test_where_too_few_directions_tell_of_the_air_only_the_named_stars_stay(catalogue):
+    field = sky(catalogue, 1, 20, start="refined")
+    whole = lifted(field, 1e-3, np.random.default_rng(2))
+    image = 2 * whole.frame + whole.exposure
+    count = np.array([np.sum((whole.star_id[:row] > 0) & (image[:row] == image[row])) for row in range(len(whole))])
+    named = (whole.star_id > 0) & (count < 5)
+    part = replace(
+        whole, star_id=np.where(named, whole.star_id, 0), ra_rad=np.where(named, whole.ra_rad, np.nan),
+        dec_rad=np.where(named, whole.dec_rad, np.nan), quaternion=None,
+    )  # fmt: skip
+    matches = field.match(part)
+    np.testing.assert_array_equal((matches.star_id > 0) & ~named, False)
+    assert np.sum(matches.star_id > 0) > 0.98 * named.sum()
+
+
+def test_the_given_names_of_the_real_sky_are_kept(catalogue, real_sky):
+    sensor, telemetry = read_sensor(real_sky / "esa.sensor.json"), read_telemetry(real_sky / "esa-5-frames.csv")
+    matches = Sky(telemetry, sensor, catalogue, sensor.initial, ground_covariance(sensor, 10.0)).match(telemetry)
+    named = telemetry.star_id > 0
+    assert np.mean(matches.star_id[named] == telemetry.star_id[named]) >= 0.95
+    assert matches.valid.all()
+    assert (matches.row_reason[matches.star_id == 0] > 0).all()

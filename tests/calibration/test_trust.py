@@ -1,25 +1,33 @@
-"""The trust object as a whole: every part for every method, or the sentence that says why not."""
+"""The trust object: every part for every method or the sentence that says why not, advice in order, residuals over the detector."""
 
 import json
-import os
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from boresight.calibration.options import METHODS
 from boresight.calibration.trust import trust_advice
+from boresight.calibration.trust.field import (
+    cell_edges,
+    residual_distribution,
+    residual_field,
+    residual_outliers,
+    two_sided,
+)
+from boresight.calibration.trust.innovations import deviates, worst_frames
+from boresight.calibration.trust.residuals import compute_star_residuals
+from boresight.simulation.sensors import st16_sensor, st16_truth
 from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import read_sensor
-from tests.calibration.judged import Case, case, field, simulated
+from tests.calibration.sets import Case, case, field, simulated
 
 PARTS = {
     "arc_sigma_map", "two_halves", "efficiency", "more_data", "drop_one", "nis_over_time", "whiteness", "stars",
     "residual_against", "residuals", "residual_field", "residual_distribution", "residual_outliers", "worst_frames",
 }  # fmt: skip
-REAL_SKY = Path(os.environ.get("BORESIGHT_REAL_SKY", Path(__file__).parents[3] / "shared/data/real-sky"))
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -106,9 +114,8 @@ def test_drawings_stay_small_and_large_sets_are_thinned_and_say_so(sensor, catal
     assert seconds < 3
 
 
-@pytest.mark.skipif(not REAL_SKY.exists(), reason="the real frames are not here")
-def test_five_real_frames_of_an_upright_image_are_judged(catalogue):
-    sensor, telemetry = read_sensor(REAL_SKY / "esa.sensor.json"), read_telemetry(REAL_SKY / "esa-5-frames.csv")
+def test_five_real_frames_of_an_upright_image_are_judged(catalogue, real_sky):
+    sensor, telemetry = read_sensor(real_sky / "esa.sensor.json"), read_telemetry(real_sky / "esa-5-frames.csv")
     trust = case(telemetry, sensor, catalogue).trust
     assert set(trust["unavailable"]) == {"whiteness", "residual_against.temperature", "residual_against.time"}
     assert 0.1 < trust["residuals"]["rms_px"] < 0.2
@@ -135,3 +142,171 @@ def test_the_thinnest_sets_have_every_part_or_its_reason(settings, size, sensor,
     trust = case(field(2, **size), sensor, catalogue, **settings).trust
     assert {part for part in PARTS if trust[part] is None} == {name for name in trust["unavailable"] if "." not in name}
     json.dumps(trust, allow_nan=False)
+
+
+QUANTITIES = ("radius", "magnitude", "temperature", "time")
+
+
+@pytest.fixture(scope="module")
+def clean(catalogue):
+    return simulated(catalogue, seed=4).trust
+
+
+def _spoiled(trust, **parts):
+    return trust | {name: {**trust[name], **keys} if isinstance(keys, dict) else keys for name, keys in parts.items()}
+
+
+def test_a_clean_set_calls_for_nothing_nor_does_a_single_spare_parameter(clean):
+    assert trust_advice(clean) == []
+    assert trust_advice(_spoiled(clean, drop_one=[{"needed": False}, {"needed": True}])) == []
+
+
+def test_graver_sentences_come_first(clean):
+    spoiled = _spoiled(
+        clean,
+        two_halves={"chi2": {**clean["two_halves"]["chi2"], "p": 1e-6}, "sentence": "halves"},
+        efficiency={"overall_ratio": 0.8, "sentence": "bound"},
+        whiteness={"white": False, "sentence": "drift"},
+        nis_over_time={"consistent": False, "sentence": "innovations"},
+        suspects=[4711],
+        stars_sentence="stars",
+        residual_against={name: {"even": name in {"radius", "time"}, "sentence": name} for name in QUANTITIES},
+        drop_one=[{"needed": False}, {"needed": False}, {"needed": True}],
+        drop_one_sentence="spare",
+    )  # fmt: skip
+    assert trust_advice(spoiled) == [
+        "halves", "bound", "drift", "temperature", "innovations", "stars", "magnitude", "spare",
+    ]  # fmt: skip
+
+
+def test_a_start_that_is_the_truth_is_said_to_leave_little_to_estimate(catalogue):
+    sensor = replace(st16_sensor(1), initial=st16_truth(1))
+    advice = trust_advice(case(simulated(catalogue, frames=40).telemetry, sensor, catalogue).trust)
+    assert advice[-1].startswith("These data do not ask for")
+    assert advice[-1].endswith("It may be held fixed, one parameter at a time.")
+
+
+def test_every_sentence_ends_and_names_no_code(sensor, catalogue):
+    trust = case(field(1), sensor, catalogue).trust
+    parts = [part["sentence"] for part in trust.values() if isinstance(part, dict) and "sentence" in part]
+    bins = [part["sentence"] for part in trust["residual_against"].values() if part is not None]
+    others = [trust["drop_one_sentence"], trust["stars_sentence"], *trust["unavailable"].values()]
+    for sentence in [*parts, *bins, *others]:
+        assert sentence.endswith(".")
+        assert "_" not in sentence.replace("g_y", "")
+        assert "nan" not in sentence
+        assert "None" not in sentence.replace("None of", "")
+
+
+@pytest.fixture(scope="module")
+def judged(catalogue):
+    ground = simulated(catalogue, 1, 120).ground
+    return ground, compute_star_residuals(ground)
+
+
+@pytest.fixture(scope="module")
+def noisy(catalogue):
+    clean = simulated(catalogue, 1, 80).telemetry
+    rng, row_px = np.random.default_rng(5), clean.row_px.copy()
+    of_17 = clean.frame == 17
+    row_px[of_17] += 0.6 * rng.normal(size=of_17.sum())
+    row_px[np.flatnonzero(clean.frame == 41)[2]] += 4.0
+    return case(replace(clean, row_px=row_px), simulated(catalogue, 1, 5).problem.sensor, catalogue).ground
+
+
+def test_cells_hold_the_plain_means_of_their_stars(judged):
+    ground, found = judged
+    view = residual_field(ground, found)
+    i, j = 2, 3
+    rows, cols = view["row_edges_px"], view["col_edges_px"]
+    inside = (found.arcs.row_px >= rows[i]) & (found.arcs.row_px < rows[i + 1])
+    inside &= (found.arcs.col_px >= cols[j]) & (found.arcs.col_px < cols[j + 1])
+    sigma = found.arcs.sigma_px[inside] * np.sqrt(found.M[inside, 1, 1]) * max(found.spread, 1)
+    after = view["after"]
+    assert after["count"][i][j] == inside.sum() > 4
+    assert after["mean_row_px"][i][j] == pytest.approx(found.r[inside, 0].mean(), rel=1e-3)
+    assert after["sigma_col_px"][i][j] == pytest.approx(np.sqrt(np.sum(sigma**2)) / inside.sum(), rel=1e-3)
+    assert after["rms_px"][i][j] == pytest.approx(np.sqrt(np.mean(found.r[inside] ** 2)), rel=1e-3)
+    assert np.sum(after["count"]) == found.known.sum()
+
+
+def test_a_distortion_that_is_not_fitted_is_a_pattern_and_a_good_fit_leaves_none(judged, catalogue):
+    view = residual_field(*judged)
+    assert view["even"]
+    assert view["before"]["p"] < 1e-6
+    assert view["before"]["rms_in_all_px"] > 2 * view["after"]["rms_in_all_px"]
+    ground = simulated(catalogue, 1, 120, free=("f_m",)).ground
+    view = residual_field(ground, compute_star_residuals(ground))
+    assert not view["even"]
+    assert "pattern over the detector that noise does not explain" in view["sentence"]
+
+
+def test_patterns_are_called_so_in_about_one_clean_set_of_a_hundred(sensor, catalogue):
+    p = [
+        residual_field(ground, compute_star_residuals(ground))["after"]["p"]
+        for ground in (case(field(seed, frames=30), sensor, catalogue).ground for seed in range(30))
+    ]
+    assert np.mean(np.array(p) < 0.01) <= 2 / 30
+    assert stats.kstest(p, "uniform").pvalue > 1e-3 or np.mean(p) > 0.5  # the fit takes freedom out: p leans up
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "stars"), [(1944, 2592, 3000), (2592, 1944, 3000), (500, 4000, 40), (9, 9, 0)]
+)
+def test_cells_cover_the_detector_and_are_nearly_square(rows, columns, stars):
+    row_edges, col_edges = cell_edges(rows, columns, stars)
+    assert (row_edges[0], row_edges[-1], col_edges[0], col_edges[-1]) == (-0.5, rows - 0.5, -0.5, columns - 0.5)
+    assert np.diff(row_edges)[0] / np.diff(col_edges)[0] == pytest.approx(1, rel=0.8)
+
+
+def test_the_distribution_is_that_of_the_residuals_over_their_sigmas(judged):
+    view = residual_distribution(*judged)
+    z = judged[1].z[judged[1].known].ravel()
+    assert view["count"] == len(z) == sum(view["after"]["counts"]) + view["after"]["below"] + view["after"]["above"]
+    assert view["after"]["counts"] == np.histogram(z, np.arange(-6, 6.01, 0.25))[0].tolist()
+    middle = view["normal"].index(1.0)
+    assert view["quantile"][middle] == pytest.approx(np.quantile(z, stats.norm.cdf(1.0)), rel=1e-4)
+    assert view["sigma"] == pytest.approx(1, abs=4 / np.sqrt(2 * len(z)))
+    apart = np.abs(np.array(view["quantile"]) - view["normal"]) / view["sigma_of_quantile"]
+    assert np.mean(apart < 3) > 0.9
+    assert view["before"]["below"] + view["before"]["above"] > view["after"]["below"] + view["after"]["above"]
+
+
+def test_tail_probabilities_and_deviates_are_the_exact_ones():
+    for count, n, share in ((0, 1000, 0.0027), (3, 1000, 0.0027), (12, 1000, 0.0027)):
+        low, high = stats.binom.cdf(count, n, share), stats.binom.sf(count - 1, n, share)
+        assert two_sided(count, n, share) == pytest.approx(min(1, 2 * min(low, high)))
+    for dof in (5.0, 20.0, 200.0):
+        for p in (0.5, 0.01, 1e-4):
+            assert stats.norm.sf(deviates(stats.chi2.isf(p, dof), np.array(dof))) == pytest.approx(p, rel=0.3)
+
+
+def test_a_star_far_off_is_the_first_outlier_and_the_worst_frames_are_the_spoiled_ones(noisy):
+    view = residual_outliers(noisy, compute_star_residuals(noisy))
+    assert view["in_all"] >= 1
+    assert view["frame"][0] == 41
+    assert abs(view["d_row_px"][0]) == pytest.approx(4, abs=1)
+    assert view["normalised"] == sorted(view["normalised"], reverse=True)
+    view = worst_frames(noisy)
+    assert set(view["frame"][:2]) == {17, 41}
+    assert view["deviation"][1] > 3 > view["deviation"][3]
+    assert view["beyond"] >= 2
+    k = int(np.flatnonzero(noisy.arcs.frame == 17)[0])
+    place = view["frame"].index(17)
+    chi2 = view["chi2_per_dof"][place] * view["dof"][place]
+    assert chi2 == pytest.approx(float(noisy.sums.chi2[k]), rel=1e-3)
+
+
+def test_a_hundredth_of_wrong_centroids_makes_heavy_tails(sensor, catalogue):
+    clean, rng = field(3, frames=60), np.random.default_rng(6)
+    wrong = clean.row_px + np.where(rng.uniform(size=len(clean)) < 0.01, 3.0, 0.0)
+    ground = case(replace(clean, row_px=wrong), sensor, catalogue).ground
+    view = residual_distribution(ground, compute_star_residuals(ground))
+    assert not view["normal_tails"]
+    assert view["sentence"].endswith("some stars are wrong; look at the outliers.")
+
+
+def test_a_set_too_small_for_cells_says_so(sensor, catalogue):
+    trust = case(field(2, frames=3, stars=4, exposures=1), sensor, catalogue, free=("f_m",)).trust
+    assert trust["residual_distribution"] is None
+    assert trust["unavailable"]["residual_distribution"].startswith("A distribution needs 50 residuals")

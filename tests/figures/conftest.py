@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.figures.examined import frame_observability, trust
-from tests.figures.flown import matching, shadow
+from tests.figures.examined import frame_observability, matching, shadow, trust
 
 NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
 INITIAL = (0.016, 972.0, 1296.0, 1.2e8, -2.1e3, 0.001, -0.002, 1.0)

@@ -1,6 +1,8 @@
-"""A handmade examination: `trust` and `matching` with every key of the contract, for figures, report and pages."""
+"""Handmade parts of a result with every key of the contract: trust, matching and shadow, for figures, report and pages."""
 
 import numpy as np
+
+from boresight.figures.example_calibration import get_example_calibrations
 
 NAMES = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
 FLAGS = {3: ["double"], 7: ["solution type"]}
@@ -147,20 +149,6 @@ def residual_outliers(rng, n=5):
     }
 
 
-def worst_frames(n=200):
-    deviation = np.linspace(4.2, -2.0, n)
-    return {
-        "frame": [(7 * k) % n for k in range(n)],
-        "chi2_per_dof": (1 + deviation / 5).tolist(),
-        "dof": [38.9] * n,
-        "deviation": deviation.tolist(),
-        "frames_in_all": n,
-        "beyond": int(np.sum(deviation > 3)),
-        "expected_beyond": 0.27,
-        "sentence": "Some frames are explained worse than 3 sigmas allow.",
-    }
-
-
 def drop_one():
     worth = dict(zip(NAMES, (9.5e4, 3.0e3, 4.1e3, 55.0, 920.0, 310.0, 2.0, 260.0), strict=True))
     return [
@@ -227,7 +215,7 @@ def trust(sigma, n_frames=200, seed=6):
         "residual_field": residual_field(np.random.default_rng(9)),
         "residual_distribution": residual_distribution(np.random.default_rng(10)),
         "residual_outliers": residual_outliers(np.random.default_rng(11)),
-        "worst_frames": worst_frames(min(200, n_frames)),
+        "worst_frames": get_example_calibrations()["filter"]["trust"]["worst_frames"],
         "unavailable": {"residual_against.temperature": "The telemetry has no temperatures."},
     }
 
@@ -261,3 +249,51 @@ def frame_observability(n_frames=120):
         ],
         "sentence": "Of the information in these centroids arcs keep 99 %; σ1 adds nothing to them.",
     }
+
+
+def matching():
+    return {
+        "given": 2233,
+        "kept": 2201,
+        "added": 2265,
+        "removed": 32,
+        "matched": 4466,
+        "cycles": [
+            {"cycle": 1, "matched": 4401, "changed": 2297, "rms_arc_rad": 84.1e-6},
+            {"cycle": 2, "matched": 4466, "changed": 65, "rms_arc_rad": 82.6e-6},
+            {"cycle": 3, "matched": 4466, "changed": 0, "rms_arc_rad": 82.6e-6},
+        ],
+        "rested": True,
+        "tolerance_px": {"median": 0.62, "p95": 1.4},
+        "row_reasons": {"no catalogue star is near": 61, "two catalogue stars are near": 12},
+        "removed_reasons": {"two catalogue stars are near": 32},
+        "renamed": 0,
+        "exposure_reasons": {"valid": 398, "fewer than three stars matched": 2},
+        "starts": {"given matches": 371, "other exposure": 24, "neighbouring frame": 5},
+        "flagged": {"doubles": 41, "unreliable": 3, "left_out": 0},
+        "flight": {
+            "tolerance_rad": 4.2e-4,
+            "availability": {"initial": 0.46, "final": 1.0},
+            "matched_stars": {"initial": 1650, "final": 4460},
+        },
+    }
+
+
+def shadow(n_frames=40, lost=(7,), gained=(1, 2, 3)):
+    def side(valid, matched):
+        return {"valid": valid, "matched": matched if valid else 0, "reason": None if valid else "too few stars"}
+
+    frames = [
+        {
+            "frame": k,
+            "time_utc": None,
+            "baseline": side(k not in gained, 4 + k % 9),
+            "candidate": side(k not in lost, 12 + k % 9),
+            "lost": [1, 2] if k in lost else [],
+            "gained": [3],
+        }
+        for k in range(n_frames)
+    ]
+    sentence = "The candidate solves 3 frames that the baseline loses, and loses 1."
+    summary = {"baseline_only": len(lost), "candidate_only": len(gained), "sentence": sentence}
+    return {"calibration": None, "validation": {"frames": frames, "frames_in_set": n_frames, "summary": summary}}

@@ -1,20 +1,21 @@
-"""Claims that hold for every figure of the registry, and so for every figure that joins it."""
+"""Claims for every figure of the registry, its guide and the example it draws; in a notebook a figure is one call away."""
 
 import re
-from functools import cache
+from pathlib import Path
 
-import numpy as np
 import orjson
 import plotly.graph_objects as go
 import pytest
 
+from benchmarks.pages.drawings import _shortened, guide_page, name_image
+from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES, Trace, figure_json
-from boresight.figures.style.theme import DARK_TEMPLATE, LIGHT_TEMPLATE, UI_REVISION
-from tests.figures.examined import frame_observability, trust
-from tests.figures.flown import matching, shadow
+from boresight.figures.example_calibration import PLACE, get_example_calibrations, make_example_traces
+from boresight.figures.notebook import TEMPLATES, draw, table
+from boresight.figures.style.theme import DARK_TEMPLATE, LIGHT_TEMPLATE, TOKENS, UI_REVISION
+from tests.effort import effort
 
 EVERY_FIGURE = pytest.mark.parametrize("figure", FIGURES.values(), ids=FIGURES.keys())
-LIMIT_BYTES = 500_000
 MAPS = {"coverage", "arc-uncertainty", "residual-rms"}  # one colour scale for all runs, each in a map of its own
 FIRST_RUN_ONLY = {"residual-map", "residual-quiver"}  # says so
 
@@ -23,24 +24,41 @@ def words(drawn: go.Figure) -> str:
     return " ".join(str(annotation.text) for annotation in drawn.layout.annotations)
 
 
-def test_the_registry_has_the_figures_that_addresses_name():
-    assert set(FIGURES) >= {"convergence", "rms", "radial", "observability", "coverage", "parameters"}
-
-
 @EVERY_FIGURE
 @pytest.mark.parametrize("method", ["sequential", "batch"])
-def test_a_finished_run_is_drawn_with_something_on_it(figure, method, sequential_result, batch_result):
+def test_a_finished_run_is_drawn_in_svg_with_something_on_it_as_a_pure_function(
+    figure, method, sequential_result, batch_result
+):
     result = sequential_result if method == "sequential" else batch_result
-    drawn = figure.draw([Trace("Run 1", result)])
+    before = orjson.dumps(result)
+    drawn, again = (figure.draw([Trace("Run 1", result)]) for _ in range(2))
+    assert {trace.type for trace in drawn.data} <= {"scatter", "bar", "heatmap"}
     assert len(drawn.data) > 0
+    assert figure_json(drawn) == figure_json(again)
     assert figure_json(drawn).startswith(b"{")
+    assert orjson.dumps(result) == before
+
+
+class Read(dict):
+    def __init__(self, result):
+        super().__init__(result)
+        self.read = set()
+
+    def __getitem__(self, key):
+        self.read.add(key)
+        return super().__getitem__(key)
+
+    def get(self, key, default=None):
+        self.read.add(key)
+        return super().get(key, default)
 
 
 @EVERY_FIGURE
 def test_every_key_may_be_missing_and_the_figure_says_what_is(figure, sequential_result):
-    for key in sequential_result:
-        partial = {name: value for name, value in sequential_result.items() if name != key}
-        figure.draw([Trace("partial", partial)])
+    whole = Read(sequential_result)
+    figure.draw([Trace("whole", whole)])
+    for key in effort(sorted(whole.read & set(whole)), list(whole)):
+        figure.draw([Trace("partial", {name: value for name, value in sequential_result.items() if name != key})])
     figure.draw([Trace("partial", dict.fromkeys(sequential_result))])
     nothing = figure.draw([Trace("empty", {"status": "running"})])
     assert not nothing.data
@@ -65,45 +83,6 @@ def test_a_comparison_gives_each_run_its_own_colour_and_a_legend_entry(figure, s
 
 
 @EVERY_FIGURE
-def test_a_long_history_and_a_comparison_of_eight_stay_below_the_payload_limit(figure):
-    long_run = long_result(6_000)
-    assert len(figure_json(figure.draw([Trace("long", long_run)]))) < LIMIT_BYTES
-    assert len(figure_json(figure.draw([Trace(f"Run {i}", long_run) for i in range(8)]))) < LIMIT_BYTES
-
-
-@cache
-def long_result(n_frames):
-    rng = np.random.default_rng(1)
-    names = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
-    walk = rng.normal(size=(n_frames, 8)).cumsum(axis=0) * 1e-3
-    return {
-        "status": "running",
-        "free": list(names),
-        "initial": dict.fromkeys(names, 0.0),
-        "parameters": dict(zip(names, walk[-1].tolist(), strict=True)),
-        "history": {
-            "frame": list(range(n_frames)),
-            "parameters": walk.tolist(),
-            "sigma": np.abs(walk + 1.0).tolist(),
-            "tail_rms_rad": rng.uniform(8e-5, 9e-5, n_frames).tolist(),
-            "aggregate_rms_rad": rng.uniform(8e-5, 9e-5, n_frames).tolist(),
-            "nis": rng.chisquare(19, n_frames).tolist(),
-            "nis_dof": [19] * n_frames,
-        },
-        "trust": trust(dict(zip(names, np.abs(walk[-1]), strict=True)), n_frames),
-        "frame_observability": frame_observability(),
-        "matching": matching(),
-        "shadow": shadow(n_frames, range(100), range(200, 300)),
-    }
-
-
-@EVERY_FIGURE
-def test_only_svg_traces_are_used(figure, sequential_result):
-    kinds = {trace.type for trace in figure.draw([Trace("Run", sequential_result)]).data}
-    assert kinds <= {"scatter", "bar", "heatmap"}
-
-
-@EVERY_FIGURE
 def test_zoom_survives_a_refresh_and_white_is_one_template_away(figure, sequential_result):
     first, second = (figure.draw([Trace("Run", sequential_result)]) for _ in range(2))
     assert first.layout.uirevision == second.layout.uirevision == UI_REVISION
@@ -111,15 +90,6 @@ def test_zoom_survives_a_refresh_and_white_is_one_template_away(figure, sequenti
     assert first.layout.meta["light"] == LIGHT_TEMPLATE.to_plotly_json()
     assert first.layout.paper_bgcolor is None
     assert first.layout.font.color is None
-
-
-@EVERY_FIGURE
-def test_drawing_is_a_pure_function(figure, sequential_result):
-    before = orjson.dumps(sequential_result)
-    assert figure_json(figure.draw([Trace("Run", sequential_result)])) == figure_json(
-        figure.draw([Trace("Run", sequential_result)])
-    )
-    assert orjson.dumps(sequential_result) == before
 
 
 @EVERY_FIGURE
@@ -131,11 +101,6 @@ def test_a_label_cannot_bring_markup_into_the_page(figure, sequential_result):
 
 
 @EVERY_FIGURE
-def test_the_guide_is_two_sentences(figure):
-    assert len(re.findall(r"\.(?:\s|$)", figure.guide)) == 2
-
-
-@EVERY_FIGURE
 @pytest.mark.parametrize("method", ["sequential", "batch"])
 def test_the_table_has_columns_of_one_length_and_no_thinning(figure, method, sequential_result, batch_result):
     result = sequential_result if method == "sequential" else batch_result
@@ -144,3 +109,109 @@ def test_the_table_has_columns_of_one_length_and_no_thinning(figure, method, seq
     assert len({len(column) for column in columns.values()}) == 1
     assert orjson.dumps(columns)
     assert figure.table({"status": "running"}) == {}
+
+
+MOST_BYTES = 400_000
+
+
+@EVERY_FIGURE
+@pytest.mark.parametrize("names", [("filter",), ("batch",), ("filter", "batch")], ids="-".join)
+def test_every_figure_has_something_to_draw_of_the_example(figure, names):
+    renew = f"`python -m benchmarks.pages --figures --renew`: {figure.name} lacks its data"
+    assert figure.draw(make_example_traces(names)).data, renew
+    assert figure.table(get_example_calibrations()[names[0]])
+    assert PLACE.parent.name == "figures"
+    assert PLACE.stat().st_size < MOST_BYTES
+
+
+@EVERY_FIGURE
+def test_where_nothing_is_known_every_figure_says_so(figure):
+    drawn = figure.draw(make_example_traces(("nothing",)))
+    assert not drawn.data
+    assert drawn.layout.annotations
+
+
+def test_half_way_a_filter_has_half_a_history_and_numbers_keep_seven_digits():
+    whole, half = get_example_calibrations()["filter"], get_example_calibrations()["partial"]
+    assert len(half["history"]["frame"]) == len(half["history"]["parameters"]) == len(whole["history"]["frame"]) // 2
+    assert half["status"] == "running"
+    assert half["frames_done"] < half["frames"]
+    assert half["trust"] is None
+    assert whole["trust"] is not None
+    shortened = {"a": [1.234568e-5, [2.0, 3]], "b": "1.23456789", "c": None}
+    assert _shortened({"a": [1.23456789e-5, (2.0, 3)], "b": "1.23456789", "c": None}) == shortened
+
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+MOST_IMAGE_BYTES = 1_000_000
+
+
+def test_the_page_and_its_small_images_are_those_of_the_registry():
+    renew = "write it again with `python -m benchmarks.pages --figures`"
+    assert (DOCS / "figures.md").read_text() == guide_page(), renew
+    images = list((DOCS / "figures").iterdir())
+    assert {image.stem for image in images} == set(FIGURES)
+    assert sum(image.stat().st_size for image in images) < MOST_IMAGE_BYTES
+    assert set(FIGURES) >= {"convergence", "rms", "radial", "observability", "coverage", "parameters"}
+
+
+@EVERY_FIGURE
+def test_a_figure_is_named_explained_in_two_sentences_and_shown(figure):
+    page = guide_page()
+    assert f"`{figure.name}`" in page
+    assert f"![{figure.title}]({name_image(figure)})" in page
+    assert (DOCS / name_image(figure)).read_bytes()[8:12] == b"WEBP"
+    assert len(re.findall(r"\.(?:\s|$)", figure.guide)) == 2
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "result.json"
+    path.write_bytes(orjson.dumps(get_example_calibrations()["filter"]))
+    return path
+
+
+@pytest.mark.parametrize("name", ["rms", "convergence"])
+def test_a_file_and_the_result_in_it_give_the_same_drawing(name, file):
+    assert draw(file, name) == draw(str(file), name) == draw(get_example_calibrations()["filter"], name)
+    assert table(file, name) == FIGURES[name].table(get_example_calibrations()["filter"])
+
+
+@pytest.mark.parametrize("theme", TEMPLATES)
+def test_a_notebook_draws_on_an_opaque_surface_of_its_theme(theme, file):
+    drawn = draw(file, "rms", theme=theme)
+    assert drawn.layout.paper_bgcolor == drawn.layout.plot_bgcolor == TOKENS[theme]["surface-1"]
+    assert drawn.layout.template.layout.font.color == TOKENS[theme]["ink"]
+    assert drawn.layout.meta is None
+
+
+def test_a_notebook_shows_it_and_several_calibrations_under_their_labels(file):
+    shown = draw(file, "rms")
+    assert callable(shown._repr_html_)
+    assert callable(shown._repr_mimebundle_)
+    drawn = draw({"on the ground": get_example_calibrations()["batch"], "in flight": file}, "rms")
+    names = " ".join(str(trace.name) for trace in drawn.data)
+    assert "on the ground" in names
+    assert "in flight" in names
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("absent.json", "rms"), "cannot be read"),
+        (({}, "rms"), "no calibration"),
+        (({"schema": "boresight.evaluation/1"}, "rms"), "no calibration"),
+        ((get_example_calibrations()["filter"], "nothing"), "There is no figure nothing; choose from"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_in_a_sentence(arguments, sentence):
+    with pytest.raises(RefusedInputError, match=sentence):
+        draw(*arguments)
+
+
+def test_what_is_no_json_and_what_is_no_theme_are_refused(tmp_path, file):
+    (tmp_path / "words.json").write_text("words")
+    with pytest.raises(RefusedInputError, match="is no JSON"):
+        draw(tmp_path / "words.json", "rms")
+    with pytest.raises(RefusedInputError, match="choose from light, dark, contrast"):
+        draw(file, "rms", theme="pink")

@@ -1,14 +1,20 @@
-"""The report is one file that needs nothing else, and shows what it was given without running it."""
+"""The report is one file that needs nothing else; the examination in words, the command that makes it again, helpful data."""
 
 import re
+from dataclasses import asdict
 
+import click
 import pytest
 
+from boresight.calibration.options import CalibrationSettings
+from boresight.cli import main
 from boresight.errors import RefusedInputError
+from boresight.estimation.statistics.observability import WEAK
 from boresight.figures import FIGURES
-from boresight.figures.report import command, render_report
-from boresight.figures.tables import digits, printed_rows
-from boresight.verdicts.verdict import make_verdict, trust_doubts
+from boresight.figures.charts.observability import helpful_data, weakest_words
+from boresight.figures.report import MOST_STARS, calibrate_command, command, render_report
+from boresight.figures.tables import digits, flight_rows, match_counts, printed_rows, reason_tables, star_rows, to_flag
+from boresight.verdicts.verdict import make_verdict, prospects, trust_doubts, trust_level, trust_marks
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
 
@@ -22,49 +28,48 @@ def without_library(text):
     return text.replace(max(re.findall(r"<script>.*?</script>", text, re.DOTALL), key=len), "")
 
 
-def test_the_report_stands_alone(report):
+def test_the_report_stands_alone_with_every_figure_and_its_guide(report):
     page = without_library(report)
     assert "default-src 'none'" in page
     assert not re.search(r"(src|href)\s*=\s*[\"'](?!data:)", page)
     assert report.count("plotly.js v") == 1
-
-
-def test_the_report_has_every_figure_with_its_guide(report):
     for figure in FIGURES.values():
         assert f'data-figure="{figure.name}"' in report
         assert figure.title in report
 
 
-def test_the_report_has_verdict_advice_parameters_provenance_and_the_command(report, sequential_result):
-    assert "CAUTION · converged, with reservations" in report
-    assert sequential_result["trust"]["drop_one_sentence"] in report
-    assert sequential_result["advice"][0] in report
-    assert "ab" * 32 in report
-    assert "boresight calibrate TELEMETRY --sensor SENSOR.json --method sqrf --match " in report
-    assert "change / sigma" in report
+def test_the_report_has_verdict_advice_parameters_trust_matching_provenance_and_the_command(report, sequential_result):
+    trust = sequential_result["trust"]
+    for said in (
+        "CAUTION · converged, with reservations",
+        trust["drop_one_sentence"],
+        trust["whiteness"]["sentence"],
+        sequential_result["advice"][0],
+        "ab" * 32,
+        "boresight calibrate TELEMETRY --sensor SENSOR.json --method sqrf --match ",
+        "change / sigma",
+        "Stars to flag (HIP): <code>1000, 1017</code>",
+        f"The {MOST_STARS} worst stars",
+        "neighbouring frame",
+        "46.0\u202f%",
+    ):
+        assert said in report
 
 
-def test_the_report_of_where_one_person_works_alone_says_so(report, sequential_result):
-    assert "FOUR EYES ARE OFF" not in report
-    assert "FOUR EYES ARE OFF" in render_report(sequential_result, four_eyes=False)
+def test_the_report_says_where_one_person_works_alone_and_why_a_part_is_not_there(report, sequential_result):
+    page = render_report(sequential_result | {"trust": None, "matching": None}, four_eyes=False)
+    assert ["FOUR EYES ARE OFF" in one for one in (report, page)] == [False, True]
+    assert "start it again to have one" in page
+    assert "nothing was matched again" in page
 
 
-def test_nothing_that_came_from_outside_becomes_markup(sequential_result):
-    hostile = sequential_result | {
-        "sensor": HOSTILE,
-        "advice": [HOSTILE],
-        "method": HOSTILE,
-        "free": [*sequential_result["free"], HOSTILE],
-        "inputs": {HOSTILE: HOSTILE},
-        "symbols": {HOSTILE: HOSTILE},
-        "parameters": sequential_result["parameters"] | {HOSTILE: 1.0},
-    }
-    page = without_library(render_report(hostile))
+def test_nothing_that_came_from_outside_becomes_markup_and_a_failed_run_still_gets_its_report(sequential_result):
+    hostile = {"sensor": HOSTILE, "advice": [HOSTILE], "method": HOSTILE, "free": [*sequential_result["free"], HOSTILE]}
+    hostile |= {"inputs": {HOSTILE: HOSTILE}, "symbols": {HOSTILE: HOSTILE}}
+    hostile |= {"parameters": sequential_result["parameters"] | {HOSTILE: 1.0}}
+    page = without_library(render_report(sequential_result | hostile))
     assert "<script>alert" not in page
     assert "<img" not in page
-
-
-def test_a_failed_run_still_gets_its_report(sequential_result):
     absent = dict.fromkeys(("history", "trace", "radial", "coverage", "observability", "chi2", "nis", "validation"))
     empty = sequential_result | absent | {"status": "too_few_stars", "chi2_per_dof": None}
     empty |= {"rms_arc_rad": {"initial": None, "final": None}, "sigma": dict.fromkeys(empty["sigma"])}
@@ -97,27 +102,150 @@ def test_the_verdict_is_as_good_as_its_worst_answer(change, level, sequential_re
     assert all(reason.endswith(".") for reason in judged.reasons)
 
 
-def test_a_doubt_of_the_examination_is_a_reservation_of_the_verdict(sequential_result):
-    judged = make_verdict(sequential_result)
-    assert (judged.level, judged.word) == ("caution", "converged, with reservations")
-    assert set(judged.reasons) == set(trust_doubts(sequential_result))
-
-
-def test_a_value_stops_at_the_second_digit_of_its_sigma():
-    assert digits(16.0198234, 0.00063) == "16.01982"
-    assert digits(-1886.7, 10.2) == "−1,887"
-    assert digits(6.634e7, 7.9e5) == "6.634e+07"
-    assert digits(786_689.0, 786_689.0) == "7.9e+05"
-    assert digits(0.5, None) == "0.5"
-    assert digits(None, 1.0) == "–"
-
-
-def test_a_fixed_parameter_shows_dashes_for_what_is_not_known(sequential_result):
-    fixed = sequential_result | {"sigma": sequential_result["sigma"] | {"g_y": None}}
-    row = printed_rows(fixed)[-1]
+def test_a_value_stops_at_the_second_digit_of_its_sigma_and_what_is_not_known_is_a_dash(sequential_result):
+    known = [(16.0198234, 0.00063), (-1886.7, 10.2), (6.634e7, 7.9e5), (786_689.0, 786_689.0), (0.5, None), (None, 1.0)]
+    assert [digits(*pair) for pair in known] == ["16.01982", "−1,887", "6.634e+07", "7.9e+05", "0.5", "–"]
+    row = printed_rows(sequential_result | {"sigma": sequential_result["sigma"] | {"g_y": None}})[-1]
     assert (row.sigma, row.worth, row.typical) == ("–", "–", "–")
 
 
-def test_the_command_of_a_batch_run_names_no_filter_settings(batch_result):
-    assert "--linearisations" not in command(batch_result)
-    assert "--method batch" in command(batch_result)
+def changed(result, part, **values):
+    trust = result["trust"]
+    made = {**trust[part], **values} if values else None
+    return result | {"trust": trust | {part: made}}
+
+
+def mark_of(result, question):
+    return next(mark for mark in trust_marks(result) if mark.question == question)
+
+
+@pytest.mark.parametrize(
+    ("part", "question", "values"),
+    [
+        ("two_halves", "Two halves", {"chi2": {"value": 60.0, "dof": 8, "upper": 17.5, "consistent": False}}),
+        ("nis_over_time", "Innovations over time", {"consistent": False}),
+        ("whiteness", "Whiteness", {"white": False}),
+        ("efficiency", "Efficiency", {"overall_ratio": 0.8}),
+        ("efficiency", "Efficiency", {"overall_ratio": 2.0}),
+        ("residual_against", "Residual against causes", {"radius": {"even": False, "sentence": "It depends."}}),
+    ],
+)
+def test_a_test_that_fails_is_a_caution_with_its_sentence(part, question, values, sequential_result):
+    assert mark_of(sequential_result, question).level == "normal"
+    mark = mark_of(changed(sequential_result, part, **values), question)
+    assert mark.level == "caution"
+    assert mark.reason.endswith(".")
+
+
+@pytest.mark.parametrize(
+    "part", ["two_halves", "nis_over_time", "whiteness", "efficiency", "residual_against", "drop_one", "stars"]
+)
+def test_a_part_that_is_missing_is_no_data_and_never_passes(part, sequential_result):
+    before = trust_marks(sequential_result)
+    after = trust_marks(changed(sequential_result, part))
+    (lost,) = [now for was, now in zip(before, after, strict=True) if was != now]
+    assert (lost.level, lost.word) == ("off", "NO DATA")
+
+
+def test_doubts_are_the_sentences_of_the_cautions_and_reservations_of_the_verdict(sequential_result):
+    trust, judged = sequential_result["trust"], make_verdict(sequential_result)
+    assert trust_doubts(sequential_result) == [trust["drop_one_sentence"], trust["stars_sentence"]]
+    assert trust_level(sequential_result) == "caution"
+    assert prospects(sequential_result) == [trust["more_data"]["sentence"]]
+    assert (judged.level, judged.word) == ("caution", "converged, with reservations")
+    assert set(judged.reasons) == set(trust_doubts(sequential_result))
+    nothing = sequential_result | {"trust": None}
+    assert (trust_marks(nothing), trust_level(nothing)) == ([], "off")
+
+
+def test_stars_and_matches_are_listed_in_order_with_the_list_to_flag(sequential_result):
+    rows, matching = star_rows(sequential_result), sequential_result["matching"]
+    assert [row.star_id for row in rows if row.suspect] == [1000, 1017]
+    assert to_flag(sequential_result) == "1000, 1017"
+    assert (rows[3].flags, rows[0].cells[-1]) == ("double", "9.1")
+    assert match_counts(matching)[-1][1] == "4\u202f466"
+    assert [times for _, times in reason_tables(matching)[0].rows] == [371, 24, 5]
+
+
+def test_intervals_stand_beside_what_they_belong_to(sequential_result):
+    intervals = {"availability": {"initial": [0.35, 0.57], "final": [0.96, 1.0]}, "matched_star_ratio": [2.5, 2.9]}
+    with_them = sequential_result | {"validation": sequential_result["validation"] | {"intervals": intervals}}
+    rows = {(row.whose, row.name): row for row in flight_rows(with_them)}
+    assert rows["Validation set", "Frames available"].initial == "46.0\u202f% (35.0 to 57.0)"
+    assert rows["Validation set", "Matched star ratio"].final == "2.70 (2.50 to 2.90)"
+    assert rows["Calibration set", "Matched star ratio"].final == "2.70"
+
+
+CHANGED = {
+    "method": "sqrf", "variant": "q", "free": ["f_m", "m0_px"], "match": "given", "match_parameters": "baseline",
+    "match_rule": "flight", "flight_tolerance_urad": 300.0, "leave_out_doubles": True, "minimum_stars": 5,
+    "max_iterations": 20, "error": "cosine", "robust": "huber", "huber_threshold": 2.0, "linearisations": 1,
+    "process_noise_sigma": 0.5, "forgetting_factor": 0.9, "initial_sigma_scale": 3.0,
+    "star_model": 2, "singular_values": [1, 3], "gain_form": "gain",
+}  # fmt: skip
+
+
+def words(settings):
+    return calibrate_command("a b.csv", "s.json", settings, None, "r.json")
+
+
+def test_the_command_says_defaults_in_two_words_quotes_blanks_and_forgets_no_setting(batch_result):
+    assert words(CalibrationSettings().document())[2:-1] == ["--method batch", "--match rematch"]
+    assert words({})[0] == "boresight calibrate 'a b.csv'"
+    assert set(CHANGED) == set(asdict(CalibrationSettings())) - {"replay_frames_per_s"}
+    assert ["--linearisations" in command(batch_result), "--method batch" in command(batch_result)] == [False, True]
+
+
+@pytest.mark.parametrize("name", [*CHANGED])
+def test_every_changed_setting_becomes_an_option_that_the_command_reads_back(name):
+    command = main.commands["calibrate"]
+    line = words({name: CHANGED[name]})[1:]
+    with click.Context(command) as context:
+        choices = command.parse_args(context, ["t.csv", *" ".join(line).split()])
+        read = context.params[name]
+    assert choices == []
+    listed = isinstance(CHANGED[name], list)
+    assert read == (",".join(map(str, CHANGED[name])) if listed else CHANGED[name])
+
+
+def seen(direction, sigma, frames=200, **rest):
+    weakest = {"direction": direction, "sentence": "Said elsewhere."}
+    observed = {"singular_values": [9.0, 1.0], "sigma_of_direction": [0.1, sigma], "weakest": weakest}
+    return {"observability": observed, "frames": frames, **rest}
+
+
+def test_data_that_would_help_name_what_the_weakest_direction_mixes_and_where_stars_are_missing():
+    assert weakest_words(seen({"m0_px": 0.82, "a2_rad": -0.55, "f_m": 0.05}, 0.4)) == "0.82 m0 − 0.55 a2"
+    assert weakest_words({"observability": None}) == ""
+    radial, coverage = {"radius_px": [0.0, 1000.0], "data_radius_px": 600.0}, {"counts": [[3, 0], [0, 2]]}
+    said = " ".join(helpful_data(seen({"f_m": 1.0}, 0.1, radial=radial, coverage=coverage)))
+    assert "60\u202f% of the way" in said
+    assert "2 of 4 cells" in said
+
+
+@pytest.mark.parametrize(
+    ("direction", "wanted"),
+    [
+        ({"f_m": 0.7, "b2_per_m2": 0.7}, "at all radii"),
+        ({"m0_px": 0.8, "a2_rad": 0.6}, "on opposite sides"),
+        ({"g_y": 1.0}, "along rows and along columns"),
+        ({"s": 1.0}, "along rows and along columns"),
+    ],
+)
+def test_what_is_mixed_says_which_stars_would_part_it(direction, wanted):
+    (first, *_) = helpful_data(seen(direction, 0.1))
+    assert wanted in first
+
+
+@pytest.mark.parametrize(
+    ("sigma", "said"),
+    [
+        (2 * WEAK, "About 800 frames like these, in place of 200"),
+        (20 * WEAK, "alone would not do"),
+        (None, "as open as it is"),
+        (WEAK, "Every direction is known"),
+    ],
+)
+def test_so_many_times_the_frames_as_the_square_of_what_is_missing(sigma, said, sequential_result):
+    assert said in helpful_data(seen({"f_m": 1.0}, sigma))[-1]
+    assert bool(helpful_data(sequential_result | {"observability": None})) is not bool(helpful_data(sequential_result))

@@ -1,18 +1,20 @@
-"""Views of a figure: another axis, a band in place of many curves, a window in full."""
+"""Views of a figure: another axis, a band in place of many curves, a window in full; thinning keeps the extremes."""
 
 import numpy as np
 import plotly.graph_objects as go
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
 
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES, Trace, figure_json
 from boresight.figures.style.axes import ALIGNMENTS
 from boresight.figures.style.theme import run_styles
-from boresight.figures.style.thinning import keep_extremes, thinning
+from boresight.figures.style.thinning import POINT_LIMIT, keep_extremes, thinning
 from boresight.figures.views import POINT_BUDGET, aligned, as_band, find_span, focus
 from tests.figures.conftest import batch, sequential
+from tests.figures.examined import shadow, trust
 
 LONG = 30_000
 
@@ -45,15 +47,12 @@ def test_runs_of_other_weeks_lie_over_each_other_by_time_and_by_update_but_not_b
     assert hours[-1] == pytest.approx(99 * 30 / 3600)
 
 
-def test_updates_are_counted_over_all_of_them_and_not_over_those_that_were_kept():
+def test_updates_are_counted_over_all_and_a_run_without_times_says_what_else_there_is():
     result = sequential(100)
     result["trust"] = {**result["trust"], "nis_over_time": {**result["trust"]["nis_over_time"], "points_in_all": 1981}}
     (trace,) = aligned([Trace("a", result)], "update")
     assert trace.result["history"]["frame"][:2] == [1.0, 21.0]
     assert trace.result["history"]["frame"][-1] == 1981
-
-
-def test_a_run_without_times_cannot_be_aligned_by_them_and_says_what_else_there_is():
     with pytest.raises(RefusedInputError, match=r"Run 7 has no times.*by frame or by update"):
         aligned([Trace("Run 7", sequential(20))], "time")
     with pytest.raises(RefusedInputError, match="choose from frame, time, update"):
@@ -92,46 +91,32 @@ def test_a_band_holds_every_point_of_every_curve_and_touches_the_extremes(drawn)
     assert high.max() == max(y.max() for _, y in curves)
 
 
-def test_a_band_keeps_the_reference_and_replaces_all_others():
-    traces = [Trace(f"Run {k}", sequential(60, seed=k)) for k in range(1, 13)]
-    figure = as_band(FIGURES["rms"].draw(traces), traces)
-    names = {drawn.name for drawn in figure.data}
-    assert names == {"Run 1 · tail", "Run 1 · aggregate", "lowest to highest of 11 runs"}
-    assert len(figure_json(figure)) < len(figure_json(FIGURES["rms"].draw(traces))) / 2
-
-
-def test_a_reference_whose_name_begins_as_another_run_s_is_no_part_of_the_band():
-    labels = ("Run 12", "Run 1", "Run 2", "±3σ and more")
+@pytest.mark.parametrize(
+    "labels", [[f"Run {k}" for k in range(1, 13)], ["Run 12", "Run 1", "Run 2", "±3σ and more"]], ids=["many", "alike"]
+)
+def test_a_band_keeps_the_reference_and_replaces_all_others(labels):
     traces = [Trace(label, sequential(60, seed=k)) for k, label in enumerate(labels)]
-    figure = as_band(FIGURES["rms"].draw(traces), traces)
-    names = {drawn.name for drawn in figure.data}
-    assert names == {"Run 12 · tail", "Run 12 · aggregate", "lowest to highest of 3 runs"}
-    assert sum(drawn.name == "lowest to highest of 3 runs" for drawn in figure.data) == 4  # two panels, two curves
+    figure, band = as_band(FIGURES["rms"].draw(traces), traces), f"lowest to highest of {len(labels) - 1} runs"
+    assert {drawn.name for drawn in figure.data} == {f"{labels[0]} · tail", f"{labels[0]} · aggregate", band}
+    assert sum(drawn.name == band for drawn in figure.data) == 4  # two panels, two curves
+    assert len(labels) < 12 or len(figure_json(figure)) < len(figure_json(FIGURES["rms"].draw(traces))) / 2
 
 
-def test_a_curve_says_whose_it_is_and_a_band_how_many_sigmas_it_reaches():
+def test_a_curve_says_whose_it_is_a_band_its_sigmas_and_twenty_runs_have_twenty_lines():
     drawn = FIGURES["convergence"].draw([Trace("a", sequential(60))]).data
     bands = [trace for trace in drawn if trace.fill == "toself"]
     assert bands
     assert all(trace.meta == {"run": "a", "part": "", "sigmas": 3} for trace in bands)
-
-
-def test_twenty_runs_have_twenty_lines():
     styles = run_styles([Trace(f"Run {k}", {}) for k in range(20)])
     assert len({(style.colour, style.dash) for style in styles}) == 20
 
 
-def test_two_runs_are_no_band():
-    traces = [Trace("a", sequential(60)), Trace("b", sequential(60, seed=2))]
-    figure = FIGURES["rms"].draw(traces)
-    assert as_band(figure, traces).data == figure.data
-
-
-def test_bars_and_maps_have_no_band_and_stay():
-    traces = [Trace(f"Run {k}", sequential(60, seed=k)) for k in range(1, 5)]
-    for name in ("whiteness", "coverage"):
-        figure = FIGURES[name].draw(traces)
-        assert len(as_band(figure, traces).data) == len(figure.data)
+@pytest.mark.parametrize(("name", "runs"), [("whiteness", 4), ("coverage", 4), ("rms", 2)])
+def test_bars_and_maps_and_two_runs_have_no_band_and_stay(name, runs):
+    traces = [Trace(f"Run {k}", sequential(60, seed=k)) for k in range(runs)]
+    figure = FIGURES[name].draw(traces)
+    assert len(as_band(figure, traces).data) == len(figure.data)
+    assert runs > 2 or as_band(figure, traces).data == figure.data
 
 
 def test_a_window_shows_the_points_that_were_thinned_away_and_what_they_add_up_to():
@@ -163,16 +148,14 @@ def test_a_window_of_an_outline_keeps_low_and_high_together(n_points, start, wid
     assert len(drawn.x) <= POINT_BUDGET + 4
 
 
-def test_an_empty_window_is_refused():
-    with pytest.raises(RefusedInputError, match="x_from below x_to"):
-        focus(go.Figure(), 3, 3)
-
-
-def test_putting_thinning_off_ends_with_the_block():
+def test_putting_thinning_off_ends_with_the_block_and_an_empty_window_is_refused():
     values = np.arange(100.0)
     with thinning(whole=True):
         assert len(keep_extremes([values], 10)) == 100
     assert len(keep_extremes([values], 10)) < 20
+    assert np.array_equal(keep_extremes([values]), np.arange(100))
+    with pytest.raises(RefusedInputError, match="x_from below x_to"):
+        focus(go.Figure(), 3, 3)
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -185,4 +168,36 @@ def test_no_figure_of_twenty_long_runs_is_over_500_kb(name, long_result):
 @pytest.fixture(scope="module")
 def long_result():
     """A history longer than any budget: from here on more updates make no figure larger."""
-    return sequential(6000)
+    result = sequential(6000)
+    return result | {"trust": trust(result["sigma"], 6000), "shadow": shadow(6000, range(100), range(200, 300))}
+
+
+SERIES = arrays.arrays(
+    np.float64, st.integers(1, 5000), elements=st.floats(-1e9, 1e9) | st.just(np.nan), fill=st.floats(-1, 1)
+)
+
+
+@given(SERIES, st.integers(10, 400))
+def test_the_extremes_and_the_ends_are_kept(values, limit):
+    kept = keep_extremes([values], limit)
+    assert kept[0] == 0
+    assert kept[-1] == len(values) - 1
+    assert np.all(np.diff(kept) > 0)
+    if np.isfinite(values).any():
+        assert np.nanmin(values[kept]) == np.nanmin(values)
+        assert np.nanmax(values[kept]) == np.nanmax(values)
+
+
+@given(SERIES, SERIES, st.integers(20, 400))
+def test_about_as_many_points_are_kept_as_asked(one, other, limit):
+    n_points = min(len(one), len(other))
+    kept = keep_extremes([one[:n_points], other[:n_points]], limit)
+    assert len(kept) <= max(limit, 4) + 2
+
+
+def test_a_single_spike_among_a_million_points_is_kept():
+    values = np.zeros(1_000_000)
+    values[654_321] = 1.0
+    kept = keep_extremes([values])
+    assert 654_321 in kept
+    assert len(kept) <= POINT_LIMIT + 2

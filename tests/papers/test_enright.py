@@ -23,26 +23,14 @@ HOLDS, FAILS = Conclusion(True, "it does."), Conclusion(False, "it does not.", "
 # The printed numbers.
 
 
-def test_the_reduced_model_is_72_percent_worse_in_table_v_and_not_5_to_13():
+def test_the_printed_numbers_are_what_the_papers_text_makes_of_them_or_not():
     excess = {name: round(100 * share) for name, share in printed.reduced_excess().items()}
     assert excess == {"batch": 72, "q": 23, "no-q": 15, "no-refit": 10}
-
-
-def test_no_refit_is_worst_for_three_sensors_and_best_for_two_in_table_v():
     assert printed.no_refit_rank() == {"worst": [3, 4, 6], "best": [1, 2]}
-
-
-def test_n0_and_a1_have_the_same_sign_for_every_sensor_of_table_iii():
     assert printed.same_sign("n0_px", "a1_rad") == list(printed.SENSORS)
-
-
-def test_the_simulated_truth_is_the_printed_table_iii_in_units_of_table_ii():
     assert np.array_equal(np.array(list(printed.TABLE_III.values())).T, CHANGES)
     assert np.array_equal([nominal for nominal, _ in printed.TABLE_II.values()], NOMINAL)
     assert np.array_equal([sigma for _, sigma in printed.TABLE_II.values()], TYPICAL_SIGMA)
-
-
-def test_most_final_errors_of_table_iv_fell_by_more_than_70_percent_as_its_text_says():
     falls = [1 - final / initial for *_, initial, final in printed.TABLE_IV.values()]
     assert sum(fall > 0.7 for fall in falls) == 4
     assert min(falls) > 0.2
@@ -119,13 +107,10 @@ def test_a_reason_names_the_cause_of_every_number_that_is_not_reproduced():
 # What is run.
 
 
-def test_the_batch_comes_first_for_others_start_at_its_result():
+def test_every_estimator_has_settings_that_a_calibration_accepts_and_the_batch_comes_first():
     assert all(
         estimators_for(sensor, further=further)[0].key == "batch" for sensor in (3, 4) for further in (False, True)
     )
-
-
-def test_every_estimator_has_settings_that_a_calibration_accepts():
     for estimator in ESTIMATORS.values():
         estimator.settings.check()
 
@@ -172,24 +157,24 @@ def test_every_estimator_stands_in_the_document_with_nees_and_its_ratio_to_the_b
     )
 
 
-def test_every_validation_comes_with_bootstrap_intervals(study):
+def test_every_record_is_found_by_sensor_and_estimator_and_its_validation_has_bootstrap_intervals(study):
     for record in study["records"]:
         found = record["validation"]
         low, high = found["intervals"]["rms_arc_rad"]["final"]
         assert low <= found["rms_arc_rad"]["final"] <= high
+    pooled = Pooled(study["records"])
+    assert pooled.sensors == [3, 4]
+    assert pooled.first(3, "batch")["estimator"] == "batch"
+    assert pooled.first(1, "batch") is None
 
 
-def test_the_report_holds_every_table_figure_finding_and_answer(study):
+def test_the_report_holds_every_table_with_units_figure_finding_and_answer(study):
     html = report.render(study)
     assert re.findall(r'data-table="(\w+)"', html) == ["III", "IV", "V", "VI"]  # VII is sensor 2's, which was not run
     assert re.findall(r'data-figure="(\w+)"', html) == ["3a", "3b", "4", "5"]
     assert all(item["question"] in html for item in study["questions"])
     assert 'http-equiv="Content-Security-Policy" content="default-src \'none\'' in html
     assert not re.search(r'(src|href)="', html.partition("<script>")[0])
-
-
-def test_every_number_of_the_tables_has_its_unit_in_the_heading_or_none_to_have(study):
-    html = report.render(study)
     for table in study["tables"]:
         for cell_ in table["rows"][0]["cells"] if table["rows"] else ():
             heading = cell_["column"] + (f" ({cell_['unit']})" if cell_["unit"] else "")
@@ -205,24 +190,14 @@ def test_every_finding_quotes_the_text_and_holds_figures_against_it(study):
     )
 
 
-def test_the_reduced_model_and_the_printed_filter_claim_far_more_than_they_know(study):
+def test_the_reduced_model_claims_far_more_than_it_knows_and_sensors_that_moved_fail_until_calibrated(study):
     nees = {line["estimator"]: line["nees"] for line in study["estimators"]}
     assert nees["reduced-batch"]["mean"] > 1000 * nees["reduced-batch"]["expected"]
     assert nees["batch"]["mean"] < 3 * nees["batch"]["expected"]
     assert nees["printed"]["mean"] > nees["no-q"]["mean"]
-
-
-def test_the_sensors_that_moved_most_fail_in_flight_until_they_are_calibrated(study):
     batches = [record for record in study["records"] if record["estimator"] == "batch"]
     assert all(record["calibration"]["availability"]["initial"] < 0.6 for record in batches)
     assert all(record["calibration"]["availability"]["final"] > 0.95 for record in batches)
-
-
-def test_records_are_found_by_sensor_and_estimator(study):
-    pooled = Pooled(study["records"])
-    assert pooled.sensors == [3, 4]
-    assert pooled.first(3, "batch")["estimator"] == "batch"
-    assert pooled.first(1, "batch") is None
 
 
 def test_a_sensor_that_the_paper_does_not_have_is_refused():

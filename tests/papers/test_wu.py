@@ -33,19 +33,10 @@ from boresight.simulation.sensors import WU_PIXEL_PITCH_M, WU_START, WU_TRUTH
 # The printed numbers.
 
 
-def test_the_papers_time_ratios_are_18_4_and_2():
+def test_the_printed_numbers_are_what_the_papers_text_makes_of_them_or_not():
     assert [round(ratio, 1) for ratio in printed.time_ratios()] == [18.1, 4.5, 1.7]
-
-
-def test_the_saving_of_the_abstract_is_that_of_group_1():
     assert round(100 * (1 - 1 / printed.time_ratios()[0]), 2) == 94.48
-
-
-def test_model_4_with_the_second_and_third_value_is_one_number_in_all_three_tables():
     assert printed.TABLE_2_A["mean"][3] == printed.TABLE_3_A["mean"][1] == printed.TABLE_4["A", "mean"][3] == 0.465
-
-
-def test_the_printed_width_of_the_field_is_a_misprint_and_its_height_is_not():
     assert printed.stated_angle_deg(1920, 2.9e-6, 16e-3) == pytest.approx(19.74, abs=0.005)
     assert printed.stated_angle_deg(1080, 2.9e-6, 16e-3) == pytest.approx(11.18, abs=0.005)
 
@@ -96,15 +87,11 @@ def test_the_first_value_changes_nothing_with_the_full_r(arcs):
 # The criteria.
 
 
-def test_at_the_truth_criterion_a_is_zero_and_b_is_the_noise_of_two_ends(star_fields):
+def test_criterion_a_is_the_mean_over_images_of_the_rms_over_all_pairs_and_b_the_noise_of_two_ends(star_fields):
     judges = Judges.of(star_fields, 0.2, np.random.default_rng(5))
     noise = np.sqrt(2) * 0.2 * WU_PIXEL_PITCH_M / 16e-3 * ARCSEC_PER_RAD
     assert judges.criterion_a(WU_TRUTH)[0] < 1e-4
     assert judges.criterion_b(WU_TRUTH)[0] == pytest.approx(noise, rel=0.03)
-
-
-def test_criterion_a_is_the_mean_over_images_of_the_rms_over_all_pairs(star_fields):
-    judges = Judges.of(star_fields, 0.2, np.random.default_rng(5))
     s = PINHOLE_RADIAL.directions(WU_START, star_fields.row_px, star_fields.col_px, WU_PIXEL_PITCH_M)
     found = []
     for first, last in zip(star_fields.star_start[:-1], star_fields.star_start[1:], strict=True):
@@ -187,29 +174,22 @@ def test_a_ratio_is_the_median_of_rounds_and_its_reason_tells_of_a_busy_machine_
     assert (cells[1].low, cells[1].high) == (14, 22)
 
 
-def test_every_time_ratio_comes_with_its_quartiles(study):
+def test_every_estimator_is_judged_on_every_set_at_both_noises_and_every_time_has_its_quartiles(study):
     cells = [cell for table in study["timing"]["tables"] for row in table["rows"] for cell in row["cells"]]
     assert all(cell["low"] <= cell["ours"] <= cell["high"] for cell in cells)
     assert any(cell["low"] < cell["high"] for cell in cells)
-
-
-def test_every_estimator_is_judged_on_every_set_at_both_noises(study):
     places = {(r["set"], r["magnitude_limit"], r["noise_px"], r["estimator"], r["weights"]) for r in study["records"]}
     assert len(places) == len(study["records"]) == 2 * 2 * (22 + 4 + 4 + 3)
     assert {line["expected"] for line in study["consistency"]} == {6}
 
 
-def test_the_report_holds_every_table_figure_and_finding(study):
+def test_the_report_holds_every_table_figure_and_finding_and_every_row_fills_its_columns(study):
     html = report.render(study)
     assert re.findall(r'data-table="([^"]+)"', html) == ["2", "3", "4", "4 (time)", "3 (time)"]
     assert re.findall(r'data-figure="(\w+)"', html) == ["3", "4", "6a", "6b", "8"]
     assert html.count("<blockquote>") == len(study["findings"]) == 8
     assert "A quick run" in html
     assert not re.search(r'(src|href)="', html.partition("<script>")[0])
-
-
-def test_every_row_of_a_table_fills_the_columns_that_its_headings_name(study):
-    html = report.render(study)
     for table in re.findall(r"<table data-table.*?</table>", html, re.DOTALL):
         columns = len(re.findall("<th[ >]", table))
         widths = [
@@ -228,22 +208,16 @@ def test_a_criterion_within_one_decade_has_an_even_axis_whose_numbers_show(value
     assert draw_criteria({"number": "6b", "curves": [curve]}).layout.yaxis.type == axis
 
 
-def test_nought_is_printed_without_a_sign():
+def test_nought_is_printed_without_a_sign_and_powers_of_ten_are_raised():
     assert [printed_digits(value, 1e-3) for value in (-0.0002, 0.0, -0.0006)] == ["0.000", "0.000", "−0.001"]
-
-
-def test_powers_of_ten_are_raised():
     assert [number(value) for value in (1e-5, -2.5e-12, 1e8, 0.016, None)] == [
         "1·10⁻⁵", "−2.5·10⁻¹²", "1·10⁸", "0.016", "–",
     ]  # fmt: skip
 
 
-def test_a_set_is_the_same_whenever_it_is_run():
+def test_a_set_is_the_same_whenever_it_is_run_and_too_few_images_are_refused():
     once, again = (run_trial(Trial(7, 40, 10), None) for _ in range(2))
     assert once == again
-
-
-def test_too_few_images_are_refused():
     with pytest.raises(RefusedInputError, match="more than 20"):
         wu.run(wu.Plan(frames=20, sets=1, processes=1), None)
 

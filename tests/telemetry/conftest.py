@@ -1,21 +1,9 @@
 """Small files and sensors that the tests of telemetry share."""
 
-import os
-from pathlib import Path
-
 import pytest
 
 from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import parse_sensor
-
-
-@pytest.fixture(scope="session")
-def real_sky():
-    beside = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "real-sky"
-    folder = Path(os.environ.get("BORESIGHT_REAL_SKY", beside))
-    if not folder.is_dir():
-        pytest.skip("the real star fields are not here; BORESIGHT_REAL_SKY says where they are")
-    return folder
 
 
 @pytest.fixture
@@ -30,32 +18,15 @@ def read(tmp_path):
 
 @pytest.fixture
 def document():
+    names = ("f_m", "m0_px", "n0_px", "b4_per_m4", "b2_per_m2", "a1_rad", "a2_rad", "g_y")
     return {
         "name": "STK-1",
         "detector": {"rows": 768, "columns": 1024, "pixel_pitch_m": 6.9e-6},
         "camera_model": "inverted_wang",
         "parity": -1,
         "centroid_sigma_px": 0.13,
-        "initial": {
-            "f_m": 0.035,
-            "m0_px": 383.5,
-            "n0_px": 511.5,
-            "b4_per_m4": 0,
-            "b2_per_m2": 0,
-            "a1_rad": 0,
-            "a2_rad": 0,
-            "g_y": 1.0,
-        },
-        "typical_sigma": {
-            "f_m": 3e-4,
-            "m0_px": 10,
-            "n0_px": 10,
-            "b4_per_m4": 1e6,
-            "b2_per_m2": 100.0,
-            "a1_rad": 0.005,
-            "a2_rad": 0.005,
-            "g_y": 2e-4,
-        },
+        "initial": dict(zip(names, (0.035, 383.5, 511.5, 0, 0, 0, 0, 1.0), strict=True)),
+        "typical_sigma": dict(zip(names, (3e-4, 10, 10, 1e6, 100.0, 0.005, 0.005, 2e-4), strict=True)),
     }
 
 

@@ -29,7 +29,7 @@ def assert_single_fault(error, row, column, *words):
 
 def parquet_bytes(columns):
     sink = pa.BufferOutputStream()
-    arrow_parquet.write_table(pa.table(columns), sink)
+    arrow_parquet.write_table(columns if isinstance(columns, pa.Table) else pa.table(columns), sink)
     return sink.getvalue().to_pybytes()
 
 

@@ -15,11 +15,12 @@ GOOD_JSON = b'{"frame":0,"exposure":0,"row_px":1,"col_px":2'
 #: Rows of the files that are many rows.
 MANY = 300_000
 
-FILES: dict[str, Callable[[np.random.Generator], bytes]] = {}
+Make = Callable[[np.random.Generator], bytes]
+FILES: dict[str, Make] = {}
 
 
-def file(name: str) -> Callable[[Callable[[np.random.Generator], bytes]], Callable[[np.random.Generator], bytes]]:
-    def register(make: Callable[[np.random.Generator], bytes]) -> Callable[[np.random.Generator], bytes]:
+def file(name: str) -> Callable[[Make], Make]:
+    def register(make: Make) -> Make:
         assert name not in FILES
         FILES[name] = make
         return make
@@ -43,12 +44,17 @@ def column_csv(column: str, cell: str, rows: int = MANY) -> bytes:
     return csv(f"{HEAD},{column}", lambda k: f"{k // 20},0,{k % 700}.{k % 20:02},{k % 900},{cell}", rows)
 
 
+def wide(columns: int) -> str:
+    return ",".join([HEAD, *(f"c{k}" for k in range(columns))])
+
+
+def add_rows(name: str, row: Callable[[int], str], rows: int = MANY, more: str = "") -> None:
+    add(name, lambda: csv(HEAD + more, row, rows))
+
+
 # Text: names, lines, quotes, line ends, encodings.
-add(
-    "header of 100,000 columns.csv",
-    lambda: ",".join([HEAD, *(f"c{k}" for k in range(100_000))]).encode() + b"\n0,0,1,2\n",
-)
-add("header of 1,001 columns.csv", lambda: ",".join([HEAD, *(f"c{k}" for k in range(997))]).encode() + b"\n0,0,1,2\n")
+for columns, told in ((100_000, "100,000"), (997, "1,001")):
+    add(f"header of {told} columns.csv", lambda columns=columns: f"{wide(columns)}\n0,0,1,2\n".encode())
 add("header of quoted names.csv", lambda: (HEAD + ',"a,b"' * 90_000).encode() + b"\n0,0,1,2\n")
 add("header of one name repeated.csv", lambda: (HEAD + ",c" * 400_000).encode() + b"\n0,0,1,2\n")
 add("header without names.csv", lambda: HEAD.encode() + b"," * 900_000 + b"\n0,0,1,2\n")
@@ -56,14 +62,8 @@ add("column name of 100 kB.csv", f"{HEAD},{'n' * 100_000}\n0,0,1,2,3\n".encode)
 add("column name of 500 kB.csv", f"{HEAD},{'n' * 500_000}\n0,0,1,2,3\n".encode)
 add("column name in quotes of 500 kB.csv", f'{HEAD},"{"n" * 500_000}"\n0,0,1,2,3\n'.encode)
 add("names that turn direction.csv", lambda: csv(f"{HEAD},\u202e\u2066\u0000x", lambda k: f"{k},0,1,2,3"))
-add(
-    "900 columns of texts.csv",
-    lambda: csv(",".join([HEAD, *(f"c{k}" for k in range(900))]), lambda k: f"{k},0,1,2" + ",ab" * 900, 4000),
-)
-add(
-    "996 columns of nothing.csv",
-    lambda: csv(",".join([HEAD, *(f"c{k}" for k in range(996))]), lambda _: "0,0,1,2" + "," * 996, 10_000),
-)
+add("900 columns of texts.csv", lambda: csv(wide(900), lambda k: f"{k},0,1,2" + ",ab" * 900, 4000))
+add("996 columns of nothing.csv", lambda: csv(wide(996), lambda _: "0,0,1,2" + "," * 996, 10_000))
 add("cell of 20 MB.csv", f"{HEAD},note\n0,0,1,2,{'x' * 20_000_000}\n".encode)
 add("cell of 20 MB in quotes.csv", f'{HEAD},note\n0,0,1,2,"{"x" * 20_000_000}"\n'.encode)
 add("cells of 900 kB.csv", lambda: csv(f"{HEAD},note", lambda k: f"{k},0,1,2,{'x' * 900_000}", 20))
@@ -99,53 +99,45 @@ add("byte-order marks.csv", lambda: b"\xef\xbb\xbf" * 1_000_000 + HEAD.encode() 
 add("not UTF-8 at the end.csv", lambda: column_csv("note", "a") + b"\xff")
 add("surrogates in UTF-8.csv", lambda: column_csv("note", "x").replace(b"x", b"\xed\xa0\x80"))
 add("overlong UTF-8.csv", lambda: column_csv("note", "x").replace(b"x", b"\xc0\xaf"))
-add("rows of too few cells.csv", lambda: csv(HEAD, lambda k: f"{k},0,1"))
+add_rows("rows of too few cells.csv", lambda k: f"{k},0,1")
 add("formulas.csv", lambda: column_csv("=cmd|' /C calc'!A0", "=1+1"))
 
 # What rows say together.
-add("a frame a row.csv", lambda: csv(HEAD, lambda k: f"{k},0,{k % 700},3", 1_000_000))
-add("an exposure a row.csv", lambda: csv(HEAD, lambda k: f"0,{k},{k % 700},3", 900_000))
-add("a frame without end.csv", lambda: csv(HEAD, lambda k: f"0,{k // 9},{k % 9},3", 1_200_000))
-add("an exposure of all stars.csv", lambda: csv(HEAD, lambda k: f"0,0,{k}.5,3", 900_000))
-add(
-    "exposures of 10,000 stars in a line.csv",
-    lambda: csv(HEAD, lambda k: f"{k // 10_000},0,5.0,{3 * (k % 10_000)}", 600_000),
+add_rows("a frame a row.csv", lambda k: f"{k},0,{k % 700},3", 1_000_000)
+add_rows("an exposure a row.csv", lambda k: f"0,{k},{k % 700},3", 900_000)
+add_rows("a frame without end.csv", lambda k: f"0,{k // 9},{k % 9},3", 1_200_000)
+add_rows("an exposure of all stars.csv", lambda k: f"0,0,{k}.5,3", 900_000)
+add_rows("exposures of 10,000 stars in a line.csv", lambda k: f"{k // 10_000},0,5.0,{3 * (k % 10_000)}", 600_000)
+add_rows(
+    "exposures of 10,000 stars in a heap.csv", lambda k: f"{k // 10_000},0,5.{k % 100:02},3.{k % 10_000:04}", 600_000
 )
-add(
-    "exposures of 10,000 stars in a heap.csv",
-    lambda: csv(HEAD, lambda k: f"{k // 10_000},0,5.{k % 100:02},3.{k % 10_000:04}", 600_000),
-)
-add(
+add_rows(
     "exposures of 10,000 stars on a grid.csv",
-    lambda: csv(HEAD, lambda k: f"{k // 10_000},0,{2.5 * (k % 100)},{2.5 * (k // 100 % 100)}", 600_000),
+    lambda k: f"{k // 10_000},0,{2.5 * (k % 100)},{2.5 * (k // 100 % 100)}",
+    600_000,
 )
-add("one centroid for all.csv", lambda: csv(HEAD, lambda k: f"{k // 10_000},0,5,3"))
-add("one star for all.csv", lambda: csv(f"{HEAD},star_id", lambda k: f"{k // 10_000},0,{k % 10_000},3,11767"))
-add("exposures torn apart.csv", lambda: csv(HEAD, lambda k: f"0,{k % 2},{k},3"))
-add("frames that descend.csv", lambda: csv(HEAD, lambda k: f"{-k},0,5,3"))
-add(
-    "frames at the ends of 64 bit.csv",
-    lambda: csv(HEAD, lambda k: f"{(-1) ** (k < 1000) * (2**63 - 2000 + k)},{2**63 - 1},5,3", 2000),
+add_rows("one centroid for all.csv", lambda k: f"{k // 10_000},0,5,3")
+add_rows("one star for all.csv", lambda k: f"{k // 10_000},0,{k % 10_000},3,11767", more=",star_id")
+add_rows("exposures torn apart.csv", lambda k: f"0,{k % 2},{k},3")
+add_rows("frames that descend.csv", lambda k: f"{-k},0,5,3")
+add_rows(
+    "frames at the ends of 64 bit.csv", lambda k: f"{(-1) ** (k < 1000) * (2**63 - 2000 + k)},{2**63 - 1},5,3", 2000
 )
 add("stars off the detector.csv", lambda: column_csv("star_id", "11767").replace(b".00,", b"99.0,"))
-add("centroids at the ends of floats.csv", lambda: csv(HEAD, lambda k: f"{k},0,{(-1) ** k}e308,{(-1) ** k * 1.7}e308"))
-add("directions at the ends of floats.csv", lambda: csv(f"{HEAD},ra_deg,dec_deg", lambda k: f"{k},0,1,2,1e308,-1e308"))
-add(
-    "velocities at the ends of floats.csv",
-    lambda: csv(f"{HEAD},vx_km_s,vy_km_s,vz_km_s", lambda k: f"{k},0,1,2,1e308,1e308,1e308"),
+add_rows("centroids at the ends of floats.csv", lambda k: f"{k},0,{(-1) ** k}e308,{(-1) ** k * 1.7}e308")
+add_rows("directions at the ends of floats.csv", lambda k: f"{k},0,1,2,1e308,-1e308", more=",ra_deg,dec_deg")
+add_rows(
+    "velocities at the ends of floats.csv", lambda k: f"{k},0,1,2,1e308,1e308,1e308", more=",vx_km_s,vy_km_s,vz_km_s"
 )
 add("magnitudes at the ends of floats.csv", lambda: column_csv("magnitude", "1e308"))
 add("sigmas that are no numbers in effect.csv", lambda: column_csv("sigma_px", "1e-320"))
-add("quaternions of nothing.csv", lambda: csv(f"{HEAD},q_x,q_y,q_z,q_w", lambda k: f"{k},0,1,2,0,0,0,0"))
-add("quaternions without a number.csv", lambda: csv(f"{HEAD},q_x,q_y,q_z,q_w", lambda k: f"{k},0,1,2,nan,inf,-inf,1"))
-add(
-    "quaternions without an end.csv",
-    lambda: csv(f"{HEAD},q_x,q_y,q_z,q_w", lambda k: f"{k},0,1,2,1e200,1e200,1e200,1e200"),
-)
+add_rows("quaternions of nothing.csv", lambda k: f"{k},0,1,2,0,0,0,0", more=",q_x,q_y,q_z,q_w")
+add_rows("quaternions without a number.csv", lambda k: f"{k},0,1,2,nan,inf,-inf,1", more=",q_x,q_y,q_z,q_w")
+add_rows("quaternions without an end.csv", lambda k: f"{k},0,1,2,1e200,1e200,1e200,1e200", more=",q_x,q_y,q_z,q_w")
 add("times at the ends of the calendar.csv", lambda: column_csv("time_utc", "0001-01-01T00:00:00+14:00"))
 add("times after the calendar.csv", lambda: column_csv("time_utc", "9999-12-31T23:59:59.999999-14:00"))
-add("times that are none, all different.csv", lambda: csv(f"{HEAD},time_utc", lambda k: f"{k},0,1,2,{k}-13-41Tx"))
-add("times all different.csv", lambda: csv(f"{HEAD},time_utc", lambda k: f"{k},0,1,2,2026-01-01T00:00:00.{k:06}Z"))
+add_rows("times that are none, all different.csv", lambda k: f"{k},0,1,2,{k}-13-41Tx", more=",time_utc")
+add_rows("times all different.csv", lambda k: f"{k},0,1,2,2026-01-01T00:00:00.{k:06}Z", more=",time_utc")
 
 # JSON Lines.
 add("arrays nested on a line.jsonl", lambda: GOOD_JSON + b',"x":' + b"[" * 400_000 + b"]" * 400_000 + b"}\n")
@@ -186,6 +178,10 @@ def rows_of(rows: int) -> dict[str, object]:
     return {"frame": k // 20, "exposure": np.zeros(rows, np.int64), "row_px": (k % 20) * 1.5, "col_px": (k % 700) * 1.0}
 
 
+def with_column(rows: int, column: str, cells: object, **options: object) -> bytes:
+    return parquet({**rows_of(rows), column: cells}, **options)
+
+
 def text_column(length: int, rows: int) -> pa.Array:
     return pa.DictionaryArray.from_arrays(np.zeros(rows, np.int32), pa.array(["x" * length]))
 
@@ -215,29 +211,27 @@ def flipped(data: bytes, rng: np.random.Generator, flips: int, footer_only: bool
 for length in (1000, 4000, 10_000, 100_000):
     add(
         f"text of {length} bytes in a million rows.parquet",
-        lambda length=length: parquet({**rows_of(1_000_000), "note": text_column(length, 1_000_000)}),
+        lambda length=length: with_column(1_000_000, "note", text_column(length, 1_000_000)),
     )
 add(
     "text for numbers in a million rows.parquet",
-    lambda: parquet({**rows_of(1_000_000), "magnitude": text_column(4000, 1_000_000)}),
+    lambda: with_column(1_000_000, "magnitude", text_column(4000, 1_000_000)),
 )
 add(
     "texts of a million kinds.parquet",
-    lambda: parquet({**rows_of(1_000_000), "note": pa.array(map(str, range(1_000_000)))}),
+    lambda: with_column(1_000_000, "note", pa.array(map(str, range(1_000_000)))),
 )
 add(
     "texts compressed a thousandfold.parquet",
-    lambda: parquet({**rows_of(60_000), "note": ["x" * 4000] * 60_000}, use_dictionary=False),
+    lambda: with_column(60_000, "note", ["x" * 4000] * 60_000, use_dictionary=False),
 )
 add(
     "texts by their differences.parquet",
-    lambda: parquet(
-        {**rows_of(60_000), "note": ["x" * 4000] * 60_000},
-        use_dictionary=False,
-        column_encoding={"note": "DELTA_BYTE_ARRAY"},
+    lambda: with_column(
+        60_000, "note", ["x" * 4000] * 60_000, use_dictionary=False, column_encoding={"note": "DELTA_BYTE_ARRAY"}
     ),
 )
-add("text of 60 MB.parquet", lambda: parquet({**rows_of(1), "note": ["x" * 60_000_000]}))
+add("text of 60 MB.parquet", lambda: with_column(1, "note", ["x" * 60_000_000]))
 add(
     "page of 400 MB.parquet",
     lambda: parquet(
@@ -279,23 +273,23 @@ add("groups of a row.parquet", lambda: parquet(rows_of(4_000), row_group_size=1)
 add("pages of a row.parquet", lambda: parquet(rows_of(20_000), max_rows_per_page=1, use_dictionary=False))
 add("no rows.parquet", lambda: parquet(rows_of(0)))
 add("footer of 30 MB.parquet", lambda: parquet(pa.table(rows_of(2)).replace_schema_metadata({"x": "y" * 30_000_000})))
-add("lists of a million.parquet", lambda: parquet({**rows_of(2), "note": [[1] * 1_000_000, []]}))
-add("nested structs.parquet", lambda: parquet({**rows_of(1), "note": pa.array([nested(40)])}))
+add("lists of a million.parquet", lambda: with_column(2, "note", [[1] * 1_000_000, []]))
+add("nested structs.parquet", lambda: with_column(1, "note", pa.array([nested(40)])))
 add(
     "maps.parquet",
-    lambda: parquet({**rows_of(2), "note": pa.array([[("a", 1)], []], pa.map_(pa.string(), pa.int64()))}),
+    lambda: with_column(2, "note", pa.array([[("a", 1)], []], pa.map_(pa.string(), pa.int64()))),
 )
-add("decimals.parquet", lambda: parquet({**rows_of(2), "magnitude": pa.array([1, 2], pa.decimal256(76, 0))}))
+add("decimals.parquet", lambda: with_column(2, "magnitude", pa.array([1, 2], pa.decimal256(76, 0))))
 add(
     "bytes of a fixed length.parquet",
-    lambda: parquet({**rows_of(50_000), "note": pa.array([b"x" * 1000] * 50_000, pa.binary(1000))}),
+    lambda: with_column(50_000, "note", pa.array([b"x" * 1000] * 50_000, pa.binary(1000))),
 )
-add("bytes that are no text.parquet", lambda: parquet({**rows_of(100_000), "note": pa.array([b"\xff\xfe"] * 100_000)}))
+add("bytes that are no text.parquet", lambda: with_column(100_000, "note", pa.array([b"\xff\xfe"] * 100_000)))
 add(
     "times of nanoseconds at their ends.parquet",
-    lambda: parquet({**rows_of(2), "time_utc": pa.array([-(2**63) + 1, 2**63 - 1], pa.timestamp("ns"))}),
+    lambda: with_column(2, "time_utc", pa.array([-(2**63) + 1, 2**63 - 1], pa.timestamp("ns"))),
 )
-add("truth for numbers.parquet", lambda: parquet({**rows_of(100_000), "magnitude": pa.array([True, False] * 50_000)}))
+add("truth for numbers.parquet", lambda: with_column(100_000, "magnitude", pa.array([True, False] * 50_000)))
 add("half a file.parquet", lambda: parquet(rows_of(100_000))[:50_000])
 add("encrypted in name.parquet", lambda: b"PARE" + parquet(rows_of(100))[4:-4] + b"PARE")
 add("footer longer than the file.parquet", lambda: parquet(rows_of(100))[:-8] + b"\xff\xff\xff\x7fPAR1")

@@ -1,4 +1,4 @@
-"""A file read in chunks is the file, or refused as the file is, wherever chunks and pieces are cut."""
+"""A file read in chunks or cut into stretches is the file, or refused as the file is, wherever it is cut."""
 
 from itertools import pairwise
 
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from boresight.errors import RefusedInputError
 from boresight.telemetry.read import parquet, readers, text
 from boresight.telemetry.read.limits import Limits
-from boresight.telemetry.read.readers import read_chunks, read_telemetry, rows_in, write_csv, write_parquet
+from boresight.telemetry.read.readers import read_chunks, read_telemetry, rows_in, stretches, write_csv, write_parquet
 from boresight.telemetry.schema import Telemetry, joined
 from tests.effort import effort
 from tests.strategies import telemetry_tables
@@ -34,9 +34,9 @@ def write_json_lines(telemetry, path):
     path.write_bytes(b"".join(orjson.dumps(row, option=orjson.OPT_APPEND_NEWLINE) for row in present))
 
 
-def write_in_small_groups(telemetry, path):
+def write_in_small_groups(telemetry, path, rows=3):
     write_parquet(telemetry, path)
-    arrow_parquet.write_table(arrow_parquet.read_table(path), path, row_group_size=3)
+    arrow_parquet.write_table(arrow_parquet.read_table(path), path, row_group_size=rows)
 
 
 WRITERS = {"csv": write_csv, "jsonl": write_json_lines, "parquet": write_in_small_groups}
@@ -75,11 +75,7 @@ FAULTS = [
 ]  # fmt: skip
 
 
-@settings(
-    max_examples=effort(60, 300),
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+@settings(EXAMPLES, max_examples=effort(60, 300))
 @given(
     spoils=st.lists(st.tuples(st.integers(0, 71), st.integers(0, 4), st.sampled_from(FAULTS)), min_size=1, max_size=4),
     form=st.sampled_from(["csv", "jsonl"]),
@@ -130,12 +126,8 @@ def as_json(lines):
     ],
 )
 def test_parquet_is_refused_alike_in_any_batches(column, change, words, tmp_path, monkeypatch):
-    columns = {
-        "frame": [k // 2 for k in range(12)],
-        "exposure": [0] * 12,
-        "row_px": [float(k) for k in range(12)],
-        "col_px": [1.0] * 12,
-    }
+    columns = {"frame": [k // 2 for k in range(12)], "exposure": [0] * 12}
+    columns |= {"row_px": [float(k) for k in range(12)], "col_px": [1.0] * 12}
     for row, cell in change.items():
         columns[column][row] = cell
     path = tmp_path / "pass.parquet"
@@ -202,3 +194,72 @@ def test_only_parquet_tells_its_rows_at_once(tmp_path):
     (tmp_path / "pass.csv").write_text(GOOD)
     assert rows_in(tmp_path / "pass.parquet") == 2
     assert rows_in(tmp_path / "pass.csv") is None
+
+
+def of_frames(frame, path, rows=4):
+    n = len(frame)
+    cells = {"exposure": np.zeros(n, np.int64), "row_px": np.arange(n) + 0.5, "col_px": np.arange(n) + 0.5}
+    arrow_parquet.write_table(pa.table({"frame": frame} | cells), path, row_group_size=rows)
+    return path
+
+
+@EXAMPLES
+@given(telemetry=telemetry_tables(), group=st.integers(1, 40), batch=st.integers(1, 50), frames=st.integers(1, 3))
+def test_the_stretches_put_together_are_the_file(telemetry, group, batch, frames, tmp_path, monkeypatch):
+    monkeypatch.setattr(parquet, "_BATCH_ROWS", batch)
+    path = tmp_path / "pass.parquet"
+    write_in_small_groups(telemetry, path, group)
+    found = stretches(path, path.name, frames)
+    parts = [part for stretch in found for part in stretch.chunks(frames)]
+    whole = read_telemetry(path)
+    if found:
+        assert_same(joined(parts), whole)
+        assert [part.first_row for part in parts] == [1 + sum(map(len, parts[:k])) for k in range(len(parts))]
+        assert (found[0].begins, found[-1].ends) == (0, len(whole))
+        assert all(one.ends == other.begins for one, other in pairwise(found))
+        assert all(whole.frame[one.ends - 1] < whole.frame[one.ends] for one in found[:-1])
+        assert all(len(np.unique(whole.frame[one.begins : one.ends])) >= 4 * frames for one in found[:-1])
+
+
+def test_a_stretch_begins_where_a_frame_begins_in_a_group_and_holds_a_longer_frame_whole(tmp_path):
+    frame = np.repeat(np.arange(40), 3)  # groups of 10 rows: frame 4 begins in row 12, frame 7 in row 21, ...
+    found = stretches(of_frames(frame, tmp_path / "a.parquet", rows=10), "a.parquet", 1)
+    assert [one.begins for one in found] == [0, 12, 30, 42, 60, 72, 90, 102]
+    frame = np.repeat([1, 2, 3, 4, 5, 6, 7, 8, 9], [1, 1, 1, 1, 50, 1, 1, 1, 1])
+    found = stretches(of_frames(frame, tmp_path / "a.parquet"), "a.parquet", 1)
+    assert [(one.begins, one.ends) for one in found] == [(0, 4), (4, 58)]
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        np.append(np.arange(30), 3),
+        np.arange(30, dtype=np.float64),
+        pa.array([*range(30), None]),
+        np.zeros(30, np.int64),
+        np.arange(4),
+        [str(k) for k in range(30)],
+    ],
+    ids=["descends", "no integers", "a cell is empty", "one frame", "one group", "text"],
+)
+def test_what_must_be_read_from_its_start_has_no_stretches(frame, tmp_path):
+    assert stretches(of_frames(frame, tmp_path / "a.parquet"), "a.parquet", 1) == []
+    arrow_parquet.write_table(pa.table({"exposure": [1, 2, 3]}), tmp_path / "b.parquet", row_group_size=1)
+    (tmp_path / "pass.csv").write_text(GOOD)
+    assert [stretches(tmp_path / name, name, 1) for name in ("b.parquet", "pass.csv")] == [[], []]
+
+
+def test_a_stretch_refuses_its_own_faults_by_the_rows_of_the_file_and_a_damaged_file_is_refused(tmp_path):
+    path = of_frames(np.arange(40), tmp_path / "a.parquet")
+    table = arrow_parquet.read_table(path)
+    row_px = table["row_px"].to_numpy().copy()
+    row_px[33] = np.inf
+    arrow_parquet.write_table(table.set_column(2, "row_px", pa.array(row_px)), path, row_group_size=4)
+    *sound, torn, _ = stretches(path, "a.parquet", 1)
+    assert torn.begins <= 33 < torn.ends
+    assert sum(len(part) for one in sound for part in one.chunks(1)) == torn.begins
+    with pytest.raises(RefusedInputError, match="row 34, column row_px"):
+        list(torn.chunks(1))
+    path.write_bytes(path.read_bytes()[:-9] + b"PAR1")
+    with pytest.raises(RefusedInputError, match="truncated or damaged"):
+        stretches(path, "a.parquet", 1)

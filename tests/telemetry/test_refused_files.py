@@ -1,13 +1,26 @@
-"""A file that cannot be read as a whole is refused in one sentence that says what it is."""
+"""What cannot be read is refused in one sentence: other kinds of files, hostile documents, values with row and column."""
+
+import bz2
+import gzip
+import io
+import json
+import lzma
+import sqlite3
+import tarfile
+import time
+import zipfile
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as arrow_parquet
 import pytest
+from pyarrow import feather
 
+from boresight.calibration.parameter_file import read_document
 from boresight.errors import RefusedInputError
+from boresight.telemetry.read.formats import parse_json, read_text
 from boresight.telemetry.read.readers import read_telemetry
-from tests.telemetry.files import GOOD, HEADER, MINIMAL, assert_single_fault, parquet_bytes, refused
+from boresight.telemetry.sensors import read_sensor
+from tests.telemetry.files import GOOD, HEADER, MINIMAL, ROWS, assert_single_fault, parquet_bytes, refused, with_columns
 
 
 @pytest.mark.parametrize(
@@ -71,13 +84,15 @@ def test_a_wrong_line_of_json_is_named(read, line, row, column, words):
     assert_single_fault(refused(read, f"{first}\n{line}\n", "pass.jsonl"), row, column, words)
 
 
-def test_a_json_number_written_as_text_is_a_number(read):
+def test_a_json_number_written_as_text_is_a_number_and_an_empty_row_of_a_group_absent(read):
     telemetry = read(
         '{"frame":0,"exposure":0,"row_px":"1.5","col_px":2,"star_id":"","note":[1,{"a":2}]}', "pass.ndjson"
     )
     assert telemetry.row_px.tolist() == [1.5]
     assert telemetry.star_id.tolist() == [0]
     assert telemetry.unknown["note"].to_pylist() == ['[1,{"a":2}]']
+    telemetry = read("frame,exposure,row_px,col_px,ra_deg,dec_deg\n0,0,1,2,,\n0,0,3,4,5,6\n")
+    assert np.isnan(telemetry.ra_rad).tolist() == [True, False]
 
 
 @pytest.mark.parametrize(
@@ -87,22 +102,30 @@ def test_a_file_that_is_no_json_lines_is_refused(read, content, words):
     assert words in str(refused(read, content, "pass.jsonl"))
 
 
-@pytest.mark.parametrize("keep", [4, 20, 200, -1])
-def test_truncated_parquet_is_refused(read, keep):
-    error = refused(read, parquet_bytes(MINIMAL)[:keep], "pass.parquet")
-    assert "truncated or damaged" in str(error)
+TWICE = pa.Table.from_arrays([pa.array([1]), pa.array([2])], names=["frame", "frame"])
+NOTED = parquet_bytes({**MINIMAL, "note": ["x" * 500, "y" * 500]})
 
 
-def test_damaged_pages_of_parquet_are_refused(read):
-    content = bytearray(parquet_bytes({**MINIMAL, "note": ["x" * 500, "y" * 500]}))
-    content[4:60] = bytes(56)
-    assert "truncated or damaged" in str(refused(read, bytes(content), "pass.parquet"))
-
-
-@pytest.mark.parametrize("text", [b"note", b"x" * 7])
-def test_parquet_text_that_is_not_utf8_is_refused(read, text):
-    content = parquet_bytes({**MINIMAL, "note": ["x" * 7, "y"]}).replace(text, b"\xff" * len(text))
+@pytest.mark.parametrize(
+    "content",
+    [
+        *(parquet_bytes(MINIMAL)[:keep] for keep in (4, 20, 200, -1)),
+        NOTED[:4] + bytes(56) + NOTED[60:],
+        *(
+            parquet_bytes({**MINIMAL, "note": ["x" * 7, "y"]}).replace(text, b"\xff" * len(text))
+            for text in (b"note", b"x" * 7)
+        ),
+    ],
+    ids=["4 bytes", "20 bytes", "200 bytes", "all but one", "damaged pages", "name not UTF-8", "text not UTF-8"],
+)
+def test_truncated_or_damaged_parquet_is_refused(read, content):
     assert "truncated or damaged" in str(refused(read, content, "pass.parquet"))
+
+
+def test_text_named_parquet_and_parquet_for_json_are_refused(read):
+    assert "named as Parquet" in str(refused(read, GOOD, "pass.parquet"))
+    with pytest.raises(RefusedInputError, match="Parquet"):
+        read_text("sensor.json", b"PAR1\x15\x04")
 
 
 @pytest.mark.parametrize(
@@ -114,6 +137,7 @@ def test_parquet_text_that_is_not_utf8_is_refused(read, text):
         ({**MINIMAL, "row_px": ["1.0", "x"]}, 2, "row_px", "'x' is not a number"),
         ({**MINIMAL, "time_utc": [1, 2]}, None, "time_utc", "times are expected"),
         ({key: [] for key in MINIMAL}, None, None, "no rows"),
+        (TWICE, None, "frame", "twice"),
     ],
 )
 def test_parquet_cells_are_held_to_the_same(read, columns, row, column, words):
@@ -121,34 +145,16 @@ def test_parquet_cells_are_held_to_the_same(read, columns, row, column, words):
 
 
 def test_parquet_types_of_other_programs_are_understood(read):
-    content = parquet_bytes(
-        {
-            "frame": pa.array([0, 1], pa.uint8()),
-            "exposure": pa.array([0.0, 0.0], pa.float32()),
-            "row_px": pa.array([1, 2], pa.int32()),
-            "col_px": pa.array(["3", "4"]).dictionary_encode(),
-            "time_utc": pa.array(["2024-01-01", None]).cast(pa.timestamp("ns")),
-            "star_id": pa.array([None, 5.0], pa.float64()),
-            "magnitude": pa.nulls(2),
-            "blob": pa.array([b"\xff", None], pa.binary()),
-        }
-    )
-    telemetry = read(content, "pass.parquet")
+    columns = {"frame": pa.array([0, 1], pa.uint8()), "exposure": pa.array([0.0, 0.0], pa.float32())}
+    columns |= {"row_px": pa.array([1, 2], pa.int32()), "col_px": pa.array(["3", "4"]).dictionary_encode()}
+    columns |= {"time_utc": pa.array(["2024-01-01", None]).cast(pa.timestamp("ns")), "magnitude": pa.nulls(2)}
+    columns |= {"star_id": pa.array([None, 5.0], pa.float64()), "blob": pa.array([b"\xff", None], pa.binary())}
+    telemetry = read(parquet_bytes(columns), "pass.parquet")
     assert telemetry.col_px.tolist() == [3.0, 4.0]
     assert telemetry.star_id.tolist() == [0, 5]
     assert telemetry.time_utc[0] == np.datetime64("2024-01-01", "us")
     assert np.isnan(telemetry.magnitude).all()
     assert len(telemetry.unknown["blob"]) == 2
-
-
-def test_text_named_parquet_is_refused(read):
-    assert "named as Parquet" in str(refused(read, GOOD, "pass.parquet"))
-
-
-def test_a_column_twice_in_parquet_is_refused(read):
-    sink = pa.BufferOutputStream()
-    arrow_parquet.write_table(pa.Table.from_arrays([pa.array([1]), pa.array([2])], names=["frame", "frame"]), sink)
-    assert_single_fault(refused(read, sink.getvalue().to_pybytes(), "pass.parquet"), None, "frame", "twice")
 
 
 def test_a_folder_or_a_missing_file_is_refused(tmp_path):
@@ -163,3 +169,185 @@ def test_only_the_first_twenty_faults_are_listed_and_the_others_counted(read):
     assert len(error.faults) == 20
     assert [fault.row for fault in error.faults] == list(range(2, 22))
     assert str(error).endswith("(and 499 more faults)")
+
+
+@pytest.mark.parametrize("column", ["frame", "exposure", "row_px", "col_px"])
+def test_a_missing_column_is_named_with_those_the_file_has(read, column):
+    error = refused(read, GOOD.replace(column, "other"))
+    assert_single_fault(error, None, column, "missing", "other", "star_id")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "row", "column", "words"),
+    [
+        ("30.5", "abc", 3, "row_px", ["'abc' is not a number"]),
+        ("30.5", "nan", 3, "row_px", ["not a measurement"]),
+        ("30.5", "-Infinity", 3, "row_px", ["not a measurement"]),
+        ("30.5", "1e999", 3, "row_px", ["inf"]),
+        ("0,0,30.5,40.25", ",0,30.5,40.25", 3, "frame", ["empty"]),
+        ("0,0,30.5,40.25", "0,,30.5,40.25", 3, "exposure", ["empty"]),
+        ("30.5", "", 3, "row_px", ["empty"]),
+        ("40.25", "", 3, "col_px", ["empty"]),
+        ("-1", "-7", 5, "star_id", ["-7", "leave it empty"]),
+        ("40.25,", "40.25,11", 3, "star_id", ["star 11 is already in row 2", "leave star_id empty"]),
+        ("30.5,40.25", "10.5,20.25", 3, "row_px", ["row 2", "delete one"]),
+        ("\n".join(ROWS), "\n".join([ROWS[3], *ROWS[:3]]), 3, "frame", ["frame 0 follows frame 1", "sort"]),
+        ("\n".join(ROWS), "\n".join([ROWS[0], ROWS[2], ROWS[1]]), 4, "exposure", ["interrupted", "sort"]),
+    ],
+)
+def test_what_cannot_be_in_a_row_is_refused_with_row_column_and_what_to_do(read, old, new, row, column, words):
+    assert_single_fault(refused(read, GOOD.replace(old, new)), row, column, *words)
+    assert len(read(GOOD.replace(",11", ",0"))) == 4  # unmatched rows are no duplicates of one another
+
+
+@pytest.mark.parametrize("cell", ["1.5", "1e30", "99999999999999999999"])
+def test_frames_exposures_and_star_numbers_are_whole_numbers(read, cell):
+    error = refused(read, f"{HEADER}\n{cell},0,1,2,3\n0,{cell},1,2,3\n0,0,1,2,{cell}\n")
+    assert [(fault.row, fault.column) for fault in error.faults] == [(2, "frame"), (3, "exposure"), (4, "star_id")]
+    assert "whole number" in str(error)
+    assert str(error).endswith("(and 2 more faults)")
+
+
+@pytest.mark.parametrize(
+    ("columns", "cells", "column", "words"),
+    [
+        ("magnitude", '"nan"', "magnitude", "empty"),
+        ("temperature_c", '"inf"', "temperature_c", "empty"),
+        ("sigma_px", '"1,5"', "sigma_px", "empty"),
+        ("ra_deg,dec_deg", "361,0", "ra_deg", "361"),
+        ("ra_deg,dec_deg", "-181,0", "ra_deg", "-181"),
+        ("ra_deg,dec_deg", "10,90.5", "dec_deg", "90.5"),
+        ("ra_deg,dec_deg", "10,", "ra_deg", "give all of ra_deg and dec_deg"),
+        ("q_x,q_y,q_z,q_w", "1,0,0,0.5", "q_x", "1.11803"),
+        ("q_x,q_y,q_z,q_w", "1,0,0,", "q_x", "give all"),
+        ("vx_km_s,vy_km_s,vz_km_s", "7500,0,0", "vx_km_s", "not metres"),
+        ("vx_km_s,vy_km_s,vz_km_s", ",0,0", "vx_km_s", "give all"),
+        ("sigma_px", "-0.1", "sigma_px", "not positive"),
+        ("sigma_px", "0", "sigma_px", "not positive"),
+        ("time_utc", "29/07/2019", "time_utc", "ISO 8601"),
+        ("time_utc", "2019-02-30T00:00:00Z", "time_utc", "ISO 8601"),
+        ("time_utc", "1800-01-01T00:00:00Z", "time_utc", "1900 and 2100"),
+    ],
+)
+def test_values_that_cannot_be_are_refused(read, columns, cells, column, words):
+    assert_single_fault(refused(read, with_columns(columns, cells)), 2, column, words)
+
+
+@pytest.mark.parametrize(
+    ("given", "missing"), [("ra_deg", "dec_deg"), ("q_x,q_y,q_z", "q_w"), ("vx_km_s,vz_km_s", "vy_km_s")]
+)
+def test_columns_that_only_make_sense_together_are_asked_for_together(read, given, missing):
+    error = refused(read, with_columns(given, ",".join("0" for _ in given.split(","))))
+    assert_single_fault(error, None, missing, "give all of")
+
+
+HOSTILE = {
+    "an integer of 5,000 digits": '{"name": ' + "9" * 5000 + "}",
+    "arrays 100,000 deep": '{"name": ' + "[" * 100_000 + "]" * 100_000 + "}",
+    "arrays 500 deep": '{"name": ' + "[" * 500 + "]" * 500 + "}",
+    "objects 500 deep": '{"name": ' * 500 + "1" + "}" * 500,
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_document_that_cannot_be_one_is_not_json_nor_a_sensor_nor_a_parameters_file(name, tmp_path):
+    (tmp_path / "hostile.json").write_text(HOSTILE[name])
+    with pytest.raises(json.JSONDecodeError):
+        parse_json(HOSTILE[name])
+    for read_file in (read_sensor, read_document):
+        with pytest.raises(RefusedInputError, match="not JSON"):
+            read_file(tmp_path / "hostile.json")
+
+
+def test_a_document_may_be_as_deep_as_ours_but_a_hundred_thousand_fields_are_refused_in_no_time(tmp_path):
+    text = "[" * 32 + "]" * 32
+    assert json.dumps(parse_json(text)) == text
+    path = tmp_path / "wide.json"
+    path.write_text(json.dumps({f"detectors{k}": k for k in range(100_000)}))
+    began = time.process_time()
+    with pytest.raises(RefusedInputError) as caught:
+        read_sensor(path)
+    assert time.process_time() - began < 2.0
+    assert any("100,000 fields" in str(fault) for fault in caught.value.faults)
+
+
+IMAGES = {
+    "FITS": b"SIMPLE  =                    T / conforms to FITS".ljust(80)
+    + b"BITPIX  =                   16".ljust(80),
+    "TIFF": b"II*\0\x08\0\0\0\x0e\0",
+    "PNG": b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR",
+    "JPEG": b"\xff\xd8\xff\xe0\0\x10JFIF\0",
+}
+
+
+def made(write, *values, **named):
+    file = io.BytesIO()
+    write(file, *values, **named)
+    return file.getvalue()
+
+
+def archive(file, name):
+    with zipfile.ZipFile(file, "w") as packed:
+        packed.writestr(name, b"x")
+
+
+def tape(file):
+    with tarfile.open(fileobj=file, mode="w") as packed:
+        packed.addfile(tarfile.TarInfo("pass.csv"))
+
+
+def database():
+    with sqlite3.connect(":memory:") as empty:
+        empty.execute("CREATE TABLE stars (frame INTEGER)")
+        return empty.serialize()
+
+
+OTHERS = {
+    "ZIP archive": made(archive, "pass.csv"),
+    "Excel workbook": made(archive, "xl/workbook.xml"),
+    "NumPy arrays": made(np.savez, row_px=np.zeros(3)),
+    "NumPy array": made(np.save, np.zeros(3)),
+    "gzip": gzip.compress(GOOD.encode()),
+    "bzip2": bz2.compress(GOOD.encode()),
+    "xz": lzma.compress(GOOD.encode()),
+    "tar": made(tape),
+    "PDF": b"%PDF-1.7\n%\xe2\xe3\xcf\xd3\n",
+    "HDF5": b"\x89HDF\r\n\x1a\n\0\0\0\0",
+    "Arrow": made(lambda file: feather.write_feather(pa.table({"frame": [0]}), file)),
+    "Feather": b"FEA1\0\0\0\0",
+    "SQLite": database(),
+    "ELF": b"\x7fELF\x02\x01\x01\0",
+}
+
+
+@pytest.mark.parametrize("name", ["pass.csv", "pass.jsonl", "pass.parquet", "pass", "pass.fits"])
+@pytest.mark.parametrize("kind", IMAGES)
+def test_an_image_is_told_that_centroids_are_read_and_not_to_be_saved_as_utf8(read, kind, name):
+    sentence = str(refused(read, IMAGES[kind], name))
+    assert f"{kind} image" in sentence
+    assert "centroids, not images" in sentence
+    assert "UTF-8" not in sentence
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+def test_another_file_is_called_what_it_is(read, kind):
+    for name in ("pass.csv", "pass.jsonl", "pass.parquet", "pass"):
+        sentence = str(refused(read, OTHERS[kind], name))
+        assert kind in sentence
+        assert "UTF-8" not in sentence
+
+
+@pytest.mark.parametrize("kind", [*IMAGES, *OTHERS])
+def test_a_sensor_file_that_is_another_file_is_called_what_it_is(kind, tmp_path):
+    path = tmp_path / "sensor.json"
+    path.write_bytes({**IMAGES, **OTHERS}[kind])
+    with pytest.raises(RefusedInputError, match=kind) as caught:
+        read_sensor(path)
+    assert "UTF-8" not in str(caught.value)
+
+
+@pytest.mark.parametrize("first", ["ORCa", "BZh", "FEA1", "Obj"])
+def test_a_column_may_be_called_as_a_signature_is(read, first):
+    header, *rows = GOOD.strip().split("\n")
+    moved = "\n".join([f"{first},{header}", *(f"7,{row}" for row in rows)])
+    assert read(moved, "pass.csv").unknown[first].to_pylist() == ["7"] * len(rows)

@@ -1,6 +1,9 @@
-"""A sensor description is read whole or refused with the names of the wrong fields."""
+"""A sensor description is read whole or refused by its wrong fields; telemetry that does not fit it is left out or refused."""
 
+import dataclasses
+import functools
 import json
+import operator
 
 import numpy as np
 import pytest
@@ -8,9 +11,12 @@ from hypothesis import given, settings
 
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
+from boresight.telemetry.quality.detector import OffDetector, check_against_sensor
+from boresight.telemetry.schema import select_rows
 from boresight.telemetry.sensors import parse_sensor, read_sensor, sensor_document
 from tests.effort import effort
 from tests.strategies import sensors
+from tests.telemetry.troubles import calm_telemetry
 
 
 def refusal(document):
@@ -21,9 +27,7 @@ def refusal(document):
 
 def changed(document, path, value):
     *folders, key = path.split(".")
-    place = document
-    for folder in folders:
-        place = place[folder]
+    place = functools.reduce(operator.getitem, folders, document)
     if value is ...:
         del place[key]
     else:
@@ -31,21 +35,17 @@ def changed(document, path, value):
     return document
 
 
-def test_a_right_description_is_read_in_the_models_order(document):
-    sensor = parse_sensor(document)
-    assert (sensor.rows, sensor.columns, sensor.parity) == (768, 1024, -1)
-    assert sensor.initial.tolist() == [0.035, 383.5, 511.5, 0.0, 0.0, 0.0, 0.0, 1.0]
-    assert sensor.typical_sigma.tolist() == [3e-4, 10.0, 10.0, 1e6, 100.0, 0.005, 0.005, 2e-4]
-    assert sensor.free == CAMERA_MODELS["inverted_wang"].parameter_names
-    assert sensor.magnitude_limit is None
-
-
-def test_free_names_are_put_in_the_models_order(document):
+def test_a_right_description_is_read_in_the_models_order_from_a_file_too(document, tmp_path):
+    path = tmp_path / "stk.sensor.json"
+    path.write_bytes(b"\xef\xbb\xbf" + json.dumps(document | {"comment": "from the clean room", "serial": 12}).encode())
+    for sensor in (parse_sensor(document), read_sensor(path)):  # keys of other names are let pass
+        assert (sensor.name, sensor.rows, sensor.columns, sensor.parity) == ("STK-1", 768, 1024, -1)
+        assert sensor.initial.tolist() == [0.035, 383.5, 511.5, 0.0, 0.0, 0.0, 0.0, 1.0]
+        assert sensor.typical_sigma.tolist() == [3e-4, 10.0, 10.0, 1e6, 100.0, 0.005, 0.005, 2e-4]
+        assert (sensor.free, sensor.magnitude_limit) == (CAMERA_MODELS["inverted_wang"].parameter_names, None)
     assert parse_sensor({**document, "free": ["g_y", "f_m"]}).free == ("f_m", "g_y")
-
-
-def test_keys_of_other_names_are_let_pass(document):
-    assert parse_sensor({**document, "comment": "from the clean room", "serial": 12}).name == "STK-1"
+    with pytest.raises(RefusedInputError, match="does not exist"):
+        read_sensor(tmp_path / "none.json")
 
 
 @settings(max_examples=effort(12, 60), deadline=None)
@@ -55,13 +55,6 @@ def test_a_sensor_survives_its_document_and_json(sensor):
     np.testing.assert_array_equal(again.initial, sensor.initial)
     np.testing.assert_array_equal(again.typical_sigma, sensor.typical_sigma)
     assert sensor_document(again) == sensor_document(sensor)
-
-
-@pytest.mark.parametrize(
-    "key", ["name", "detector", "camera_model", "parity", "centroid_sigma_px", "initial", "typical_sigma"]
-)
-def test_a_missing_key_is_named(document, key):
-    assert f"{key} is missing" in refusal(changed(document, key, ...))
 
 
 @pytest.mark.parametrize(
@@ -90,6 +83,10 @@ def test_a_wrong_number_is_named(document, path, value, words):
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
+        *(
+            (key, ..., f"{key} is missing")
+            for key in ("name", "detector", "camera_model", "parity", "centroid_sigma_px", "initial", "typical_sigma")
+        ),
         ("name", "", "name is ''"),
         ("name", " STK", "printable characters"),
         ("name", "a" * 65, "1 to 64"),
@@ -144,12 +141,6 @@ def test_every_wrong_field_is_listed(document):
     assert [fault.detail.split()[0] for fault in caught.value.faults] == ["parity", "initial.f_m"]
 
 
-def test_a_sensor_file_is_read(document, tmp_path):
-    path = tmp_path / "stk.sensor.json"
-    path.write_bytes(b"\xef\xbb\xbf" + json.dumps(document).encode())
-    assert read_sensor(path).name == "STK-1"
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -170,11 +161,80 @@ def test_a_file_that_is_no_sensor_file_is_refused_by_name(tmp_path, content, wor
     assert str(caught.value).startswith("stk.sensor.json")
 
 
-def test_a_missing_sensor_file_is_refused(tmp_path):
-    with pytest.raises(RefusedInputError, match="does not exist"):
-        read_sensor(tmp_path / "none.json")
-
-
 def test_the_real_sensor_is_read(real_sky):
     sensor = read_sensor(real_sky / "esa.sensor.json")
     assert (sensor.name, sensor.parity, sensor.centroid_sigma_px) == ("ESA-HF35XA", -1, 0.13)
+
+
+HEADER = "frame,exposure,row_px,col_px,star_id\n"
+
+
+def test_matched_stars_off_the_detector_are_refused_with_row_and_column_by_numbers_or_directions(read, sensor):
+    telemetry = read(f"{HEADER}0,0,10,20,1\n0,0,769.6,20,2\n0,0,5,-2.51,3\n")
+    with pytest.raises(RefusedInputError) as caught:
+        check_against_sensor(telemetry, sensor)
+    assert [(fault.row, fault.column) for fault in caught.value.faults] == [(3, "row_px"), (4, "col_px")]
+    assert "769.6 is off the detector (-0.5 to 767.5): choose the right sensor" in str(caught.value)
+    telemetry = read("frame,exposure,row_px,col_px,ra_deg,dec_deg\n0,0,9000,20,1,2\n0,0,9001,20,,\n")
+    with pytest.raises(RefusedInputError) as caught:
+        check_against_sensor(telemetry, sensor)
+    assert [fault.row for fault in caught.value.faults] == [2]
+
+
+@pytest.mark.parametrize(
+    "rows",
+    ["0,0,10,20,1\n0,0,9000,20,\n", "0,0,769.4,-2.4,1\n", "0,0,-0.5,-0.5,1\n0,0,767.5,1023.5,2\n"],
+    ids=["unmatched", "a star cut by the edge", "the edge of the outermost pixels"],
+)
+def test_what_is_unmatched_cut_by_the_edge_or_on_it_is_let_pass(read, sensor, rows):
+    check_against_sensor(read(HEADER + rows), sensor)
+
+
+def off_by(telemetry, count, px=5.0):
+    rows = np.linspace(0, len(telemetry) - 1, count).round().astype(int)
+    row_px = telemetry.row_px.copy()
+    row_px[rows] = 767.5 + px
+    return dataclasses.replace(telemetry, row_px=row_px), rows
+
+
+def test_one_star_5_px_off_the_detector_is_left_out_with_its_row_and_distance(sensor):
+    calm = calm_telemetry()
+    moved, rows = off_by(calm, 1)
+    off = check_against_sensor(moved, sensor).document()
+    star = {"row": int(rows[0]) + 2, "frame": 0, "exposure": 0, "star_id": int(calm.star_id[0]), "off_px": 5.0}
+    assert off == {"stars": 1, "farthest_px": 5.0, "rows": [star]}
+
+
+@pytest.mark.parametrize("repeats", [1, 4], ids=["of a few", "of many"])
+def test_a_set_is_refused_from_one_star_more_than_are_left_out(sensor, repeats):
+    whole = calm_telemetry()
+    arrays = {name: values for name, values in vars(whole).items() if isinstance(values, np.ndarray)}
+    tiled = {name: np.tile(values, (repeats,) + (1,) * (values.ndim - 1)) for name, values in arrays.items()}
+    whole = dataclasses.replace(whole, **tiled)
+    most = max(3, len(whole) // 100)
+    assert check_against_sensor(off_by(whole, most)[0], sensor).stars == most
+    moved, rows = off_by(whole, most + 1)
+    with pytest.raises(RefusedInputError) as caught:
+        check_against_sensor(moved, sensor)
+    assert [fault.row for fault in caught.value.faults] == (rows + 2).tolist()
+    assert f"{most + 1} of its {len(whole):,} matched stars" in str(caught.value)
+
+
+@pytest.mark.parametrize("count", [2, 60])
+def test_what_is_left_out_or_refused_does_not_depend_on_the_parts_a_set_comes_in(sensor, count):
+    moved, _ = off_by(calm_telemetry(), count)
+    whole, parts = OffDetector(), OffDetector()
+    whole.look_at(moved, sensor)
+    for first in range(0, len(moved), 36):
+        part = OffDetector()
+        part.look_at(select_rows(moved, slice(first, first + 36)), sensor)
+        parts.absorb(part)
+    assert parts.document() == whole.document()
+    assert parts.too_many == whole.too_many == (count == 60)
+    if whole.too_many:
+        said = []
+        for off in (whole, parts):
+            with pytest.raises(RefusedInputError) as caught:
+                off.refuse()
+            said.append((str(caught.value), caught.value.faults))
+        assert said[0] == said[1]

@@ -2,7 +2,6 @@
 
 import math
 import struct
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -48,17 +47,10 @@ DEFINITION = parse_definition(
     SENSOR,
 )
 SENT = encode(DEFINITION, VALUES)
-PLACES: tuple[tuple[int, int, str], ...] = (
-    (0, 16, "VERSION"),
-    (16, 32, FILL),
-    (32, 64, "FOCAL"),
-    (64, 96, "U0"),
-    (96, 160, "V0"),
-    (160, 192, "K1"),
-    (192, 224, "K2"),
-    (224, 236, "S"),
-    (236, 240, FILL),
-)
+PLACES = (
+    (0, 16, "VERSION"), (16, 32, FILL), (32, 64, "FOCAL"), (64, 96, "U0"), (96, 160, "V0"), (160, 192, "K1"),
+    (192, 224, "K2"), (224, 236, "S"), (236, 240, FILL),
+)  # fmt: skip
 
 
 def flipped(*bits: int) -> bytes:
@@ -72,11 +64,15 @@ def where(bit: int) -> str:
     return next((name for first, end, name in PLACES if first <= bit < end), "CRC")
 
 
-def test_what_was_sent_matches_itself() -> None:
+def test_what_was_sent_matches_itself_and_without_a_stored_crc_a_difference_has_no_cause() -> None:
     comparison = compare(DEFINITION, SENT, SENT)
     assert comparison.matches
     assert comparison.sentence == "All 32 bytes are as they were sent."
     assert comparison.document()["fields"] == []
+    plain = parse_definition({key: value for key, value in DEFINITION.document.items() if key != "crc"}, SENSOR)
+    sent = encode(plain, VALUES)
+    altered = compare(plain, sent, sent[:-1] + bytes([sent[-1] ^ 1]))
+    assert altered.sentence == "1 of 32 bytes differs: bit 7 of byte 31 (mask 0x01), in fill."
 
 
 @given(bit=st.integers(0, 8 * len(SENT) - 1))
@@ -102,7 +98,7 @@ def test_every_flipped_bit_is_counted_once_and_nothing_else_is(bits: set[int]) -
     assert {one.expected.field.name for one in comparison.fields} == touched
 
 
-def test_a_field_is_shown_with_value_and_hex_on_both_sides() -> None:
+def test_a_field_is_shown_with_value_and_hex_on_both_sides_and_what_json_has_no_number_for_in_words() -> None:
     document = compare(DEFINITION, SENT, flipped(8 * 5 + 3)).document()
     (field,) = document["fields"]
     found = struct.unpack(">f", struct.pack(">I", struct.unpack(">I", struct.pack(">f", 0.016))[0] ^ 0x00100000))[0]
@@ -110,39 +106,18 @@ def test_a_field_is_shown_with_value_and_hex_on_both_sides() -> None:
     assert (field["expected_hex"], field["found_hex"]) == (SENT[4:8].hex().upper(), flipped(43)[4:8].hex().upper())
     assert math.isclose(field["expected"], 0.016, rel_tol=1e-7)
     assert field["found"] == found
-    assert document["bytes"] == [
-        {
-            "offset": 5,
-            "expected_hex": f"{SENT[5]:02X}",
-            "found_hex": f"{SENT[5] ^ 0x10:02X}",
-            "bits": [3],
-            "fields": ["FOCAL"],
-        }
-    ]
-
-
-def test_other_values_are_told_from_a_damaged_table_by_the_dumps_own_crc() -> None:
-    other = compare(DEFINITION, SENT, encode(DEFINITION, VALUES | {"f_m": 0.0161}))
-    assert (other.crc_ok, "other values were loaded" in other.sentence) == (True, True)
-    damaged = compare(DEFINITION, SENT, flipped(100))
-    assert (damaged.crc_ok, "altered in memory or on the way down" in damaged.sentence) == (False, True)
-
-
-def test_a_table_without_a_stored_crc_tells_no_cause() -> None:
-    document: dict[str, Any] = {key: value for key, value in DEFINITION.document.items() if key != "crc"}
-    plain = parse_definition(document, SENSOR)
-    sent = encode(plain, VALUES)
-    comparison = compare(plain, sent, sent[:-1] + bytes([sent[-1] ^ 1]))
-    assert comparison.sentence == "1 of 32 bytes differs: bit 7 of byte 31 (mask 0x01), in fill."
-
-
-def test_what_json_has_no_number_for_is_written_in_words() -> None:
+    sides = {"expected_hex": f"{SENT[5]:02X}", "found_hex": f"{SENT[5] ^ 0x10:02X}"}
+    assert document["bytes"] == [{"offset": 5, "bits": [3], "fields": ["FOCAL"], **sides}]
     infinite = SENT[:4] + struct.pack(">f", math.inf) + SENT[8:]
     (field,) = compare(DEFINITION, SENT, infinite).document()["fields"]
     assert (field["found"], field["found_hex"]) == ("inf", "7F800000")
 
 
-def test_a_table_with_many_differences_names_three_and_counts_the_rest() -> None:
+def test_other_values_are_told_from_damage_by_the_dumps_own_crc_and_many_differences_are_counted() -> None:
+    other = compare(DEFINITION, SENT, encode(DEFINITION, VALUES | {"f_m": 0.0161}))
+    assert (other.crc_ok, "other values were loaded" in other.sentence) == (True, True)
+    damaged = compare(DEFINITION, SENT, flipped(100))
+    assert (damaged.crc_ok, "altered in memory or on the way down" in damaged.sentence) == (False, True)
     sentence = compare(DEFINITION, SENT, bytes(255 - byte for byte in SENT)).sentence
     assert sentence.startswith("32 of 32 bytes differ: all bits of byte 0 (mask 0xFF), in VERSION; ")
     assert "; and 29 more." in sentence

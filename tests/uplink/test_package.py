@@ -16,8 +16,7 @@ import pytest
 
 from boresight.errors import RefusedInputError
 from boresight.uplink.package import build_package
-from tests.uplink.packages import GATE, inputs_of, set_of
-from tests.uplink.tables import INITIAL, definition_of
+from tests.uplink.packages import GATE, INITIAL, definition_of, inputs_of, set_of
 
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = sorted(INITIAL)
@@ -39,9 +38,10 @@ def files(request):
     return _files(inputs_of(request.param))
 
 
-def test_two_processes_in_other_places_build_the_same_bytes():
-    here = hashlib.sha256(build_package(inputs_of())).hexdigest()
-    hashes = set()
+def test_processes_in_other_places_build_the_same_bytes_and_other_inputs_make_others():
+    content, hashes = build_package(inputs_of()), set()
+    assert content != build_package(inputs_of() | {"backout": set_of("pinhole_radial", 0)})
+    command = [sys.executable, "-m", "tests.uplink.packages"]
     for seed, zone, language in (
         ("0", "UTC", "C.UTF-8"),
         ("42", "Asia/Kathmandu", "C"),
@@ -49,21 +49,9 @@ def test_two_processes_in_other_places_build_the_same_bytes():
     ):
         environment = os.environ | {"PYTHONHASHSEED": seed, "TZ": zone, "LC_ALL": language}
         environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(ROOT / "backend")])
-        done = subprocess.run(
-            [sys.executable, "-m", "tests.uplink.packages"],
-            input=json.dumps(inputs_of()),
-            env=environment,
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        hashes.add(done.stdout)
-    assert hashes == {here}
-
-
-def test_other_inputs_are_other_bytes():
-    assert build_package(inputs_of()) != build_package(inputs_of() | {"backout": set_of("pinhole_radial", 0)})
+        given = {"input": json.dumps(inputs_of()), "env": environment, "cwd": ROOT}
+        hashes.add(subprocess.run(command, **given, capture_output=True, text=True, check=True).stdout)
+    assert hashes == {hashlib.sha256(content).hexdigest()}
 
 
 def test_the_archive_knows_no_clock_and_no_machine():
@@ -74,16 +62,15 @@ def test_the_archive_knows_no_clock_and_no_machine():
     assert [entry.filename for entry in entries] == sorted(entry.filename for entry in entries)
 
 
-def test_every_file_is_in_the_sums(files):
+def test_sums_name_every_file_and_the_way_back_has_the_same_files_of_the_other_set(files):
     listed = dict(line.split("  ")[::-1] for line in files["SHA256SUMS"].decode().splitlines())
-    assert listed == {
-        name: hashlib.sha256(content).hexdigest() for name, content in files.items() if name != "SHA256SUMS"
-    }
-
-
-def test_the_set_s_own_document_hashes_to_the_set(files):
-    manifest = json.loads(files["MANIFEST.json"])
-    assert hashlib.sha256(files["parameter_set.json"]).hexdigest() == manifest["parameter_set"]["sha256"]
+    hashes = {name: hashlib.sha256(content).hexdigest() for name, content in files.items() if name != "SHA256SUMS"}
+    assert listed == hashes
+    assert hashes["parameter_set.json"] == json.loads(files["MANIFEST.json"])["parameter_set"]["sha256"]
+    top = {name for name in files if "/" not in name} - {"MANIFEST.json", "SHA256SUMS", "table_definition.json"}
+    assert {name.removeprefix("backout/") for name in files if name.startswith("backout/")} == top
+    rows, back = _rows(files["parameters.csv"]), _rows(files["backout/parameters.csv"])
+    assert [(row["old"], row["new"]) for row in rows] == [(row["new"], row["old"]) for row in back]
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -91,16 +78,6 @@ def test_it_can_be_built_again_of_its_own_manifest(model):
     content = build_package(inputs_of(model))
     manifest = json.loads(_files(inputs_of(model))["MANIFEST.json"])
     assert build_package(manifest["inputs"]) == content
-
-
-def test_the_way_back_has_the_same_files(files):
-    top = {name for name in files if "/" not in name} - {"MANIFEST.json", "SHA256SUMS", "table_definition.json"}
-    assert {name.removeprefix("backout/") for name in files if name.startswith("backout/")} == top
-
-
-def test_the_way_back_is_the_package_of_the_other_set(files):
-    rows, back = _rows(files["parameters.csv"]), _rows(files["backout/parameters.csv"])
-    assert [(row["old"], row["new"]) for row in rows] == [(row["new"], row["old"]) for row in back]
 
 
 def test_the_sheet_marks_a_gate_that_is_only_observed():
@@ -140,9 +117,12 @@ def test_parameters_csv_has_the_arithmetic_of_its_columns(files):
         assert (row["raw_hex"], row["on_board"]) == (held[row["name"]]["hex"], held[row["name"]]["value"])
 
 
-def test_the_hex_text_is_the_image(files):
+def test_the_hex_text_is_the_image_and_quantisation_is_small_for_single_precision(files):
     lines = [line.partition(": ")[2].replace(" ", "") for line in files["table.hex.txt"].decode().splitlines()]
     assert bytes.fromhex("".join(lines)) == files["table.bin"]
+    document = json.loads(files["quantisation.json"])
+    assert 0 < document["max_px"] < 1e-3
+    assert document["sentence"].startswith("The table's number format moves a star by at most")
 
 
 def test_the_manifest_names_the_crc_with_all_its_parameters():
@@ -153,44 +133,24 @@ def test_the_manifest_names_the_crc_with_all_its_parameters():
     assert (crc["width"], crc["poly"], crc["check"]) == (32, "0x04C11DB7", "0xCBF43926")
 
 
-def test_quantisation_is_computed_and_small_for_single_precision(files):
-    document = json.loads(files["quantisation.json"])
-    assert 0 < document["max_px"] < 1e-3
-    assert document["sentence"].startswith("The table's number format moves a star by at most")
-
-
-def test_the_sheet_escapes_what_people_wrote(files):
+def test_the_sheet_escapes_what_people_wrote_and_has_changes_signatures_waivers_and_steps(files):
     sheet = files["verification_sheet.html"].decode()
     assert "<script" not in sheet
     assert "Cy &lt;b&gt;Approver&lt;/b&gt;" in sheet
     assert "default-src &#39;none&#39;" in sheet or "default-src 'none'" in sheet
     assert not re.search(r"(?:src|href)=", sheet)
-
-
-def test_the_sheet_has_what_changes_who_signed_what_was_waived_and_the_steps(files):
-    sheet = files["verification_sheet.html"].decode()
     crc = json.loads(files["MANIFEST.json"])["tables"]["."]["crc"]["value"]
-    for word in (
-        "2026-11-21T09:00:00.000000Z",
-        "I approve this set",
-        "WAIVED",
-        "One corner has no stars",
-        crc,
-        "4.2.1",
-    ):
+    people = ("2026-11-21T09:00:00.000000Z", "I approve this set", "WAIVED", "One corner has no stars")
+    steps = (f". {step}</td>" for step in ("Check the package", "Load", "Check", "Activate", "Dump", "Compare"))
+    for word in (*people, crc, "4.2.1", *steps):
         assert word in sheet
-    for step in ("Check the package", "Load", "Check", "Activate", "Dump", "Compare"):
-        assert f". {step}</td>" in sheet
 
 
-def test_without_a_definition_nothing_is_made_up():
+def test_without_a_definition_nothing_is_made_up_and_a_way_back_that_does_not_fit_is_refused():
     files = _files(inputs_of() | {"definition": None})
     assert not [name for name in files if "table" in name or "pus" in name or "quantisation" in name]
     assert all(row["type"] == "float64" for row in _rows(files["parameters.csv"]))
     assert json.loads(files["MANIFEST.json"])["flight_software_version"] is None
-
-
-def test_a_way_back_that_does_not_fit_into_the_table_is_refused_by_name():
     document = definition_of()
     document["fields"][2] |= {"type": "uint16", "scale": 1e-9, "offset": 0.05}
     with pytest.raises(RefusedInputError, match="PS-FM1-1 does not fit into the table STR_CAM"):
@@ -204,14 +164,11 @@ def test_pus_is_listed_only_where_it_is_configured(files):
     assert "decided by the on-board software" in listed[-1]["note"]
 
 
-def test_the_package_of_a_simulated_sensor_says_that_it_is_one(files):
+def test_a_simulated_sensor_is_said_to_be_one_and_the_way_back_is_named_with_its_crc(files):
     simulated = _files(inputs_of() | {"simulated": True})
     assert json.loads(simulated["MANIFEST.json"])["simulated"] is True
     assert b"SIMULATED: " in simulated["verification_sheet.html"]
     assert b"SIMULATED: " not in files["verification_sheet.html"]
-
-
-def test_the_sheet_names_the_way_back_with_its_crc_and_the_way_back_s_own_sheet_names_none(files):
     told = json.loads(files["MANIFEST.json"])["tables"]["backout/"]["crc_told"]["value"]
     assert "load the way back. backout/ is PS-FM1-1" in files["verification_sheet.html"].decode()
     assert told in files["verification_sheet.html"].decode()

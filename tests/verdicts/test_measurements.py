@@ -1,4 +1,4 @@
-"""What each gate measures of a set, of its run and of the number format on board."""
+"""What each gate measures of a set, of its run and of the number format on board; numbers to the digits that are known."""
 
 import dataclasses
 
@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from boresight.platform.db.documents import canonical
 from boresight.verdicts.gates import GATES, judge, measure, parse_profile
 from boresight.verdicts.gates.assessment import as_set, ground_set, started_from
+from boresight.verdicts.numbers import MINUS, QUANTITIES, quantity, to_second_digit, with_reach
 from tests.effort import effort
 from tests.verdicts.evidence_cases import NAMES, SENSOR, SIGMA, a_result, a_set, evidence
 
@@ -38,16 +39,24 @@ def test_every_gate_is_measured():
     assert set(answers.values()) == {"PASS", "NO-DATA"}
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), None, "0.016", True])
-def test_a_parameter_that_is_no_plausible_number_fails(value):
+P = np.diag(SIGMA**2)
+
+
+def correlated(rho, lower=1.0):
+    matrix = P.copy()
+    matrix[1, 2] = rho * np.sqrt(P[1, 1] * P[2, 2])
+    matrix[2, 1] = lower * matrix[1, 2]
+    return matrix
+
+
+@pytest.mark.parametrize(
+    ("value", "word"),
+    [*((value, "f_m") for value in (float("nan"), float("inf"), None, "0.016", True)), (16.0, "metres")],
+)
+def test_a_parameter_that_is_no_plausible_number_or_no_camera_with_the_others_fails(value, word):
     measured = found("finite", candidate=with_parameters(f_m=value))
     assert measured.met == "FAIL"
-    assert "f_m" in measured.sentence
-
-
-def test_parameters_that_are_no_camera_together_fail():
-    measured = found("finite", candidate=with_parameters(f_m=16.0))
-    assert (measured.met, "metres" in measured.sentence) == ("FAIL", True)
+    assert word in measured.sentence
 
 
 def test_a_set_without_one_of_its_parameters_fails_and_no_gate_breaks_down():
@@ -59,61 +68,34 @@ def test_a_set_without_one_of_its_parameters_fails_and_no_gate_breaks_down():
     assert "n0_px" in measured["parameter-shift"].sentence
 
 
-@pytest.mark.parametrize("sigma", [-1.0, float("nan"), float("inf"), "wide"])
-def test_a_sigma_that_is_no_number_fails(sigma):
-    assert found("finite", candidate=a_set(sigma={"f_m": sigma})).met == "FAIL"
-
-
-def test_a_fixed_parameter_has_no_sigma_and_that_is_finite():
-    assert found("finite", candidate=a_set(sigma={"f_m": None})).met == "PASS"
-
-
-P = np.diag(SIGMA**2)
-
-
-def correlated(rho):
-    matrix = P.copy()
-    matrix[1, 2] = matrix[2, 1] = rho * np.sqrt(P[1, 1] * P[2, 2])
-    return matrix
-
-
-def lopsided():
-    matrix = correlated(0.5)
-    matrix[1, 2] *= 0.9
-    return matrix
+@pytest.mark.parametrize("sigma", [-1.0, float("nan"), float("inf"), "wide", None])
+def test_a_sigma_that_is_no_number_fails_and_none_of_a_fixed_parameter_is_finite(sigma):
+    assert found("finite", candidate=a_set(sigma={"f_m": sigma})).met == ("PASS" if sigma is None else "FAIL")
 
 
 @pytest.mark.parametrize(
-    ("matrix", "words"),
+    ("changed", "words"),
     [
-        (correlated(1.01), "not positive definite"),
-        (correlated(1.0), "not positive definite"),
-        (lopsided(), "not symmetric"),
-        (P * 0, "no positive number"),
-        (-P, "no positive number"),
-        (P * np.nan, "no positive number"),
-        (P[:7], "not names and a square matrix"),
-        ([], "not names and a square matrix"),
+        (with_matrix(correlated(1.01)), "not positive definite"),
+        (with_matrix(correlated(1.0)), "not positive definite"),
+        (with_matrix(correlated(0.5, 1 / 0.9)), "not symmetric"),
+        (with_matrix(P * 0), "no positive number"),
+        (with_matrix(-P), "no positive number"),
+        (with_matrix(P * np.nan), "no positive number"),
+        (with_matrix(P[:7]), "not names and a square matrix"),
+        (with_matrix([]), "not names and a square matrix"),
+        *(
+            (a_set(covariance=covariance), "")
+            for covariance in (None, {}, {"names": [], "matrix": []}, {"names": ["f"], "matrix": [[1.0]]})
+        ),
+        (a_set(sigma={"f_m": 1e-3}), "f_m"),
     ],
 )
-def test_what_is_no_covariance_fails(matrix, words):
-    measured = found("covariance", candidate=with_matrix(matrix))
+def test_what_is_no_covariance_fails_and_a_strong_but_possible_correlation_is_one(changed, words):
+    measured = found("covariance", candidate=changed)
     assert measured.met == "FAIL"
     assert words in measured.sentence
-
-
-def test_a_strong_but_possible_correlation_is_a_covariance():
     assert found("covariance", candidate=with_matrix(correlated(0.9999999))).met == "PASS"
-
-
-@pytest.mark.parametrize("covariance", [None, {}, {"names": [], "matrix": []}, {"names": ["f"], "matrix": [[1.0]]}])
-def test_no_covariance_fails(covariance):
-    assert found("covariance", candidate=a_set(covariance=covariance)).met == "FAIL"
-
-
-def test_sigmas_that_are_not_the_covariances_fail():
-    measured = found("covariance", candidate=a_set(sigma={"f_m": 1e-3}))
-    assert (measured.met, "f_m" in measured.sentence) == ("FAIL", True)
 
 
 @pytest.mark.parametrize(
@@ -139,14 +121,11 @@ def test_an_estimate_must_have_come_to_rest(status, met):
     assert found("convergence", candidate=a_set(status=status)).met == met
 
 
-def test_the_shift_is_in_sigmas_of_the_difference_and_names_the_parameter():
+def test_the_shift_is_in_sigmas_of_the_difference_at_least_a_tenth_of_the_typical_spread():
     typical = SENSOR.typical_sigma
     measured = found("parameter-shift", candidate=with_parameters(n0_px=SENSOR.initial[2] + 6 * typical[2]))
     assert measured.value == pytest.approx(6 / np.sqrt(1 + 0.02**2 + 0.1**2))
     assert measured.sentence.startswith("n0_px moved farthest, by +6.0 sigmas")
-
-
-def test_a_shift_from_a_very_sure_incumbent_is_held_to_a_tenth_of_the_typical_spread():
     sure = a_set(covariance={"names": list(NAMES), "matrix": (1e-6 * P).tolist()})
     moved = {**sure, "parameters": sure["parameters"] | {"f_m": sure["parameters"]["f_m"] + SENSOR.typical_sigma[0]}}
     assert found("parameter-shift", candidate=moved, incumbent=sure).value == pytest.approx(10, rel=1e-6)
@@ -165,16 +144,12 @@ def test_residuals_are_judged_by_the_runs_own_bounds_and_a_batch_has_no_innovati
     assert found("nis", result=a_result(method="sqrf")).sentence.startswith("Innovations are")
 
 
-def test_observability_is_told_with_its_weakest_direction():
+def test_observability_is_told_with_its_weakest_direction_and_coverage_counts_regions_with_stars():
     assert found("condition-number").value == 10
-    assert found("weak-directions").value == 0.1
-    assert found("weak-directions").sentence == "n0 and a1 move together."
+    assert (found("weak-directions").value, found("weak-directions").sentence) == (0.1, "n0 and a1 move together.")
     blind = {"singular_values": [1.0, 0.0], "sigma_of_direction": [1.0, None], "condition_number": None}
     for name in ("condition-number", "weak-directions"):
         assert "leave a direction open" in found(name, result=a_result(observability=blind)).sentence
-
-
-def test_coverage_counts_regions_with_stars():
     counts = np.zeros((12, 16), int)
     counts[:6, :8] = 3
     assert found("coverage", result=a_result(coverage={"counts": counts.tolist()})).value == pytest.approx(1 / 4)
@@ -194,29 +169,20 @@ def definition(kind, **scaling):
     return {"table_id": "CAM", "flight_software_version": "1", "length_bytes": 64, "fields": fields}
 
 
-def test_quantisation_is_nothing_in_float64_something_in_float32_and_unknown_without_a_table():
+def test_quantisation_is_nothing_in_float64_something_in_float32_unknown_without_a_table_and_fails_where_none_fits():
     exact, rounded = (found("quantisation", definition=definition(kind)) for kind in ("float64", "float32"))
     assert exact.value == pytest.approx(0, abs=1e-9)
     assert 1e-6 < rounded.value < 1e-2
     assert "adds it" in found("quantisation").sentence
+    assert found("quantisation", definition=definition("uint8", scale=1e-12, offset=0.0)).met == "FAIL"
 
 
-def test_a_table_that_cannot_hold_the_set_fails():
-    measured = found("quantisation", definition=definition("uint8", scale=1e-12, offset=0.0))
-    assert measured.met == "FAIL"
-
-
-def test_parameters_from_a_file_are_as_unsure_as_a_ground_calibration_unless_they_say():
-    plain = as_set(a_set()["parameters"], SENSOR)
-    assert plain["covariance"] == ground_set(SENSOR)["covariance"]
+def test_a_run_started_from_the_incumbent_or_not_and_a_file_is_as_unsure_as_the_ground_unless_it_says():
+    ground = ground_set(SENSOR)
+    starts = [({"initial": ground["parameters"]}, ground), ({"initial": ground["parameters"]}, a_set()), ({}, ground)]
+    assert [started_from(*pair) for pair in starts] == [True, False, False]
+    assert as_set(a_set()["parameters"], SENSOR)["covariance"] == ground["covariance"]
     assert as_set(a_set(), SENSOR)["covariance"] == a_set()["covariance"]
-
-
-def test_a_run_started_from_the_incumbent_or_not():
-    initial = ground_set(SENSOR)["parameters"]
-    assert started_from({"initial": initial}, ground_set(SENSOR))
-    assert not started_from({"initial": initial}, a_set())
-    assert not started_from({}, ground_set(SENSOR))
 
 
 JUNK = st.one_of(
@@ -260,3 +226,43 @@ def test_the_rms_is_told_in_multiples_of_the_stated_noise():
     assert found(
         "validation-rms", sensor=noisier, held_out={"validation-rms": score, "frames": 50}
     ).value == pytest.approx(1)
+
+
+@given(
+    st.floats(allow_nan=False, min_value=-1e12, max_value=1e12),
+    st.floats(min_value=1e-9, max_value=1e9),
+    st.sampled_from([1e5, 1e7]),
+)
+def test_a_value_stops_within_the_second_digit_of_its_sigma_whatever_is_large(value, sigma, large):
+    text = to_second_digit(value, sigma, large)
+    assert abs(float(text) - value) <= 0.05 * sigma + abs(value) * 1e-12
+    assert ("e" in text) == (abs(float(text)) >= large)
+
+
+@pytest.mark.parametrize(
+    ("name", "letters"),
+    [("f_m", "f "), ("m0_px", "m 0"), ("g_y", "g y"), ("k1", "k 1"), ("tilt_rad", "tilt_rad ")],
+)
+def test_a_symbol_is_a_letter_and_its_index_and_a_word_stays_whole(name, letters):
+    assert quantity(name).letters == tuple(letters.split(" "))
+    assert {len(item.letters[0]) for item in QUANTITIES.values()} == {1}
+
+
+def test_a_large_value_and_its_reach_share_one_power_of_ten():
+    assert with_reach(1.033e8, 1.4e6, 1.4e6) == "(1.033 ± 0.014)·10⁸"
+    assert with_reach(-2.1e8, 3 * 1.9e6, 1.9e6) == f"({MINUS}2.100 ± 0.057)·10⁸"
+    assert with_reach(0.0, 4.2e7, 1.4e7) == "(0.0 ± 4.2)·10⁷"
+    assert with_reach(16.0265, 0.0011, 0.0011) == "16.0265 ± 0.0011"
+
+
+@given(
+    st.floats(allow_nan=False, min_value=-1e12, max_value=1e12),
+    st.floats(min_value=1e-6, max_value=1e9),
+    st.sampled_from([1.0, 3.0]),
+)
+def test_value_and_reach_are_written_alike(value, sigma, times):
+    text = with_reach(value, times * sigma, sigma)
+    left, right = text.split(" ± ")
+    assert ("·10" in text) == text.startswith("(")
+    assert "·10" not in left
+    assert len(left.rpartition(".")[2]) == len(right.partition(")")[0].rpartition(".")[2]) or "." not in text

@@ -17,7 +17,7 @@ from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.telemetry.read.readers import write_parquet
 from boresight.telemetry.sensors import sensor_document
 from tests.calibration.conftest import telemetry
-from tests.calibration.judged import st16_sensor
+from tests.calibration.sets import st16_sensor
 from tests.estimation.fields import GROUND
 
 SETTINGS = {"method": "batch", "match": "given"}

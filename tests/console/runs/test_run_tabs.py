@@ -7,8 +7,7 @@ import pytest
 from boresight.console.runs.pages.run import TITLES
 from boresight.figures import CHAPTERS, FIGURES
 from boresight.platform.db.sessions import utc_now
-from tests.figures.examined import trust
-from tests.figures.flown import matching, shadow
+from tests.figures.examined import matching, shadow, trust
 
 
 @pytest.fixture
