@@ -34,6 +34,7 @@ from boresight.errors import (
 )
 from boresight.platform.actors import Actor, Policy, require_person
 from boresight.platform.blobs.store import BlobStore
+from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.db.sessions import Engine, Session, mark_dry_run, open_reading, open_writing
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.figure_cache import FigureCache
@@ -286,6 +287,7 @@ MaybeSeenTag = Annotated[Seen, Depends(maybe_seen)]
 Blobs = Annotated[BlobStore, of_server("blobs")]
 Database = Annotated[Engine, of_server("engine")]
 Drawings = Annotated[FigureCache, of_server("drawn")]
+SecretKeeper = Annotated[SecretBox, of_server("secret_box")]
 ServerPolicy = Annotated[Policy, of_server("policy")]
 PasswordChecks = Annotated[PasswordWorker, of_server("passwords")]
 ServerSettings = Annotated[Settings, of_server("settings")]

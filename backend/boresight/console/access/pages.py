@@ -18,14 +18,22 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access import api_keys, sessions, users
 from boresight.console.access.credentials import current_actor
-from boresight.console.access.dependencies import Reading, Who, clear_cookie, csrf, get_client, log_in_person
-from boresight.console.access.password_checks import PasswordWorker
+from boresight.console.access.dependencies import (
+    PasswordChecks,
+    Reading,
+    ServerSettings,
+    Who,
+    clear_cookie,
+    csrf,
+    get_client,
+    log_in_person,
+)
 from boresight.console.access.passwords import MINIMUM_PASSWORD_LENGTH, NewPassword, PasswordProof
 from boresight.console.access.tables import User
-from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, render
+from boresight.console.pages.rendering import ShownRefusal, attempt, read_again, redirect, render
 from boresight.errors import RefusedInputError, SessionEndedError, UnauthenticatedError
-from boresight.platform.actors import SCOPES, Actor, require_person, require_role
-from boresight.platform.db.sessions import Session, open_reading, utc_now
+from boresight.platform.actors import SCOPES, Actor, SessionLimits, require_person, require_role
+from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.web.paging import parse_row_id
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -60,7 +68,7 @@ class UsersContext:
     secret: str = ""
 
 
-def _page(request: Request, actor: Actor, session: Session, shown: UsersContext) -> HTMLResponse:
+def _page(request: Request, actor: Actor, shown: UsersContext, session: Session) -> HTMLResponse:
     """Render people and keys."""
     administrator = "administrator" in actor.roles
     people = users.list_users(session)
@@ -81,22 +89,17 @@ def _page(request: Request, actor: Actor, session: Session, shown: UsersContext)
     )
 
 
-def _again(request: Request, actor: Actor, shown: UsersContext) -> HTMLResponse:
-    """Render the page after a form was refused, or with a secret."""
-    with open_reading(request.app.state.engine) as session:
-        return _page(request, actor, session, shown)
-
-
 @router.get("/users", response_class=HTMLResponse)
 def users_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show people and keys."""
-    return _page(request, actor, session, UsersContext())
+    return _page(request, actor, UsersContext(), session)
 
 
 @router.post("/users", response_class=HTMLResponse)
 async def create(
     request: Request,
     actor: Who,
+    checks: PasswordChecks,
     name: Annotated[str, Form()] = "",
     printed_name: Annotated[str, Form()] = "",
     password: Annotated[str, Form()] = "",
@@ -105,7 +108,6 @@ async def create(
 ) -> Response:
     """Add a person."""
     chosen = roles or []
-    checks: PasswordWorker = request.app.state.passwords
 
     async def prepare() -> tuple[NewPassword]:
         require_role(actor, "administrator")  # before a password is hashed for nothing; the service asks again
@@ -126,7 +128,7 @@ async def create(
     if outcome.value is not None:
         return redirect("/users", flash=f"{outcome.value.printed_name} may log in as {outcome.value.name}.")
     typed = {"name": name, "printed_name": printed_name, "roles": chosen}
-    return await run_in_threadpool(_again, request, actor, UsersContext("person", outcome.refusal, typed))
+    return await read_again(request, partial(_page, request, actor, UsersContext("person", outcome.refusal, typed)))
 
 
 @router.post("/users/{user_id}/roles", response_class=HTMLResponse)
@@ -139,7 +141,7 @@ async def change_roles(
     if outcome.value is not None:
         held = ", ".join(outcome.value.roles) or "no role"
         return redirect("/users", flash=f"{outcome.value.printed_name} now has: {held}.")
-    return await run_in_threadpool(_again, request, actor, UsersContext("people", outcome.refusal))
+    return await read_again(request, partial(_page, request, actor, UsersContext("people", outcome.refusal)))
 
 
 @router.post("/users/{user_id}/disable", response_class=HTMLResponse)
@@ -148,7 +150,7 @@ async def disable(request: Request, actor: Who, user_id: int) -> Response:
     outcome = await attempt(request, partial(users.disable_user, actor=actor, user_id=user_id))
     if outcome.value is not None:
         return redirect("/users", flash=f"{outcome.value.printed_name} can no longer log in.")
-    return await run_in_threadpool(_again, request, actor, UsersContext("people", outcome.refusal))
+    return await read_again(request, partial(_page, request, actor, UsersContext("people", outcome.refusal)))
 
 
 @router.post("/users/{user_id}/enable", response_class=HTMLResponse)
@@ -157,15 +159,16 @@ async def enable(request: Request, actor: Who, user_id: int) -> Response:
     outcome = await attempt(request, partial(users.enable_user, actor=actor, user_id=user_id))
     if outcome.value is not None:
         return redirect("/users", flash=f"{outcome.value.printed_name} can log in again.")
-    return await run_in_threadpool(_again, request, actor, UsersContext("people", outcome.refusal))
+    return await read_again(request, partial(_page, request, actor, UsersContext("people", outcome.refusal)))
 
 
 @router.post("/users/{user_id}/password", response_class=HTMLResponse)
-async def reset_password(request: Request, actor: Who, user_id: int, password: Annotated[str, Form()] = "") -> Response:
+async def reset_password(
+    request: Request, actor: Who, checks: PasswordChecks, user_id: int, password: Annotated[str, Form()] = ""
+) -> Response:
     """Give a person a password that they must change at their next log-in."""
     if user_id == actor.user_id:
         return redirect("/password")
-    checks: PasswordWorker = request.app.state.passwords
 
     async def prepare() -> tuple[NewPassword, PasswordProof]:
         return await checks.prepare_change(actor, user_id, password, "", get_client(request))
@@ -179,7 +182,7 @@ async def reset_password(request: Request, actor: Who, user_id: int, password: A
             "/users",
             flash=f"{outcome.value.printed_name} is logged out and must set a password of their own at the next log-in.",
         )
-    return await run_in_threadpool(_again, request, actor, UsersContext("people", outcome.refusal))
+    return await read_again(request, partial(_page, request, actor, UsersContext("people", outcome.refusal)))
 
 
 @router.post("/users/{user_id}/end-sessions", response_class=HTMLResponse)
@@ -188,7 +191,7 @@ async def end_sessions(request: Request, actor: Who, user_id: int) -> Response:
     outcome = await attempt(request, partial(_end_sessions, actor, user_id))
     if outcome.value is not None:
         return redirect("/users", flash=f"{outcome.value} is logged out everywhere.")
-    return await run_in_threadpool(_again, request, actor, UsersContext("people", outcome.refusal))
+    return await read_again(request, partial(_page, request, actor, UsersContext("people", outcome.refusal)))
 
 
 def _end_sessions(actor: Actor, user_id: int, session: Session) -> str:
@@ -198,16 +201,22 @@ def _end_sessions(actor: Actor, user_id: int, session: Session) -> str:
 
 
 @router.get("/sessions", response_class=HTMLResponse)
-def sessions_page(request: Request, session: Reading, actor: Who, user: int | None = None) -> HTMLResponse:
+def sessions_page(
+    request: Request, session: Reading, actor: Who, settings: ServerSettings, user: int | None = None
+) -> HTMLResponse:
     """Show one's log-ins, or as an administrator another person's."""
-    return _sessions_page(request, actor, session, user, None)
+    return _sessions_page(request, actor, settings.session_limits, user, None, session)
 
 
 def _sessions_page(
-    request: Request, actor: Actor, session: Session, user_id: int | None, refusal: ShownRefusal | None
+    request: Request,
+    actor: Actor,
+    limits: SessionLimits,
+    user_id: int | None,
+    refusal: ShownRefusal | None,
+    session: Session,
 ) -> HTMLResponse:
     """Render the log-ins of a person, those that are open first."""
-    limits = request.app.state.settings.session_limits
     opened = sessions.list_sessions(session, actor, user_id, is_open=True)
     ended = sessions.list_sessions(session, actor, user_id, is_open=False, limit=SESSIONS_SHOWN)
     person = users.get_user(session, user_id or require_person(actor, "see log-ins"))
@@ -229,29 +238,25 @@ def _sessions_page(
 
 
 @router.post("/sessions/{session_id:int}/end", response_class=HTMLResponse)
-async def end_session(request: Request, actor: Who, session_id: int) -> Response:
+async def end_session(request: Request, actor: Who, settings: ServerSettings, session_id: int) -> Response:
     """End one log-in."""
     outcome = await attempt(request, partial(sessions.end_session, actor=actor, session_id=session_id))
     if outcome.value is None:
-        return await run_in_threadpool(_sessions_again, request, actor, outcome.refusal)
+        page = partial(_sessions_page, request, actor, settings.session_limits, None, outcome.refusal)
+        return await read_again(request, page)
     own = outcome.value.user_id == actor.user_id
     return redirect("/sessions" if own else f"/sessions?user={outcome.value.user_id}", flash="The log-in is ended.")
 
 
 @router.post("/sessions/end-others", response_class=HTMLResponse)
-async def end_other_sessions(request: Request, actor: Who) -> Response:
+async def end_other_sessions(request: Request, actor: Who, settings: ServerSettings) -> Response:
     """End every log-in of one's own but this one."""
     outcome = await attempt(request, partial(sessions.end_other_sessions, actor=actor))
     if outcome.value is None:
-        return await run_in_threadpool(_sessions_again, request, actor, outcome.refusal)
+        page = partial(_sessions_page, request, actor, settings.session_limits, None, outcome.refusal)
+        return await read_again(request, page)
     count = outcome.value
     return redirect("/sessions", flash=f"{count} other log-in{'s are' if count != 1 else ' is'} ended.")
-
-
-def _sessions_again(request: Request, actor: Actor, refusal: ShownRefusal | None) -> HTMLResponse:
-    """Render one's log-ins after a refusal."""
-    with open_reading(request.app.state.engine) as session:
-        return _sessions_page(request, actor, session, None, refusal)
 
 
 @router.post("/users/keys", response_class=HTMLResponse)
@@ -265,9 +270,9 @@ async def create_key(
     """Make a key and show its secret, this once."""
     outcome = await attempt(request, partial(_make_key, actor, label, days, scopes or []))
     if outcome.value is not None:
-        return await run_in_threadpool(_again, request, actor, UsersContext("key", secret=outcome.value))
+        return await read_again(request, partial(_page, request, actor, UsersContext("key", secret=outcome.value)))
     typed = {"label": label, "days": days, "scopes": scopes or []}
-    return await run_in_threadpool(_again, request, actor, UsersContext("key", outcome.refusal, typed))
+    return await read_again(request, partial(_page, request, actor, UsersContext("key", outcome.refusal, typed)))
 
 
 def _make_key(actor: Actor, label: str, days: str, scopes: list[str], session: Session) -> str:
@@ -285,7 +290,7 @@ async def revoke_key(request: Request, actor: Who, key_id: int) -> Response:
     outcome = await attempt(request, partial(api_keys.revoke_key, actor=actor, key_id=key_id))
     if outcome.value is not None:
         return redirect("/users", flash=f"The key {outcome.value.label!r} is revoked.")
-    return await run_in_threadpool(_again, request, actor, UsersContext("keys", outcome.refusal))
+    return await read_again(request, partial(_page, request, actor, UsersContext("keys", outcome.refusal)))
 
 
 login_router = APIRouter()
@@ -311,13 +316,13 @@ def login_page(request: Request, next: str = "/", ended: str = "") -> Response: 
 @login_router.post("/login", response_class=HTMLResponse)
 async def log_in(
     request: Request,
+    checks: PasswordChecks,
     name: Annotated[str, Form()] = "",
     password: Annotated[str, Form()] = "",
     next: Annotated[str, Form()] = "/",  # noqa: A002 - the name in the form
 ) -> Response:
     """Check name and password; the answer to a wrong one does not tell which of the two it was."""
     response = redirect(local_path(next))
-    checks: PasswordWorker = request.app.state.passwords
 
     async def prove() -> tuple[PasswordProof]:
         return (await checks.check_log_in(name, password, get_client(request)),)
@@ -372,12 +377,12 @@ def _password_page(request: Request, refusal: ShownRefusal | None) -> HTMLRespon
 async def change_password(
     request: Request,
     actor: Who,
+    checks: PasswordChecks,
     current: Annotated[str, Form()] = "",
     password: Annotated[str, Form()] = "",
     repeated: Annotated[str, Form()] = "",
 ) -> Response:
     """Set one's own password; every log-in then ends, this one too."""
-    checks: PasswordWorker = request.app.state.passwords
     user_id = require_person(actor, "set a password")
 
     async def prepare() -> tuple[NewPassword, PasswordProof]:

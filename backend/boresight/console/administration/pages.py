@@ -20,8 +20,9 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access import api_keys, users
 from boresight.console.access.credentials import get_actor
-from boresight.console.access.dependencies import Reading, Who
+from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy, ServerSettings, Who, Workers
 from boresight.console.access.tables import ROLES, ApiKey, User
+from boresight.console.jobs.maintenance import Upkeep
 from boresight.console.pages.formats import LEVEL_OF_STATE
 from boresight.console.pages.rendering import render
 from boresight.console.runs import service as runs
@@ -76,9 +77,17 @@ def keys_at(keys: Sequence[ApiKey], now: str, soon: str) -> KeyCounts:
 
 
 @router.get("/administration", response_class=HTMLResponse)
-def administration_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+def administration_page(
+    request: Request,
+    session: Reading,
+    actor: Who,
+    settings: ServerSettings,
+    policy: ServerPolicy,
+    workers: Workers,
+    blobs: Blobs,
+    upkeep: Upkeep,
+) -> HTMLResponse:
     """Show how the installation is at."""
-    state = request.app.state
     people = users.list_users(session)
     return render(
         request,
@@ -86,15 +95,15 @@ def administration_page(request: Request, session: Reading, actor: Who) -> HTMLR
         people=people,
         due=[person.printed_name for person in people if person.must_change_password and not person.disabled_utc],
         roles=roles_held(people),
-        warnings=warnings(people, four_eyes=state.policy.four_eyes),
+        warnings=warnings(people, four_eyes=policy.four_eyes),
         keys=keys_at(_keys(session), utc_now(), utc_after(SOON_S)),
-        workers=state.workers.state() if state.workers else None,
+        workers=workers.state() if workers else None,
         counts=runs.count_by_state(session),
-        policy=state.policy,
-        session_hours=state.settings.session_hours,
-        login_attempts=state.settings.login_attempts,
-        blobs_at=state.blobs.kept_at,
-        light=state.upkeep.light(),
+        policy=policy,
+        session_hours=settings.session_hours,
+        login_attempts=settings.login_attempts,
+        blobs_at=blobs.kept_at,
+        light=upkeep.light(),
         administrator="administrator" in actor.roles,
     )
 

@@ -12,8 +12,8 @@ The documentation of the API is a page of this server too.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
-from typing import Any, Literal
+from functools import cache, partial
+from typing import Annotated, Any, Literal
 
 from anyio import CapacityLimiter
 from anyio.lowlevel import RunVar
@@ -24,15 +24,20 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from boresight.console.access.credentials import current_actor
+from boresight.console.access.dependencies import Database, ServerSettings, WorkerControl, Workers, of_server
 from boresight.console.operation import json_response
 from boresight.console.schemas import _Shape
 from boresight.errors import BoresightError
 from boresight.platform.db.engines import refuse_unwritable_store
-from boresight.platform.db.sessions import current_revision, head_revision
+from boresight.platform.db.sessions import Engine, current_revision, head_revision
 from boresight.platform.web.media import PrometheusText
+from boresight.platform.web.metrics import CachedCheck, Metrics
 from boresight.platform.web.openapi import refusals
 from boresight.platform.web.origins import is_local
 from boresight.resources import folder
+from boresight.settings import Settings
+
+FilesCheck = Annotated[CachedCheck, of_server("blobs_watched")]
 
 
 class Health(_Shape):
@@ -85,15 +90,21 @@ async def health() -> Health:
     response_model=Readiness,
     responses={503: {"model": Readiness, "description": "Not ready; `checks` says what is not."}},
 )
-async def readiness(request: Request) -> Response:
+async def readiness(
+    request: Request, engine: Database, files: FilesCheck, settings: ServerSettings, workers: Workers
+) -> Response:
     """Say whether store, files and workers are there: 200, or 503 with what is not.
 
     The store must answer with the right schema, the place of the files must be reached and written, and where workers are
     expected one must have joined since the server began. `checks` is there for whoever is logged in or sends an API key,
     and on the server's own machine where it listens to nobody else.
     """
-    parts = {"store": _store, "files": _files, "workers": _workers}
-    checks = {name: await _apart(look, request) for name, look in parts.items()}
+    parts: dict[str, Callable[[], dict[str, Any]]] = {
+        "store": partial(_store, engine),
+        "files": partial(_files, files),
+        "workers": partial(_workers, settings, workers),
+    }
+    checks = {name: await _apart(look) for name, look in parts.items()}
     ready = all(check["ready"] for check in checks.values())
     body: dict[str, Any] = {"status": "ready" if ready else "not ready"}
     if is_local(request) or await _apart(_is_known, request):
@@ -110,11 +121,11 @@ def _is_known(request: Request) -> bool:
     return True
 
 
-def _store(request: Request) -> dict[str, Any]:
+def _store(engine: Engine) -> dict[str, Any]:
     """Look at the schema."""
     try:
-        found, expected = current_revision(request.app.state.engine), _newest_revision()
-        refuse_unwritable_store(request.app.state.engine)
+        found, expected = current_revision(engine), _newest_revision()
+        refuse_unwritable_store(engine)
     except (BoresightError, OSError) as error:
         return {"ready": False, "detail": str(error)}
     return {"ready": found == expected, "revision": found, "expected": expected}
@@ -126,21 +137,24 @@ def _newest_revision() -> str | None:
     return head_revision()
 
 
-def _files(request: Request) -> dict[str, Any]:
+def _files(files: CachedCheck) -> dict[str, Any]:
     """Look at the place of the files."""
-    fault = request.app.state.blobs_watched.fault()
+    fault = files.fault()
     return {"ready": False, "detail": fault} if fault else {"ready": True}
 
 
-def _workers(request: Request) -> dict[str, Any]:
+def _workers(settings: Settings, workers: WorkerControl | None) -> dict[str, Any]:
     """Look at the workers; a server that has none by its settings does not wait for them.
 
     Whose only worker has just died stays ready: another takes its place, and what is launched meanwhile waits.
     """
-    settings = request.app.state.settings
     expected = bool(settings.scheduler) or settings.workers > 0
-    state = request.app.state.workers.state()
-    return {"ready": not expected or (state["connected"] and state["joined"]), "expected": expected, **state}
+    state = {} if workers is None else workers.state()
+    return {
+        "ready": not expected or (bool(state.get("connected")) and bool(state.get("joined"))),
+        "expected": expected,
+        **state,
+    }
 
 
 @router.get(
@@ -150,14 +164,14 @@ def _workers(request: Request) -> dict[str, Any]:
     response_class=PrometheusText,
     responses=refusals(401, 403),
 )
-async def metrics(request: Request) -> Response:
+async def metrics(request: Request, counted: Annotated[Metrics, of_server("metrics")]) -> Response:
     """Return the series of this server in the Prometheus exposition format.
 
     Any API key will do, also one without scopes; on the server's own machine none is needed where it listens to nobody else.
     """
     if not is_local(request):
         await _apart(current_actor, request)
-    text = await _apart(request.app.state.metrics.text)
+    text = await _apart(counted.text)
     return PrometheusText(text)
 
 

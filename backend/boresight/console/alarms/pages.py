@@ -11,7 +11,6 @@ from typing import Annotated, Any
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Request
-from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access import users
@@ -19,12 +18,20 @@ from boresight.console.access.dependencies import Reading, Who, csrf
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import ALARM_KINDS, Alarm
 from boresight.console.fleet import service as sensors
-from boresight.console.pages.rendering import ShownRefusal, attempt, read_texts, redirect, render, seen_version
+from boresight.console.pages.rendering import (
+    ShownRefusal,
+    attempt,
+    read_again,
+    read_texts,
+    redirect,
+    render,
+    seen_version,
+)
 from boresight.console.pages.tables import LONGEST_FILTER, csv_file, is_text
 from boresight.console.runs.pages.list import RunNames, read_names
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor
-from boresight.platform.db.sessions import Session, open_reading, utc_after
+from boresight.platform.db.sessions import Session, utc_after
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.verdict import LEVELS
 
@@ -107,33 +114,37 @@ def _csv_row(row: Alarm, names: RunNames) -> dict[str, Any]:
 
 
 @router.get("/alarms/{alarm_id:int}", response_class=HTMLResponse)
-def alarm_page(request: Request, actor: Who, alarm_id: int) -> HTMLResponse:
+def alarm_page(request: Request, session: Reading, actor: Who, alarm_id: int) -> HTMLResponse:
     """Show an alarm."""
-    return _page(request, actor, alarm_id, {}, None)
+    return _page(request, actor, alarm_id, {}, None, session)
 
 
 def _page(
-    request: Request, actor: Actor, alarm_id: int, typed: Mapping[str, str], refusal: ShownRefusal | None
+    request: Request,
+    actor: Actor,
+    alarm_id: int,
+    typed: Mapping[str, str],
+    refusal: ShownRefusal | None,
+    session: Session,
 ) -> HTMLResponse:
     """Render an alarm, with what a refused form left behind."""
-    with open_reading(request.app.state.engine) as session:
-        row = alarms.get_alarm(session, alarm_id)
-        return render(
-            request,
-            "alarms/alarm.html",
-            refused=refusal,
-            alarm=row,
-            sensor=None if row.sensor_id is None else sensors.get_sensor(session, row.sensor_id),
-            state=alarms.get_alarm_state(row),
-            shelved=alarms.is_shelved(row),
-            events=alarms.list_alarm_events(session, alarm_id),
-            people=[user for user in users.list_users(session) if user.disabled_utc is None],
-            names=read_names(session),
-            may_handle=bool(actor.roles.intersection(alarms.HANDLERS)) and row.closed_utc is None,
-            until=typed.get("until") or utc_after(A_SHIFT_S)[:16] + "Z",
-            typed=typed,
-            refusal=refusal,
-        )
+    row = alarms.get_alarm(session, alarm_id)
+    return render(
+        request,
+        "alarms/alarm.html",
+        refused=refusal,
+        alarm=row,
+        sensor=None if row.sensor_id is None else sensors.get_sensor(session, row.sensor_id),
+        state=alarms.get_alarm_state(row),
+        shelved=alarms.is_shelved(row),
+        events=alarms.list_alarm_events(session, alarm_id),
+        people=[user for user in users.list_users(session) if user.disabled_utc is None],
+        names=read_names(session),
+        may_handle=bool(actor.roles.intersection(alarms.HANDLERS)) and row.closed_utc is None,
+        until=typed.get("until") or utc_after(A_SHIFT_S)[:16] + "Z",
+        typed=typed,
+        refusal=refusal,
+    )
 
 
 @router.post("/alarms/{alarm_id:int}/{step}", response_class=HTMLResponse)
@@ -145,7 +156,7 @@ async def handle(request: Request, actor: Who, alarm_id: int, step: str) -> Resp
     outcome = await attempt(request, partial(_handle, actor, alarm_id, step, typed))
     if outcome.value is not None:
         return redirect(f"/alarms/{alarm_id}", flash=f"Alarm {alarm_id} {DONE[step]}.")
-    return await run_in_threadpool(_page, request, actor, alarm_id, typed, outcome.refusal)
+    return await read_again(request, partial(_page, request, actor, alarm_id, typed, outcome.refusal))
 
 
 def _handle(actor: Actor, alarm_id: int, step: str, typed: Mapping[str, str], session: Session) -> Alarm:

@@ -20,7 +20,8 @@ from typing import Any
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console.access.dependencies import Reading, Who
+from boresight.console.access.dependencies import Blobs, Reading, Who
+from boresight.console.jobs.maintenance import Upkeep
 from boresight.console.pages.formats import day_of_year, instant
 from boresight.console.pages.rendering import render
 from boresight.console.pages.tables import (
@@ -241,6 +242,8 @@ def audit_page(
     request: Request,
     session: Reading,
     actor: Who,  # noqa: ARG001 - who is not logged in may not read
+    files: Blobs,
+    upkeep: Upkeep,
     verify: str = "",
 ) -> HTMLResponse:
     """Show a page of records, and the light of the chain."""
@@ -250,7 +253,7 @@ def audit_page(
     except RefusedInputError as error:
         refusal = str(error)
     newest = audit.list_records(session, limit=1)
-    blobs = request.app.state.blobs if verify or total_bytes(session) <= READ_AT_EVERY_VISIT else None
+    blobs = files if verify or total_bytes(session) <= READ_AT_EVERY_VISIT else None
     short = not newest or newest[0].id <= VERIFIED_AT_EVERY_VISIT
     return render(
         request,
@@ -261,7 +264,7 @@ def audit_page(
         refusal=refusal,
         words=audit.words(session),
         chain=audit.verify(session, blobs=blobs, again=False) if short or verify else None,
-        light=request.app.state.upkeep.light(),
+        light=upkeep.light(),
         head=audit.head(session),
     )
 

@@ -30,11 +30,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import orjson
 
 from boresight.console.access import queries as login_sessions
+from boresight.console.access.dependencies import of_server
 from boresight.console.runs import queries as run_events
 from boresight.console.runs.tables import RunEvent
 from boresight.platform.actors import Actor
@@ -371,3 +372,6 @@ class Broadcast:
         self._tell()
         for listener in self._listeners:
             listener.put(None)
+
+
+Feed = Annotated[Broadcast, of_server("broadcast")]

@@ -14,8 +14,8 @@ from starlette.requests import Request
 from starlette.responses import StreamingResponse
 
 from boresight.console.access.credentials import is_still_valid
-from boresight.console.access.dependencies import Who
-from boresight.console.jobs.broadcast import Broadcast, Event, EventBatch, EventCursor, Subscriber, events_after
+from boresight.console.access.dependencies import Database, Who
+from boresight.console.jobs.broadcast import Broadcast, Event, EventBatch, EventCursor, Feed, Subscriber, events_after
 from boresight.console.operation import operations
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Engine, open_reading
@@ -59,6 +59,8 @@ class _Wish:
 async def stream_events(
     actor: Who,
     request: Request,
+    feed: Feed,
+    database: Database,
     run: Annotated[int | None, Query(description="Only what concerns this run.")] = None,
     history: Annotated[
         int | None, Query(description="Let the progress of this run carry the new points of its course.")
@@ -73,18 +75,20 @@ async def stream_events(
     it was lost, so read the run again. A listener that falls too far behind gets `dropped` and the stream ends; come back
     with `Last-Event-ID` and nothing is missed. When the log-in or the key ends, the stream says `logged-out` and ends.
     """
-    return EventStream(_stream(request, actor, _Wish(run, history), last_event_id), headers=HEADERS)
+    return EventStream(_stream(request, actor, (feed, database), _Wish(run, history), last_event_id), headers=HEADERS)
 
 
-async def _stream(request: Request, actor: Actor, wish: _Wish, last_event_id: str | None) -> AsyncIterator[bytes]:
+async def _stream(
+    request: Request, actor: Actor, told_by: tuple[Broadcast, Engine], wish: _Wish, last_event_id: str | None
+) -> AsyncIterator[bytes]:
     """Write a stream: where it begins, what was missed, then what happens."""
-    broadcast: Broadcast = request.app.state.broadcast
+    broadcast, database = told_by
     with broadcast.listening(actor) as listener:
         brought, newest, told = EventCursor.parse(last_event_id or ""), broadcast.progress, broadcast.place
         cursor = brought or told
         yield f": connected\nid: {cursor}\nretry: {RETRY_MS}\n\n".encode()
         if brought is not None:
-            async for event in _past(request.app.state.engine, broadcast, cursor):
+            async for event in _past(database, broadcast, cursor):
                 cursor = event.move(cursor)
                 yield wish.written(event, cursor)
             if cursor.progress < newest or cursor.progress > broadcast.progress:

@@ -14,11 +14,13 @@ import asyncio
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Annotated
 from urllib.parse import urlsplit, urlunsplit
 
 import httpx
 
 import boresight
+from boresight.console.access.dependencies import of_server
 from boresight.console.webhooks import service as webhook_messages
 from boresight.console.webhooks.service import WebhookMessage
 from boresight.errors import RefusedInputError
@@ -134,3 +136,6 @@ class WebhookSender:
                 if len(heard) >= HEARD:
                     break
             return answer.status_code, heard[:HEARD].decode("utf-8", "replace")
+
+
+Deliveries = Annotated[WebhookSender, of_server("deliveries")]

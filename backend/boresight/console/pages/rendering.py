@@ -51,7 +51,7 @@ from boresight.errors import (
     UnauthenticatedError,
 )
 from boresight.platform.actors import Actor
-from boresight.platform.db.sessions import open_reading
+from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
 from boresight.platform.web.problems import make_problem
 from boresight.platform.web.response_cache import GAPS
@@ -123,6 +123,16 @@ async def attempt(
         raise
     except BoresightError as error:
         return AttemptResult(None, ShownRefusal.of(error))
+
+
+async def read_again(request: Request, render_page: Callable[[Session], HTMLResponse]) -> HTMLResponse:
+    """Render a page in a reading transaction of its own: after a form was refused, or with what was made just now."""
+
+    def read() -> HTMLResponse:
+        with open_reading(request.app.state.engine) as session:
+            return render_page(session)
+
+    return await run_in_threadpool(read)
 
 
 def proof_of_own(request: Request, actor: Actor, password: str) -> Callable[[], Awaitable[Sequence[object]]]:

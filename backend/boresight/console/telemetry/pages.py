@@ -13,20 +13,29 @@ import csv
 import hmac
 import io
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Depends, Request
-from fastapi.concurrency import contextmanager_in_threadpool, run_in_threadpool
+from fastapi.concurrency import contextmanager_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console.access.dependencies import CSRF_FIELD, Reading, Roles, Who, csrf
+from boresight.console.access.dependencies import (
+    CSRF_FIELD,
+    Database,
+    DryRunSight,
+    Reading,
+    Roles,
+    ServerSettings,
+    Who,
+    csrf,
+)
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.pages.drawings import Drawing, detector_map, histogram, number_bars
-from boresight.console.pages.rendering import AttemptResult, ShownRefusal, attempt, redirect, render
+from boresight.console.pages.rendering import AttemptResult, ShownRefusal, attempt, read_again, redirect, render
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
@@ -47,9 +56,12 @@ from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.telemetry.uploads import Upload, Uploaded
 from boresight.errors import BoresightError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role
+from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.tables import Blob
-from boresight.platform.db.sessions import Session, open_reading
+from boresight.platform.db.sessions import Engine, Session, open_reading
+from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.paging import parse_row_id
+from boresight.settings import Settings
 
 SCRIPTED = "x-boresight-upload"  # the header of an upload whose progress a script shows
 
@@ -109,9 +121,10 @@ def _in_use(view: TableView) -> dict[str, Any]:
 
 
 def _page(
-    request: Request, session: Session, roles: frozenset[str], view: TableView, shown: TelemetryContext
+    request: Request, roles: frozenset[str], limit_mb: float, shown: TelemetryContext, session: Session
 ) -> HTMLResponse:
     """Render the list and the form."""
+    view = read_view(request, SETS)
     found = read_page(session, view, **_in_use(view))
     return render(
         request,
@@ -124,18 +137,17 @@ def _page(
         names=read_names(session, sensors_of=found.rows),
         purposes=PURPOSES,
         may_upload="analyst" in roles,
-        limit_mb=request.app.state.settings.upload_limit_mb,
+        limit_mb=limit_mb,
         shown=shown,
     )
 
 
 @router.get("/telemetry", response_class=HTMLResponse)
-def telemetry_page(request: Request, session: Reading, roles: Roles) -> HTMLResponse:
+def telemetry_page(request: Request, session: Reading, roles: Roles, settings: ServerSettings) -> HTMLResponse:
     """Show a page of sets, and the form."""
-    view = read_view(request, SETS)
-    sensor = view.where.get("sensor")
-    find = request.query_params.get("find", "")
-    return _page(request, session, roles, view, TelemetryContext(parse_row_id(sensor or ""), find))
+    sensor = read_view(request, SETS).where.get("sensor")
+    shown = TelemetryContext(parse_row_id(sensor or ""), request.query_params.get("find", ""))
+    return _page(request, roles, settings.upload_limit_mb, shown, session)
 
 
 @router.get("/telemetry.csv")
@@ -169,12 +181,16 @@ def _csv_row(row: TelemetrySet, names: RunNames) -> dict[str, Any]:
 
 
 @router.post("/telemetry", response_class=HTMLResponse)
-async def upload(request: Request, actor: Who, upload: Uploaded) -> Response:
+async def upload(
+    request: Request, actor: Who, upload: Uploaded, settings: ServerSettings, sight: DryRunSight, engine: Database
+) -> Response:
     """Check and store the file, then show its quality report."""
     _require_meant(request, upload)
-    outcome = await _attempt(request, actor, upload)
+    ready = _prepared(actor, upload, settings, sight, engine)
+    outcome = await _attempt(request, actor, upload, sight.blobs, ready)
     if outcome.value is None:
-        return await run_in_threadpool(_again, request, actor, upload, outcome.refusal)
+        shown = _refused(upload, outcome.refusal)
+        return await read_again(request, partial(_page, request, actor.roles, settings.upload_limit_mb, shown))
     row = outcome.value
     response = redirect(f"/telemetry/{row.id}", flash=f"{row.name} is telemetry set {row.id}.")
     if SCRIPTED in request.headers:
@@ -189,46 +205,50 @@ def _require_meant(request: Request, upload: Upload) -> None:
         raise ForbiddenError("This form is of another log-in; reload the page and choose the file again.")
 
 
-async def _attempt(request: Request, actor: Actor, upload: Upload) -> AttemptResult[TelemetrySet]:
+async def _attempt(
+    request: Request,
+    actor: Actor,
+    upload: Upload,
+    blobs: BlobStore,
+    checking: AbstractContextManager[PreparedUpload],
+) -> AttemptResult[TelemetrySet]:
     """Read and check the file, then store it in a transaction."""
     try:
-        async with contextmanager_in_threadpool(_prepared(request, actor, upload)) as ready:
-            return await attempt(request, partial(_store, request, actor, upload, ready))
+        async with contextmanager_in_threadpool(checking) as ready:
+            return await attempt(request, partial(_store, actor, blobs, upload, ready))
     except BoresightError as error:
         return AttemptResult(None, ShownRefusal.of(error))
 
 
 @contextmanager
-def _prepared(request: Request, actor: Actor, upload: Upload) -> Iterator[PreparedUpload]:
+def _prepared(
+    actor: Actor, upload: Upload, settings: Settings, sight: ForecastSources, engine: Engine
+) -> Iterator[PreparedUpload]:
     """Read and check the file without the database."""
     require_role(actor, "analyst")
     if parse_row_id(upload.fields.get("sensor_id", "")) is None:
         raise RefusedInputError("Choose the sensor that the telemetry is of.")
     if upload.path is None or not upload.file_name:
         raise RefusedInputError("No file was chosen: choose a CSV, JSON Lines or Parquet file.")
-    state = request.app.state
-    with open_reading(state.engine) as session:
+    with open_reading(engine) as session:
         document = sensors.get_sensor(session, upload.number("sensor_id")).document
-    limits = state.settings.telemetry_limits
-    with telemetry_sets.prepared(document, state.catalogue(), upload.path, upload.file_name, limits) as ready:
-        state.blobs.send_ahead(ready.original, ready.table)
+    limits = settings.telemetry_limits
+    with telemetry_sets.prepared(document, sight.catalogue(), upload.path, upload.file_name, limits) as ready:
+        sight.blobs.send_ahead(ready.original, ready.table)
         yield ready
 
 
-def _store(request: Request, actor: Actor, upload: Upload, ready: PreparedUpload, session: Session) -> TelemetrySet:
+def _store(actor: Actor, blobs: BlobStore, upload: Upload, ready: PreparedUpload, session: Session) -> TelemetrySet:
     """Store the checked file."""
     purpose = upload.fields.get("purpose", PURPOSES[0])
-    blobs = request.app.state.blobs
     return telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), ready, purpose)
 
 
-def _again(request: Request, actor: Actor, upload: Upload, refusal: ShownRefusal | None) -> HTMLResponse:
-    """Render the page after a refusal, with what was chosen."""
+def _refused(upload: Upload, refusal: ShownRefusal | None) -> TelemetryContext:
+    """Return what a refused form leaves behind: what was chosen."""
     sensor, purpose = upload.fields.get("sensor_id", ""), upload.fields.get("purpose", "")
     known = purpose if purpose in PURPOSES else PURPOSES[0]
-    shown = TelemetryContext(parse_row_id(sensor), purpose=known, refusal=refusal)
-    with open_reading(request.app.state.engine) as session:
-        return _page(request, session, actor.roles, read_view(request, SETS), shown)
+    return TelemetryContext(parse_row_id(sensor), purpose=known, refusal=refusal)
 
 
 RUNS_SHOWN = 100

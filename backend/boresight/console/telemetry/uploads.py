@@ -20,11 +20,10 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
-from boresight.console.access.credentials import get_actor
+from boresight.console.access.dependencies import ServerSettings, Who
 from boresight.console.operation import FORM_CONTENT
 from boresight.disks import storage_error
 from boresight.errors import RefusedInputError
-from boresight.platform.actors import Actor
 from boresight.platform.web.paging import parse_row_id
 
 HOW = "Send multipart/form-data with the fields sensor_id, purpose and file."
@@ -100,10 +99,11 @@ class _OnDisk(UploadFile):
 
 async def uploaded(
     request: Request,
-    actor: Annotated[Actor, Depends(get_actor)],  # noqa: ARG001 - nothing is read for nobody
+    actor: Who,  # noqa: ARG001 - nothing is read for nobody
+    settings: ServerSettings,
 ) -> AsyncIterator[Upload]:
     """Stream the request's file to the disk and remove it before the answer is sent."""
-    folder = request.app.state.settings.data_folder / "uploads"
+    folder = settings.data_folder / "uploads"
     try:
         folder.mkdir(exist_ok=True)  # in the data folder, which is made when the server starts and never again
     except OSError as error:

@@ -11,13 +11,15 @@ from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console.access.dependencies import Reading, Who, csrf
-from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, redirect_refused, render
+from boresight.console.access.dependencies import Reading, SecretKeeper, Who, csrf
+from boresight.console.jobs.webhook_sender import Deliveries
+from boresight.console.pages.rendering import ShownRefusal, attempt, read_again, redirect, redirect_refused, render
 from boresight.console.webhooks import service as webhooks
 from boresight.console.webhooks.secrets import get_state
 from boresight.errors import BoresightError
 from boresight.platform.actors import Actor
-from boresight.platform.db.sessions import Session, open_reading
+from boresight.platform.db.secret_box import SecretBox
+from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import parse_row_id
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -35,12 +37,12 @@ class WebhooksContext:
 
 
 @router.get("/webhooks", response_class=HTMLResponse)
-def webhooks_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
+def webhooks_page(request: Request, session: Reading, actor: Who, box: SecretKeeper) -> HTMLResponse:
     """Show every webhook, and the form for another."""
-    return _page(request, session, actor, WebhooksContext())
+    return _page(request, actor, box, WebhooksContext(), session)
 
 
-def _page(request: Request, session: Session, actor: Actor, shown: WebhooksContext) -> HTMLResponse:
+def _page(request: Request, actor: Actor, box: SecretBox, shown: WebhooksContext, session: Session) -> HTMLResponse:
     """Render the list, or to whom it is not shown who may see it."""
     may = "administrator" in actor.roles
     return render(
@@ -49,48 +51,54 @@ def _page(request: Request, session: Session, actor: Actor, shown: WebhooksConte
         refused=shown.refusal,
         may=may,
         hooks=webhooks.list_webhooks(session, actor) if may else [],
-        state_of=partial(get_state, box=request.app.state.secret_box),
+        state_of=partial(get_state, box=box),
         shown=shown,
     )
-
-
-def _again(request: Request, actor: Actor, shown: WebhooksContext) -> HTMLResponse:
-    """Render the list after a form was refused, or with a secret."""
-    with open_reading(request.app.state.engine) as session:
-        return _page(request, session, actor, shown)
 
 
 @router.post("/webhooks", response_class=HTMLResponse)
 async def create(
     request: Request,
     actor: Who,
+    box: SecretKeeper,
+    deliveries: Deliveries,
     label: Annotated[str, Form()] = "",
     url: Annotated[str, Form()] = "",
     actions: Annotated[str, Form()] = "",
 ) -> Response:
     """Make a webhook and show its secret, this once."""
     wanted = actions.replace(",", " ").split()
-    state, typed = request.app.state, {"label": label, "url": url, "actions": actions}
+    typed = {"label": label, "url": url, "actions": actions}
     try:
-        await run_in_threadpool(webhooks.judge_address, actor, url, state.deliveries.targets)
+        await run_in_threadpool(webhooks.judge_address, actor, url, deliveries.targets)
     except BoresightError as error:
-        return await run_in_threadpool(_again, request, actor, WebhooksContext(ShownRefusal.of(error), typed))
-    change = partial(webhooks.create_webhook, actor=actor, box=state.secret_box, label=label, url=url, actions=wanted)
+        return await read_again(
+            request, partial(_page, request, actor, box, WebhooksContext(ShownRefusal.of(error), typed))
+        )
+    change = partial(webhooks.create_webhook, actor=actor, box=box, label=label, url=url, actions=wanted)
     outcome = await attempt(request, change)
     shown = (
         WebhooksContext(outcome.refusal, typed) if outcome.value is None else WebhooksContext(secret=outcome.value[1])
     )
-    return await run_in_threadpool(_again, request, actor, shown)
+    return await read_again(request, partial(_page, request, actor, box, shown))
 
 
 @router.get("/webhooks/{webhook_id:int}", response_class=HTMLResponse)
-def webhook_page(request: Request, session: Reading, actor: Who, webhook_id: int, before: str = "") -> HTMLResponse:
+def webhook_page(
+    request: Request, session: Reading, actor: Who, box: SecretKeeper, webhook_id: int, before: str = ""
+) -> HTMLResponse:
     """Show a webhook with its messages, newest first."""
-    return _webhook_page(request, session, actor, webhook_id, before)
+    return _webhook_page(request, actor, box, webhook_id, session, before)
 
 
 def _webhook_page(
-    request: Request, session: Session, actor: Actor, webhook_id: int, before: str = "", secret: str = ""
+    request: Request,
+    actor: Actor,
+    box: SecretBox,
+    webhook_id: int,
+    session: Session,
+    before: str = "",
+    secret: str = "",
 ) -> HTMLResponse:
     """Render a webhook, with a secret that was made just now."""
     before_id = parse_row_id(before)
@@ -100,7 +108,7 @@ def _webhook_page(
         request,
         "webhooks/webhook.html",
         hook=hook,
-        state=get_state(hook, request.app.state.secret_box),
+        state=get_state(hook, box),
         secret=secret,
         deliveries=found[:ROWS_A_PAGE],
         next_before=found[ROWS_A_PAGE - 1].id if len(found) > ROWS_A_PAGE else None,
@@ -116,21 +124,16 @@ async def try_webhook(request: Request, actor: Who, webhook_id: int) -> Response
 
 @router.post("/webhooks/{webhook_id:int}/renew-secret", response_class=HTMLResponse)
 async def renew_secret(
-    request: Request, actor: Who, webhook_id: int, overlap_hours: Annotated[str, Form()] = "24"
+    request: Request, actor: Who, box: SecretKeeper, webhook_id: int, overlap_hours: Annotated[str, Form()] = "24"
 ) -> Response:
     """Give a webhook a new secret and show it, this once."""
-    hours, box = (0.0 if overlap_hours == "0" else 24.0), request.app.state.secret_box
+    hours = 0.0 if overlap_hours == "0" else 24.0
     change = partial(webhooks.renew_secret, actor=actor, box=box, webhook_id=webhook_id, overlap_hours=hours)
     outcome = await attempt(request, change)
     if outcome.refusal is not None:
         return redirect_refused(f"/webhooks/{webhook_id}", outcome.refusal)
-    return await run_in_threadpool(_renewed, request, actor, webhook_id, outcome.made[1])
-
-
-def _renewed(request: Request, actor: Actor, webhook_id: int, secret: str) -> HTMLResponse:
-    """Render a webhook with its new secret."""
-    with open_reading(request.app.state.engine) as session:
-        return _webhook_page(request, session, actor, webhook_id, secret=secret)
+    secret = outcome.made[1]
+    return await read_again(request, partial(_webhook_page, request, actor, box, webhook_id, secret=secret))
 
 
 @router.post("/webhooks/{webhook_id:int}/disable", response_class=HTMLResponse)

@@ -7,8 +7,8 @@ from typing import Annotated
 from fastapi import Depends
 from pydantic import BaseModel, ConfigDict, Field
 
-from boresight.console.access.dependencies import Reading, Who, Writing, of_server
-from boresight.console.jobs.webhook_sender import WebhookSender
+from boresight.console.access.dependencies import Reading, SecretKeeper, Who, Writing
+from boresight.console.jobs.webhook_sender import Deliveries
 from boresight.console.operation import Answer, Beside, operations
 from boresight.console.webhooks import schemas
 from boresight.console.webhooks import service as webhooks
@@ -46,12 +46,9 @@ class Renewal(BaseModel):
     )
 
 
-def _judge(wanted: WantedWebhook, actor: Who, deliveries: Annotated[WebhookSender, of_server("deliveries")]) -> None:
+def _judge(wanted: WantedWebhook, actor: Who, deliveries: Deliveries) -> None:
     """Look up where the address leads before the writing transaction: that takes time, and there is one writer."""
     webhooks.judge_address(actor, wanted.url, deliveries.targets)
-
-
-Box = Annotated[SecretBox, of_server("secret_box")]
 
 
 def _shown(row: Webhook, box: SecretBox, **more: str) -> Beside:
@@ -66,7 +63,7 @@ def _with_secret(row: Webhook, secret: str, box: SecretBox) -> Answer:
 
 
 @router.get("", summary="List webhooks", response_model=Page[schemas.Webhook])
-def list_webhooks(actor: Who, session: Reading, page: Paged, box: Box) -> Listing[Beside]:
+def list_webhooks(actor: Who, session: Reading, page: Paged, box: SecretKeeper) -> Listing[Beside]:
     """List webhooks, newest first."""
     return page.cut_whole(webhooks.list_webhooks(session, actor), lambda row: _shown(row, box))
 
@@ -78,7 +75,7 @@ def list_webhooks(actor: Who, session: Reading, page: Paged, box: Box) -> Listin
     response_model=schemas.NewWebhook,
     dependencies=[Depends(_judge)],
 )
-def create_webhook(wanted: WantedWebhook, actor: Who, box: Box, session: Writing) -> Answer:
+def create_webhook(wanted: WantedWebhook, actor: Who, box: SecretKeeper, session: Writing) -> Answer:
     """Tell an address what happens from now on. `secret` is in this answer and nowhere else.
 
     The host is judged by every address that its name leads to, now and before each message.
@@ -89,7 +86,7 @@ def create_webhook(wanted: WantedWebhook, actor: Who, box: Box, session: Writing
 
 @router.post("/{webhook_id}:renew-secret", summary="Give it a new secret", response_model=schemas.NewWebhook)
 def renew_webhook_secret(
-    webhook_id: Id, actor: Who, box: Box, session: Writing, renewal: Renewal | None = None
+    webhook_id: Id, actor: Who, box: SecretKeeper, session: Writing, renewal: Renewal | None = None
 ) -> Answer:
     """Give a webhook a new secret; the former one signs beside it for some hours, so that the receiver can change over."""
     hours = OVERLAP_HOURS if renewal is None else renewal.overlap_hours
@@ -98,19 +95,19 @@ def renew_webhook_secret(
 
 
 @router.get("/{webhook_id}", summary="Read a webhook", response_model=schemas.Webhook)
-def get_webhook(webhook_id: Id, actor: Who, session: Reading, box: Box) -> Beside:
+def get_webhook(webhook_id: Id, actor: Who, session: Reading, box: SecretKeeper) -> Beside:
     """Read a webhook."""
     return _shown(webhooks.get_webhook(session, actor, webhook_id), box)
 
 
 @router.post("/{webhook_id}:disable", summary="Tell it nothing more", response_model=schemas.Webhook)
-def disable_webhook(webhook_id: Id, actor: Who, box: Box, session: Writing) -> Beside:
+def disable_webhook(webhook_id: Id, actor: Who, box: SecretKeeper, session: Writing) -> Beside:
     """Tell an address nothing more; its log stays."""
     return _shown(webhooks.disable_webhook(session, actor, webhook_id), box)
 
 
 @router.post("/{webhook_id}:enable", summary="Tell it again", response_model=schemas.Webhook)
-def enable_webhook(webhook_id: Id, actor: Who, box: Box, session: Writing) -> Beside:
+def enable_webhook(webhook_id: Id, actor: Who, box: SecretKeeper, session: Writing) -> Beside:
     """Tell an address again what happens from now on."""
     return _shown(webhooks.enable_webhook(session, actor, webhook_id), box)
 

@@ -17,12 +17,11 @@ from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Depends, Request
-from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import UploadFile
 
 from boresight.console import transitions
-from boresight.console.access.dependencies import Who, csrf
+from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy, Who, csrf
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import timeline
@@ -32,6 +31,7 @@ from boresight.console.pages.rendering import (
     attempt,
     get_texts,
     proof_of_own,
+    read_again,
     redirect,
     render,
     seen_version,
@@ -44,7 +44,7 @@ from boresight.console.uplinks.tables import Package, Uplink
 from boresight.errors import BoresightError
 from boresight.platform.actors import Actor
 from boresight.platform.blobs.store import BlobStore
-from boresight.platform.db.sessions import Session, open_reading
+from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import parse_row_id
 
 LADDER = ("SENT", "LOADED", "VERIFIED", "ACTIVE")
@@ -151,43 +151,44 @@ class UplinkStepsContext:
 
 
 @router.get("/parameter-sets/{set_id:int}/uplink", response_class=HTMLResponse)
-def steps_page(request: Request, actor: Who, set_id: int) -> HTMLResponse:
+def steps_page(request: Request, session: Reading, actor: Who, blobs: Blobs, set_id: int) -> HTMLResponse:
     """Show a set's way to the spacecraft."""
-    return _page(request, actor, set_id, UplinkStepsContext())
+    return _page(request, actor, blobs, set_id, UplinkStepsContext(), session)
 
 
-def _page(request: Request, actor: Actor, set_id: int, shown: UplinkStepsContext) -> HTMLResponse:
+def _page(
+    request: Request, actor: Actor, blobs: BlobStore, set_id: int, shown: UplinkStepsContext, session: Session
+) -> HTMLResponse:
     """Render the page, with the refusal of a step and what was typed."""
-    with open_reading(request.app.state.engine) as session:
-        row = transitions.get_parameter_set(session, set_id)
-        records = uplinks.list_uplinks(session, parameter_set_id=set_id)
-        built = packages.list_packages(session, parameter_set_id=set_id)
-        exported = find_exported_package(built, records)
-        names = read_names(session)
-        reference, why = _reference(session, request.app.state.blobs, row)
-        return render(
-            request,
-            "uplinks/uplink_steps.html",
-            refused=shown.refusal,
-            set=row,
-            sensor=sensors.get_sensor(session, row.sensor_id),
-            known=timeline.get_state_at(session, row.sensor_id),
-            steps=list_steps(exported, records, names),
-            records=records,
-            compared=next((it for it in find_uplink_progress(records) if it.method), None) if records else None,
-            packages=built,
-            exported=exported,
-            members=_members(session, request.app.state.blobs, exported),
-            reference=reference,
-            why_no_reference=why,
-            next_states=uplinks.next_statements(session, row),
-            why_not_sent=_why_not_sent(row),
-            may_export=row.ground_state in packages.EXPORTED,
-            readable=row.onboard_state in read_backs.READABLE,
-            blocked=None if "operator" in actor.roles else NO_ROLE,
-            names=names,
-            shown=shown,
-        )
+    row = transitions.get_parameter_set(session, set_id)
+    records = uplinks.list_uplinks(session, parameter_set_id=set_id)
+    built = packages.list_packages(session, parameter_set_id=set_id)
+    exported = find_exported_package(built, records)
+    names = read_names(session)
+    reference, why = _reference(session, blobs, row)
+    return render(
+        request,
+        "uplinks/uplink_steps.html",
+        refused=shown.refusal,
+        set=row,
+        sensor=sensors.get_sensor(session, row.sensor_id),
+        known=timeline.get_state_at(session, row.sensor_id),
+        steps=list_steps(exported, records, names),
+        records=records,
+        compared=next((it for it in find_uplink_progress(records) if it.method), None) if records else None,
+        packages=built,
+        exported=exported,
+        members=_members(session, blobs, exported),
+        reference=reference,
+        why_no_reference=why,
+        next_states=uplinks.next_statements(session, row),
+        why_not_sent=_why_not_sent(row),
+        may_export=row.ground_state in packages.EXPORTED,
+        readable=row.onboard_state in read_backs.READABLE,
+        blocked=None if "operator" in actor.roles else NO_ROLE,
+        names=names,
+        shown=shown,
+    )
 
 
 def _why_not_sent(row: ParameterSet) -> str | None:
@@ -227,8 +228,7 @@ async def _form(request: Request) -> tuple[dict[str, str], bytes | None]:
 
 async def _taken_step(
     request: Request,
-    actor: Actor,
-    set_id: int,
+    show: Callable[[UplinkStepsContext, Session], HTMLResponse],
     form: str,
     typed: dict[str, str],
     change: Callable[..., Any],
@@ -239,29 +239,31 @@ async def _taken_step(
     outcome = await attempt(request, change, prepare)
     if outcome.value is None:
         kept = {name: value for name, value in typed.items() if name != "password"}
-        return await run_in_threadpool(
-            partial(_page, request, actor, set_id, UplinkStepsContext(form, kept, outcome.refusal))
-        )
+        return await read_again(request, partial(show, UplinkStepsContext(form, kept, outcome.refusal)))
     matched = getattr(outcome.value, "onboard_state", "") != "MISMATCH"  # the page itself says of a mismatch what it is
-    return redirect(f"/parameter-sets/{set_id}/uplink", flash=said if matched else "")
+    return redirect(f"/parameter-sets/{request.path_params['set_id']}/uplink", flash=said if matched else "")
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/package")
-async def export(request: Request, actor: Who, set_id: int) -> Response:
+async def export(request: Request, actor: Who, blobs: Blobs, policy: ServerPolicy, set_id: int) -> Response:
     """Build the set's package, or show the one that exists."""
     typed, _ = await _form(request)
-    state = request.app.state
 
     def change(session: Session) -> Package:
-        return packages.build(session, actor, state.blobs, set_id, policy=state.policy)
+        return packages.build(session, actor, blobs, set_id, policy=policy)
 
     return await _taken_step(
-        request, actor, set_id, "package", typed, change, "The package is built; download it below."
+        request,
+        partial(_page, request, actor, blobs, set_id),
+        "package",
+        typed,
+        change,
+        "The package is built; download it below.",
     )
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/record")
-async def record(request: Request, actor: Who, set_id: int) -> Response:
+async def record(request: Request, actor: Who, blobs: Blobs, set_id: int) -> Response:
     """Record the next state by statement."""
     typed, _ = await _form(request)
     package = typed.get("package_id", "")
@@ -274,27 +276,34 @@ async def record(request: Request, actor: Who, set_id: int) -> Response:
             session, actor, set_id, state, source, seen_version(typed), package_id=package_id, happened=happened
         )
 
-    return await _taken_step(request, actor, set_id, "record", typed, change, "Recorded.")
+    return await _taken_step(
+        request, partial(_page, request, actor, blobs, set_id), "record", typed, change, "Recorded."
+    )
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/read-back")
-async def read_back(request: Request, actor: Who, set_id: int) -> Response:
+async def read_back(request: Request, actor: Who, blobs: Blobs, set_id: int) -> Response:
     """Hold a dump or a CRC against what was sent."""
     typed, dump = await _form(request)
 
     def change(session: Session) -> Uplink:
         read = read_backs.dump_or_crc(dump, typed.get("crc", ""))
-        blobs, source = request.app.state.blobs, typed.get("source", "")
-        return read_backs.read_back(
-            session, actor, blobs, set_id, read, source, seen_version(typed), typed.get("happened_utc")
-        )
+        source, happened = typed.get("source", ""), typed.get("happened_utc")
+        return read_backs.read_back(session, actor, blobs, set_id, read, source, seen_version(typed), happened)
 
     by = "by CRC" if dump is None else "byte for byte"
-    return await _taken_step(request, actor, set_id, "read-back", typed, change, f"What was read back matches, {by}.")
+    return await _taken_step(
+        request,
+        partial(_page, request, actor, blobs, set_id),
+        "read-back",
+        typed,
+        change,
+        f"What was read back matches, {by}.",
+    )
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/activate")
-async def activate(request: Request, actor: Who, set_id: int) -> Response:
+async def activate(request: Request, actor: Who, blobs: Blobs, set_id: int) -> Response:
     """Sign that the set is active."""
     typed, _ = await _form(request)
 
@@ -305,4 +314,6 @@ async def activate(request: Request, actor: Who, set_id: int) -> Response:
 
     prove = proof_of_own(request, actor, typed.get("password", ""))
     said = "Signed: the set is ACTIVE on board."
-    return await _taken_step(request, actor, set_id, "activate", typed, change, said, prove)
+    return await _taken_step(
+        request, partial(_page, request, actor, blobs, set_id), "activate", typed, change, said, prove
+    )

@@ -13,24 +13,23 @@ from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Depends, Request
-from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.cameras import CAMERA_MODELS
-from boresight.console.access.dependencies import Who, csrf
+from boresight.console.access.dependencies import Reading, ServerPolicy, Who, csrf
 from boresight.console.approvals import proposals
 from boresight.console.approvals.tables import ChangeProposal, GateProfile
 from boresight.console.change_proposals import service as second_person
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import read_document, typed_document
-from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, render
+from boresight.console.pages.rendering import ShownRefusal, attempt, read_again, redirect, render
 from boresight.console.runs.pages.list import read_names
 from boresight.console.uplinks import table_definitions
 from boresight.console.uplinks.table_definitions import Layout
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, Policy
-from boresight.platform.db.sessions import Session, open_reading
+from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import parse_row_id
 from boresight.uplink.checksum import CHECKSUMS
 from boresight.uplink.fields import Field
@@ -113,45 +112,46 @@ def _kind(field: Field) -> str:
 
 
 @router.get("/sensors/{sensor_id:int}/table-definition", response_class=HTMLResponse)
-def table_definition_page(request: Request, actor: Who, sensor_id: int, example: str = "") -> HTMLResponse:
+def table_definition_page(
+    request: Request, session: Reading, actor: Who, policy: ServerPolicy, sensor_id: int, example: str = ""
+) -> HTMLResponse:
     """Show the definition in force, or an example to begin with."""
-    return _page(request, actor, sensor_id, TableDefinitionContext(tried=bool(example)))
+    return _page(request, actor, policy, sensor_id, TableDefinitionContext(tried=bool(example)), session)
 
 
-def _page(request: Request, actor: Actor, sensor_id: int, shown: TableDefinitionContext) -> HTMLResponse:
+def _page(
+    request: Request, actor: Actor, policy: Policy, sensor_id: int, shown: TableDefinitionContext, session: Session
+) -> HTMLResponse:
     """Render the definition, with what a form left behind."""
-    with open_reading(request.app.state.engine) as session:
-        sensor = sensors.get_sensor(session, sensor_id)
-        versions = table_definitions.list_definitions(session, sensor_id)
-        current = versions[0] if versions else None
-        text = shown.text or written_as_text(
-            current.document if current else plain_definition(sensor.document["camera_model"])
-        )
-        begun = bool(current or shown.text or shown.tried)
-        layout, refusal = (
-            _laid_out(session, sensor_id, text) if begun and shown.refusal is None else (None, shown.refusal)
-        )
-        return render(
-            request,
-            "uplinks/table_definition.html",
-            refused=refusal,
-            sensor=sensor,
-            current=current,
-            versions=versions,
-            text=text if begun else "",
-            layout=layout,
-            in_force=bool(current and layout and layout.definition.document == current.document),
-            places=[] if layout is None else list_layout_lines(layout),
-            refusal=refusal,
-            names=read_names(session),
-            pending=proposals.open_proposals(session, sensor_id, "table-definition"),
-            confirmed=proposals.confirmed_by_number(session, sensor_id, "table-definition"),
-            second_person=request.app.state.policy.second_person,
-            entries=ENTRIES,
-            parameters=CAMERA_MODELS[sensor.document["camera_model"]].parameter_names,
-            may_set=bool(MAY_SET & actor.roles),
-            shown=shown,
-        )
+    sensor = sensors.get_sensor(session, sensor_id)
+    versions = table_definitions.list_definitions(session, sensor_id)
+    current = versions[0] if versions else None
+    text = shown.text or written_as_text(
+        current.document if current else plain_definition(sensor.document["camera_model"])
+    )
+    begun = bool(current or shown.text or shown.tried)
+    layout, refusal = _laid_out(session, sensor_id, text) if begun and shown.refusal is None else (None, shown.refusal)
+    return render(
+        request,
+        "uplinks/table_definition.html",
+        refused=refusal,
+        sensor=sensor,
+        current=current,
+        versions=versions,
+        text=text if begun else "",
+        layout=layout,
+        in_force=bool(current and layout and layout.definition.document == current.document),
+        places=[] if layout is None else list_layout_lines(layout),
+        refusal=refusal,
+        names=read_names(session),
+        pending=proposals.open_proposals(session, sensor_id, "table-definition"),
+        confirmed=proposals.confirmed_by_number(session, sensor_id, "table-definition"),
+        second_person=policy.second_person,
+        entries=ENTRIES,
+        parameters=CAMERA_MODELS[sensor.document["camera_model"]].parameter_names,
+        may_set=bool(MAY_SET & actor.roles),
+        shown=shown,
+    )
 
 
 def _laid_out(session: Session, sensor_id: int, text: str) -> tuple[Layout | None, ShownRefusal | None]:
@@ -165,32 +165,26 @@ def _laid_out(session: Session, sensor_id: int, text: str) -> tuple[Layout | Non
 
 
 @router.post("/sensors/{sensor_id:int}/table-definition", response_class=HTMLResponse)
-async def change(request: Request, actor: Who, sensor_id: int) -> Response:
+async def change(request: Request, actor: Who, policy: ServerPolicy, sensor_id: int) -> Response:
     """Try a definition, or put it into force."""
     form = await request.form()
     reason = str(form.get("reason", ""))
+    page = partial(_page, request, actor, policy, sensor_id)
     try:
         text = await typed_document(form)
     except RefusedInputError as error:
-        return await run_in_threadpool(
-            _page, request, actor, sensor_id, TableDefinitionContext("", reason, ShownRefusal.of(error))
-        )
+        return await read_again(request, partial(page, TableDefinitionContext("", reason, ShownRefusal.of(error))))
     if form.get("action") != "set":
-        return await run_in_threadpool(
-            _page, request, actor, sensor_id, TableDefinitionContext(text, reason, tried=True)
-        )
-    number = str(form.get("number", ""))
-    seen = parse_row_id(number)
-    outcome = await attempt(request, partial(_set, actor, sensor_id, text, reason, seen, request.app.state.policy))
-    if outcome.value is not None:
-        if isinstance(outcome.value, ChangeProposal):
-            flash = "Proposed: it takes effect when another person confirms it."
-            return redirect(f"/change-proposals/{outcome.value.id}", flash=flash)
-        flash = f"Version {outcome.value.number} is in force; undecided requests of the sensor are stale."
-        return redirect(f"/sensors/{sensor_id}/table-definition", flash=flash)
-    return await run_in_threadpool(
-        _page, request, actor, sensor_id, TableDefinitionContext(text, reason, outcome.refusal)
-    )
+        return await read_again(request, partial(page, TableDefinitionContext(text, reason, tried=True)))
+    seen = parse_row_id(str(form.get("number", "")))
+    outcome = await attempt(request, partial(_set, actor, sensor_id, text, reason, seen, policy))
+    if outcome.value is None:
+        return await read_again(request, partial(page, TableDefinitionContext(text, reason, outcome.refusal)))
+    if isinstance(outcome.value, ChangeProposal):
+        flash = "Proposed: it takes effect when another person confirms it."
+        return redirect(f"/change-proposals/{outcome.value.id}", flash=flash)
+    flash = f"Version {outcome.value.number} is in force; undecided requests of the sensor are stale."
+    return redirect(f"/sensors/{sensor_id}/table-definition", flash=flash)
 
 
 def _set(
