@@ -14,8 +14,7 @@ from boresight.cli.assess import assess
 from boresight.cli.audit import audit, backup, restore
 from boresight.cli.calibrate import calibrate
 from boresight.cli.convert import convert
-from boresight.cli.evaluate import check, evaluate
-from boresight.cli.match import match
+from boresight.cli.evaluate import check, evaluate, match
 from boresight.cli.output import RefusingGroup
 from boresight.cli.report import report
 from boresight.cli.reproduce import reproduce, simulate

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from boresight.console.alarms.tables import Alarm
@@ -9,12 +11,23 @@ from boresight.console.approvals.tables import Approval, ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as rows
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.errors import NotFoundError, PreconditionRequiredError, StaleError
+from boresight.errors import NotFoundError, PreconditionRequiredError, RefusedInputError, StaleError
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
+from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session
 
 Versioned = Alarm | Approval | ChangeProposal | ParameterSet | Sensor
+
+
+@dataclass(frozen=True)
+class DocumentInForce:
+    """What is in force of a sensor's numbered documents: its title, under what its changes are audited, number and hash."""
+
+    title: str
+    subject: str | None
+    number: int
+    sha256: str | None
 
 
 def get_approval(session: Session, approval_id: int) -> Approval:
@@ -71,6 +84,31 @@ def require_seen(session: Session, row: Versioned, seen_version: int | None) -> 
         raise StaleError(
             f"{make_label(row)} has changed since you looked (you saw v{seen_version}, it is v{row.version}): "
             f"{who_changed(session, row)}. Reload, look again and decide."
+        )
+
+
+def require_seen_document(session: Session, current: DocumentInForce, seen_number: int | None) -> None:
+    """Refuse a change by someone who did not see the document in force."""
+    if seen_number is None:
+        raise PreconditionRequiredError(
+            f'Say which version of the {current.title} you saw: If-Match: "v<number>", "v0" for the first.'
+        )
+    if seen_number != current.number:
+        record = None if current.subject is None else audit.last_change(session, current.subject)
+        by = "" if record is None else f": {record.actor} {record.action} it at {record.at_utc}"
+        raise StaleError(
+            f"The {current.title} has changed since you looked (you saw v{seen_number}, it is v{current.number}){by}. "
+            "Reload, look again and decide."
+        )
+
+
+def require_change(current: DocumentInForce, document: Mapping[str, Any], reason: str) -> None:
+    """Refuse a document without a reason, and the one that is in force already."""
+    if not reason.strip():
+        raise RefusedInputError(f"Give the reason why the {current.title} is another one.")
+    if compute_sha256(dict(document)) == current.sha256:
+        raise RefusedInputError(
+            f"This is version {current.number} of the {current.title}, in force already: change something."
         )
 
 

@@ -13,9 +13,15 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.pages.list import RunNames
 from boresight.console.uplinks import packages
 from boresight.console.uplinks import service as uplinks
-from boresight.console.uplinks.pages import board as uplink
-from boresight.console.uplinks.pages.board import find_worst_known, make_uplink_line
-from boresight.console.uplinks.pages.steps import LADDER, find_exported_package, list_package_members, list_steps
+from boresight.console.uplinks.pages import steps as uplink
+from boresight.console.uplinks.pages.steps import (
+    LADDER,
+    find_exported_package,
+    find_worst_known,
+    list_package_members,
+    list_steps,
+    make_uplink_line,
+)
 from boresight.console.uplinks.service import add_entry
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.platform.db.sessions import open_reading, open_writing

@@ -18,7 +18,8 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.runs.calibration_document import read_result
 from boresight.console.runs.tables import Run
-from boresight.errors import BoresightError, NotFoundError, PreconditionRequiredError, RefusedInputError, StaleError
+from boresight.console.transitions import DocumentInForce, require_change, require_seen_document
+from boresight.errors import BoresightError, NotFoundError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.store import BlobStore
@@ -111,12 +112,10 @@ def checked(
     require_scope(actor, "sensors")
     refuse_control_characters(reason=reason)
     current = profile_in_force(session, sensor_id)
-    _require_seen(session, current, seen_number)
+    in_force = DocumentInForce("gate profile", name_profile(sensor_id), current.number, current.sha256)
+    require_seen_document(session, in_force, seen_number)
     complete = gates.parse_profile(document).document()
-    if not reason.strip():
-        raise RefusedInputError("Give the reason why the limits change.")
-    if compute_sha256(complete) == current.sha256:
-        raise RefusedInputError(f"These are the limits of version {current.number}, in force already: change one.")
+    require_change(in_force, complete, reason)
     return complete
 
 
@@ -149,19 +148,6 @@ def put_into_force(
 def name_profile(sensor_id: int) -> str:
     """Name a sensor's profiles as the audit log does, by their REST address."""
     return f"sensors/{sensor_id}/gate-profiles"
-
-
-def _require_seen(session: Session, current: GateProfile, seen_number: int | None) -> None:
-    if seen_number is None:
-        raise PreconditionRequiredError('Say which version of the gate profile you saw: If-Match: "v<number>".')
-    if seen_number == current.number:
-        return
-    record = audit.last_change(session, name_profile(current.sensor_id))
-    by = f": {record.actor} {record.action} it at {record.at_utc}" if record else ""
-    raise StaleError(
-        f"The gate profile has changed since you looked (you saw v{seen_number}, it is v{current.number}){by}. "
-        "Reload, look again and decide."
-    )
 
 
 def _add(

@@ -6,7 +6,7 @@ Another definition is another set of bytes and another rounding, so setting one 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from boresight.cameras import CAMERA_MODELS
@@ -14,10 +14,10 @@ from boresight.console.approvals import proposals, staleness
 from boresight.console.approvals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_rows
-from boresight.console.transitions import get_sensor
+from boresight.console.transitions import DocumentInForce, get_sensor, require_change, require_seen_document
 from boresight.console.uplinks import queries as rows
 from boresight.console.uplinks.tables import TableDefinition
-from boresight.errors import PreconditionRequiredError, RefusedInputError, StaleError
+from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.db.documents import canonical, compute_sha256
@@ -110,14 +110,15 @@ def checked(
     require_role(actor, "analyst", "administrator")
     require_scope(actor, "sensors")
     refuse_control_characters(reason=reason)
-    sensor = get_sensor(session, sensor_id)
-    current = rows.definition_in_force(session, sensor_id)
-    _require_seen(session, sensor, current, seen_number)
+    sensor, current = get_sensor(session, sensor_id), rows.definition_in_force(session, sensor_id)
+    in_force = DocumentInForce(f"table definition of {sensor.name}", None, 0, None)
+    if current is not None:
+        in_force = replace(
+            in_force, subject=f"table-definitions/{current.id}", number=current.number, sha256=current.sha256
+        )
+    require_seen_document(session, in_force, seen_number)
     parse_for(session, sensor_id, document)
-    if not reason.strip():
-        raise RefusedInputError("Give the reason why the table on board is another one.")
-    if current is not None and current.sha256 == compute_sha256(dict(document)):
-        raise RefusedInputError(f"This is definition {current.number}, which is in force: change something.")
+    require_change(in_force, document, reason)
     return dict(document)
 
 
@@ -150,19 +151,3 @@ def put_into_force(
     proposals.make_stale(session, actor, sensor_id, "table-definition", row.number)
     staleness.make_stale_of_sensor(session, actor, sensor_id, f"the table definition became version {row.number}")
     return row
-
-
-def _require_seen(session: Session, sensor: Sensor, current: TableDefinition | None, seen_number: int | None) -> None:
-    """Refuse a change by someone who did not see what is in force."""
-    number = 0 if current is None else current.number
-    if seen_number is None:
-        raise PreconditionRequiredError(
-            f'Say which table definition of {sensor.name} you saw: If-Match: "v<number>", "v0" for none.'
-        )
-    if seen_number != number:
-        record = None if current is None else audit.last_change(session, f"table-definitions/{current.id}")
-        by = "" if record is None else f": {record.actor} {record.action} it at {record.at_utc}"
-        raise StaleError(
-            f"The table definition of {sensor.name} has changed since you looked (you saw v{seen_number}, "
-            f"it is v{number}){by}. Reload, look again and decide."
-        )
