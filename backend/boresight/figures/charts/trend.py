@@ -20,6 +20,7 @@ Document = Mapping[str, Any]
 Points = Sequence[Mapping[str, Any]]
 
 NAME = "trend"
+TITLE = "Parameters over the mission"
 GUIDE = (
     "Each mark is a calibration at the time of its data with a ±3σ bar, as a difference from the baseline of now, which is "
     "the line at zero; open marks take no part in the drift test, and the table says why. A sensor that holds scatters "
