@@ -173,7 +173,7 @@ def test_another_definition_makes_the_request_stale(engine, define, approved):
 
 def test_a_definition_needs_what_was_seen_a_reason_and_a_change(define):
     define()
-    with pytest.raises(RefusedInputError, match="in force: change something"):
+    with pytest.raises(RefusedInputError, match="in force already"):
         define(seen=1)
     with pytest.raises(RefusedInputError, match="Give the reason"):
         define(DEFINITION | {"fill": 255}, seen=1, reason=" ")
