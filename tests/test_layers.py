@@ -33,7 +33,6 @@ SHARED = {"pages", "jobs"}
 HTTP = {
     "access.credentials",
     "access.password_checks",
-    "telemetry.uploads",
 }
 
 

@@ -1,8 +1,35 @@
 """The console: one folder a noun, each with its tables, queries, services, routes, schemas and pages.
 
-Every table is known before any is used: seals, migrations and foreign keys are about all of them.
+Every table is known before any is used: seals, migrations and foreign keys are about all of them. The definitions are the same for
+SQLite (STRICT), the default, and PostgreSQL by URL.
 """
 
-from boresight.console import tables
+from boresight.console.access import tables as access_tables
+from boresight.console.alarms import tables as alarm_tables
+from boresight.console.approvals import tables as approval_tables
+from boresight.console.campaigns import tables as campaign_tables
+from boresight.console.fleet import tables as fleet_tables
+from boresight.console.notes import tables as note_tables
+from boresight.console.parameter_sets import tables as parameter_set_tables
+from boresight.console.runs import tables as run_tables
+from boresight.console.telemetry import tables as telemetry_tables
+from boresight.console.uplinks import tables as uplink_tables
+from boresight.console.webhooks import tables as webhook_tables
+from boresight.platform.audit import tables as audit_tables
+from boresight.platform.blobs import tables as blob_tables
 
-__all__ = ["tables"]
+TABLES = (
+    access_tables,
+    alarm_tables,
+    approval_tables,
+    audit_tables,
+    blob_tables,
+    campaign_tables,
+    fleet_tables,
+    note_tables,
+    parameter_set_tables,
+    run_tables,
+    telemetry_tables,
+    uplink_tables,
+    webhook_tables,
+)

@@ -148,7 +148,7 @@ def test_nothing_is_written_for_nobody(house: House, monkeypatch: pytest.MonkeyP
     def refuse(*_args: object) -> None:
         pytest.fail("a part of the body was taken")
 
-    monkeypatch.setattr("boresight.console.telemetry.uploads._Form", refuse)
+    monkeypatch.setattr("boresight.console.telemetry.dependencies._Form", refuse)
     assert house.upload(house.anybody(), 1).status_code == 401
 
 

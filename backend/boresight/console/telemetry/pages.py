@@ -51,9 +51,9 @@ from boresight.console.pages.tables import (
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs.pages.list import RunNames, make_run_line, read_names
 from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.telemetry.dependencies import Upload, Uploaded
 from boresight.console.telemetry.service import PURPOSES, PreparedUpload
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.console.telemetry.uploads import Upload, Uploaded
 from boresight.errors import BoresightError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role
 from boresight.platform.blobs.store import BlobStore

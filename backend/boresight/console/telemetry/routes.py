@@ -24,8 +24,8 @@ from boresight.console.fleet import service as sensors
 from boresight.console.operation import operations
 from boresight.console.telemetry import schemas
 from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.telemetry.dependencies import Uploaded
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.console.telemetry.uploads import Uploaded
 from boresight.platform.actors import require_role
 from boresight.platform.db.sessions import open_reading
 from boresight.platform.web.media import StoredFile
