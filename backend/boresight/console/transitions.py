@@ -11,7 +11,7 @@ from boresight.console.approvals.tables import Approval, ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as rows
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.errors import NotFoundError, PreconditionRequiredError, RefusedInputError, StaleError
+from boresight.errors import PreconditionRequiredError, RefusedInputError, StaleError
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.db.documents import compute_sha256
@@ -32,26 +32,17 @@ class DocumentInForce:
 
 def get_approval(session: Session, approval_id: int) -> Approval:
     """Return a request."""
-    row = session.get(Approval, approval_id)
-    if row is None:
-        raise NotFoundError(f"There is no request for approval {approval_id}.")
-    return row
+    return session.get_known(Approval, approval_id, f"There is no request for approval {approval_id}.")
 
 
 def get_parameter_set(session: Session, parameter_set_id: int) -> ParameterSet:
     """Return a set."""
-    row = session.get(ParameterSet, parameter_set_id)
-    if row is None:
-        raise NotFoundError(f"There is no parameter set {parameter_set_id}.")
-    return row
+    return session.get_known(ParameterSet, parameter_set_id, f"There is no parameter set {parameter_set_id}.")
 
 
 def get_sensor(session: Session, sensor_id: int) -> Sensor:
     """Return a sensor."""
-    row = session.get(Sensor, sensor_id)
-    if row is None:
-        raise NotFoundError(f"There is no sensor {sensor_id}.")
-    return row
+    return session.get_known(Sensor, sensor_id, f"There is no sensor {sensor_id}.")
 
 
 def name_subject(row: Versioned) -> str:

@@ -18,8 +18,8 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.runs.calibration_document import read_result
 from boresight.console.runs.tables import Run
-from boresight.console.transitions import DocumentInForce, require_change, require_seen_document
-from boresight.errors import BoresightError, NotFoundError
+from boresight.console.transitions import DocumentInForce, get_sensor, require_change, require_seen_document
+from boresight.errors import BoresightError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.store import BlobStore
@@ -52,15 +52,8 @@ class TriedProfile:
 
 def profile_in_force(session: Session, sensor_id: int) -> GateProfile:
     """Return a sensor's profile; the default as version 0 where nobody set or needed one, a row that is not stored."""
-    sensor = _sensor(session, sensor_id)
+    sensor = get_sensor(session, sensor_id)
     return rows.newest_profile(session, sensor_id) or _default(sensor)
-
-
-def _sensor(session: Session, sensor_id: int) -> Sensor:
-    row = session.get(Sensor, sensor_id)
-    if row is None:
-        raise NotFoundError(f"There is no sensor {sensor_id}.")
-    return row
 
 
 def _default(sensor: Sensor) -> GateProfile:
@@ -80,7 +73,7 @@ def list_profiles(
     session: Session, sensor_id: int, *, before_number: int | None = None, limit: int | None = None
 ) -> Sequence[GateProfile]:
     """Return a page of a sensor's profiles, newest first; the next page starts before the last one's number."""
-    sensor = _sensor(session, sensor_id)
+    sensor = get_sensor(session, sensor_id)
     found = rows.profiles(session, sensor_id, before_number=before_number, limit=limit)
     return found if found or before_number is not None else [_default(sensor)]
 

@@ -15,7 +15,7 @@ from boresight.console.alarms import rules as clock
 from boresight.console.approvals import queries as rows
 from boresight.console.approvals.tables import PROPOSAL_KINDS, PROPOSAL_STATES, ChangeProposal
 from boresight.console.transitions import move, require_seen, who_changed
-from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.actors import SYSTEM, Actor, require_role, require_scope
 from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_now
 from boresight.platform.web.text_validation import refuse_control_characters
@@ -26,10 +26,7 @@ TITLES = {"gate-profile": "gate limits", "table-definition": "table layout"}
 
 def get_proposal(session: Session, proposal_id: int) -> ChangeProposal:
     """Return a proposal."""
-    row = session.get(ChangeProposal, proposal_id)
-    if row is None:
-        raise NotFoundError(f"There is no proposal {proposal_id}.")
-    return row
+    return session.get_known(ChangeProposal, proposal_id, f"There is no proposal {proposal_id}.")
 
 
 def list_proposals(

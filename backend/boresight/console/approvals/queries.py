@@ -1,9 +1,4 @@
-"""Queries on requests for approval, their signatures, their discussion and the evidence that they bind.
-
-Queries on gate profiles, gate reports and waivers; nothing of them is ever changed.
-
-Queries on changes that wait for a second person.
-"""
+"""Queries on requests for approval and the evidence that they bind, on gates and their waivers, on proposed changes."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Requests for approval, their signatures and their discussion.
-
-Gate profiles, gate reports and waivers.
-
-Changes that wait for a second person.
-"""
+"""Requests for approval with their signatures and discussion, gates with their limits, reports and waivers, proposed changes."""
 
 from __future__ import annotations
 

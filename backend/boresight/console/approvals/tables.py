@@ -1,9 +1,4 @@
-"""Requests for approval, with their signatures, remarks and the evidence that was opened.
-
-Gate profiles, what they found of a parameter set, and the waivers that were given.
-
-Changes of limits and layouts that wait for a second person.
-"""
+"""Requests for approval with their signatures and discussion, gate profiles, gate reports and waivers, proposed changes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings that were given a name, and the launches of one setting over many sensors."""
+"""The launches of one setting over many sensors."""
 
 from __future__ import annotations
 

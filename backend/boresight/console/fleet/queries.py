@@ -1,8 +1,6 @@
-"""Queries on sensors: whole rows, names, and heads, which say how a sensor stands without the documents that are most of a row.
+"""Queries on sensors: rows, names and heads; calibrations, data and records over the mission; what happened, in order.
 
-Queries on sensors over the mission, some at once: finished calibrations, the data behind them, baselines, records on board.
-
-Queries on a sensor's history: what happened in order, and which row was in force at a time.
+A head says how a sensor stands without the documents that are most of a row.
 """
 
 from __future__ import annotations

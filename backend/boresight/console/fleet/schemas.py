@@ -1,7 +1,4 @@
-"""Star trackers and their telemetry.
-
-Documents that are computed when they are read: figures, trends, comparisons, conversions, what held at a time.
-"""
+"""Star trackers, what held for one at a time, and its trend over the mission."""
 
 from __future__ import annotations
 

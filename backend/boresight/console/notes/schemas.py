@@ -1,4 +1,4 @@
-"""Alarms, what became of them, and notes."""
+"""Notes on runs, sensors and parameter sets."""
 
 from __future__ import annotations
 

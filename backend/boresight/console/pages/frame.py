@@ -32,6 +32,7 @@ from fastapi.concurrency import run_in_threadpool
 
 from boresight.console import list_queries as lists
 from boresight.console.access.credentials import get_actor
+from boresight.console.access.dependencies import get_server
 from boresight.console.alarms import service as alarms
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import status as fleet
@@ -247,8 +248,9 @@ def make_page_frame(request: Request, *, is_answer: bool = True) -> PageFrame:
     flash, token = _read_flash(request), getattr(request.state, "csrf_token", "")
     if is_answer and flash is None and has_gaps(request):  # whoever writes the page is not told more than the roles
         actor, token = Actor(None, NAME_GAP, NAME_GAP, actor.roles, ""), TOKEN_GAP
+    server = get_server(request)
     return PageFrame(
-        mode=request.app.state.settings.mode,
+        mode=server.settings.mode,
         actor=actor,
         csrf_token=token,
         path=request.url.path,
@@ -257,7 +259,7 @@ def make_page_frame(request: Request, *, is_answer: bool = True) -> PageFrame:
         approvals_waiting=waiting,
         alarms_unacknowledged=alarms,
         light=request.app.state.upkeep.light(),
-        four_eyes=request.app.state.policy.four_eyes,
+        four_eyes=server.policy.four_eyes,
         flash=flash,
         navigation=NAVIGATION if actor else (),
     )

@@ -1,7 +1,4 @@
-"""Parameter sets.
-
-Documents that are computed when they are read: figures, trends, comparisons, conversions, what held at a time.
-"""
+"""Parameter sets, and what one is in another camera model."""
 
 from __future__ import annotations
 

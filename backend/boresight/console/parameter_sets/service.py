@@ -37,7 +37,7 @@ from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.runs.calibration_document import read_result
 from boresight.console.runs.tables import Run
 from boresight.console.transitions import get_parameter_set, get_sensor, name_subject
-from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.store import BlobStore
@@ -116,9 +116,7 @@ def create_from_run(session: Session, actor: Actor, blobs: BlobStore, run_id: in
 
 
 def _succeeded_run(session: Session, run_id: int) -> Run:
-    run = session.get(Run, run_id)
-    if run is None:
-        raise NotFoundError(f"There is no run {run_id}.")
+    run = session.get_known(Run, run_id, f"There is no run {run_id}.")
     if run.state != "SUCCEEDED" or run.result_sha256 is None:
         why = f": {run.reason}" if run.reason else ""
         raise ConflictError(f"Run {run_id} is {run.state}{why}; a parameter set is made of a run that SUCCEEDED.")

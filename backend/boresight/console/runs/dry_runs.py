@@ -18,7 +18,7 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs.queries import recent_runs
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.db.sessions import Session
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.text_validation import refuse_control_characters
@@ -67,9 +67,7 @@ def check_run_request(
     label: str = "",
 ) -> RunRequest:
     """Check the choices of a run against one another."""
-    sensor = session.get(Sensor, sensor_id)
-    if sensor is None:
-        raise NotFoundError(f"There is no sensor {sensor_id}; choose one of the list.")
+    sensor = session.get_known(Sensor, sensor_id, f"There is no sensor {sensor_id}; choose one of the list.")
     telemetry = _get_set(session, sensor, telemetry_set_id)
     validation = None if validation_set_id is None else _get_set(session, sensor, validation_set_id)
     if validation is not None and validation.id == telemetry.id:
@@ -90,9 +88,7 @@ def refuse_label(label: str) -> None:
 
 
 def _get_set(session: Session, sensor: Sensor, set_id: int) -> TelemetrySet:
-    found = session.get(TelemetrySet, set_id)
-    if found is None:
-        raise NotFoundError(f"There is no telemetry set {set_id}; choose one of the list.")
+    found = session.get_known(TelemetrySet, set_id, f"There is no telemetry set {set_id}; choose one of the list.")
     if found.sensor_id != sensor.id:
         raise RefusedInputError(f"{found.name} is telemetry of another sensor; choose a set of {sensor.name}.")
     if found.archived_utc is not None:

@@ -108,10 +108,7 @@ def get_offer(session: Session, key: str) -> OfferedPreset:
 
 def get_preset(session: Session, preset_id: int) -> Preset:
     """Return a saved version."""
-    row = session.get(Preset, preset_id)
-    if row is None:
-        raise NotFoundError(f"There is no preset {preset_id}; choose one of the list.")
-    return row
+    return session.get_known(Preset, preset_id, f"There is no preset {preset_id}; choose one of the list.")
 
 
 def list_presets(

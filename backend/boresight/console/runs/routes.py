@@ -1,9 +1,4 @@
-"""Runs: launch, follow, stop; the calibration, its log and its report.
-
-Presets: settings under a name, Boresight's own and the mission's.
-
-Frames of a run: listed, worst first where asked, and one with every star, residual and attitude.
-"""
+"""Runs: launch, follow, stop; the calibration, its log, its report and its frames; the presets of settings."""
 
 from __future__ import annotations
 

@@ -1,11 +1,4 @@
-"""Runs, their logs, and what a run would be.
-
-Frames of a run: in a list, and one with every star.
-
-Presets, campaigns, and what the sensors of a campaign came to.
-
-Documents that are computed when they are read: figures, trends, comparisons, conversions, what held at a time.
-"""
+"""Runs, their logs and their frames, presets, figures and comparisons, and what a run would be."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Calibration runs and their log.
-
-Settings that were given a name, and the launches of one setting over many sensors.
-"""
+"""Calibration runs, their log, and the settings that were given a name."""
 
 from __future__ import annotations
 

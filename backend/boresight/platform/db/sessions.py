@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import sqlalchemy as sa
 from alembic import command
@@ -21,7 +21,7 @@ from alembic.util import CommandError
 from sqlalchemy import Engine
 from sqlalchemy.orm import Session as OrmSession
 
-from boresight.errors import BoresightError, ConflictError, RefusedInputError
+from boresight.errors import BoresightError, ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.audit.chain import forget, seal, seal_everything, write_before_reading
 from boresight.platform.audit.seals import chain_new, note_flushed, refuse_bulk
 from boresight.platform.db.engines import be_the_only_writer, open_engine
@@ -48,6 +48,8 @@ __all__ = [
     "utc_text",
 ]
 
+T = TypeVar("T")
+
 MIGRATION_WAIT_S = 600  # for another server that starts at the same time and migrates
 KEPT = "kept despite refusal"
 DRY_RUN = "only tried"
@@ -56,6 +58,13 @@ FIRST_WITH_SEALS = "0003"
 
 class Session(OrmSession):
     """A transaction on the store; its commit seals in the audit log what it changed."""
+
+    def get_known(self, table: type[T], row_id: int, refusal: str) -> T:
+        """Return a row by its number; refuse with a sentence where there is none."""
+        row = self.get(table, row_id)
+        if row is None:
+            raise NotFoundError(refusal)
+        return row
 
 
 sa.event.listen(Session, "before_flush", chain_new)
