@@ -11,9 +11,14 @@ from hypothesis import strategies as st
 from scipy.special import ndtri
 from scipy.stats import binomtest
 
-from boresight.calibration.evaluation import bootstrap, shadow
-from boresight.calibration.evaluation.evaluate import evaluate_matched_frames, evaluate_parameters
-from boresight.calibration.evaluation.shadow import mcnemar, shadow_view, summary
+from boresight.calibration.evaluation import bootstrap
+from boresight.calibration.evaluation.evaluate import (
+    evaluate_matched_frames,
+    evaluate_parameters,
+    mcnemar,
+    shadow_summary,
+    shadow_view,
+)
 from boresight.calibration.matching.flight_check import FLIGHT_REASONS, check_flight, compute_flight_tolerance
 from boresight.calibration.matching.matched_frames import common_arcs, match_under_states
 from boresight.calibration.options import CalibrationSettings
@@ -329,8 +334,8 @@ def test_a_long_set_keeps_the_frames_that_differ_and_counts_them_all(telemetry_o
     failing = seen.view.valid_frames.copy()
     failing[[5, 17]] = False
     worse = replace(seen, view=replace(seen.view, valid_frames=failing))
-    monkeypatch.setattr(shadow, "MOST_FRAMES", 6)
-    monkeypatch.setattr(shadow, "MOST_DIFFERING", 3)
+    monkeypatch.setattr("boresight.calibration.evaluation.evaluate.MOST_FRAMES", 6)
+    monkeypatch.setattr("boresight.calibration.evaluation.evaluate.MOST_DIFFERING", 3)
     found = shadow_view(telemetry, seen, worse)
     kept = [frame["frame"] for frame in found["frames"]]
     assert {0, 5, 17, 39} <= set(kept)
@@ -364,7 +369,7 @@ def test_alike_states_are_told_apart_no_more_often_than_the_test_says():
     ],
 )
 def test_the_summary_says_it_in_a_sentence(baseline, candidate, words):
-    found = summary(np.array(baseline, bool), np.array(candidate, bool), 1, 2)
+    found = shadow_summary(np.array(baseline, bool), np.array(candidate, bool), 1, 2)
     assert words in found["sentence"]
     assert "2 sightings of stars are gained and 1 lost" in found["sentence"]
 

@@ -1,5 +1,6 @@
 """Singular values of star combinations and the angles of all pairs: rightly differentiated, honest about what they hold."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -11,20 +12,23 @@ from boresight.calibration.options import EITHER_FORM
 from boresight.calibration.sequence import START_ARCS_PER_PARAMETER, pool_start
 from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import angular, singular_values
-from boresight.estimation.arcs import arclength
+from boresight.estimation.arcs import angular_sigma, arclength, whiten
+from boresight.estimation.batch import normal_equations
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
-from boresight.estimation.singular_values import APART, STAR_MODELS, Selection
+from boresight.estimation.singular_values import APART, CHOSEN, STAR_MODELS, Selection
 from boresight.estimation.statistics import references
 from boresight.estimation.statistics.consistency import chi_square, nees
+from boresight.estimation.statistics.cramer_rao import centroid_rows
 from boresight.estimation.statistics.references import (
     View,
-    information_content,
     judged,
     observability_of_models,
     observability_of_values,
     relative,
     seen,
+    weighted_information,
+    whitened_information,
 )
 from tests.estimation.fields import (
     FREE,
@@ -330,6 +334,34 @@ def test_the_gain_of_turned_rows_is_that_of_all_pairs_and_runs_on_hundreds_of_st
 
 
 VIEW = View(INVERTED_WANG, TRUTH, FREE, SCALE)
+
+
+@dataclass(frozen=True)
+class Content:
+    """References beside the Cramér-Rao bound, (n_references, n_free): by the full R, by 1 / R_rr alone, and what that claims."""
+
+    names: tuple[str, ...]
+    full: np.ndarray
+    diagonal: np.ndarray
+    claimed: np.ndarray
+
+
+def information_content(view, arcs):
+    bound = centroid_rows(view.camera, view.x, arcs, view.free, view.scale).information
+    weighed_arcs, _ = whiten(arcs, angular_sigma(view.camera, view.x, arcs))
+    models = [Selection(model, CHOSEN.values) for model in STAR_MODELS]
+    full = [
+        normal_equations(weighed_arcs, view.x, view.free, view.scale).A,
+        *(whitened_information(view, weighed_arcs, one) for one in (None, *models)),
+    ]
+    weighted = [weighted_information(view, weighed_arcs, one) for one in (None, *models)]
+    unknown = np.full(len(view.free), np.nan)
+    return Content(
+        ("arcs", "angular", *(f"svd {model}" for model in STAR_MODELS)),
+        np.stack([relative(A, bound) for A in full]),
+        np.stack([unknown, *(relative(true, bound) for true, _ in weighted)]),
+        np.stack([unknown, *(relative(claimed, bound) for _, claimed in weighted)]),
+    )
 
 
 @pytest.fixture(scope="module")

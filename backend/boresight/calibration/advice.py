@@ -67,7 +67,6 @@ def too_few(problem: Problem, minimum_stars: int) -> list[str]:
 
 
 def _of_status(estimate: Estimate, observed: Observability) -> Iterator[str]:
-    """Sentences that follow from the status alone."""
     if estimate.status == "diverged":
         yield "The fit diverged: do not use these numbers; free fewer parameters, or start closer to the truth."
     if estimate.status == "max_iterations":
@@ -79,7 +78,6 @@ def _of_status(estimate: Estimate, observed: Observability) -> Iterator[str]:
 
 
 def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator[str]:
-    """Name directions that the data hardly determine."""
     if estimate.status == "diverged":
         return
     for i in observed.weak():
@@ -141,7 +139,6 @@ def _variance_in_block(block: ArcSet) -> float:
 
 
 def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate) -> Iterator[str]:
-    """Name parameters that went far from where they started."""
     if estimate.status == "diverged":
         return
     shift = (estimate.x - problem.sensor.initial)[parameters.free] / parameters.scale
@@ -156,7 +153,6 @@ def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate) -> I
 
 
 def _of_data(problem: Problem) -> Iterator[str]:
-    """Sentences on what the data lack."""
     if problem.arcs.n_frames < 20:
         yield f"Only {problem.arcs.n_frames} frames took part: the result follows these few fields closely."
 
@@ -220,7 +216,6 @@ def _worst(A: FloatArray, places: list[int]) -> float:
 
 
 def _of_holding(held: list[int], A: FloatArray, observed: Observability) -> list[str]:
-    """Say which parameters to hold."""
     left = [p for p in range(len(A)) if p not in held]
     worst = _worst(A, left)
     if not held or worst > WEAK:
@@ -254,7 +249,6 @@ def _of_coverage(problem: Problem) -> list[str]:
 
 
 def _of_frames(observed: Observability, frames: int) -> list[str]:
-    """Say how many frames like these would do."""
     times = float((observed.sigma_of_direction.max() / WEAK) ** 2)
     if not np.isfinite(times):
         return ["More frames like these would leave the same direction open."]

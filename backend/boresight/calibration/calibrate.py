@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from boresight.calibration import result
-from boresight.calibration.estimate import Estimate, Parameters
+from boresight.calibration.estimate import Estimate, Parameters, never
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate
 from boresight.calibration.matching.match_report import CyclesEnd, filter_set, fit_in_cycles, identification_advice
 from boresight.calibration.matching.matched import Dataset
@@ -223,7 +223,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     """
     clock = _Timer()
     parameters = select_free_parameters(sensor, settings)
-    place = CalibrationContext(cancelled or _never, report, cache_folder, scratch_folder, spread)
+    place = CalibrationContext(cancelled or never, report, cache_folder, scratch_folder, spread)
     with open_dataset(telemetry, sensor, catalogue, parameters, settings, place) as (sets, off):
         document, ended = _calibrated(sets, parameters, sets.settings, sha256s or {}, place, clock)
     document["stars_off_detector"] = off.document()
@@ -287,11 +287,6 @@ def _say_what_was_judged(document: dict[str, Any], judged: Problem) -> None:
         f"Flight scores, shadow, alignment and trust are judged on {judged.arcs.n_frames:,} of {document['frames']:,} frames, "
         "whole stretches evenly spread over the set; estimate, sigmas, chi-square, RMS and coverage are of all of them."
     )
-
-
-def _never() -> bool:
-    """Nobody cancels."""
-    return False
 
 
 def select_free_parameters(sensor: Sensor, settings: CalibrationSettings) -> Parameters:

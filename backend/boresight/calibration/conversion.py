@@ -121,7 +121,6 @@ def _angles(
 
 
 def _sizes(away: FloatArray) -> tuple[float, float]:
-    """Largest and root mean square of distances."""
     return float(away.max()), float(np.sqrt(np.mean(away**2)))
 
 

@@ -212,12 +212,12 @@ def _robustness(
     problem: Problem, parameters: Parameters, settings: CalibrationSettings, fitted: batch.BatchFit
 ) -> Robustness:
     """Set a robust fit beside least squares on the same arcs, started where it ended."""
-    plain = _fit(problem, fitted.x, parameters, replace(settings, robust="none"), None, _never)
+    plain = _fit(problem, fitted.x, parameters, replace(settings, robust="none"), None, never)
     n_arcs = 2 * problem.arcs.n_stars - 3 * problem.arcs.n_exposures
     return Robustness(settings.huber_threshold, fitted.beyond, n_arcs, fitted.x, plain.x)
 
 
-def _never() -> bool:
+def never() -> bool:
     """Nobody cancels."""
     return False
 

@@ -59,7 +59,7 @@ from boresight.sky.catalogue import Catalogue
 from boresight.sky.guide_stars import phrases
 from boresight.sky.matching import EXPOSURE_REASONS, OFF_DETECTOR, ROW_REASONS, STARTS
 from boresight.telemetry.quality.detector import on_detector
-from boresight.telemetry.schema import Telemetry, select_rows
+from boresight.telemetry.schema import Telemetry, select_rows, time_text
 from boresight.telemetry.sensors import Sensor
 
 #: Frames on either side that are matched too where a frame alone gives nothing to start from.
@@ -335,7 +335,7 @@ def frame_view(states: RunStates, read: Read, catalogue: Catalogue, cache_folder
     part = select_rows(telemetry, rows)
     head = {
         "frame": int(part.frame[0]),
-        "time_utc": _time(part, 0),
+        "time_utc": time_text(part, 0),
         "temperature_c": None if part.temperature_c is None else _number(part.temperature_c[0]),
         "match": states.settings.match,
         "why_no_new": None
@@ -354,27 +354,17 @@ def frame_view(states: RunStates, read: Read, catalogue: Catalogue, cache_folder
 
 
 def _starts(part: Telemetry) -> IntArray:
-    """First row of each exposure, and the end."""
     new = np.flatnonzero(np.diff(part.exposure)) + 1
     return np.concatenate([[0], new, [len(part)]]).astype(np.int64)
 
 
-def _time(part: Telemetry, row: int) -> str | None:
-    """When a row was taken, ISO 8601."""
-    if part.time_utc is None or np.isnat(part.time_utc[row]):
-        return None
-    return f"{part.time_utc[row]}Z"
-
-
 def _number(value: Any) -> float | None:
-    """A number, or null."""
     return float(value) if np.isfinite(value) else None
 
 
 def _exposure(
     states: RunStates, found: MatchedFrame, part: Telemetry, stars: FrameStars, rows: slice, catalogue: Catalogue
 ) -> dict[str, Any]:
-    """Describe one exposure, rows of the frame."""
     k = int(np.searchsorted(found.new.matches.exposure_start, found.rows.start + rows.start))
     start, why_invalid = exposure_words(found.new, k)
     here = select_rows(part, rows)
@@ -394,7 +384,7 @@ def _exposure(
             _add_residuals(table, name, placed, arcs, view, states.sensor, state)
     return {
         "exposure": int(here.exposure[0]),
-        "time_utc": _time(here, 0),
+        "time_utc": time_text(here, 0),
         "detections": len(here),
         "matched": int(np.sum(stars.kept[rows])),
         "used": stars.fate[rows].count("used"),

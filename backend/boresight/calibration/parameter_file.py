@@ -81,7 +81,6 @@ def parse_parameters(document: Mapping[str, Any], sensor: Sensor, name: str) -> 
 
 
 def _ended(status: str) -> str:
-    """How a failed calibration ended, in words."""
     return {"diverged": "diverged", "too_few_stars": "had too few stars", "running": "is still running"}[status]
 
 

@@ -42,7 +42,7 @@ from boresight.estimation.batch import sigma_in_scale
 from boresight.estimation.blocks import FRAMES
 from boresight.estimation.metrics import sums_of_squares, tail_rms
 from boresight.estimation.statistics.consistency import ChiSquare, chi_square
-from boresight.estimation.statistics.observability import observability
+from boresight.estimation.statistics.observability import Observability, observability
 from boresight.estimation.statistics.uncertainty import displacement_px, radial_difference
 from boresight.estimation.stored_arcs import Arcs
 
@@ -57,7 +57,6 @@ ARCSEC = np.degrees(1.0) * 3600
 
 
 def _list(values: NDArray[Any]) -> list[Any]:
-    """Nested lists with null for what is not finite."""
     return [_list(row) if row.ndim else (row.item() if np.isfinite(row) else None) for row in np.asarray(values)]
 
 
@@ -225,14 +224,14 @@ def header(
         "left_out": [vars(item) for item in problem.left_out],
         "inputs": {
             "sha256s": dict(sha256s),
-            "versions": dict(_versions()),
+            "versions": dict(versions()),
             "settings": settings.document(),
         },
     }
 
 
 @cache
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
     """What computes here; asking the installed packages takes as long as a short fit."""
     return {name: version(name) for name in ("numpy", "numba", "scipy", "pyerfa")} | {
         "boresight": __version__,
@@ -330,20 +329,25 @@ def _judged(
     names = [problem.camera.parameter_names[p] for p in parameters.free]
     symbols = [problem.camera.symbols[p] for p in parameters.free]
     observed = observability(estimate.A, tuple(names), tuple(symbols))
-    weakest = len(names) - 1
     return {
         "chi2_per_dof": fit.mean,
         "chi2": {"value": estimate.chi2, **_bounds(fit)},
         "nis": {"mean": nis.mean, **_bounds(nis)},
-        "observability": {
-            "parameter_names": names,
-            "singular_values": numbers(observed.singular_values),
-            "condition_number": observed.condition_number,
-            "right_singular_vectors": numbers(observed.V.T),
-            "sigma_of_direction": numbers(observed.sigma_of_direction),
-            "weakest": {"direction": observed.direction(weakest), "sentence": observed.sentence(weakest)},
-        },
+        "observability": observability_view(observed),
         "advice": advice(problem, parameters, settings, estimate, fit, nis, observed),
+    }
+
+
+def observability_view(observed: Observability) -> dict[str, Any]:
+    """Write the directions of the parameters and how well each is known as the contract's JSON."""
+    weakest = len(observed.names) - 1
+    return {
+        "parameter_names": list(observed.names),
+        "singular_values": numbers(observed.singular_values),
+        "condition_number": observed.condition_number,
+        "right_singular_vectors": numbers(observed.V.T),
+        "sigma_of_direction": numbers(observed.sigma_of_direction),
+        "weakest": {"direction": observed.direction(weakest), "sentence": observed.sentence(weakest)},
     }
 
 

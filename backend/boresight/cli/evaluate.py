@@ -228,8 +228,7 @@ def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shado
     import numpy as np
 
     from boresight.calibration.evaluation import bootstrap
-    from boresight.calibration.evaluation.evaluate import evaluate_matched_frames
-    from boresight.calibration.evaluation.shadow import shadow_view
+    from boresight.calibration.evaluation.evaluate import evaluate_matched_frames, shadow_view
     from boresight.calibration.matching.matched_frames import match_under_states
     from boresight.calibration.parameter_file import read_parameters
     from boresight.sky.catalogue import load_catalogue

@@ -31,11 +31,9 @@ from __future__ import annotations
 
 import csv
 import io
-import platform
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from math import log10
 from pathlib import Path
 from typing import Any
@@ -46,6 +44,7 @@ import plotly.graph_objects as go
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from boresight import __version__
+from boresight.calibration.result import versions
 from boresight.errors import RefusedInputError
 from boresight.figures.chart import Trace
 from boresight.figures.report import embed_figures
@@ -176,7 +175,7 @@ def styled_curves(drawing: Mapping[str, Any], *keys: str) -> Iterator[Any]:
 
 def described(plan: Any) -> dict[str, Any]:
     """Write a plan as JSON, with the versions that computed it; on how many processes it ran changes nothing."""
-    return {key: value for key, value in asdict(plan).items() if key != "processes"} | {"versions": versions()}
+    return {key: value for key, value in asdict(plan).items() if key != "processes"} | {"versions": dict(versions())}
 
 
 @dataclass(frozen=True)
@@ -210,14 +209,6 @@ def verdict_counts(tables: Sequence[Mapping[str, Any]], figures: Sequence[Mappin
     """Count the verdicts of all rows and figures, each of the three named."""
     counts = Counter(item["verdict"] for item in (*(row for table in tables for row in table["rows"]), *figures))
     return {verdict: counts[verdict] for verdict in VERDICTS}
-
-
-def versions() -> dict[str, str]:
-    """Name the versions that computed a study."""
-    return {name: version(name) for name in ("numpy", "numba", "scipy", "pyerfa")} | {
-        "boresight": __version__,
-        "python": platform.python_version(),
-    }
 
 
 Document = Mapping[str, Any]

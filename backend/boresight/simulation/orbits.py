@@ -207,12 +207,10 @@ def _normals(direction: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
-    """Scale vectors (..., 3) to length one."""
     unit: FloatArray = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
     return unit
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the scalar products (n,) of vectors (n, 3)."""
     product: FloatArray = np.einsum("ij,ij->i", a, b)
     return product

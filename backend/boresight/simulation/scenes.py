@@ -161,7 +161,6 @@ def validation_scenario(number: int, frames: int = 80) -> Scenario:
 
 
 def _table_scenario(number: int, frames: int, *, validation: bool) -> Scenario:
-    """Put sensor, truth and Table I together."""
     sensor, truth = st16_sensor(number), st16_truth(number)
     altitude_km, inclination_deg, motion, period_s, node_hour, calibration_deg, validation_deg = _TABLE_I[number]
     start = _CALIBRATION_START + (_VALIDATION_DELAY if validation else np.timedelta64(0, "h"))
@@ -223,7 +222,6 @@ def scenario_document(scenario: Scenario) -> dict[str, Any]:
 
 
 def _parse_sensor(document: Mapping[str, Any]) -> Scenario:
-    """Return the defaults for the scenario's sensor, a number or a document."""
     sensor = document.get("sensor")
     if isinstance(sensor, int) and not isinstance(sensor, bool) and sensor in SENSOR_NUMBERS:
         return calibration_scenario(sensor)
@@ -274,7 +272,6 @@ def _parse_orbit(document: Mapping[str, Any], base: Orbit) -> Orbit:
 
 
 def _parse_motion(motion: Any) -> str:
-    """Return the name of a motion."""
     if not isinstance(motion, str) or motion not in MOTIONS:
         raise RefusedInputError(f"A scenario's `motion` must be one of {', '.join(MOTIONS)}.")
     return motion
@@ -466,7 +463,6 @@ def _project(
 
 
 def _drifted(scenario: Scenario, temperature_c: float) -> FloatArray:
-    """Return the true parameters at a temperature."""
     x = scenario.truth.copy()
     f = CAMERA_MODELS[scenario.sensor.camera_model].parameter_names.index("f_m")
     x[f] += scenario.focal_drift_m_per_c * (temperature_c - MEAN_TEMPERATURE_C)
@@ -488,7 +484,6 @@ def _sigma_px(scenario: Scenario, magnitude: FloatArray) -> FloatArray:
 
 
 def _false_stars(scenario: Scenario, n_exposures: int, rng: np.random.Generator) -> _Stars:
-    """Scatter false detections over the detector."""
     index = np.repeat(np.arange(n_exposures), rng.poisson(scenario.false_stars, n_exposures))
     sensor = scenario.sensor
     return _Stars(

@@ -133,6 +133,5 @@ def st16_truth(number: int) -> FloatArray:
 
 
 def _require_number(number: int) -> None:
-    """Refuse a sensor that Table III does not have."""
     if number not in SENSOR_NUMBERS:
         raise NotFoundError(f"There is no simulated ST-16 number {number}; choose 1 to {len(CHANGES)}.")

@@ -244,7 +244,6 @@ def match(
 
 
 def _empty(detections: Detections) -> Association:
-    """An answer in which nothing is matched yet."""
     n, e = len(detections.star_id), detections.n_exposures
     return Association(
         star_id=np.zeros(n, np.int64),

@@ -206,3 +206,10 @@ def _suspects(keys: tuple[NDArray[np.generic], ...]) -> IntArray:
     ordered = np.sort(mixed)
     repeated = ordered[1:][ordered[1:] == ordered[:-1]]
     return np.flatnonzero(np.isin(mixed, repeated)) if len(repeated) else np.empty(0, np.int64)
+
+
+def time_text(telemetry: Telemetry, row: int) -> str | None:
+    """When a row was taken, ISO 8601; None where that is not known."""
+    if telemetry.time_utc is None or np.isnat(telemetry.time_utc[row]):
+        return None
+    return f"{telemetry.time_utc[row]}Z"

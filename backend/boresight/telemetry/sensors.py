@@ -283,6 +283,5 @@ def check_geometry(sensor: Sensor, model: CameraModel, faults: Faults, subject: 
 
 
 def _shown(value: Any) -> str:
-    """Return a value as a refusal shows it, shortened."""
     text = repr(value)
     return text if len(text) <= 40 else text[:39] + "…"

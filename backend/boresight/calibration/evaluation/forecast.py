@@ -26,12 +26,12 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.calibration.advice import remedies, too_few
 from boresight.calibration.calibrate import choose_match_mode, select_free_parameters
-from boresight.calibration.estimate import Estimate, Parameters, covariance, run_batch
+from boresight.calibration.estimate import Estimate, Parameters, covariance, never, run_batch
 from boresight.calibration.matching.match_report import identification_advice
 from boresight.calibration.matching.matched import Dataset
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.result import numbers
+from boresight.calibration.result import numbers, observability_view
 from boresight.estimation.batch import normal_equations, sigma_in_scale
 from boresight.estimation.singular_values import Selection
 from boresight.estimation.statistics.observability import Observability, further_covariance, observability
@@ -97,7 +97,6 @@ def forecast(
 
 
 def _nothing(names: list[str], sentence: str) -> dict[str, Any]:
-    """Say that nothing can be foretold, and why."""
     return {
         "sentence": sentence,
         "sigma": dict.fromkeys(names),
@@ -130,7 +129,7 @@ def _fitted(
 ) -> tuple[FloatArray, str, FloatArray]:
     """State, where it is, and the information of the sample's arcs there."""
     fitting = replace(settings, method="batch", max_iterations=min(settings.max_iterations, MOST_ITERATIONS))
-    estimate = run_batch(problem, parameters, fitting, _unheard, _never)
+    estimate = run_batch(problem, parameters, fitting, _unheard, never)
     low, high = np.array(problem.camera.plausible).T
     rests = estimate.status in ("converged", "rank_deficient") and bool(
         np.all((low <= estimate.x) & (estimate.x <= high))
@@ -145,34 +144,20 @@ def _unheard(estimate: Estimate, fraction: float, message: str) -> None:
     """Nobody listens: the sample's fit takes no time worth telling of."""
 
 
-def _never() -> bool:
-    """Nobody cancels."""
-    return False
-
-
 def _describe(
     foreseen: _Prediction, parameters: Parameters, observed: Observability, helpful: list[str]
 ) -> dict[str, Any]:
-    """Put a forecast into numbers and words."""
     weak = observed.weak()
     n = len(observed.names)
     weakly = f"{len(weak)} weakly observable with this coverage" if weak else "all observable with this coverage"
     known = np.isfinite(sigma_in_scale(foreseen.A))
     sigma = np.where(known, parameters.scale * np.sqrt(np.diag(foreseen.P)), np.nan)
-    weakest = n - 1
     return {
         "sentence": f"{n} parameter{'s' * (n > 1)}, {weakly}.",
         "sigma": dict(zip(observed.names, numbers(sigma), strict=True)),
         "weak": len(weak),
         "weak_directions": [observed.sentence(i) for i in weak],
         "help": helpful,
-        "observability": {
-            "parameter_names": list(observed.names),
-            "singular_values": numbers(observed.singular_values),
-            "condition_number": observed.condition_number,
-            "right_singular_vectors": numbers(observed.V.T),
-            "sigma_of_direction": numbers(observed.sigma_of_direction),
-            "weakest": {"direction": observed.direction(weakest), "sentence": observed.sentence(weakest)},
-        },
+        "observability": observability_view(observed),
         "at": foreseen.at,
     }

@@ -28,8 +28,7 @@ from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.evaluation.alignment import alignment_view
-from boresight.calibration.evaluation.evaluate import evaluate_matched_frames
-from boresight.calibration.evaluation.shadow import shadow_view
+from boresight.calibration.evaluation.evaluate import evaluate_matched_frames, shadow_view
 from boresight.calibration.matching.match_report import CyclesEnd, identification_advice, matching_view, names_advice
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.matched_frames import apply_flight_check
@@ -91,7 +90,6 @@ def frame_observability(problem: Problem, parameters: Parameters, estimate: Esti
 
 
 def _taken(arcs: ArcSet) -> NDArray[np.bool_]:
-    """Which frames are looked at, (n_frames,)."""
     squares = np.sum(np.diff(arcs.star_start).astype(float) ** 2)
     n = arcs.n_frames
     most = int(np.clip(MOST_SQUARES / squares * n, 1, MOST_FRAMES))
@@ -140,14 +138,12 @@ def _sentence(information: list[dict[str, Any]], models: FloatArray) -> str:
 
 
 def _of_the_first(without: float | None, with_it: float | None) -> str:
-    """Say what sigma_1 adds."""
     if without is not None and with_it is not None and with_it - without < ADDS_NOTHING:
         return "σ1 adds nothing to them"
     return f"σ1 beside them makes it {_percent(with_it)} under Model 4"
 
 
 def _of_the_measure(models: FloatArray) -> str:
-    """Say which model W's measure puts first."""
     measured = models[:, np.isfinite(models).any(axis=0)]
     if not measured.size:
         return " No frame alone determines all free parameters."

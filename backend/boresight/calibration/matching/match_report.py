@@ -125,7 +125,6 @@ def filter_set(
 
 
 def _cycle(number: int, changed: int, before: Matched, after: Matched, estimate: Estimate) -> Cycle:
-    """Count what a result changed in its matches."""
     value = rms(before.problem.whitened(estimate.x), estimate.x)
     return Cycle(
         cycle=number,
@@ -236,7 +235,6 @@ def _exposure(matches: Matches, seen: MatchedFrames | None, counts: IntArray, k:
 
 
 def _reason(matches: Matches, seen: MatchedFrames | None, k: int) -> str:
-    """Why an exposure is not valid."""
     return EXPOSURE_REASONS[matches.reason[k]] if seen is None else seen.exposure_reason(k)
 
 

@@ -261,7 +261,6 @@ def matched_rows(
 
 
 def _rematcher(how: Matching, telemetry: Telemetry, stars: Catalogue, sky: MatchingSky) -> Rematcher:
-    """Make rows of a set ready to be matched."""
     return Rematcher(telemetry, how.sensor, stars, how.settings, how.cache_folder, sky, how.epoch)
 
 
@@ -272,7 +271,7 @@ def _sky(catalogue: Columns, magnitude_limit: float, blend: float) -> MatchingSk
 
 
 def magnitude_limit(pieces: Sequence[TelemetryPiece], sensor: Sensor, catalogue: Columns, spread: Executor) -> float:
-    """Faintest star that may be matched, Hp, as `detections.magnitude_limit` finds it of a set in memory."""
+    """Faintest star that may be matched, Hp, as `rematch.compute_magnitude_limit` finds it of a set in memory."""
     parts: list[tuple[int, NDArray[np.int64]]] = spread.map(seen_in_piece, [(piece, catalogue) for piece in pieces])
     longest = max(len(counts) for _, counts in parts)
     counts = np.sum([np.pad(part, (0, longest - len(part))) for _, part in parts], axis=0)
@@ -357,7 +356,6 @@ class PriorKnowledge:
 
     @property
     def _ground(self) -> FloatArray:
-        """Covariance of a ground calibration."""
         return ground_covariance(self.sensor, self.settings.initial_sigma_scale)
 
 
@@ -471,7 +469,6 @@ class Dataset:
         return matched_rows(self.telemetry, joined_matches(parts), under.x, self.sensor, self.settings)
 
     def _of_rows(self, rows: MatchedRows) -> Matched:
-        """Make a problem of rows in memory and their matches."""
         unidentified = rows.matches.unidentified if isinstance(rows.matches, Matches) else 0
         problem = build_problem(rows.named(), self.sensor, self.catalogue, self.settings.minimum_stars)
         return Matched(problem, (MatchedRange(rows, unidentified),))
@@ -501,12 +498,10 @@ class Dataset:
 
     @cached_property
     def _matcher(self) -> Rematcher:
-        """Of a set in memory."""
         return Rematcher(self.telemetry, self.sensor, self.catalogue, self.settings, self._cache_folder)
 
     @cached_property
     def _how(self) -> Matching:
-        """Of a set in files."""
         pieces, folder = self._pieces, self._pieces.folder or Path()
         stars = write_catalogue(self.catalogue, folder)
         limit = magnitude_limit(pieces.pieces, self.sensor, stars, pieces.spread)
@@ -514,7 +509,6 @@ class Dataset:
 
     @cached_property
     def _standing(self) -> Matched:
-        """Under the given matches."""
         if self._pieces.folder is None:
             given = read_given_matches(self.telemetry, self.sensor, self.catalogue)
             problem = make_problem_of_directions(self.telemetry, self.sensor, given.s_i, self.settings.minimum_stars)

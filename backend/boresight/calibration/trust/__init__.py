@@ -32,9 +32,8 @@ from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.trust.advice import trust_advice
-from boresight.calibration.trust.against import residual_against
 from boresight.calibration.trust.efficiency import arc_sigma_map, efficiency, more_data
-from boresight.calibration.trust.field import residual_distribution, residual_field, residual_outliers
+from boresight.calibration.trust.field import residual_against, residual_distribution, residual_field, residual_outliers
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, fit_best
 from boresight.calibration.trust.innovations import nis_over_time, whiteness, worst_frames
 from boresight.calibration.trust.refits import drop_one, drop_one_sentence, two_halves

@@ -19,6 +19,7 @@ from boresight import kernels
 from boresight.arrays import FloatArray
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters.history import FilterHistory, FilterState, Tuning
+from boresight.estimation.filters.information import upper_factor
 
 #: How often a step that raises its frame's cost is halved.
 HALVINGS = 6
@@ -58,7 +59,7 @@ def extended_filter(
             break
     return FilterHistory(
         states[:n], sigmas[:n], nis[:n], dof[:n], squares[:n], passes[:n],
-        FilterState(x, z, _upper_factor(P)), n == arcs.n_frames,
+        FilterState(x, z, upper_factor(P)), n == arcs.n_frames,
     )  # fmt: skip
 
 
@@ -99,11 +100,3 @@ def _update(
 def _cost(departure: FloatArray, P_prior: FloatArray, e: FloatArray) -> float:
     """A frame's cost: departure from its prior plus whitened residuals, both squared."""
     return float(departure @ np.linalg.solve(P_prior, departure) + e @ e)
-
-
-def _upper_factor(P: FloatArray) -> FloatArray:
-    """Upper triangular S with S S^T = P, by reversing rows and columns around the usual lower factor."""
-    try:
-        return np.asarray(np.linalg.cholesky(P[::-1, ::-1])[::-1, ::-1])
-    except np.linalg.LinAlgError:
-        return np.full_like(P, np.nan)

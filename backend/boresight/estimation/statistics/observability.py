@@ -103,7 +103,6 @@ class Observability:
 
 
 def _listed(words: list[str]) -> str:
-    """Join words as `a, b and c`."""
     return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
@@ -155,7 +154,6 @@ def _one_step(a: FloatArray, q2: float, forgetting_factor: float) -> Run:
 
 
 def _joined(one: Run, two: Run) -> Run:
-    """One run after another."""
     (F_1, C_1, G_1), (F_2, C_2, G_2) = one, two
     damp = 1 / (1 + C_1 * G_2)
     return F_2 * damp * F_1, F_2 * damp * C_1 * F_2 + C_2, F_1 * damp * G_2 * F_1 + G_1

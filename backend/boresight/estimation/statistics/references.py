@@ -27,12 +27,10 @@ from boresight import kernels
 from boresight.arrays import FloatArray, IntArray
 from boresight.cameras import CameraModel
 from boresight.estimation import angular, singular_values
-from boresight.estimation.arcs import ArcSet, angular_sigma, whiten
-from boresight.estimation.batch import normal_equations
+from boresight.estimation.arcs import ArcSet, angular_sigma
 from boresight.estimation.filters.angular import AllPairs
 from boresight.estimation.filters.singular import SingularValues
 from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
-from boresight.estimation.statistics.cramer_rao import centroid_rows
 
 Rows = tuple[FloatArray, FloatArray]
 
@@ -154,46 +152,6 @@ def _runs(arcs: ArcSet) -> list[int]:
             edges.append(k)
             most, exposures = stars, count
     return [*edges, arcs.n_frames]
-
-
-@dataclass(frozen=True)
-class Content:
-    """Information of references relative to the Cramer-Rao bound.
-
-    Parameters
-    ----------
-    names
-        (n_references,) `arcs`, `angular`, `svd 1` ... `svd 4`.
-    full
-        (n_references, n_free) variance of the bound over that of each parameter, whitened by the full R; 0 where undetermined.
-    diagonal
-        The same with weights 1 / R_rr alone; NaN for the arcs, which are never so weighted here.
-    claimed
-        What a filter with those weights claims: above its `diagonal`, and where it is above one, more than there is.
-    """
-
-    names: tuple[str, ...]
-    full: FloatArray
-    diagonal: FloatArray
-    claimed: FloatArray
-
-
-def information_content(view: View, arcs: ArcSet, values: tuple[int, ...] = CHOSEN.values) -> Content:
-    """Set every reference beside the bound, at the state of the view."""
-    bound = centroid_rows(view.camera, view.x, arcs, view.free, view.scale).information
-    weighed, _ = whiten(arcs, angular_sigma(view.camera, view.x, arcs))
-    full = [normal_equations(weighed, view.x, view.free, view.scale).A, whitened_information(view, weighed, None)]
-    weighted = [weighted_information(view, weighed, None)]
-    for model in STAR_MODELS:
-        full.append(whitened_information(view, weighed, Selection(model, values)))
-        weighted.append(weighted_information(view, weighed, Selection(model, values)))
-    unknown = np.full(len(view.free), np.nan)
-    return Content(
-        ("arcs", "angular", *(f"svd {model}" for model in STAR_MODELS)),
-        np.stack([relative(A, bound) for A in full]),
-        np.stack([unknown, *(relative(true, bound) for true, _ in weighted)]),
-        np.stack([unknown, *(relative(claimed, bound) for _, claimed in weighted)]),
-    )
 
 
 def relative(A: FloatArray, bound: FloatArray) -> FloatArray:

@@ -88,7 +88,7 @@ def make_document(
 
 
 def compute_totals(inputs: QualityInputs) -> dict[str, Any]:
-    """Return what of a report adds up over parts of whole frames, see `quality_parts`."""
+    """Return what of a report adds up over parts of whole frames, see `QualityParts`."""
     telemetry, sensor = inputs.telemetry, inputs.sensor
     return {
         **_counts(inputs),
@@ -312,7 +312,7 @@ class _FrameTimes:
 
 
 def _added(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
-    """Add the totals of two sets of frames, see `quality.totals_of`."""
+    """Add the totals of two sets of frames, see `compute_totals`."""
     counts = {key: one[key] + value for key, value in other.items() if isinstance(value, int)}
     spread, more = one["stars_per_exposure"], other["stars_per_exposure"]
     return {
@@ -323,7 +323,7 @@ def _added(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
         "detector_coverage": _with_counts(one["detector_coverage"], other["detector_coverage"], "counts", "detected"),
         "radial_coverage": _with_counts(one["radial_coverage"], other["radial_coverage"], "counts")
         | {"largest_radius_px": _largest(*(part["radial_coverage"]["largest_radius_px"] for part in (one, other)))},
-        "magnitudes": _quality_part_magnitudes(one["magnitudes"], other["magnitudes"]),
+        "magnitudes": _magnitudes_of_both(one["magnitudes"], other["magnitudes"]),
         "temperature_c": _temperatures(one["temperature_c"], other["temperature_c"]),
     }
 
@@ -339,7 +339,7 @@ def _with_counts(one: dict[str, Any], other: dict[str, Any], *names: str) -> dic
     return one | {name: (np.array(one[name]) + np.array(other[name])).tolist() for name in names}
 
 
-def _quality_part_magnitudes(one: dict[str, Any] | None, other: dict[str, Any] | None) -> dict[str, Any] | None:
+def _magnitudes_of_both(one: dict[str, Any] | None, other: dict[str, Any] | None) -> dict[str, Any] | None:
     """Add histograms whose edges are whole steps."""
     if one is None or other is None:
         return one or other

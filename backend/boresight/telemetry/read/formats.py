@@ -134,7 +134,6 @@ def _is_text(head: bytes) -> bool:
     return True
 
 
-_PARQUET_MAGIC = b"PAR1"
 _SUFFIXES = {".csv": "CSV", ".jsonl": "JSON Lines", ".ndjson": "JSON Lines", ".parquet": "Parquet"}
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
@@ -288,7 +287,7 @@ def refuse_other_encodings(name: str, data: bytes, first_row: int = 1) -> None:
 
 def _sniff(data: bytes) -> str:
     """Say what the bytes look like."""
-    if data.startswith(_PARQUET_MAGIC):
+    if data.startswith(_PARQUET):
         return "Parquet"
     if b"\0" in data[:4096]:
         return "binary data"

@@ -9,11 +9,11 @@ A file is compressed in groups of rows. A stretch begins with the first frame th
 next one begins: whole frames, and nearly whole groups, of which each is decompressed once and its head once more. Where frames
 begin is told by one column, read beforehand, which is a fiftieth of the work; that they ascend is seen there too. Everything
 else that a file can be refused for lies within a frame, so each stretch finds its own. But a refusal names the first twenty faults
-of a file and counts the others: whoever meets a fault reads the file from its start (`chunks`), which says so in its words.
+of a file and counts the others: whoever meets a fault reads the file from its start (`read_chunks`), which says so in its words.
 
 A telemetry file in parts of whole frames, in constant memory: how every file is read, large or small.
 
-A file comes as tables of bounded size (`tables`), cut anywhere. Their rows are turned into arrays at once and wait until
+A file comes as tables of bounded size (`formats.Tables`), cut anywhere. Their rows are turned into arrays at once and wait until
 enough frames are whole; what comes out is cut where the frame number changes. Faults are collected as they are met, and
 from the first one on nothing more comes out: the rest of the file is read for its faults alone, and then refused in the words
 and order in which a file is refused that is read at once: form, columns, cells, and what rows say together.
@@ -150,7 +150,6 @@ class _Waiting:
             yield joined(self._parts)
 
     def _cut(self, frames: int) -> Iterator[Telemetry]:
-        """Yield parts of so many frames; the frames that are left wait on."""
         every = joined(self._parts)
         changes = np.flatnonzero(np.diff(every.frame)) + 1
         seams = [0, *changes[frames - 1 :: frames].tolist()]
@@ -224,7 +223,7 @@ class Stretch:
     limits: Limits = LIMITS
 
     def chunks(self, frames: int) -> Iterator[Telemetry]:
-        """Read it in parts of so many frames; `first_row` counts in the whole file. Refuses what `chunks.read_chunks` refuses."""
+        """Read it in parts of so many frames; `first_row` counts in the whole file. Refuses what `read_chunks` refuses."""
         rows = range(self.begins, self.ends)
         tables = rows_of_file(self.path, self.name, self.layout, rows, self.limits)
         return iterate_chunks(tables, self.name, frames, self.limits)
@@ -311,7 +310,6 @@ def write_with_stars(table: pa.Table, star_id: IntArray, stream: IO[bytes], suff
 
 
 def _write_json_lines(table: pa.Table, stream: IO[bytes]) -> None:
-    """Write one object a row; absent cells are null."""
     for batch in table.to_batches():
         stream.writelines(orjson.dumps(row, option=orjson.OPT_APPEND_NEWLINE, default=str) for row in batch.to_pylist())
 

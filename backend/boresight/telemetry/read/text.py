@@ -166,7 +166,6 @@ def _csv_tables(
 
 
 def _types(header: list[str]) -> dict[str, pa.DataType]:
-    """Return the types of the known columns."""
     typed = {column: pa.float64() for column in header if column in FLOAT_COLUMNS}
     return typed | {column: pa.int64() for column in header if column in INTEGER_COLUMNS}
 
@@ -384,7 +383,6 @@ def _json(line: bytes) -> Any:
 
 
 def _text(cell: object) -> str | None:
-    """Return a JSON value as the text a CSV cell would hold; None for null."""
     if cell is None or isinstance(cell, str):
         return cell
     return str(cell) if isinstance(cell, float) and not math.isfinite(cell) else orjson.dumps(cell).decode()
