@@ -219,6 +219,6 @@ def house_in(folder: Path, catalogue: Catalogue) -> Iterator[House]:
 
 
 @pytest.fixture(scope="session")
-def house(tmp_path_factory: pytest.TempPathFactory, catalogue: Catalogue) -> Iterator[House]:
+def house(tmp_path_factory, catalogue) -> Iterator[House]:
     with house_in(tmp_path_factory.mktemp("house"), catalogue) as made:
         yield made

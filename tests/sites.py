@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import html
 import re
 import shutil
 from dataclasses import dataclass, field
@@ -35,7 +36,6 @@ from boresight.server import create_app
 from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import st16_truth
-from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.sensors import sensor_document
 from boresight.verdicts.verdict import summary_of
 from tests.passwords import add_person
@@ -53,7 +53,7 @@ PEOPLE = {
 
 
 @pytest.fixture(scope="session")
-def results(catalogue: Catalogue) -> dict[str, dict[str, Any]]:
+def results(catalogue) -> dict[str, dict[str, Any]]:
     scenario = dataclasses.replace(calibration_scenario(1), frames=40)
     held_out = dataclasses.replace(validation_scenario(1), frames=20)
     telemetry = simulate(scenario, np.random.default_rng(1), catalogue)
@@ -84,7 +84,7 @@ def _settings(folder: Path) -> Settings:
 
 
 @pytest.fixture(scope="session")
-def furnished(tmp_path_factory: pytest.TempPathFactory, results: dict[str, Any]) -> Path:
+def furnished(tmp_path_factory, results) -> Path:
     settings = _settings(tmp_path_factory.mktemp("furnished"))
     engine, blobs = open_engine(settings.database_url), open_blobs(settings.blob_place)
     migrate(engine)
@@ -214,7 +214,7 @@ class Visitor:
 
 
 @pytest.fixture
-def site(furnished: Path, tmp_path: Path) -> Any:
+def site(furnished, tmp_path) -> Any:
     shutil.copytree(furnished, tmp_path / "data")
     copied(furnished, tmp_path / "data")
     site = Site(_settings(tmp_path / "data"))
@@ -224,17 +224,7 @@ def site(furnished: Path, tmp_path: Path) -> Any:
 
 def words(page: str) -> str:
     main = page[page.index("<main") : page.index("</main>")]
-    text = re.sub(r"<[^>]+>", " ", main)
-    for entity, letter in (
-        ("&#39;", "'"),
-        ("&#34;", '"'),
-        ("&amp;", "&"),
-        ("&lt;", "<"),
-        ("&gt;", ">"),
-        ("&nbsp;", " "),
-    ):
-        text = text.replace(entity, letter)
-    return re.sub(r"\s+", " ", text)
+    return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", main)))
 
 
 @pytest.fixture

@@ -66,7 +66,7 @@ SENSOR: dict[str, Any] = {
 
 
 @pytest.fixture(scope="session")
-def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def filled(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("filled")
     engine = open_migrated(url_in(folder))
     with open_writing(engine) as session:
@@ -78,32 +78,32 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def engine(filled: Path, tmp_path: Path) -> Iterator[Engine]:
+def engine(filled, tmp_path) -> Iterator[Engine]:
     engine = open_engine(copied(filled, tmp_path))
     yield engine
     engine.dispose()
 
 
 @pytest.fixture
-def session(engine: Engine) -> Iterator[Session]:
+def session(engine) -> Iterator[Session]:
     with open_writing(engine) as session:
         yield session
 
 
 @pytest.fixture
-def blobs(tmp_path: Path) -> BlobStore:
+def blobs(tmp_path) -> BlobStore:
     return FolderBlobStore(tmp_path / "blobs")
 
 
 @pytest.fixture
-def people(engine: Engine) -> Mapping[str, Actor]:
+def people(engine) -> Mapping[str, Actor]:
     with open_reading(engine) as session:
         rows = {row.name: row for row in users.list_users(session)}
         return {name: users.get_actor(session, row.id) for name, row in rows.items()}
 
 
 @pytest.fixture
-def finished_run(blobs: BlobStore) -> Callable[..., Run]:
+def finished_run(blobs) -> Callable[..., Run]:
     def make(session: Session, launched_by: int | None = None, state: str = "SUCCEEDED", **result: Any) -> Run:
         sensor = session.get_one(Sensor, 1)
         document = _result() | result
@@ -128,9 +128,7 @@ def finished_run(blobs: BlobStore) -> Callable[..., Run]:
 
 
 @pytest.fixture
-def candidate(
-    engine: Engine, blobs: BlobStore, people: Mapping[str, Actor], finished_run: Callable[..., Run]
-) -> Callable[..., ParameterSet]:
+def candidate(engine, blobs, people, finished_run) -> Callable[..., ParameterSet]:
     made = []
 
     def make(launched_by: str = "ana") -> ParameterSet:
@@ -144,9 +142,7 @@ def candidate(
 
 
 @pytest.fixture
-def submitted(
-    engine: Engine, people: Mapping[str, Actor], candidate: Callable[..., ParameterSet], blobs: BlobStore
-) -> Callable[[], ParameterSet]:
+def submitted(engine, people, candidate, blobs) -> Callable[[], ParameterSet]:
     def make() -> ParameterSet:
         row = candidate()
         with open_writing(engine) as session:
@@ -157,9 +153,7 @@ def submitted(
 
 
 @pytest.fixture
-def approved(
-    engine: Engine, people: Mapping[str, Actor], submitted: Callable[[], ParameterSet]
-) -> Callable[[], ParameterSet]:
+def approved(engine, people, submitted) -> Callable[[], ParameterSet]:
     def make() -> ParameterSet:
         row = submitted()
         with open_writing(engine) as session:

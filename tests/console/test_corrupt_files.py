@@ -26,7 +26,7 @@ def _stored(house: House, sha256: str | None) -> Path:
 
 
 @pytest.fixture(scope="module")
-def run(house: House) -> Run:
+def run(house) -> Run:
     house.result["label"] = "of this module"
     run_id = house.finished()
     with house.app.state.engine.connect() as connection:
@@ -42,7 +42,7 @@ def run(house: House) -> Run:
         "/api/v1/runs/{}/figures/radial/data",
     ],
 )
-def test_a_corrupt_result_is_refused_and_comes_back_with_its_bytes(house: House, run: Run, address: str) -> None:
+def test_a_corrupt_result_is_refused_and_comes_back_with_its_bytes(house, run, address):
     client = house.person("ada")
     with _flipped(_stored(house, run.result_sha256)):
         refused = client.get(address.format(run.id))
@@ -51,20 +51,20 @@ def test_a_corrupt_result_is_refused_and_comes_back_with_its_bytes(house: House,
 
 
 @pytest.mark.parametrize("tab", ["", "?tab=frames", "?tab=files"])
-def test_a_page_about_a_corrupt_result_is_a_sentence(house: House, run: Run, tab: str) -> None:
+def test_a_page_about_a_corrupt_result_is_a_sentence(house, run, tab):
     with _flipped(_stored(house, run.result_sha256)):
         page = house.person("ada").get(f"/runs/{run.id}{tab}", headers={"Accept": "text/html"})
     assert page.status_code == 409
     assert "was altered on the disk" in page.text
 
 
-def test_a_parameter_set_is_never_made_of_a_corrupt_result(house: House, run: Run) -> None:
+def test_a_parameter_set_is_never_made_of_a_corrupt_result(house, run):
     with _flipped(_stored(house, run.result_sha256)):
         refused = house.person("ada").post("/api/v1/parameter-sets", json={"run_id": run.id})
     assert (refused.status_code, refused.json()["type"]) == (409, CORRUPT)
 
 
-def test_corrupt_telemetry_is_not_given_out(house: House, run: Run) -> None:
+def test_corrupt_telemetry_is_not_given_out(house, run):
     with house.app.state.engine.connect() as connection:
         found = connection.execute(TelemetrySet.__table__.select().where(TelemetrySet.id == run.telemetry_set_id)).one()
     with _flipped(_stored(house, found.original_sha256)):
@@ -72,7 +72,7 @@ def test_corrupt_telemetry_is_not_given_out(house: House, run: Run) -> None:
     assert (refused.status_code, refused.json()["type"]) == (409, CORRUPT)
 
 
-def test_a_corrupt_package_is_refused_and_built_again_when_it_is_exported(house: House) -> None:
+def test_a_corrupt_package_is_refused_and_built_again_when_it_is_exported(house):
     client, row = house.person("olga"), house.approved()
     made = client.post(f"/api/v1/parameter-sets/{row['id']}:export", json={}).json()
     place = _stored(house, made["sha256"])

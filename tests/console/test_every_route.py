@@ -15,7 +15,7 @@ from tests.console.operations import GOOD, OPEN, OPERATIONS, TRANSITIONS, UNSAFE
 from tests.served import PASSWORD, House
 
 
-def test_the_openapi_document_lists_every_route() -> None:
+def test_the_openapi_document_lists_every_route():
     routes = {
         (method, route.path)
         for noun in NOUNS
@@ -26,11 +26,13 @@ def test_the_openapi_document_lists_every_route() -> None:
     }
     listed = {(operation["method"], operation["path"]) for operation in OPERATIONS.values()}
     assert routes <= listed
+    assert len(OPERATIONS) == len(set(OPERATIONS))
+    assert all(re.fullmatch(r"[a-z_]+", name) for name in OPERATIONS)
     assert {path for _, path in listed - routes} == {"/healthz", "/readyz", "/metrics"}
 
 
 @pytest.mark.parametrize("name", OPERATIONS)
-def test_every_operation_succeeds_as_documented(name: str, house: House) -> None:
+def test_every_operation_succeeds_as_documented(name, house):
     assert name in GOOD, f"Give {name} a request that succeeds, in GOOD"
     who, options = GOOD[name](house)
     client = house.log_in(who) if name in {"log_in", "log_out"} else house.person(who)
@@ -43,7 +45,7 @@ def test_every_operation_succeeds_as_documented(name: str, house: House) -> None
 
 
 @pytest.mark.parametrize("name", [name for name in OPERATIONS if name not in OPEN])
-def test_nobody_unknown_is_served(name: str, house: House) -> None:
+def test_nobody_unknown_is_served(name, house):
     answer = ask(house.anybody(), name, {})
     assert answer.status_code == 401, answer.read()
     assert answer.headers["www-authenticate"] == "Bearer"
@@ -51,7 +53,7 @@ def test_nobody_unknown_is_served(name: str, house: House) -> None:
 
 
 @pytest.mark.parametrize("name", UNSAFE)
-def test_a_cookie_without_its_csrf_token_changes_nothing(name: str, house: House) -> None:
+def test_a_cookie_without_its_csrf_token_changes_nothing(name, house):
     client = house.anybody()
     client.cookies = house.person("adele").cookies
     answer = ask(client, name, {"json": {}})
@@ -60,27 +62,12 @@ def test_a_cookie_without_its_csrf_token_changes_nothing(name: str, house: House
 
 
 @pytest.mark.parametrize("name", TRANSITIONS)
-def test_a_transition_without_a_version_is_refused_with_428(name: str, house: House) -> None:
+def test_a_transition_is_refused_without_a_version_with_428_and_from_an_older_one_with_412(name, house):
     who, options = GOOD[name](house)
-    options.pop("headers")
     client = house.person(who)
-    answer = ask(client, name, options)
-    assert answer.status_code == 428
-    assert "If-Match" in answer.json()["detail"]
-
-
-@pytest.mark.parametrize("name", TRANSITIONS)
-def test_a_transition_from_an_older_version_is_refused_with_412(name: str, house: House) -> None:
-    who, options = GOOD[name](house)
-    options["headers"] = {"If-Match": '"v77"'}
-    client = house.person(who)
-    answer = ask(client, name, options)
-    assert answer.status_code == 412
-    assert "changed since" in answer.json()["detail"]
-
-
-@pytest.mark.parametrize("name", TRANSITIONS)
-def test_the_document_asks_for_if_match_where_the_operation_does(name: str) -> None:
+    for headers, status, says in (({}, 428, "If-Match"), ({"If-Match": '"v77"'}, 412, "changed since")):
+        answer = ask(client, name, options | {"headers": headers})
+        assert (answer.status_code, says in answer.json()["detail"]) == (status, True), answer.text
     named = {parameter["name"]: parameter for parameter in OPERATIONS[name]["parameters"]}
     assert (named["If-Match"]["in"], named["If-Match"]["required"]) == ("header", True)
 
@@ -89,7 +76,7 @@ TRIED = [name for name in UNSAFE if name != "log_out"]
 
 
 @pytest.mark.parametrize("name", TRIED)
-def test_validate_only_answers_200_and_changes_nothing(name: str, house: House) -> None:
+def test_validate_only_answers_200_and_changes_nothing(name, house):
     who, options = GOOD[name](house)
     client = house.person(who)
     before = _written(house)
@@ -106,14 +93,6 @@ def _written(house: House) -> list[int]:
         return [session.scalar(sa.select(sa.func.count()).select_from(table)) or 0 for table in tables]
 
 
-@pytest.mark.parametrize("name", WITH_ID)
-def test_a_number_that_no_row_can_have_is_refused(name: str, house: House) -> None:
-    number = next(word for word in re.findall(r"{(\w+)}", OPERATIONS[name]["path"]) if word.endswith("_id"))
-    options = {**BODIES.get(name, {}), number: 10**25, "headers": {"If-Match": '"v1"'}}
-    answer = ask(house.person("ada"), name, options)
-    assert answer.status_code == 422, answer.text
-
-
 ABLE = {
     "approve": "alan",
     "refuse": "alan",
@@ -121,18 +100,7 @@ ABLE = {
     "read_back": "olga",
     "activate_parameter_set": "olga",
     "set_gate_profile": "adele",
-    **dict.fromkeys(
-        (
-            "get_webhook",
-            "disable_webhook",
-            "enable_webhook",
-            "try_webhook",
-            "renew_webhook_secret",
-            "list_webhook_deliveries",
-            "redeliver",
-        ),
-        "adele",
-    ),
+    **{name: "adele" for name in WITH_ID if "webhook" in name or name == "redeliver"},
 }  # who may do it, where not the analyst
 BODIES: dict[str, dict[str, Any]] = {
     **alarms.BODIES,
@@ -166,17 +134,19 @@ BODIES: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("name", WITH_ID)
-def test_what_does_not_exist_is_not_found(name: str, house: House) -> None:
+def test_what_does_not_exist_is_not_found_and_a_number_that_no_row_can_have_is_refused(name, house):
     number = next(word for word in re.findall(r"{(\w+)}", OPERATIONS[name]["path"]) if word.endswith("_id"))
     options = {**BODIES.get(name, {}), number: 987654, "headers": {"If-Match": '"v1"'}}
     answer = ask(house.person(ABLE.get(name, "adele" if "user_id" in number else "ada")), name, options)
     problem = ProblemDocument.model_validate(answer.json())
     assert (answer.status_code, problem.status) == (404, 404), answer.text
     assert "987654" in problem.detail
+    answer = ask(house.person("ada"), name, {**options, number: 10**25})
+    assert answer.status_code == 422, answer.text
 
 
 @pytest.mark.parametrize("name", OPERATIONS)
-def test_every_operation_is_documented_with_its_refusals(name: str) -> None:
+def test_every_operation_is_documented_with_its_refusals(name):
     operation = OPERATIONS[name]
     assert operation["summary"]
     assert operation["description"]
@@ -187,8 +157,3 @@ def test_every_operation_is_documented_with_its_refusals(name: str) -> None:
     for status, answer in operation["responses"].items():
         if status.startswith(("4", "5")):
             assert list(answer["content"]) == ["application/problem+json"]
-
-
-def test_operation_ids_are_the_names_of_the_endpoints() -> None:
-    assert len(OPERATIONS) == len(set(OPERATIONS))
-    assert all(re.fullmatch(r"[a-z_]+", name) for name in OPERATIONS)

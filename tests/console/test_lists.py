@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import statistics
 import time
+from itertools import chain
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,19 +45,9 @@ def furnish(session):
         document = {"camera_model": "brown", "detector": {"rows": 100 * number, "columns": 50}}
         session.add(Sensor(name=f"ST{3 - number}", document=document if number > 1 else {}, created_utc=NOW))
         session.flush()
-        session.add(
-            TelemetrySet(
-                sensor_id=number,
-                name=f"set {3 - number}",
-                purpose="calibration",
-                original_sha256="a" * 64,
-                table_sha256="a" * 64,
-                frames=10 * number,
-                stars=100,
-                quality={"unmatched_share": 0.5 / number},
-                uploaded_utc=NOW,
-            )
-        )
+        told = {"frames": 10 * number, "stars": 100, "quality": {"unmatched_share": 0.5 / number}, "uploaded_utc": NOW}
+        told |= dict.fromkeys(("original_sha256", "table_sha256"), "a" * 64)
+        session.add(TelemetrySet(sensor_id=number, name=f"set {3 - number}", purpose="calibration", **told))
     append_own(session, "made up", "sensors/1")
 
 
@@ -84,28 +76,13 @@ def store(request):
         for number in range(23):
             session.add(run(number))
             session.flush()
-            made = ParameterSet(
-                name=f"PS-{number}",
-                sensor_id=1,
-                number=number,
-                sha256=f"{number:064}",
-                document={},
-                ground_state=("CANDIDATE", "REJECTED")[number % 2],
-                created_utc=NOW,
-            )
+            columns = {"number": number, "sha256": f"{number:064}", "document": {}, "created_utc": NOW}
+            state = ("CANDIDATE", "REJECTED")[number % 2]
+            made = ParameterSet(name=f"PS-{number}", sensor_id=1, ground_state=state, **columns)
             session.add(made)
             session.flush()
-            session.add(
-                Approval(
-                    parameter_set_id=made.id,
-                    state="OPEN",
-                    reason="because",
-                    bound={},
-                    submitted_utc=NOW,
-                    submitted_by=1,
-                    needed=1,
-                )
-            )
+            columns = {"reason": "because", "bound": {}, "submitted_utc": NOW, "submitted_by": 1, "needed": 1}
+            session.add(Approval(parameter_set_id=made.id, state="OPEN", **columns))
             append_own(session, ("began", "ended")[number % 2], f"runs/{number + 1}")
     return engine
 
@@ -155,13 +132,6 @@ def test_a_list_is_narrowed_to_any_number_of_rows(store, ids):
     assert {row.id for row in found} == {1, 2} & set(ids)
 
 
-def test_among_equals_the_newest_is_first(store):
-    with open_reading(store) as session:
-        found = lists.page(session, "runs", ListQuery({}, "state"), 50)
-    failed = [row.id for row in found if row.state == "FAILED"]
-    assert failed == sorted(failed, reverse=True)
-
-
 @pytest.mark.parametrize("text", ["_%", "a", "%"])
 def test_a_text_is_sought_as_it_stands_in_any_case(store, text):
     with open_reading(store) as session:
@@ -173,6 +143,8 @@ def test_a_walk_gives_every_row_once_and_reads_what_no_list_shows_only_when_aske
     with open_reading(store) as session:
         walked = [row.id for row in lists.walk(session, "runs", ListQuery({}, "rms"))]
         assert walked == in_pages(session, "runs", "rms", 7)
+        failed = [row.id for row in lists.page(session, "runs", ListQuery({}, "state"), 50) if row.state == "FAILED"]
+        assert failed == sorted(failed, reverse=True)  # among equals the newest is first
         row = lists.page(session, "runs", ListQuery({}, "run"), 1)[0]
         assert "settings" in sa.inspect(row).unloaded
         assert row.settings == {}
@@ -229,3 +201,63 @@ def test_every_listed_table_has_its_newest_rows_narrowed_by_each_filter(store, t
             assert [row.id for row in lists.newest(session, table, **{name: given})] == [
                 number for number in whole if number in fitting
             ]
+
+
+def _all(client: Any, path: str, **params: Any) -> list[list[int]]:
+    pages, cursor = [], None
+    while True:
+        body = client.get(path, params={**params, **({"cursor": cursor} if cursor else {})}).json()
+        pages.append([item["id"] for item in body["items"]])
+        cursor = body["next"]
+        if cursor is None:
+            return pages
+
+
+def test_pages_hold_every_run_once_newest_first_and_its_log_in_order(house):
+    sensor_id, set_id = house.ready_sensor()
+    client = house.person("ada")
+    made = [
+        client.post("/api/v1/runs", json={"sensor_id": sensor_id, "telemetry_set_id": set_id}).json()["id"]
+        for _ in range(5)
+    ]
+    pages = _all(client, "/api/v1/runs", sensor_id=sensor_id, limit=2)
+    assert [len(page) for page in pages] == [2, 2, 1]
+    assert list(chain(*pages)) == made[::-1]
+    assert client.get("/api/v1/runs", params={"sensor_id": sensor_id, "limit": 5}).json()["next"] is None
+    house.end(made[0])
+    pages = _all(client, f"/api/v1/runs/{made[0]}/log", limit=1)
+    assert len(pages) >= 2
+    assert list(chain(*pages)) == sorted(chain(*pages))
+
+
+def test_a_row_added_meanwhile_does_not_move_the_pages(house):
+    client, run = house.person("ada"), house.launched()
+    params = {"sensor_id": run["sensor_id"], "limit": 1}
+    order = {"sensor_id": run["sensor_id"], "telemetry_set_id": run["telemetry_set_id"]}
+    second = client.post("/api/v1/runs", json=order).json()
+    first_page = client.get("/api/v1/runs", params=params).json()
+    client.post("/api/v1/runs", json=order)
+    next_page = client.get("/api/v1/runs", params={**params, "cursor": first_page["next"]}).json()
+    assert [first_page["items"][0]["id"], next_page["items"][0]["id"]] == [second["id"], run["id"]]
+
+
+def test_a_cursor_of_other_filters_or_made_up_and_an_impossible_limit_are_refused(house):
+    client = house.person("ada")
+    house.launched(), house.launched()
+    cursor = client.get("/api/v1/runs", params={"limit": 1}).json()["next"]
+    refused = client.get("/api/v1/runs", params={"limit": 1, "cursor": cursor, "state": "QUEUED"})
+    assert refused.status_code == 422
+    assert "other filters" in refused.json()["detail"]
+    wrong = [{"cursor": cursor} for cursor in ("x", "%%%", "bm90aGluZw", "-1.5", "MTIz")]
+    for params in (*wrong, *({"limit": limit} for limit in ("0", "201", "many"))):
+        assert client.get("/api/v1/runs", params=params).status_code == 422, params
+
+
+@pytest.mark.parametrize("path", ["sensors", "users", "api-keys", "audit", "parameter-sets", "telemetry-sets"])
+def test_other_lists_page_by_the_same_rule(house, path):
+    house.ready_sensor(), house.ready_sensor(), house.key("adele"), house.key("adele")
+    client = house.person("adele")
+    paged = list(chain(*_all(client, f"/api/v1/{path}", limit=3 if path != "audit" else 100)))
+    whole = list(chain(*_all(client, f"/api/v1/{path}", limit=200)))
+    assert len(paged) == len(set(paged)) >= 2
+    assert paged == whole

@@ -1,5 +1,7 @@
 """The OpenAPI document: valid, every answer typed, and what every method of every address answers."""
 
+from __future__ import annotations
+
 import re
 from typing import Any
 
@@ -9,20 +11,22 @@ from openapi_spec_validator import OpenAPIV31SpecValidator
 from boresight.calibration.options import OPTIONS
 from boresight.platform.actors import SCOPES
 from tests.console.operations import GOOD, OPEN, OPENAPI, OPERATIONS, ask
-from tests.served import House
 
 PROBLEM = "application/problem+json"
 VERBS = [operation for operation in OPERATIONS.values() if ":" in operation["path"]]
 LOOSE: tuple[Any, ...] = (None, {}, {"type": "object", "additionalProperties": True})
 
 
-def test_the_document_is_valid() -> None:
+def test_the_document_is_valid_no_two_shapes_have_one_name_and_scopes_are_an_enumeration():
     assert OPENAPI["openapi"].startswith("3.1")
     assert [error.message for error in OpenAPIV31SpecValidator(OPENAPI).iter_errors()] == []
+    assert [name for name in OPENAPI["components"]["schemas"] if "__" in name] == []
+    scopes = OPENAPI["components"]["schemas"]["NewKey"]["properties"]["scopes"]
+    assert scopes["items"]["enum"] == list(SCOPES)
 
 
 @pytest.mark.parametrize("name", OPERATIONS)
-def test_every_success_of_every_operation_is_typed(name: str) -> None:
+def test_every_success_of_every_operation_is_typed(name):
     answers = {status: one for status, one in OPERATIONS[name]["responses"].items() if status.startswith("2")}
     assert answers
     for status, answer in answers.items():
@@ -32,7 +36,7 @@ def test_every_success_of_every_operation_is_typed(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in OPERATIONS if name not in OPEN])
-def test_every_operation_says_what_every_request_may_meet(name: str) -> None:
+def test_every_operation_says_what_every_request_may_meet(name):
     operation = OPERATIONS[name]
     documented = set(operation["responses"])
     assert {"400", "401", "403", "408", "422", "431", "503"} <= documented
@@ -45,24 +49,15 @@ def test_every_operation_says_what_every_request_may_meet(name: str) -> None:
             assert answer["content"][PROBLEM]["schema"] == {"$ref": "#/components/schemas/ProblemDocument"}
 
 
-def test_no_two_shapes_have_one_name() -> None:
-    assert [name for name in OPENAPI["components"]["schemas"] if "__" in name] == []
-
-
 @pytest.mark.parametrize("operation", ["runs", "campaigns", "presets"])
-def test_every_choice_of_a_calibration_is_described_where_settings_are_given(operation: str) -> None:
+def test_every_choice_of_a_calibration_is_described_where_settings_are_given(operation):
     body = OPENAPI["paths"][f"/api/v1/{operation}"]["post"]["requestBody"]["content"]["application/json"]["schema"]
     shape = OPENAPI["components"]["schemas"][body["$ref"].rpartition("/")[2]]
     assert set(shape["properties"]["settings"]["properties"]) == set(OPTIONS)
 
 
-def test_scopes_are_an_enumeration() -> None:
-    scopes = OPENAPI["components"]["schemas"]["NewKey"]["properties"]["scopes"]
-    assert scopes["items"]["enum"] == list(SCOPES)
-
-
 @pytest.mark.parametrize("name", [name for name in OPERATIONS if name not in {"log_in", "log_out", "stream_events"}])
-def test_every_answer_has_the_media_type_that_is_documented(name: str, house: House) -> None:
+def test_every_answer_has_the_media_type_that_is_documented(name, house):
     who, options = GOOD[name](house)
     answer = ask(house.person(who), name, options)
     documented = OPERATIONS[name]["responses"][str(answer.status_code)].get("content", {})
@@ -71,7 +66,7 @@ def test_every_answer_has_the_media_type_that_is_documented(name: str, house: Ho
 
 
 @pytest.mark.parametrize("verb", VERBS, ids=lambda operation: operation["operationId"])
-def test_get_of_a_verb_is_405_and_says_what_it_takes(verb: dict[str, Any], house: House) -> None:
+def test_get_of_a_verb_is_405_and_says_what_it_takes(verb, house):
     path = re.sub(r"{\w+}", "1", verb["path"])
     for method in ("GET", "HEAD", "PUT", "DELETE"):
         answer = house.person("ada").request(method, path)
@@ -89,12 +84,20 @@ def test_get_of_a_verb_is_405_and_says_what_it_takes(verb: dict[str, Any], house
         ("/login", "GET, POST, HEAD, OPTIONS"),
     ],
 )
-def test_allow_names_every_method_of_an_address(path: str, takes: str, house: House) -> None:
+def test_allow_names_every_method_of_an_address(path, takes, house):
     refused, asked = house.person("ada").request("PATCH", path), house.anybody().request("OPTIONS", path)
     assert (refused.status_code, refused.headers["allow"]) == (405, takes)
     assert (asked.status_code, asked.headers["allow"]) == (204, takes)
+    for method in ("POST", "GET"):
+        assert house.person("ada").request(method, "/api/v1/runs/1:fly").status_code == 404  # no such verb
 
 
-def test_a_verb_that_there_is_not_is_not_found(house: House) -> None:
-    assert house.person("ada").post("/api/v1/runs/1:fly").status_code == 404
-    assert house.person("ada").get("/api/v1/runs/1:fly").status_code == 404
+def test_all_that_the_documentation_loads_comes_from_this_server(house):
+    beside = house.anybody().get("/api/v1/docs")
+    assert (beside.status_code, beside.headers["location"]) == (307, "/docs")
+    page = house.anybody().get("/docs").text
+    loaded = re.findall(r'(?:src|href)="(.*?)"', page)
+    assert {"/static/swagger-ui.css", "/static/swagger-ui-bundle.js"} <= set(loaded)
+    for address in loaded:
+        answer = house.anybody().get(address)
+        assert answer.status_code == 200, address

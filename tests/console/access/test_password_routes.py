@@ -27,7 +27,7 @@ HERE, THERE = "127.0.0.1", "127.0.0.2"
 
 
 @pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Any]]:
+def served(tmp_path_factory) -> Iterator[tuple[str, Any]]:
     settings = settings_in(tmp_path_factory.mktemp("passwords"))
     add_people(settings)
     with serving(settings) as place:
@@ -46,7 +46,7 @@ def _log_in(client: httpx.Client, name: str, password: str = PASSWORD) -> httpx.
 
 
 @pytest.fixture
-def held(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[list[str], threading.Event]]:
+def held(monkeypatch) -> Iterator[tuple[list[str], threading.Event]]:
     threads, release = list[str](), threading.Event()
     for name in ("check", "prepare"):
         monkeypatch.setattr(passwords, name, _holding(getattr(passwords, name), threads, release))
@@ -63,60 +63,35 @@ def _holding(work: Callable[..., Any], threads: list[str], release: threading.Ev
     return wait
 
 
-SLOW: dict[str, Any] = {
-    "log in": lambda client: _log_in(client, "victor"),
-    "log in by the page": lambda client: client.post("/login", data={"name": "victor", "password": PASSWORD}),
-    "add a person": lambda client: client.post(
-        "/api/v1/users", json={"name": "new", "printed_name": "N", "password": PASSWORD, "roles": []}
-    ),
-    "add a person by the page": lambda client: client.post(
-        "/users", data={"name": "new", "password": PASSWORD, "csrf_token": client.headers["X-CSRF-Token"]}
-    ),
+def _api(path: str, **body: Any) -> Callable[[httpx.Client], httpx.Response]:
+    sent = {"json": {"password": PASSWORD, **body}, "headers": {"If-Match": '"v1"'}}
+    return lambda client: client.post(f"/api/v1/{path}", **sent)
+
+
+def _page(path: str, **form: Any) -> Callable[[httpx.Client], httpx.Response]:
+    form = {"password": PASSWORD, **form}
+    return lambda client: client.post(path, data={**form, "csrf_token": client.headers["X-CSRF-Token"]})
+
+
+FRESH = dict.fromkeys(("password", "repeated"), "known to nobody else")
+WAIVER = {"gate": "coverage", "code": "other", "reason": "x" * 30, "expires_utc": "2026-01-01"}
+SLOW = {
+    "log in": _api("sessions", name="victor"),
+    "log in by the page": _page("/login", name="victor"),
+    "add a person": _api("users", name="new", printed_name="N", roles=[]),
+    "add a person by the page": _page("/users", name="new"),
     "reset a password": lambda client: client.post("/api/v1/users/3:change-password", json={"password": PASSWORD}),
-    "change a password by the page": lambda client: client.post(
-        "/password",
-        data={
-            "current": PASSWORD,
-            "password": "known to nobody else",
-            "repeated": "known to nobody else",
-            "csrf_token": client.headers["X-CSRF-Token"],
-        },
-    ),
-    "sign": lambda client: client.post(
-        "/api/v1/approvals/1:approve", json={"meaning": "x", "password": PASSWORD}, headers={"If-Match": '"v1"'}
-    ),
-    "sign by the page": lambda client: client.post(
-        "/approvals/1/sign",
-        data={"decision": "APPROVE", "password": PASSWORD, "csrf_token": client.headers["X-CSRF-Token"]},
-    ),
-    "sign over the shoulder": lambda client: client.post(
-        "/api/v1/approvals/1:sign-over-the-shoulder",
-        json={"meaning": "x", "password": PASSWORD, "name": "alan", "decision": "APPROVE"},
-        headers={"If-Match": '"v1"'},
-    ),
-    "waive": lambda client: client.post(
-        "/api/v1/parameter-sets/1:waive",
-        json={
-            "gate": "coverage",
-            "code": "other",
-            "reason": "x" * 30,
-            "expires_utc": "2026-01-01",
-            "password": PASSWORD,
-        },
-        headers={"If-Match": '"v1"'},
-    ),
-    "activate": lambda client: client.post(
-        "/api/v1/parameter-sets/1:activate",
-        json={"source": "x", "meaning": "x", "password": PASSWORD},
-        headers={"If-Match": '"v1"'},
-    ),
+    "change a password by the page": _page("/password", current=PASSWORD, **FRESH),
+    "sign": _api("approvals/1:approve", meaning="x"),
+    "sign by the page": _page("/approvals/1/sign", decision="APPROVE"),
+    "sign over the shoulder": _api("approvals/1:sign-over-the-shoulder", meaning="x", name="alan", decision="APPROVE"),
+    "waive": _api("parameter-sets/1:waive", **WAIVER),
+    "activate": _api("parameter-sets/1:activate", source="x", meaning="x"),
 }
 
 
 @pytest.mark.parametrize("what", SLOW)
-def test_no_password_is_worked_on_while_the_write_lock_is_held(
-    served: tuple[str, Any], held: tuple[list[str], threading.Event], what: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_password_is_worked_on_while_the_write_lock_is_held(served, held, what, monkeypatch):
     monkeypatch.setattr(approvals, "refuse_beside", lambda *_: None)  # of a request that is not there nothing is hashed
     address, app = served
     threads, release = held
@@ -150,7 +125,19 @@ def _restore(app: Any) -> None:
         audit.append(session, SYSTEM, "restored", "users")
 
 
-def test_a_flood_of_one_name_locks_nobody_out_elsewhere_and_no_signature(served: tuple[str, Any]) -> None:
+@pytest.fixture
+def hashed(monkeypatch) -> list[str]:
+    made, check = list[str](), passwords.check
+
+    def noting(stored: Any, password: str) -> Any:
+        made.append(password)
+        return check(stored, password)
+
+    monkeypatch.setattr(passwords, "check", noting)
+    return made
+
+
+def test_a_flood_of_one_name_locks_nobody_out_elsewhere_and_no_signature(served):
     address, _ = served
     with _client(address) as alan, _client(address, THERE) as flood, _client(address, "127.0.0.3") as fresh:
         assert _log_in(alan, "alan").status_code == 201
@@ -162,50 +149,26 @@ def test_a_flood_of_one_name_locks_nobody_out_elsewhere_and_no_signature(served:
         assert _log_in(fresh, "alan").status_code == 201
 
 
-def test_a_new_log_in_gives_no_new_guesses_over_the_shoulder(
-    served: tuple[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_new_log_in_gives_no_new_guesses_over_the_shoulder(served, monkeypatch, hashed):
     address, _ = served
+    beside = _api("approvals/77:sign-over-the-shoulder", meaning="x", password="wrong", name="bo", decision="APPROVE")
+    with _client(address, "127.0.0.9") as victor:
+        assert _log_in(victor, "victor").status_code == 201
+        assert beside(victor).status_code == 404
+    assert "wrong" not in hashed  # nothing is tried for a request that does not exist
     monkeypatch.setattr(approvals, "refuse_beside", lambda *_: None)  # as if the request could be signed
-    hashed: list[str] = []
-    monkeypatch.setattr(passwords, "check", _noting(passwords.check, hashed))
-    body = {"meaning": "x", "password": "wrong", "name": "bo", "decision": "APPROVE"}
     for _ in range(5):
         with _client(address, "127.0.0.8") as victor:
             assert _log_in(victor, "victor").status_code == 201
             for _ in range(4):
-                answer = victor.post(
-                    "/api/v1/approvals/1:sign-over-the-shoulder", json=body, headers={"If-Match": '"v1"'}
-                )
+                answer = beside(victor)
                 if answer.status_code == 429:
                     break
     assert answer.status_code == 429
     assert hashed.count("wrong") == 8
 
 
-def test_no_password_is_tried_for_a_request_that_does_not_exist(
-    served: tuple[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    address, _ = served
-    hashed: list[str] = []
-    with _client(address, "127.0.0.9") as victor:
-        assert _log_in(victor, "victor").status_code == 201
-        monkeypatch.setattr(passwords, "check", _noting(passwords.check, hashed))
-        body = {"meaning": "x", "password": "wrong", "name": "bo", "decision": "APPROVE"}
-        sent = {"json": body, "headers": {"If-Match": '"v1"'}}
-        assert victor.post("/api/v1/approvals/77:sign-over-the-shoulder", **sent).status_code == 404
-    assert not hashed
-
-
-def _noting(check: Callable[..., Any], hashed: list[str]) -> Callable[..., Any]:
-    def noting(stored: Any, password: str) -> Any:
-        hashed.append(password)
-        return check(stored, password)
-
-    return noting
-
-
-def test_attempts_are_slowed_down_and_then_told_to_wait(served: tuple[str, Any]) -> None:
+def test_attempts_are_slowed_down_and_then_told_to_wait(served):
     address, _ = served
     with _client(address, "127.0.0.4") as flood:
         for name in ("ada", "nobody-of-that-name"):
@@ -226,7 +189,7 @@ def _failures(app: Any, address: str) -> list[dict[str, Any]]:
     return [one for one in found if str(one.get("address", address)).startswith(address)]
 
 
-def test_failed_log_ins_are_audited_soon_and_then_by_the_minute(served: tuple[str, Any]) -> None:
+def test_failed_log_ins_are_audited_soon_and_then_by_the_minute(served):
     address, app = served
     app.state.passwords.record_failures(whole=True)
     with _client(address, "127.0.0.5") as stranger:
@@ -245,7 +208,7 @@ def test_failed_log_ins_are_audited_soon_and_then_by_the_minute(served: tuple[st
     assert "wrong horse battery" not in str(found)
 
 
-def test_a_flood_of_names_makes_few_records(served: tuple[str, Any]) -> None:
+def test_a_flood_of_names_makes_few_records(served):
     _, app = served
     state = app.state.passwords
     state.record_failures(whole=True)
@@ -258,9 +221,7 @@ def test_a_flood_of_names_makes_few_records(served: tuple[str, Any]) -> None:
     assert sum(one["count"] for one in found[: len(found) - before]) == 1000
 
 
-def test_only_so_many_passwords_are_worked_on_or_wait_at_once(
-    served: tuple[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_so_many_passwords_are_worked_on_or_wait_at_once(served, monkeypatch):
     state = checks.PasswordWorker(served[1].state.engine, 5)
     monkeypatch.setattr(passwords, "check", lambda stored, _: time.sleep(0.05) or PasswordProof(stored, fits=False))
 
@@ -282,7 +243,7 @@ def test_only_so_many_passwords_are_worked_on_or_wait_at_once(
     assert sum(isinstance(one, OverloadedError) for one in asyncio.run(wait())) == 3
 
 
-def test_a_signer_is_slowed_down_by_their_own_failures_alone(served: tuple[str, Any]) -> None:
+def test_a_signer_is_slowed_down_by_their_own_failures_alone(served):
     state = checks.PasswordWorker(served[1].state.engine, 5)
     alan = Actor(2, "alan", "Alan", frozenset({"approver"}), "session", session_id=1)
 
@@ -301,7 +262,7 @@ def test_a_signer_is_slowed_down_by_their_own_failures_alone(served: tuple[str, 
     assert asyncio.run(all_of_it())
 
 
-def test_a_lone_surrogate_in_a_password_is_refused_in_words(served: tuple[str, Any]) -> None:
+def test_a_lone_surrogate_in_a_password_is_refused_in_words(served):
     address, _ = served
     with _client(address) as root:
         assert _log_in(root, "adele").status_code == 201
@@ -311,14 +272,12 @@ def test_a_lone_surrogate_in_a_password_is_refused_in_words(served: tuple[str, A
             assert sent.status_code in {400, 401, 422}, sent.text
 
 
-def test_many_names_tried_from_an_address_shut_out_nobody_who_logged_in_from_there(
-    served: tuple[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_many_names_tried_from_an_address_shut_out_nobody_who_logged_in_from_there(served, hashed):
     address, _ = served  # 6 s of attack: what is bounded is bounded over time
-    source, hashed = "127.0.0.10", list[str]()
+    source = "127.0.0.10"
     with _client(address, source) as alan:
         assert _log_in(alan, "alan").status_code == 201
-    monkeypatch.setattr(passwords, "check", _noting(passwords.check, hashed))
+    hashed.clear()
     end_s = time.monotonic() + 6.0
 
     def attack(thread: int) -> None:
@@ -346,7 +305,7 @@ def test_many_names_tried_from_an_address_shut_out_nobody_who_logged_in_from_the
     assert hashed.count("wrong") <= 34
 
 
-def test_strangers_everywhere_share_their_tries_at_a_name_and_its_owner_gets_in(served: tuple[str, Any]) -> None:
+def test_strangers_everywhere_share_their_tries_at_a_name_and_its_owner_gets_in(served):
     state = checks.PasswordWorker(served[1].state.engine, 1)
     with _client(served[0], "127.0.0.11") as olga:
         assert _log_in(olga, "olga").status_code == 201

@@ -1,14 +1,14 @@
 """People: passwords, throttled log-ins, roles that only administrators give, and always one of those left."""
 
-from collections.abc import Mapping
+import re
 from dataclasses import replace
 
 import pytest
 
-from boresight.console.access import sessions, users
-from boresight.console.access.tables import User
+from boresight.console.access import api_keys, sessions, users
+from boresight.console.access.tables import ApiKey, User
+from boresight.console.approvals import service as approvals
 from boresight.errors import (
-    BoresightError,
     ConflictError,
     ForbiddenError,
     NotFoundError,
@@ -16,12 +16,11 @@ from boresight.errors import (
     SessionEndedError,
     UnauthenticatedError,
 )
-from boresight.platform.actors import Actor
+from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing
+from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_after
+from tests.console.conftest import PASSWORD
 from tests.passwords import new_password, proved
-
-PASSWORD = "correct horse battery"
 
 
 def _log_in(engine: Engine, name: str, password: str) -> Actor:
@@ -29,22 +28,7 @@ def _log_in(engine: Engine, name: str, password: str) -> Actor:
         return users.authenticate(session, proved(session, name, password))
 
 
-def test_name_and_password_give_the_person_with_their_roles(engine: Engine) -> None:
-    actor = _log_in(engine, "bo", PASSWORD)
-    assert (actor.printed_name, actor.credential, actor.scopes) == ("Bo", "session", None)
-    assert actor.roles == {"analyst", "approver"}
-
-
-def test_a_wrong_name_and_a_wrong_password_get_the_same_answer(engine: Engine) -> None:
-    answers = set()
-    for name in ("ana", "nobody"):
-        with pytest.raises(UnauthenticatedError) as refusal:
-            _log_in(engine, name, "wrong horse battery")
-        answers.add(str(refusal.value))
-    assert len(answers) == 1
-
-
-def test_a_password_is_kept_as_argon2id_only(session: Session) -> None:
+def test_a_password_is_kept_as_argon2id_only(session):
     user = users.list_users(session)[0]
     assert user.password_hash.startswith("$argon2id$")
     assert PASSWORD not in user.password_hash
@@ -53,7 +37,7 @@ def test_a_password_is_kept_as_argon2id_only(session: Session) -> None:
 def _create(session: Session, actor: Actor, **changes: object) -> User:
     values = {"name": "newcomer", "printed_name": "New Comer", "roles": ["viewer"]} | changes
     values.setdefault("password", new_password(PASSWORD))
-    return users.create_user(session, actor, **values)  # type: ignore[arg-type]
+    return users.create_user(session, actor, **values)
 
 
 @pytest.mark.parametrize(
@@ -83,21 +67,14 @@ def _create(session: Session, actor: Actor, **changes: object) -> User:
         ({"roles": "viewer"}, RefusedInputError, "no role viewer"),
     ],
 )
-def test_a_person_that_cannot_be_is_refused(
-    session: Session,
-    people: Mapping[str, Actor],
-    changes: dict[str, object],
-    error: type[BoresightError],
-    says: str,
-) -> None:
+def test_a_person_that_cannot_be_is_refused(session, people, changes, error, says):
     with pytest.raises(error, match=says):
         _create(session, people["root"], **changes)
 
 
 @pytest.mark.parametrize("name", ["ana", "bo", "cy", "dee", "eve"])
-def test_only_administrators_make_and_change_people(session: Session, people: Mapping[str, Actor], name: str) -> None:
+def test_only_administrators_make_and_change_people(session, people, name):
     actor, victim = people[name], people["root"].user_id
-    assert victim is not None
     for act in (
         lambda: _create(session, actor),
         lambda: users.change_roles(session, actor, victim, ["viewer"]),
@@ -111,13 +88,9 @@ def test_only_administrators_make_and_change_people(session: Session, people: Ma
 
 
 @pytest.mark.parametrize("scopes", [frozenset(), frozenset({"users", "api-keys"})])
-def test_no_key_manages_people_not_even_its_owner(
-    session: Session, people: Mapping[str, Actor], scopes: frozenset[str]
-) -> None:
+def test_no_key_manages_people_not_even_its_owner(session, people, scopes):
     key = replace(people["root"], credential="key:1234", scopes=scopes)
     approver, owner = people["cy"].user_id, people["root"].user_id
-    assert approver is not None
-    assert owner is not None
     for act in (
         lambda: _create(session, key, roles=["approver"]),
         lambda: users.change_roles(session, key, approver, ["viewer"]),
@@ -132,26 +105,20 @@ def test_no_key_manages_people_not_even_its_owner(
             act()
 
 
-def test_nobody_becomes_administrator_and_approver_at_once(session: Session, people: Mapping[str, Actor]) -> None:
-    approver = people["cy"].user_id
-    assert approver is not None
-    with pytest.raises(RefusedInputError, match="administrator cannot sign"):
-        users.change_roles(session, people["root"], approver, ["approver", "administrator"])
-
-
-def test_roles_take_effect_at_once_and_are_recorded(session: Session, people: Mapping[str, Actor]) -> None:
+def test_roles_take_effect_at_once_and_are_recorded(session, people):
     ana = people["ana"]
-    assert ana.user_id is not None
     users.change_roles(session, people["root"], ana.user_id, ["viewer", "viewer"])
     assert users.get_actor(session, ana.user_id).roles == {"viewer"}
     record = audit.last_change(session, f"users/{ana.user_id}")
-    assert record is not None
     assert (record.before, record.after) == ({"roles": ["analyst"]}, {"roles": ["viewer"]})
+    with pytest.raises(RefusedInputError, match="administrator cannot sign"):
+        users.change_roles(session, people["root"], people["cy"].user_id, ["approver", "administrator"])
+    with pytest.raises(NotFoundError, match="no user 99"):
+        users.get_user(session, 99)
 
 
-def test_a_disabled_person_is_out_at_once_and_stays_out(engine: Engine, people: Mapping[str, Actor]) -> None:
+def test_a_disabled_person_is_out_at_once_and_stays_out(engine, people):
     ana = people["ana"]
-    assert ana.user_id is not None
     with open_writing(engine) as session:
         users.disable_user(session, people["root"], ana.user_id)
     with open_reading(engine) as session, pytest.raises(SessionEndedError, match="disabled"):
@@ -160,12 +127,13 @@ def test_a_disabled_person_is_out_at_once_and_stays_out(engine: Engine, people: 
         _log_in(engine, "ana", PASSWORD)
     with open_writing(engine) as session:
         users.enable_user(session, people["root"], ana.user_id)
+    actor = _log_in(engine, "bo", PASSWORD)
+    assert (actor.printed_name, actor.credential, actor.scopes) == ("Bo", "session", None)
+    assert actor.roles == {"analyst", "approver"}
     assert _log_in(engine, "ana", PASSWORD).name == "ana"
 
 
-def test_names_are_stored_in_one_form_and_found_however_they_are_typed(
-    engine: Engine, people: Mapping[str, Actor]
-) -> None:
+def test_names_are_stored_in_one_form_and_found_however_they_are_typed(engine, people):
     with open_writing(engine) as session:
         row = _create(session, people["root"], name="\uff26ay", printed_name="Fay   Ne\u0301e")
         assert (row.name, row.printed_name) == ("Fay", "Fay N\u00e9e")
@@ -176,11 +144,8 @@ def test_names_are_stored_in_one_form_and_found_however_they_are_typed(
             _log_in(engine, typed, PASSWORD)
 
 
-def test_what_was_proven_of_a_password_that_was_changed_meanwhile_proves_nothing(
-    engine: Engine, people: Mapping[str, Actor]
-) -> None:
+def test_what_was_proven_of_a_password_that_was_changed_meanwhile_proves_nothing(engine, people):
     ana = people["ana"]
-    assert ana.user_id is not None
     with open_reading(engine) as session:
         proof = proved(session, "ana", PASSWORD)
     with open_writing(engine) as session:
@@ -193,9 +158,8 @@ def test_what_was_proven_of_a_password_that_was_changed_meanwhile_proves_nothing
             users.require_password(session, people["bo"], another)
 
 
-def test_the_last_administrator_stays(session: Session, people: Mapping[str, Actor]) -> None:
+def test_the_last_administrator_stays(session, people):
     root = people["root"]
-    assert root.user_id is not None
     for act in (
         lambda: users.disable_user(session, root, root.user_id),
         lambda: users.change_roles(session, root, root.user_id, ["viewer"]),
@@ -204,9 +168,8 @@ def test_the_last_administrator_stays(session: Session, people: Mapping[str, Act
             act()
 
 
-def test_a_new_password_needs_the_old_one_and_ends_every_log_in(engine: Engine, people: Mapping[str, Actor]) -> None:
+def test_a_new_password_needs_the_old_one_and_ends_every_log_in(engine, people):
     ana, new = people["ana"], "another horse battery"
-    assert ana.user_id is not None
     with pytest.raises(UnauthenticatedError), open_writing(engine) as session:
         users.change_password(session, ana, ana.user_id, new_password(new), proved(session, ana, "wrong"))
     with open_writing(engine) as session:
@@ -217,6 +180,180 @@ def test_a_new_password_needs_the_old_one_and_ends_every_log_in(engine: Engine, 
     assert _log_in(engine, "ana", new).name == "ana"
 
 
-def test_nobody_is_not_found(session: Session) -> None:
-    with pytest.raises(NotFoundError, match="no user 99"):
-        users.get_user(session, 99)
+def test_an_administrator_adds_a_person_who_can_then_log_in(site, read):
+    visitor = site.visitor("adele")
+    form = {"name": "nina", "printed_name": "Nina New", "password": "a long enough one", "roles": ["viewer", "analyst"]}
+    assert visitor.post("/users", **form).status_code == 303
+    assert "Nina New may log in as nina." in read(visitor.get("/users"))
+    answer = visitor.send("POST", "/login", data={"name": "nina", "password": "a long enough one"})
+    assert answer.status_code == 303
+
+
+def test_a_refused_person_keeps_what_was_typed_but_never_the_password(site):
+    form = {"name": "nina", "printed_name": "Nina New", "password": "short-one", "roles": ["approver"]}
+    answer = site.visitor("adele").post("/users", **form)
+    assert answer.status_code == 422
+    assert 'value="Nina New"' in answer.text
+    assert "short-one" not in answer.text
+    new_person = answer.text.split('id="new-person"')[1]
+    assert re.search(r'value="approver" checked', new_person)
+
+
+def test_an_administrator_disables_a_person_lets_them_in_again_and_ends_their_log_ins(site):
+    adele = site.visitor("adele")
+    for verb in ("disable", "enable", "end-sessions"):
+        victim = site.visitor("victor") if verb != "enable" else None
+        assert adele.post(f"/users/5/{verb}").status_code == 303
+        if victim:
+            assert victim.send("GET", "/audit", headers={"accept": "text/html"}).status_code == 303
+    with open_reading(site.engine) as session:
+        assert users.get_user(session, 5).disabled_utc is None
+
+
+def test_who_is_no_administrator_sees_only_what_is_theirs(site, read):
+    page = read(site.visitor("ada").get("/users"))
+    assert "People are managed by administrators: Adele Administrator" in page
+    assert "Alan Approver" not in page
+    assert "Make a key" in page
+
+
+def test_a_keys_secret_is_shown_once_and_works(site):
+    visitor = site.visitor("ada")
+    answer = visitor.post("/users/keys", label="Pass automation", days="30", scopes=["runs"])
+    secret = re.search(r"bs_[0-9a-f]{8}_[\w-]+", answer.text)[0]
+    assert answer.headers["cache-control"] == "no-store"
+    assert secret not in visitor.get("/users")
+    with open_reading(site.engine) as session:
+        assert api_keys.actor_of_key(session, secret).scopes == {"runs"}
+
+
+def test_a_refused_key_says_why_and_a_revoked_one_stays_in_the_list_as_revoked(site, read):
+    visitor = site.visitor("ada")
+    for form, sentence in (({"label": " "}, "needs a label"), ({"label": "x", "days": "soon"}, "not a number of days")):
+        answer = visitor.post("/users/keys", **form)
+        assert (answer.status_code, sentence in read(answer.text)) == (422, True)
+    visitor.post("/users/keys", label="old one")
+    assert visitor.post("/users/keys/1/revoke").status_code == 303
+    page = read(visitor.get("/users"))
+    assert "Revoked old one" in page
+
+
+def test_a_changed_password_ends_every_log_in(site):
+    visitor, elsewhere = site.visitor("ada"), site.visitor("ada")
+    form = {"current": PASSWORD, "password": "another long one", "repeated": "another long one"}
+    assert visitor.post("/password", **(form | {"repeated": "typo"})).status_code == 422
+    assert visitor.post("/password", **form).headers["location"] == "/login"
+    assert elsewhere.send("GET", "/audit", headers={"accept": "text/html"}).status_code == 303
+
+
+def test_who_was_given_a_password_sets_their_own_before_anything_else(site, read):
+    victim = site.visitor("victor")
+    page = site.visitor("adele").post("/users/5/password", password="a given password")
+    assert page.status_code == 303
+    assert "must set a password" in read(site.visitor("adele").get("/users"))
+    assert victim.send("GET", "/audit", headers={"accept": "text/html"}).headers["location"].startswith("/login")
+    victim.send("POST", "/login", data={"name": "victor", "password": "a given password"})
+    for path in ("/", "/audit", "/users", "/login"):
+        assert victim.send("GET", path, headers={"accept": "text/html"}).headers["location"] == "/password"
+    assert "Only a password that nobody else knows" in read(victim.get("/password"))
+
+
+@pytest.fixture
+def key(session, people) -> tuple[ApiKey, str]:
+    return api_keys.create_key(session, people["ana"], label="downlink", scopes=["runs"])
+
+
+def test_a_secret_lets_its_program_act_as_the_owner_within_its_scopes(session, people, key):
+    row, secret = key
+    actor = api_keys.actor_of_key(session, secret)
+    assert (actor.user_id, actor.roles) == (people["ana"].user_id, people["ana"].roles)
+    assert (actor.credential, actor.scopes) == (f"key:{row.prefix}", {"runs"})
+
+
+def test_the_secret_itself_is_not_kept(key):
+    row, secret = key
+    assert secret.startswith(f"bs_{row.prefix}_")
+    kept = [str(getattr(row, column.key)) for column in ApiKey.__table__.columns]
+    assert all(secret.split("_", 2)[2] not in value for value in kept)
+
+
+def test_a_secret_with_one_letter_changed_is_unknown(session, key):
+    secret = key[1]
+    for wrong in (secret[:-1] + ("A" if secret[-1] != "A" else "B"), secret[:-1], "", "bs_", "bs_a_b", "é_é_é"):
+        with pytest.raises(UnauthenticatedError, match="copied whole"):
+            api_keys.actor_of_key(session, wrong)
+
+
+def test_a_key_loses_what_its_owner_loses(session, people, key):
+    ana = people["ana"].user_id
+    users.change_roles(session, people["root"], ana, ["viewer"])
+    assert api_keys.actor_of_key(session, key[1]).roles == {"viewer"}
+    users.disable_user(session, people["root"], ana)
+    with pytest.raises(UnauthenticatedError, match=r"owner .* is disabled"):
+        api_keys.actor_of_key(session, key[1])
+
+
+def test_an_expired_and_a_revoked_key_are_told_apart(session, people, key):
+    row, secret = key
+    row.expires_utc = utc_after(-1.0)
+    with pytest.raises(UnauthenticatedError, match="expired at"):
+        api_keys.actor_of_key(session, secret)
+    api_keys.revoke_key(session, people["ana"], row.id)
+    with pytest.raises(UnauthenticatedError, match="was revoked"):
+        api_keys.actor_of_key(session, secret)
+
+
+def test_only_owner_and_administrator_revoke(session, people, key):
+    with pytest.raises(ForbiddenError, match="owner or an administrator"):
+        api_keys.revoke_key(session, people["bo"], key[0].id)
+    assert api_keys.revoke_key(session, people["root"], key[0].id).revoked_utc is not None
+    with pytest.raises(NotFoundError):
+        api_keys.revoke_key(session, people["root"], 99)
+
+
+def test_a_key_makes_no_key(session, key):
+    with pytest.raises(ForbiddenError, match="Only a person"):
+        api_keys.create_key(session, api_keys.actor_of_key(session, key[1]), label="child")
+    with pytest.raises(ForbiddenError, match="API key may not revoke"):
+        api_keys.revoke_key(session, api_keys.actor_of_key(session, key[1]), key[0].id)
+    with pytest.raises(ForbiddenError, match="Only a person"):
+        api_keys.create_key(session, COMMAND_LINE, label="child")
+
+
+@pytest.mark.parametrize(
+    ("choices", "says"),
+    [
+        ({"label": "x", "scopes": ["everything"]}, "no scope everything; the scopes are"),
+        ({"label": "  "}, "needs a label"),
+        ({"label": "x", "expires_days": 0}, "lasts 1 to 3650 days"),
+    ],
+)
+def test_a_key_that_cannot_be_is_refused(session, people, choices, says):
+    with pytest.raises(RefusedInputError, match=says):
+        api_keys.create_key(session, people["ana"], **choices)
+    assert api_keys.list_keys(session) == []
+
+
+def test_what_a_key_changed_is_on_record_as_the_key(engine, people, candidate, blobs):
+    row = candidate()
+    with open_writing(engine) as session:
+        key, secret = api_keys.create_key(session, people["ana"], label="robot", scopes=["parameter-sets"])
+    with open_writing(engine) as session:
+        robot = api_keys.actor_of_key(session, secret)
+        approvals.submit(session, robot, blobs, row.id, "better", row.version)
+    with open_reading(engine) as session:
+        record = audit.last_change(session, f"parameter-sets/{row.id}")
+        assert record.credential == f"key:{key.prefix}"
+        assert [listed.id for listed in api_keys.list_keys(session, people["ana"].user_id)] == [key.id]
+        assert api_keys.list_keys(session, people["bo"].user_id) == []
+
+
+def test_the_last_use_of_a_key_is_kept_and_only_ever_moves_on(engine, people):
+    with open_writing(engine) as session:
+        key, _ = api_keys.create_key(session, people["ana"], label="robot")
+    for at_utc in ("2026-11-21T10:00:00.000000Z", "2026-11-21T09:00:00.000000Z"):
+        with open_writing(engine) as session:
+            api_keys.record_uses(session, {key.prefix: at_utc, "unknown": at_utc})
+    with open_reading(engine) as session:
+        assert api_keys.get_key(session, key.id).last_used_utc == "2026-11-21T10:00:00.000000Z"
+        assert audit.verify(session).ok

@@ -1,21 +1,34 @@
 """Gate reports of stored sets: what they rest on, when they hold, what they say at submission and on lists."""
 
-from collections.abc import Callable
+import json
+import zipfile
 from typing import Any
 
 import pytest
 
+from boresight.console import transitions
 from boresight.console.approvals import gate_profiles, gates
+from boresight.console.approvals import queries as approval_queries
+from boresight.console.approvals import service as approvals
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.errors import ForbiddenError, NotFoundError, StaleError
+from boresight.console.uplinks import packages
+from boresight.errors import (
+    ConflictError,
+    ForbiddenError,
+    NotFoundError,
+    PreconditionRequiredError,
+    RefusedInputError,
+    StaleError,
+    UnauthenticatedError,
+)
+from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.db.sessions import open_reading, open_writing
+from boresight.platform.db import sessions
+from boresight.platform.db.sessions import open_reading, open_writing, utc_after, utc_now
 from boresight.verdicts.gates import DEFAULT_PROFILE
-
-
-def limits(**gates: Any) -> dict[str, Any]:
-    return {"gates": [{"name": name.replace("_", "-"), **entry} for name, entry in gates.items()]}
+from tests.console.conftest import PASSWORD
+from tests.passwords import approve, proved
 
 
 @pytest.fixture
@@ -29,7 +42,7 @@ def assess(engine, blobs, people):
     return run
 
 
-def test_a_set_of_a_poor_run_is_not_blocked_by_the_default_profile(candidate: Callable[..., ParameterSet], assess):
+def test_a_set_of_a_poor_run_is_not_blocked_by_the_default_profile(candidate, assess):
     report = assess(candidate().id).document
     status = {answer["name"]: answer["status"] for answer in report["gates"]}
     assert report["schema"] == "boresight.gate-report/1"
@@ -55,30 +68,25 @@ def test_a_report_binds_what_it_rests_on_and_is_recorded_in_the_audit(candidate,
     assert record.after["sha256"] == report.sha256
 
 
-def test_assessing_twice_gives_one_report(candidate, assess):
-    row = candidate()
-    assert assess(row.id).id == assess(row.id, "cy").id
-
-
-def test_a_report_of_what_moved_meanwhile_is_refused(candidate, engine, blobs, people):
+def test_a_report_of_what_moved_meanwhile_is_refused(candidate, set_profile, engine, blobs, people):
     row = candidate()
     with open_reading(engine) as session:
         assessment = gates.measure(session, blobs, None, row.id)
-    with open_writing(engine) as session:
-        gate_profiles.set_profile(session, people["root"], 1, limits(coverage={"limit": 0.2}), "More stars.", 0)
+    set_profile()
     with open_writing(engine) as session, pytest.raises(StaleError, match="The profile moved while PS-ST16-1-1"):
         gates.record_report(session, people["ana"], assessment)
 
 
-def test_a_report_holds_until_the_profile_moves(candidate, assess, engine, people):
+def test_a_report_holds_until_the_profile_moves(candidate, assess, engine, set_profile):
     row = candidate()
     with open_reading(engine) as session:
         assert gates.latest_report(session, row.id) is None
     report = assess(row.id)
+    assert assess(row.id, "cy").id == report.id
     with open_reading(engine) as session:
         assert gates.latest_report(session, row.id).id == report.id
-    with open_writing(engine) as session:
-        gate_profiles.set_profile(session, people["root"], 1, limits(coverage={"limit": 0.2}), "More stars.", 0)
+    set_profile()
+    with open_reading(engine) as session:
         assert gates.latest_report(session, row.id) is None
 
 
@@ -96,11 +104,6 @@ def test_a_viewer_records_no_report(candidate, assess):
         assess(candidate().id, "eve")
 
 
-def test_there_is_nothing_to_say_of_no_set(session, blobs):
-    with pytest.raises(NotFoundError, match="no parameter set 99"):
-        gates.measure(session, blobs, None, 99)
-
-
 def test_a_submission_takes_the_report_that_holds_or_a_light_one(candidate, assess, engine, blobs, people):
     known, new = candidate(), candidate()
     report = assess(known.id)
@@ -110,3 +113,240 @@ def test_a_submission_takes_the_report_that_holds_or_a_light_one(candidate, asse
     assert light.parameter_set_id == new.id
     with open_reading(engine) as session:
         assert gates.verdicts(session, [1, known.id, new.id]) == {known.id: "NO-DATA", new.id: "NO-DATA"}
+
+
+SHIFT = {"gates": [{"name": "parameter-shift", "limit": 1e-6, "marginal": 1e-6}]}
+
+
+@pytest.fixture
+def set_profile(engine, people):
+    def act(who: str | Actor = "root", seen: int | None = 0, **given: Any):
+        values = {"sensor_id": 1, "document": SHIFT, "reason": "To be tried.", **given}
+        with open_writing(engine) as session:
+            return gate_profiles.set_profile(
+                session, people[who] if isinstance(who, str) else who, seen_number=seen, **values
+            )
+
+    return act
+
+
+def test_the_default_is_in_force_until_another_is_set(engine, set_profile):
+    with open_reading(engine) as session:
+        row = gate_profiles.profile_in_force(session, 1)
+        assert (row.number, row.document, row.id) == (0, DEFAULT_PROFILE, None)
+        assert [one.number for one in gate_profiles.list_profiles(session, 1)] == [0]
+    set_profile()
+    with open_reading(engine) as session:
+        assert [one.number for one in gate_profiles.list_profiles(session, 1)] == [1, 0]
+        assert [one.number for one in gate_profiles.list_profiles(session, 1, before_number=1)] == [0]
+        first = gate_profiles.list_profiles(session, 1)[1]
+        assert (first.sha256, first.created_by) == (gate_profiles.DEFAULT_SHA256, None)
+
+
+def test_the_default_is_written_once_however_often_it_is_needed(engine, people):
+    with open_writing(engine) as session:
+        numbers = {gate_profiles.ensure_profile(session, people["ana"], 1).id for _ in range(3)}
+        assert len(numbers) == 1
+
+
+def test_who_is_no_administrator_sets_no_limits_nor_a_key_beyond_its_scope(set_profile, people):
+    for who in ("ana", "bo", "cy", "dee", "eve"):
+        with pytest.raises(ForbiddenError, match="administrator"):
+            set_profile(who)
+    root = people["root"]
+    key = Actor(root.user_id, "root", "Root", root.roles, "key:bs_1", frozenset({"runs"}))
+    with pytest.raises(ForbiddenError, match="scope sensors"):
+        set_profile(key)
+    assert set_profile(COMMAND_LINE).number == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        ({"sensor_id": 99}, NotFoundError, "no sensor 99"),
+        ({"reason": " "}, RefusedInputError, "Give the reason"),
+        ({"document": {"gates": []}}, RefusedInputError, "in force already"),
+        ({"document": {"gates": [{"name": "beauty"}]}}, RefusedInputError, "no gate 'beauty'"),
+        ({"seen": None}, PreconditionRequiredError, "If-Match"),
+        ({"seen": 3}, StaleError, "you saw v3, it is v0"),
+    ],
+)
+def test_what_is_no_profile_is_refused(set_profile, given, error, words):
+    with pytest.raises(error, match=words):
+        set_profile(**given)
+
+
+def test_the_audit_tells_the_thresholds_that_changed_before_and_after(set_profile, engine):
+    set_profile()
+    with open_reading(engine) as session:
+        record = audit.last_change(session, "sensors/1/gate-profiles")
+    assert record.before["parameter-shift limit"] is None
+    assert record.after["parameter-shift limit"] == 1e-6
+    assert record.after["version"] == 1
+    assert set(record.after) == {"version", "sha256", "parameter-shift limit", "parameter-shift marginal"}
+
+
+def test_other_limits_make_undecided_requests_stale(set_profile, submitted, engine):
+    row = submitted()
+    set_profile()
+    with open_reading(engine) as session:
+        request = approvals.list_approvals(session, parameter_set_id=row.id)[0]
+        assert request.state == "STALE"
+        assert transitions.get_parameter_set(session, row.id).ground_state == "CANDIDATE"
+
+
+def test_a_dry_run_says_of_every_past_run_what_would_have_been_blocked_and_stores_nothing(
+    engine, blobs, people, candidate, finished_run
+):
+    assessed = candidate()
+    with open_writing(engine) as session:
+        gates.report_for_submission(session, people["ana"], blobs, assessed.id)
+        never_made = finished_run(session).id
+        finished_run(session, state="FAILED")
+    with open_reading(engine) as session:
+        tried = gate_profiles.dry_run(session, blobs, 1, SHIFT)
+    assert [(one.run.id, one.set_name) for one in tried] == [(never_made, None), (assessed.run_id, assessed.name)]
+    assert [one.blocking for one in tried] == [[], ["parameter-shift"]]  # the first is where the sensor started
+    assert [one.blocking_now for one in tried] == [[], []]
+    assert [one.basis for one in tried] == ["the run's own result", "the set's gate report"]
+    with open_reading(engine) as session:
+        assert gate_profiles.profile_in_force(session, 1).number == 0
+
+
+def test_a_dry_run_of_what_is_no_profile_is_refused(engine, blobs):
+    with open_reading(engine) as session, pytest.raises(RefusedInputError, match="no gate 'beauty'"):
+        gate_profiles.dry_run(session, blobs, 1, {"gates": [{"name": "beauty"}]})
+
+
+REASON = "The shift is the one that launch made; we know it."
+DAY_S = 86400.0
+
+
+@pytest.fixture
+def blocked(engine, blobs, people, candidate, set_profile) -> ParameterSet:
+    row = candidate()
+    set_profile()
+    with open_writing(engine) as session:
+        report = gates.report_for_submission(session, people["ana"], blobs, row.id)
+    assert report.document["blocking"] == ["parameter-shift"]
+    return row
+
+
+@pytest.fixture
+def waive(engine, people, blocked):
+    def act(who: str | Actor = "ana", seen: int | None = blocked.version, **given: Any):
+        values = {"gate": "parameter-shift", "code": "known-cause", "reason": REASON, "password": PASSWORD}
+        values |= {"expires_utc": utc_after(DAY_S), "parameter_set_id": blocked.id, **given}
+        actor = people[who] if isinstance(who, str) else who
+        with open_writing(engine) as session:
+            values["proof"] = proved(session, actor, values.pop("password"))
+            return gates.waive(session, actor, seen_version=seen, **values)
+
+    return act
+
+
+def document(engine, parameter_set_id: int) -> dict[str, Any]:
+    with open_reading(engine) as session:
+        return gates.with_waivers(session, gates.newest_report(session, parameter_set_id))
+
+
+@pytest.mark.parametrize("who", ["ana", "cy", "bo"])
+def test_an_analyst_or_an_approver_waives_in_person(waive, engine, blocked, who):
+    waiver = waive(who)
+    found = document(engine, blocked.id)
+    assert (found["blocking"], found["waived"]) == ([], ["parameter-shift"])
+    assert found["words"] == "NO-DATA (1 gate waived)"
+    assert (waiver.reason, waiver.printed_name) == (REASON, who.title())
+    with open_reading(engine) as session:
+        record = audit.last_change(session, f"parameter-sets/{blocked.id}/waivers")
+        assert (record.actor, record.reason, record.after["gate"]) == (who.title(), REASON, "parameter-shift")
+        assert [one.id for one in approval_queries.waivers_in_force(session, blocked.id, utc_now())] == [waiver.id]
+
+
+def test_neither_another_role_nor_a_key_nor_the_command_line_waives(waive, people):
+    key = Actor(people["ana"].user_id, "ana", "Ana", people["ana"].roles, "key:bs_1", frozenset({"parameter-sets"}))
+    said = dict.fromkeys(("dee", "eve", "root"), "analyst or approver")
+    said |= dict.fromkeys((key, COMMAND_LINE), "Only a person who is logged in may waive a gate")
+    for actor, words in said.items():
+        with pytest.raises(ForbiddenError, match=words):
+            waive(actor)
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        ({"password": "wrong"}, UnauthenticatedError, "assword"),
+        ({"reason": "Too short a reason."}, RefusedInputError, "at least 20 letters"),
+        ({"reason": " " * 30}, RefusedInputError, "at least 20 letters"),
+        ({"reason": REASON + "\x07"}, RefusedInputError, "control character"),
+        ({"code": "because"}, RefusedInputError, "choose from known-cause"),
+        ({"gate": "beauty"}, RefusedInputError, "no gate 'beauty'"),
+        ({"gate": "coverage"}, ConflictError, "does not block"),
+        ({"gate": "finite"}, ConflictError, "does not block"),
+        ({"expires_utc": "2020-01-01T00:00:00Z"}, RefusedInputError, "in the future and within 30 days"),
+        ({"expires_utc": "9999-12-31"}, RefusedInputError, "in the future and within 30 days"),
+        ({"expires_utc": "soon"}, RefusedInputError, "'soon' is no time"),
+        ({"parameter_set_id": 99}, NotFoundError, "no parameter set 99"),
+        ({"expires_utc": utc_after(30 * DAY_S + 600)}, RefusedInputError, "within 30 days"),
+        ({"seen": None}, PreconditionRequiredError, "If-Match"),
+        ({"seen": 77}, StaleError, "changed since you looked"),
+    ],
+)
+def test_what_is_no_waiver_is_refused_and_leaves_nothing(waive, engine, blocked, given, error, words):
+    with pytest.raises(error, match=words):
+        waive(**given)
+    assert document(engine, blocked.id)["words"] == "FAIL"
+
+
+def test_a_gate_that_the_profile_does_not_let_be_waived_stays(waive, set_profile, engine, blobs, people, blocked):
+    set_profile(seen=1, document={"gates": [{**SHIFT["gates"][0], "waivable": False}]})
+    with open_writing(engine) as session:
+        gates.report_for_submission(session, people["ana"], blobs, blocked.id)
+    with pytest.raises(ForbiddenError, match="the gate profile does not let it be waived"):
+        waive()
+
+
+def test_what_was_assessed_under_other_limits_is_assessed_again_before_it_is_waived(waive, set_profile):
+    set_profile(seen=1, document={"gates": []})
+    with pytest.raises(ConflictError, match="no gate report that holds now: assess it"):
+        waive()
+
+
+def test_a_gate_is_waived_once_for_up_to_30_days_and_a_waiver_that_expires_blocks_again_and_stays_in_the_words(
+    waive, engine, blocked, monkeypatch
+):
+    waive(expires_utc=utc_after(30 * DAY_S - 1))
+    with pytest.raises(ConflictError, match="it is waived already"):
+        waive("cy")
+    later = sessions.utc_after(31 * DAY_S)
+    monkeypatch.setattr(gates, "utc_now", lambda: later)
+    found = document(engine, blocked.id)
+    assert (found["words"], found["blocking"]) == ("FAIL (1 gate waived)", ["parameter-shift"])
+    with open_reading(engine) as session:
+        assert approval_queries.waivers_in_force(session, blocked.id, later) == []
+        assert len(gates.all_waivers(session, blocked.id)) == 1
+
+
+def test_baseline_and_package_tell_the_verdict_that_was_signed_also_when_its_waiver_is_over(
+    waive, engine, blobs, people, blocked, monkeypatch
+):
+    waive()
+    with open_writing(engine) as session:
+        request = approvals.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
+        for name in ("cy", "bo"):
+            approve(session, people[name], request)
+        row = transitions.get_parameter_set(session, blocked.id)
+        approvals.promote(session, people["dee"], row.id, row.version)
+        package = packages.build(session, people["dee"], blobs, row.id)
+        assert set_queries.baseline(session, 1).id == blocked.id
+        shown = gates.verdicts(session, [blocked.id])[blocked.id]
+    assert shown == "NO-DATA (1 gate waived)"
+    with zipfile.ZipFile(blobs.path(package.sha256)) as packed:
+        said = json.loads(packed.read("MANIFEST.json"))["gates"]
+        assert f"<h2>Gates: {shown}</h2>" in packed.read("verification_sheet.html").decode()
+    assert (said["words"], said["verdict"], said["waived"]) == (shown, "NO-DATA", ["parameter-shift"])
+    assert said["document"]["verdict"] == "FAIL", "the report itself stays as its hash has it"
+    later = sessions.utc_after(2 * DAY_S)
+    monkeypatch.setattr(gates, "utc_now", lambda: later)
+    with open_writing(engine) as session:
+        assert packages.build(session, people["dee"], blobs, blocked.id).id == package.id

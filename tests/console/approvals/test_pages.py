@@ -1,11 +1,18 @@
 """The inbox and the page of a request."""
 
+import re
+
 import pytest
 
+from boresight.console import transitions
+from boresight.console.approvals import gate_profiles
+from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals.pages.approval import list_warnings
+from boresight.console.parameter_sets import service as parameter_sets
 from boresight.figures.tables import parameter_rows
+from boresight.platform.db.sessions import open_reading, open_writing, utc_now
+from tests.sites import PASSWORD
 
-PASSWORD = "correct horse battery"
 WORDS = {"decision": "APPROVE", "meaning": "I approve this set for baseline.", "comment": "Read all of it."}
 
 
@@ -21,29 +28,23 @@ def submitted(site, name, run_id):
     return person.post(f"{place}/submit", version=version, reason="The held-out RMS fell.").headers["location"]
 
 
-@pytest.mark.usefixtures("request_page")
-def test_the_inbox_says_what_waits_and_why_one_may_not_sign(site, read):
-    assert "Review and sign" in read(site.visitor("alan").get("/approvals"))
-    text = read(site.visitor("both").get("/approvals"))
-    assert "The held-out RMS fell." in text
-
-
-def test_an_empty_inbox_says_what_will_appear(site):
+def test_the_inbox_says_what_waits_and_separates_what_is_mine_to_sign(site, read):
     assert 'class="empty"' in site.visitor("alan").get("/approvals")
+    submitted(site, "ada", 1)
+    assert "The held-out RMS fell." in read(site.visitor("both").get("/approvals"))
+    for address in ("/approvals", "/approvals?show=mine"):
+        assert "Review and sign" in read(site.visitor("alan").get(address))
+    assert 'class="empty"' in site.visitor("ada").get("/approvals?show=mine")
 
 
-def test_the_request_is_read_in_the_order_of_a_review(site, request_page):
+def test_the_request_is_read_in_the_order_of_a_review_to_buttons_that_name_their_effect(site, request_page, read):
     page = site.visitor("alan").get(request_page)
     order = ("reason", "change", "gates", "warnings", "evidence", "discussion", "signed", "sign")
     places = [page.index(f'id="{name}-title"') for name in order]
     assert places == sorted(places)
     assert 'src="/api/v1/runs/1/figures/radial"' in page
-
-
-def test_the_buttons_name_their_effect(site, request_page, read):
-    text = read(site.visitor("alan").get(request_page))
-    assert "Approve PS-ST16-1-1 for baseline" in text
-    assert "Refuse PS-ST16-1-1" in text
+    assert "Approve PS-ST16-1-1 for baseline" in read(page)
+    assert "Refuse PS-ST16-1-1" in read(page)
 
 
 def test_a_signature_approves_and_stands_in_the_roll_with_name_meaning_and_comment(site, request_page, read):
@@ -60,20 +61,6 @@ def test_a_wrong_password_is_refused_in_its_place_and_everything_else_is_kept(si
     assert "Read all of it." in answer.text
     assert "wrong wrong wrong" not in answer.text
     assert "nobody yet" in read(site.visitor("alan").get(request_page))
-
-
-def test_a_refusal_needs_a_comment(site, request_page):
-    words = {"decision": "REFUSE", "meaning": "I refuse.", "comment": "", "password": PASSWORD}
-    answer = site.visitor("alan").post(f"{request_page}/sign", version="1", **words)
-    assert answer.status_code == 422
-
-
-def test_one_refusal_blocks(site, request_page, read):
-    words = {"decision": "REFUSE", "meaning": "I refuse.", "comment": "Too few stars.", "password": PASSWORD}
-    site.visitor("alan").post(f"{request_page}/sign", version="1", **words)
-    text = read(site.visitor("both").get(request_page))
-    assert "REJECTED" in text
-    assert "Too few stars." in text
 
 
 @pytest.mark.parametrize(
@@ -96,12 +83,6 @@ def test_the_submitter_is_told_that_another_approver_must_sign(site):
     assert 'id="password"' not in site.visitor("both").get(request_page)
 
 
-def test_who_launched_the_run_is_told_so(site, read, results):
-    run_id = site.add_run(state="SUCCEEDED", result={**results["batch"], "iterations": 99}, launched_by=6)
-    request_page = submitted(site, "ada", run_id)
-    assert f"You launched run {run_id}" in read(site.visitor("both").get(request_page))
-
-
 def test_a_request_of_before_a_promotion_is_stale_and_cannot_be_signed(site, request_page, read):
     other = submitted(site, "ada", 2)
     alan, olga = site.visitor("alan"), site.visitor("olga")
@@ -112,13 +93,204 @@ def test_a_request_of_before_a_promotion_is_stale_and_cannot_be_signed(site, req
     assert "STALE" in text
 
 
-def test_a_change_beyond_what_such_sensors_make_is_a_warning(results):
+def test_a_change_beyond_what_such_sensors_make_and_a_result_without_validation_are_warnings(results):
     moved = {**results["batch"], "initial": {**results["batch"]["initial"], "f_m": 0.0150}}
     said = list_warnings(moved, parameter_rows(moved), is_ground=False)
     assert any(sentence.startswith("f_m moves by") for sentence in said)
     assert not any("g_y" in sentence for sentence in said)
-
-
-def test_a_result_without_validation_is_a_warning(results):
     said = list_warnings({**results["batch"], "validation": None}, [], is_ground=False)
     assert "No validation set" in said[-1]
+
+
+SEEN = {"decision": "APPROVE", "meaning": "", "comment": "Seen."}
+
+
+def test_opening_evidence_leads_there_and_is_shown_once(site, request_page, read):
+    alan = site.visitor("alan")
+    for _ in range(2):
+        answer = alan.post(f"{request_page}/open", evidence="trust")
+        assert answer.headers["location"] == "/runs/1?part=trust"
+    row = read(alan.get(request_page)).split("Trust: two halves")[1].split("Open")[0]
+    assert row.count("Alan Approver") == 1
+    assert alan.post(f"{request_page}/open", evidence="the-moon").status_code == 404
+
+
+def test_a_remark_stands_under_its_name_and_a_refused_one_is_kept_in_its_place(site, request_page, read):
+    alan = site.visitor("alan")
+    alan.post(f"{request_page}/remarks", text="Why is <b>n0</b> so far off?")
+    page = site.visitor("ada").get(request_page)
+    assert "Why is &lt;b&gt;n0&lt;/b&gt; so far off?" in page
+    assert "Alan Approver" in read(page)
+    refused = alan.post(f"{request_page}/remarks", text="x" * 4001)
+    assert refused.status_code == 422
+    assert "x" * 4001 in refused.text
+    page = site.visitor("victor").get(request_page)
+    assert "Viewers read along" in read(page)
+    assert f'action="{request_page}/remarks' not in page
+
+
+def test_a_request_is_asked_of_one_who_may_sign_and_the_inbox_says_whom(site, request_page, read):
+    page = site.visitor("ada").get(request_page)
+    asked = page.split('id="person"')[1].split("</select>")[0]
+    assert "Alan Approver" in asked
+    assert "Olga Operator" not in asked
+    number = asked.split(">Alan Approver")[0].rsplit('value="', 1)[1].split('"')[0]
+    assert site.visitor("ada").post(f"{request_page}/assign", person=number, version="1").status_code == 303
+    assert "Asked of Alan Approver." in read(site.visitor("ada").get(request_page))
+    stale = site.visitor("ada").post(f"{request_page}/assign", person="", version="1")
+    assert stale.status_code == 412
+    assert "Alan Approver" in read(site.visitor("both").get("/approvals"))
+
+
+def test_a_second_person_signs_at_the_submitters_console_and_the_roll_says_so(site, request_page, read):
+    ada = site.visitor("ada")
+    answer = ada.post(f"{request_page}/sign-over-the-shoulder", version="1", name="alan", password=PASSWORD, **SEEN)
+    assert answer.status_code == 303
+    text = read(ada.get(request_page))
+    assert "Alan Approver at the console of Ada Analyst Password given by Command line at 20" in text
+    assert "Ada Analyst" in ada.get("/approvals"), "the console's log-in became another's"
+    with open_reading(site.engine) as session:
+        assert transitions.get_approval(session, 1).state == "APPROVED"
+
+
+def test_nobody_signs_over_ones_own_shoulder(site, request_page):
+    alan = site.visitor("alan")
+    refused = alan.post(f"{request_page}/sign-over-the-shoulder", version="1", name="alan", password=PASSWORD, **SEEN)
+    assert refused.status_code == 403
+    assert 'value="alan"' in refused.text
+    assert PASSWORD not in refused.text
+
+
+EDITOR = "/sensors/1/gates"
+REASON = "The shift is the one that launch made; we know it."
+
+
+@pytest.fixture
+def candidate(site):
+    with open_writing(site.engine) as session:
+        return parameter_sets.create_from_run(session, site.actor("ada"), site.blobs, 1).id
+
+
+def fields(page):
+    typed = dict(re.findall(r'<input class="number" name="([^"]+)"[^>]* value="([^"]*)"', page))
+    typed |= dict.fromkeys(re.findall(r'type="checkbox" name="([^"]+)" value="yes"[^>]* checked', page), "yes")
+    return typed | {"number": re.search(r'name="number" value="(\d+)"', page)[1]}
+
+
+@pytest.fixture
+def blocked(site, candidate):
+    document = {"gates": [{"name": "parameter-shift", "limit": 0.5, "marginal": 0.5}]}
+    with open_writing(site.engine) as session:
+        gate_profiles.set_profile(session, site.actor("adele"), 1, document, "To be tried.", 0)
+    assert site.visitor("ada").post(f"/parameter-sets/{candidate}/assess").status_code == 303
+    return candidate
+
+
+def test_the_editor_shows_every_gate_with_its_limit_and_unit(site, read):
+    page = site.visitor("adele").get(EDITOR)
+    typed = fields(page)
+    assert typed["validation-rms.limit"] == "3"
+    assert typed["parameter-shift.limit"] == ""
+    assert typed["coverage.waivable"] == "yes"
+    assert not any(name.startswith(("finite.", "covariance.", "sensor.")) for name in typed)
+    assert "χ² per degree of freedom" in read(page)
+
+
+def test_an_administrator_sets_limits_and_the_version_says_what_changed(site, read):
+    visitor = site.visitor("adele")
+    typed = fields(visitor.get(EDITOR)) | {"coverage.limit": "0.25", "action": "set", "reason": "Corners matter."}
+    assert visitor.post(EDITOR, **typed).status_code == 303
+    words = read(visitor.get(EDITOR))
+    assert "version 1" in words
+    assert "Detector coverage, limit: none → 0.25" in words
+    assert "Corners matter." in words
+
+
+def test_limits_are_tried_on_past_runs_and_stay_in_the_form_and_who_is_no_administrator_sets_none(site, read):
+    visitor = site.visitor("ada")
+    typed = fields(visitor.get(EDITOR)) | {"parameter-shift.limit": "0.5", "parameter-shift.marginal": "0.5"}
+    page = visitor.post(EDITOR, **typed, action="try").text
+    words = read(page)
+    assert "These limits would have blocked 2 of the newest 2 runs. Blocked that are not now: #2, #1." in words
+    assert fields(page)["parameter-shift.limit"] == "0.5"
+    viewer = site.visitor("victor")
+    form = fields(viewer.get(EDITOR)) | {"coverage.limit": "0.3", "reason": "I wish."}
+    assert 'value="set" disabled' in viewer.get(EDITOR)
+    assert [viewer.post(EDITOR, **form, action=action).status_code for action in ("set", "try")] == [403, 200]
+    with open_reading(site.engine) as session:
+        assert gate_profiles.profile_in_force(session, 1).number == 0
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("coverage.limit", "many", "Detector coverage: the limit 'many' is no number"),
+        ("coverage.limit", "2", "coverage: limit is 2.0; give a number from 0 to 1"),
+        ("availability.marginal", "0.1", "give a marginal of at least the limit"),
+    ],
+)
+def test_a_limit_that_makes_no_sense_is_refused_by_name_and_stays_in_the_form(site, read, field, value, words):
+    visitor = site.visitor("adele")
+    typed = fields(visitor.get(EDITOR)) | {field: value}
+    for action in ("try", "set"):
+        answer = visitor.post(EDITOR, **typed, action=action, reason="x")
+        assert answer.status_code == 422
+        assert words in read(answer.text)
+        assert f'value="{value}"' in answer.text
+
+
+def test_limits_that_somebody_else_changed_meanwhile_are_not_overwritten(site):
+    visitor = site.visitor("adele")
+    typed = fields(visitor.get(EDITOR)) | {"action": "set", "reason": "Both."}
+    assert visitor.post(EDITOR, **(typed | {"coverage.limit": "0.2"})).status_code == 303
+    answer = visitor.post(EDITOR, **(typed | {"coverage.limit": "0.4"}))
+    assert answer.status_code == 412
+
+
+def test_a_set_is_assessed_from_its_page_but_by_no_viewer(site, read, candidate):
+    visitor = site.visitor("ada")
+    answer = visitor.post(f"/parameter-sets/{candidate}/assess")
+    assert answer.headers["location"] == f"/parameter-sets/{candidate}/gates"
+    words = read(visitor.get(f"/parameter-sets/{candidate}/gates"))
+    assert "assessed by Ada Analyst" in words
+    assert "× incumbent" in words
+    viewer = site.visitor("victor")
+    assert 'id="assess-blocked"' in viewer.get(f"/parameter-sets/{candidate}/gates")
+    assert viewer.post(f"/parameter-sets/{candidate}/assess").status_code == 403
+
+
+def test_a_gate_that_blocks_is_named_and_waived_with_a_reason_for_1_to_30_days_and_the_waiver_stays(
+    site, read, blocked
+):
+    visitor = site.visitor("ada")
+    assert "Only an analyst or an approver may waive" in read(
+        site.visitor("olga").get(f"/parameter-sets/{blocked}/gates")
+    )
+    page = visitor.get(f"/parameter-sets/{blocked}/gates")
+    assert "cannot be approved: Parameter shift blocks it." in read(page)
+    version = re.search(r'name="version" value="(\d+)"', page)[1]
+    form = {"gate": "parameter-shift", "code": "known-cause", "version": version, "password": PASSWORD}
+    for days in ("0", "31", "many", ""):
+        assert visitor.post(f"/parameter-sets/{blocked}/waive", **form, reason=REASON, days=days).status_code == 422
+    form["days"] = "30"
+    short = visitor.post(f"/parameter-sets/{blocked}/waive", **form, reason="Known.")
+    assert short.status_code == 422
+    assert ">Known.</textarea>" in short.text
+    assert PASSWORD not in short.text
+    assert visitor.post(f"/parameter-sets/{blocked}/waive", **form, reason=REASON).status_code == 303
+    words = read(visitor.get(f"/parameter-sets/{blocked}/gates"))
+    assert "(1 gate waived)" in words
+    assert REASON in words
+    assert "cannot be approved" not in words
+    with open_reading(site.engine) as session:
+        assert [one.gate for one in approval_queries.waivers_in_force(session, blocked, utc_now())] == [
+            "parameter-shift"
+        ]
+
+
+def test_there_are_no_gates_of_what_does_not_exist(site):
+    visitor = site.visitor("adele")
+    for address in ("/sensors/99/gates", "/parameter-sets/99/gates"):
+        visitor.get(address, status=404)
+    for address in ("/sensors/99/gates", "/parameter-sets/99/assess", "/parameter-sets/99/waive"):
+        assert visitor.post(address).status_code in {404, 422}

@@ -1,8 +1,11 @@
 """Approvals: a second person, in person, on what was shown; one refusal blocks."""
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from datetime import datetime
 
 import pytest
+import sqlalchemy as sa
 
 from boresight.console import transitions
 from boresight.console.access import api_keys, users
@@ -10,10 +13,11 @@ from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals import staleness
 from boresight.console.approvals.tables import Approval, Signature
-from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.jobs.heartbeat import Heartbeat
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import (
-    BoresightError,
     ConflictError,
     ForbiddenError,
     NotFoundError,
@@ -22,24 +26,32 @@ from boresight.errors import (
     StaleError,
     UnauthenticatedError,
 )
-from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor
+from boresight.platform.actors import COMMAND_LINE, POLICY, SYSTEM, Actor, Policy
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_now
+from tests.console.conftest import PASSWORD
 from tests.passwords import proved
 
-PASSWORD = "correct horse battery"
 People = Mapping[str, Actor]
 
 
 @pytest.fixture
-def request_of(
-    engine: Engine, people: People, candidate: Callable[..., ParameterSet], blobs: BlobStore
-) -> Callable[..., Approval]:
-    def make(submitted_by: str = "ana", launched_by: str = "ana") -> Approval:
+def request_of(engine, people, candidate, blobs) -> Callable[..., Approval]:
+    def make(submitted_by: str = "ana", launched_by: str = "ana", policy: Policy = POLICY) -> Approval:
         row = candidate(launched_by)
         with open_writing(engine) as session:
-            return approvals.submit(session, people[submitted_by], blobs, row.id, "better", row.version)
+            asked = (blobs, row.id, "better", row.version)
+            return approvals.submit(session, people[submitted_by], *asked, policy=policy)
+
+    return make
+
+
+@pytest.fixture
+def roll_back(engine, people, blobs) -> Callable[..., Approval]:
+    def make(actor: str = "dee", **given: object) -> Approval:
+        with open_writing(engine) as session:
+            ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
+            return approvals.roll_back(session, people[actor], blobs, ground.id, "it drifts", ground.version, **given)
 
     return make
 
@@ -53,7 +65,7 @@ def _sign(engine: Engine, actor: Actor, approval: Approval, decision: str = "APP
     } | changes
     with open_writing(engine) as session:
         values["proof"] = proved(session, actor, str(values.pop("password")))
-        return approvals.sign(session, actor, approval.id, decision, **values)  # type: ignore[arg-type]
+        return approvals.sign(session, actor, approval.id, decision, **values)
 
 
 def _states(engine: Engine, approval: Approval) -> tuple[str, str]:
@@ -62,9 +74,7 @@ def _states(engine: Engine, approval: Approval) -> tuple[str, str]:
         return row.state, session.get_one(ParameterSet, row.parameter_set_id).ground_state
 
 
-def test_one_approval_by_a_second_person_approves(
-    engine: Engine, people: People, request_of: Callable[..., Approval]
-) -> None:
+def test_one_approval_by_a_second_person_approves(engine, people, request_of):
     approval = request_of()
     signature = _sign(engine, people["cy"], approval)
     assert _states(engine, approval) == ("APPROVED", "APPROVED")
@@ -75,24 +85,19 @@ def test_one_approval_by_a_second_person_approves(
         assert audit.verify(session).ok
 
 
-def test_one_refusal_blocks(
-    engine: Engine, people: People, request_of: Callable[..., Approval], blobs: BlobStore
-) -> None:
+def test_one_refusal_blocks(engine, people, request_of, blobs):
     approval = request_of()
     _sign(engine, people["cy"], approval, "REFUSE", comment="too few stars at the rim")
     assert _states(engine, approval) == ("REJECTED", "REJECTED")
     with open_reading(engine) as session:
         row = session.get_one(ParameterSet, approval.parameter_set_id)
         record = audit.last_change(session, f"parameter-sets/{row.id}")
-    assert record is not None
     assert "too few stars at the rim" in str(record.reason)
     with open_writing(engine) as session, pytest.raises(ConflictError, match="is REJECTED: Cy refused it"):
         approvals.submit(session, people["ana"], blobs, row.id, "once more", row.version)
 
 
-def test_a_refusal_stops_even_what_another_approved(
-    engine: Engine, people: People, request_of: Callable[..., Approval]
-) -> None:
+def test_a_refusal_stops_even_what_another_approved(engine, people, request_of):
     approval = request_of()
     _sign(engine, people["cy"], approval)
     with pytest.raises(ConflictError, match="is APPROVED"):
@@ -103,13 +108,10 @@ def test_a_refusal_stops_even_what_another_approved(
         approvals.promote(session, people["dee"], approval.parameter_set_id, 4)
 
 
-def test_a_refusal_comes_too_late_after_the_promotion(
-    engine: Engine, people: People, request_of: Callable[..., Approval]
-) -> None:
+def test_a_refusal_comes_too_late_after_the_promotion(engine, people, request_of):
     approval = request_of()
     _sign(engine, people["cy"], approval)
-    with open_writing(engine) as session:
-        approvals.promote(session, people["dee"], approval.parameter_set_id, 3)
+    _promote(engine, people["dee"], approval.parameter_set_id)
     with pytest.raises(ConflictError, match="is APPROVED: Cy approved it"):
         _sign(engine, people["bo"], approval, "REFUSE", seen_version=2)
     assert _states(engine, approval) == ("APPROVED", "BASELINE")
@@ -124,9 +126,7 @@ def test_a_refusal_comes_too_late_after_the_promotion(
         ("root", "An administrator cannot sign"),
     ],
 )
-def test_who_is_no_approver_does_not_sign(
-    engine: Engine, people: People, request_of: Callable[..., Approval], name: str, says: str
-) -> None:
+def test_who_is_no_approver_does_not_sign(engine, people, request_of, name, says):
     approval = request_of()
     with pytest.raises(ForbiddenError, match=says):
         _sign(engine, people[name], approval)
@@ -135,38 +135,19 @@ def test_who_is_no_approver_does_not_sign(
 
 @pytest.mark.parametrize(
     ("submitted_by", "launched_by", "says"),
-    [("bo", "ana", "You submitted this set"), ("ana", "bo", "You launched run 1")],
+    [("bo", "ana", "You submitted this set"), ("robot", "ana", "You submitted"), ("ana", "bo", "You launched run 1")],
 )
-def test_the_first_pair_of_eyes_is_not_the_second(
-    engine: Engine,
-    people: People,
-    request_of: Callable[..., Approval],
-    submitted_by: str,
-    launched_by: str,
-    says: str,
-) -> None:
+def test_the_first_pair_of_eyes_is_not_the_second(engine, people, request_of, submitted_by, launched_by, says):
+    with open_writing(engine) as session:
+        secret = api_keys.create_key(session, people["bo"], label="robot", scopes=["parameter-sets"])[1]
+        people["robot"] = api_keys.actor_of_key(session, secret)  # a key of bo
     approval = request_of(submitted_by, launched_by)
     with pytest.raises(ForbiddenError, match=says):
         _sign(engine, people["bo"], approval)
     _sign(engine, people["cy"], approval)
 
 
-def test_a_set_submitted_by_a_key_is_submitted_by_its_owner(
-    engine: Engine, people: People, candidate: Callable[..., ParameterSet], blobs: BlobStore
-) -> None:
-    row = candidate()
-    with open_writing(engine) as session:
-        secret = api_keys.create_key(session, people["bo"], label="robot", scopes=["parameter-sets"])[1]
-    with open_writing(engine) as session:
-        robot = api_keys.actor_of_key(session, secret)
-        approval = approvals.submit(session, robot, blobs, row.id, "better", row.version)
-    with pytest.raises(ForbiddenError, match="You submitted this set"):
-        _sign(engine, people["bo"], approval)
-
-
-def test_no_key_signs_whatever_its_owner_may(
-    engine: Engine, people: People, request_of: Callable[..., Approval]
-) -> None:
+def test_no_key_signs_whatever_its_owner_may(engine, people, request_of):
     approval = request_of()
     with open_writing(engine) as session:
         secret = api_keys.create_key(session, people["cy"], label="robot", scopes=["parameter-sets"])[1]
@@ -177,7 +158,7 @@ def test_no_key_signs_whatever_its_owner_may(
     assert _states(engine, approval) == ("OPEN", "SUBMITTED")
 
 
-def test_a_wrong_password_signs_nothing(engine: Engine, people: People, request_of: Callable[..., Approval]) -> None:
+def test_a_wrong_password_signs_nothing(engine, people, request_of):
     approval = request_of()
     with pytest.raises(UnauthenticatedError, match="do not fit"):
         _sign(engine, people["cy"], approval, password="wrong horse battery")
@@ -196,31 +177,21 @@ def test_a_wrong_password_signs_nothing(engine: Engine, people: People, request_
         ("APPROVE", {"seen_version": 7}, StaleError, "you saw v7, it is v1"),
     ],
 )
-def test_a_signature_that_lacks_something_is_refused(
-    engine: Engine,
-    people: People,
-    request_of: Callable[..., Approval],
-    decision: str,
-    changes: dict[str, object],
-    error: type[BoresightError],
-    says: str,
-) -> None:
+def test_a_signature_that_lacks_something_is_refused(engine, people, request_of, decision, changes, error, says):
     approval = request_of()
     with pytest.raises(error, match=says):
         _sign(engine, people["cy"], approval, decision, **changes)
     assert _states(engine, approval) == ("OPEN", "SUBMITTED")
 
 
-def test_nobody_signs_twice(engine: Engine, people: People, request_of: Callable[..., Approval]) -> None:
+def test_nobody_signs_twice(engine, people, request_of):
     approval = request_of()
     _sign(engine, people["cy"], approval)
     with pytest.raises(ConflictError, match="You signed this request already"):
         _sign(engine, people["cy"], approval, "REFUSE", seen_version=2)
 
 
-def test_hashes_that_moved_make_the_request_stale_and_its_set_free(
-    engine: Engine, people: People, request_of: Callable[..., Approval]
-) -> None:
+def test_hashes_that_moved_make_the_request_stale_and_its_set_free(engine, people, request_of):
     approval = request_of()
     with open_writing(engine) as session:  # as if a table definition had been brought in past the services
         definition = TableDefinition(
@@ -235,9 +206,7 @@ def test_hashes_that_moved_make_the_request_stale_and_its_set_free(
         _sign(engine, people["cy"], approval, seen_version=2)
 
 
-def test_the_reason_why_somebody_may_not_sign_is_known_beforehand(
-    engine: Engine, people: People, request_of: Callable[..., Approval]
-) -> None:
+def test_the_reason_why_somebody_may_not_sign_is_known_beforehand(engine, people, request_of):
     approval = request_of()
     with open_reading(engine) as session:
         reasons = {name: approvals.why_not_sign(session, actor, approval.id) for name, actor in people.items()}
@@ -247,9 +216,7 @@ def test_the_reason_why_somebody_may_not_sign_is_known_beforehand(
         assert "already" in str(approvals.why_not_sign(session, people["cy"], approval.id))
 
 
-def test_a_person_who_lost_the_role_meanwhile_does_not_sign(
-    engine: Engine, people: People, request_of: Callable[..., Approval]
-) -> None:
+def test_a_person_who_lost_the_role_meanwhile_does_not_sign(engine, people, request_of):
     approval, cy = request_of(), people["cy"]
     assert cy.user_id is not None
     with open_writing(engine) as session:
@@ -259,9 +226,7 @@ def test_a_person_who_lost_the_role_meanwhile_does_not_sign(
         _sign(engine, now, approval)
 
 
-def test_requests_are_listed_by_state_newest_first(
-    engine: Engine, people: People, request_of: Callable[..., Approval]
-) -> None:
+def test_requests_are_listed_by_state_newest_first(engine, people, request_of):
     first, second = request_of(), request_of()
     _sign(engine, people["cy"], first)
     with open_reading(engine) as session:
@@ -270,3 +235,197 @@ def test_requests_are_listed_by_state_newest_first(
         assert [row.id for row in approvals.list_approvals(session, before_id=second.id)] == [first.id]
         with pytest.raises(NotFoundError, match="no request"):
             transitions.get_approval(session, 99)
+
+
+def _promote(engine: Engine, actor: Actor, set_id: int, seen: int | None = None) -> ParameterSet:
+    with open_writing(engine) as session:
+        seen = seen or transitions.get_parameter_set(session, set_id).version
+        return approvals.promote(session, actor, set_id, seen)
+
+
+def _ground_states(engine: Engine) -> dict[str, str]:
+    with open_reading(engine) as session:
+        return {row.name: row.ground_state for row in parameter_sets.list_parameter_sets(session)}
+
+
+@pytest.mark.parametrize("name", ["ana", "bo", "cy", "eve", "root"])
+def test_only_an_operator_promotes(engine, people, approved, name):
+    row = approved()
+    with pytest.raises(ForbiddenError, match="role operator"):
+        _promote(engine, people[name], row.id)
+    assert _ground_states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "APPROVED"}
+
+
+def test_promotion_supersedes_points_and_records_in_one(engine, people, approved):
+    row = approved()
+    promoted = _promote(engine, people["dee"], row.id)
+    assert _ground_states(engine) == {"PS-ST16-1-0": "SUPERSEDED", row.name: "BASELINE"}
+    with open_reading(engine) as session:
+        ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
+        assert ground.baseline_to_utc == promoted.baseline_from_utc
+        kept = session.scalars(sa.select(Promotion).order_by(Promotion.id)).all()
+        assert [entry.parameter_set_id for entry in kept] == [ground.id, row.id]
+        assert kept[1].promoted_by == people["dee"].user_id
+        record = audit.last_change(session, f"parameter-sets/{row.id}")
+        assert (record.action, record.after["sha256"]) == ("promoted", row.sha256)
+        assert audit.verify(session).ok
+
+
+def test_a_promotion_that_fails_at_its_end_leaves_the_old_baseline(engine, people, approved, monkeypatch):
+    row = approved()
+
+    def break_down(*_: object) -> None:
+        raise OSError("the disk is full")
+
+    monkeypatch.setattr(approvals, "make_others_stale", break_down)
+    with pytest.raises(OSError, match="disk"):
+        _promote(engine, people["dee"], row.id)
+    assert _ground_states(engine) == {"PS-ST16-1-0": "BASELINE", row.name: "APPROVED"}
+
+
+def test_of_two_promotions_at_once_one_wins_and_one_baseline_is_left(engine, people, approved):
+    rows = [approved() for _ in range(4)]
+
+    def promote(row: ParameterSet) -> str:
+        try:
+            return _promote(engine, people["dee"], row.id, row.version).name
+        except StaleError:
+            return "stale"
+
+    with ThreadPoolExecutor(4) as pool:
+        outcomes = list(pool.map(promote, rows))
+    states = _ground_states(engine)
+    assert sorted(outcomes)[1:] == ["stale"] * 3
+    assert [name for name, state in states.items() if state == "BASELINE"] == [min(outcomes)]
+    assert sorted(states.values()) == ["BASELINE", "CANDIDATE", "CANDIDATE", "CANDIDATE", "SUPERSEDED"]
+    with open_reading(engine) as session:
+        assert audit.verify(session).ok
+
+
+def test_another_promotion_makes_every_request_of_the_sensor_stale(engine, people, submitted, approved):
+    waiting, signed, winner = submitted(), approved(), approved()
+    _promote(engine, people["dee"], winner.id)
+    with open_reading(engine) as session:
+        states = {row.parameter_set_id: row.state for row in approvals.list_approvals(session)}
+    assert states == {waiting.id: "STALE", signed.id: "STALE", winner.id: "APPROVED"}
+    assert _ground_states(engine)[signed.name] == "CANDIDATE"
+
+
+def test_an_incumbent_that_moved_unseen_makes_the_approval_stale_for_good(engine, people, approved, candidate):
+    row, other = approved(), candidate()
+    with open_writing(engine) as session:  # as if the incumbent had been exchanged past the services
+        for number, state in ((1, "SUPERSEDED"), (other.id, "BASELINE")):
+            session.get_one(ParameterSet, number).ground_state = state
+            audit.append(session, people["root"], "exchanged", f"parameter-sets/{number}")
+    with pytest.raises(StaleError, match=r"incumbent moved .* The baseline is PS-ST16-1-2: Root exchanged it .* again"):
+        _promote(engine, people["dee"], row.id)
+    with open_reading(engine) as session:
+        assert approvals.list_approvals(session)[0].state == "STALE"
+    assert _ground_states(engine) == {"PS-ST16-1-0": "SUPERSEDED", row.name: "CANDIDATE", other.name: "BASELINE"}
+
+
+def test_a_rollback_withdrawn_stays_superseded(engine, people, approved, blobs):
+    _promote(engine, people["dee"], approved().id)
+    with open_writing(engine) as session:
+        ground = session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)).one()
+        approvals.submit(session, people["ana"], blobs, ground.id, "the new one drifts", ground.version)
+        approvals.withdraw(session, people["ana"], ground.id, ground.version)
+        assert ground.ground_state == "SUPERSEDED"
+
+
+AT_ONCE = Policy(approval_days=0.0, rollback_days=0.0)
+
+
+def _days(approval: Approval) -> float:
+    until, since = (datetime.fromisoformat(text or "") for text in (approval.expires_utc, approval.submitted_utc))
+    return round((until - since).total_seconds() / 86400, 3)
+
+
+def test_whoever_signs_too_late_finds_the_request_expired(engine, people, request_of):
+    approval = request_of(policy=AT_ONCE)
+    with open_reading(engine) as session:
+        assert "expired at" in str(approvals.why_not_sign(session, people["cy"], approval.id))
+    with pytest.raises(ConflictError, match=r"Request 1 expired at 20.* Submit PS-ST16-1-1 again"):
+        _sign(engine, people["cy"], approval)
+    assert _states(engine, approval) == ("EXPIRED", "EXPIRED")
+
+
+def test_the_heartbeat_lets_expire_what_nobody_decided_and_tells_of_it_once(engine, request_of):
+    waiting, late, told = request_of(), request_of(policy=AT_ONCE), []
+    heart = Heartbeat(engine, lambda: told.append("told"))
+    heart.beat()
+    heart.beat()
+    assert (_states(engine, waiting), _states(engine, late)) == (
+        ("OPEN", "SUBMITTED"),
+        ("EXPIRED", "EXPIRED"),
+    )
+    assert told == ["told"]
+    with open_reading(engine) as session:
+        record = audit.last_change(session, f"approvals/{late.id}")
+        assert (record.actor, record.action) == ("Boresight", "let expire")
+        assert str(late.expires_utc) in str(record.reason)
+
+
+def test_the_heartbeat_beats_by_itself_and_stops(engine, request_of):
+    late = request_of(policy=AT_ONCE)
+    heart = Heartbeat(engine, lambda: None)
+    heart.start()
+    for _ in range(2):
+        heart.close()
+    assert _states(engine, late) == ("EXPIRED", "EXPIRED")
+
+
+def test_an_approval_that_nobody_used_in_time_promotes_nothing(engine, people, request_of, monkeypatch):
+    approval = request_of()
+    _sign(engine, people["cy"], approval)
+    monkeypatch.setattr("boresight.console.approvals.staleness.utc_now", lambda: "2999-01-01T00:00:00.000000Z")
+    with open_writing(engine) as session, pytest.raises(ConflictError, match="expired at"):
+        approvals.promote(session, people["dee"], approval.parameter_set_id, 3)
+    assert _states(engine, approval) == ("EXPIRED", "EXPIRED")
+
+
+def test_what_expired_may_be_submitted_again_and_what_was_promoted_never_expires(
+    engine, people, blobs, request_of, monkeypatch
+):
+    late, used = request_of(policy=AT_ONCE), request_of()
+    _sign(engine, people["cy"], used)
+    with open_writing(engine) as session:
+        staleness.expire_due_requests(session)
+        row = transitions.get_parameter_set(session, late.parameter_set_id)
+        approvals.submit(session, people["ana"], blobs, row.id, "once more", row.version)
+        approvals.promote(session, people["dee"], used.parameter_set_id, 3)
+    monkeypatch.setattr("boresight.console.approvals.staleness.utc_now", lambda: "2999-01-01T00:00:00.000000Z")
+    with open_writing(engine) as session:
+        assert staleness.expire_due_requests(session) == []
+    assert _states(engine, used) == ("APPROVED", "BASELINE")
+
+
+def test_an_operator_asks_to_roll_back_to_a_former_baseline_in_less_time(engine, people, request_of, roll_back):
+    approval = request_of()
+    _sign(engine, people["cy"], approval)
+    name = _promote(engine, people["dee"], approval.parameter_set_id).name
+    with pytest.raises(ForbiddenError, match="analyst or operator"):
+        roll_back("cy")
+    back = roll_back()
+    assert (approval.kind, _days(approval)) == ("PROMOTION", 30.0)
+    assert (back.kind, _days(back), back.submitted_by) == ("ROLLBACK", 3.0, people["dee"].user_id)
+    _sign(engine, people["cy"], back)
+    _promote(engine, people["dee"], back.parameter_set_id)
+    assert _ground_states(engine) == {"PS-ST16-1-0": "BASELINE", name: "SUPERSEDED"}
+    with open_reading(engine) as session:
+        record = audit.last_change(session, f"parameter-sets/{back.parameter_set_id}")
+        assert (record.action, record.after["kind"]) == ("promoted", "ROLLBACK")
+
+
+def test_a_roll_back_that_expired_stays_superseded(engine, people, approved, roll_back):
+    _promote(engine, people["dee"], approved().id)
+    back = roll_back(policy=AT_ONCE)
+    with open_writing(engine) as session:
+        staleness.expire_due_requests(session)
+    assert _states(engine, back) == ("EXPIRED", "SUPERSEDED")
+
+
+def test_there_is_no_way_back_to_what_never_was_baseline(engine, people, blobs, candidate):
+    row = candidate()
+    with open_writing(engine) as session, pytest.raises(ConflictError, match="was never baseline"):
+        approvals.roll_back(session, people["dee"], blobs, row.id, "it drifts", row.version)

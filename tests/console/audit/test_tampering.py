@@ -43,12 +43,12 @@ PLAIN: Mapping[type, Any] = {int: 7, str: "x", dict: {}, list: []}
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def kept(tmp_path_factory) -> Path:
     return tmp_path_factory.mktemp("tampering") / "store.sqlite3"
 
 
 @pytest.fixture
-def store(kept: Path, request: pytest.FixtureRequest) -> Iterator[Engine]:
+def store(kept, request) -> Iterator[Engine]:
     if not kept.exists():
         engine: Engine = request.getfixturevalue("engine")
         _go_the_whole_way(engine, request.getfixturevalue("people"), request.getfixturevalue("approved")())
@@ -134,7 +134,7 @@ class _Attacker:
 
 
 @pytest.fixture
-def attacker(store: Engine, kept: Path) -> Iterator[_Attacker]:
+def attacker(store, kept) -> Iterator[_Attacker]:
     attacker = _Attacker(kept)
     yield attacker
     store.dispose()
@@ -154,7 +154,7 @@ def _sealing_record(connection: sqlite3.Connection, row: str) -> int:
     return int(connection.execute(query, (row,)).fetchone()[0])
 
 
-def test_every_sealed_table_has_a_row_and_all_is_as_it_was_written(store: Engine) -> None:
+def test_every_sealed_table_has_a_row_and_all_is_as_it_was_written(store):
     report = _verify(store)
     assert (report.ok, report.first_broken_id, report.first_broken_row) == (True, None, None), report.sentence
     with open_reading(store) as session:
@@ -167,9 +167,7 @@ def test_every_sealed_table_has_a_row_and_all_is_as_it_was_written(store: Engine
 
 
 @pytest.mark.parametrize("table", SEALED)
-def test_any_lasting_column_of_a_sealed_row_edited_by_hand_is_found(
-    store: Engine, attacker: _Attacker, table: str
-) -> None:
+def test_any_lasting_column_of_a_sealed_row_edited_by_hand_is_found(store, attacker, table):
     with attacker as connection:
         row_id = _last(connection, table)
         record_id = _sealing_record(connection, f"{table}/{row_id}")
@@ -193,7 +191,7 @@ def _another(value: int | str | None) -> int | str:
 
 
 @pytest.mark.parametrize("table", SEALED)
-def test_any_sealed_row_removed_by_hand_is_found(store: Engine, attacker: _Attacker, table: str) -> None:
+def test_any_sealed_row_removed_by_hand_is_found(store, attacker, table):
     with attacker as connection:
         row_id = _last(connection, table)
         record_id = _sealing_record(connection, f"{table}/{row_id}")
@@ -204,7 +202,7 @@ def test_any_sealed_row_removed_by_hand_is_found(store: Engine, attacker: _Attac
 
 
 @pytest.mark.parametrize("table", SEALED)
-def test_any_row_inserted_by_hand_is_found(store: Engine, attacker: _Attacker, table: str) -> None:
+def test_any_row_inserted_by_hand_is_found(store, attacker, table):
     with attacker as connection:
         connection.execute("PRAGMA writable_schema=ON")
         connection.execute("DELETE FROM sqlite_master WHERE type = 'index' AND sql IS NOT NULL")  # unique ones too
@@ -231,7 +229,7 @@ def _insert_a_unique_one(connection: sqlite3.Connection, table: str, row_id: int
     connection.execute(f"INSERT INTO {table} SELECT {moved} FROM {table} WHERE id = {row_id - 1}")  # noqa: S608 - names of our own
 
 
-def test_of_many_edits_the_oldest_record_is_named_and_the_others_counted(store: Engine, attacker: _Attacker) -> None:
+def test_of_many_edits_the_oldest_record_is_named_and_the_others_counted(store, attacker):
     with store.connect() as connection:
         query = "SELECT name FROM sqlite_master WHERE type = 'trigger'"
         kept_triggers = connection.exec_driver_sql(query).all()
@@ -256,7 +254,7 @@ def test_of_many_edits_the_oldest_record_is_named_and_the_others_counted(store: 
         "DELETE FROM audit WHERE id = {id} - 1",
     ],
 )
-def test_a_record_with_its_seals_edited_by_hand_is_named(store: Engine, attacker: _Attacker, edit: str) -> None:
+def test_a_record_with_its_seals_edited_by_hand_is_named(store, attacker, edit):
     with attacker as connection:
         query = "SELECT min(id) FROM audit WHERE rows IS NOT NULL AND after IS NOT NULL AND id > 9"
         row_id = connection.execute(query).fetchone()[0]
@@ -265,16 +263,14 @@ def test_a_record_with_its_seals_edited_by_hand_is_named(store: Engine, attacker
     assert (report.ok, report.first_broken_id) == (False, row_id)
 
 
-def test_two_records_in_each_others_place_are_found(store: Engine, attacker: _Attacker) -> None:
+def test_two_records_in_each_others_place_are_found(store, attacker):
     with attacker as connection:
         for move in ("-6 WHERE id = 5", "5 WHERE id = 6", "6 WHERE id = -6"):
             connection.execute(f"UPDATE audit SET id = {move}")  # noqa: S608 - words of our own
     assert _verify(store).first_broken_id == 5
 
 
-def test_a_tail_that_was_cut_is_found_by_its_rows_and_by_a_head_from_outside(
-    store: Engine, attacker: _Attacker
-) -> None:
+def test_a_tail_that_was_cut_is_found_by_its_rows_and_by_a_head_from_outside(store, attacker):
     head = _verify(store).head
     with attacker as connection:
         connection.execute("DELETE FROM audit WHERE id > 12")
@@ -283,7 +279,7 @@ def test_a_tail_that_was_cut_is_found_by_its_rows_and_by_a_head_from_outside(
     assert not with_head.ok
 
 
-def test_a_column_that_is_not_lasting_may_move(store: Engine, attacker: _Attacker) -> None:
+def test_a_column_that_is_not_lasting_may_move(store, attacker):
     with attacker as connection:
         connection.execute("UPDATE api_keys SET last_used_utc = ?", (utc_now(),))
         connection.execute("UPDATE webhooks SET told_audit_id = 3")

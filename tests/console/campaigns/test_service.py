@@ -134,22 +134,12 @@ def test_states_are_counted_and_the_campaign_has_one_word_and_one_fraction(sessi
 def test_a_campaign_whose_every_run_succeeded_says_so(session, people, fleet, launch):
     row = launch([MemberRequest(number) for number in fleet])
     for one in campaigns.results(session, row.id):
-        _end(
-            session,
-            people,
-            one.run_id,
-            "SUCCEEDED",
-            summary={"level": "normal", "rms_final_arc_rad": 1e-5, "weak_directions": 1},
-        )
+        summary = {"level": "normal", "rms_final_arc_rad": 1e-5, "weak_directions": 1}
+        _end(session, people, one.run_id, "SUCCEEDED", summary=summary)
     assert campaigns.read_campaign(session, row.id).state == "SUCCEEDED"
     line = make_result_line(campaigns.results(session, row.id)[0])
-    assert (line["level"], line["rms_final_arc_rad"], line["weak_directions"], line["state"]) == (
-        "normal",
-        1e-5,
-        1,
-        "SUCCEEDED",
-    )
-    assert line["rms_initial_arc_rad"] is None
+    expected = {"state": "SUCCEEDED", "rms_initial_arc_rad": None, **summary}
+    assert {name: line[name] for name in expected} == expected
 
 
 def test_cancelling_stops_what_waits_and_what_computes_and_leaves_what_ended(session, people, launch):

@@ -16,12 +16,10 @@ from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import ChangeProposal, GateProfile
 from boresight.console.change_proposals import service as second_person
 from boresight.console.fleet import service as sensors
-from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.uplinks import table_definitions
 from boresight.errors import BoresightError, ConflictError, ForbiddenError, RefusedInputError, StaleError
 from boresight.platform.actors import COMMAND_LINE, Actor, Policy
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_after
 from boresight.uplink.table_definition import plain_definition
 from tests.console.conftest import SENSOR
@@ -33,7 +31,7 @@ SHIFT = {"gates": [{"name": "parameter-shift", "limit": 1e6, "marginal": 1e6}]}
 
 
 @pytest.fixture
-def two(engine: Engine) -> People:
+def two(engine) -> People:
     with open_writing(engine) as session:
         for name, role in (("rita", "administrator"), ("ann", "analyst")):
             add_person(session, name, role)
@@ -43,7 +41,7 @@ def two(engine: Engine) -> People:
 
 
 @pytest.fixture
-def propose(engine: Engine, two: People) -> Callable[..., ChangeProposal]:
+def propose(engine, two) -> Callable[..., ChangeProposal]:
     def make(
         who: str | Actor = "root", document: Mapping[str, Any] = SHIFT, kind: str = "gate-profile"
     ) -> ChangeProposal:
@@ -71,9 +69,7 @@ def _in_force(engine: Engine) -> int:
         return gate_profiles.profile_in_force(session, 1).number
 
 
-def test_a_proposed_change_takes_effect_only_when_another_confirms_it(
-    engine: Engine, two: People, propose: Callable[..., ChangeProposal]
-) -> None:
+def test_a_proposed_change_takes_effect_only_when_another_confirms_it(engine, two, propose):
     row = propose()
     assert (row.state, row.base_number, _in_force(engine)) == ("OPEN", 0, 0)
     with pytest.raises(ForbiddenError, match="You proposed this change"):
@@ -84,25 +80,14 @@ def test_a_proposed_change_takes_effect_only_when_another_confirms_it(
         profile = gate_profiles.profile_in_force(session, 1)
         assert (profile.created_by, profile.sha256) == (two["root"].user_id, row.sha256)
         record = audit.last_change(session, f"change-proposals/{row.id}")
-        assert record is not None
-        assert (record.actor, record.action, (record.after or {})["number"]) == ("Rita", "confirmed", 1)
+        assert (record.actor, record.action, record.after["number"]) == ("Rita", "confirmed", 1)
         put = audit.last_change(session, "sensors/1/gate-profiles")
-        assert put is not None
-        assert (put.after or {})["proposal"] == row.id
+        assert put.after["proposal"] == row.id
         assert audit.verify(session).ok
 
 
-def test_off_a_change_takes_effect_at_once(engine: Engine, people: People) -> None:
-    with open_writing(engine) as session:
-        made = second_person.change(session, people["root"], "gate-profile", 1, SHIFT, "x", 0, policy=Policy())
-    assert isinstance(made, GateProfile)
-    assert _in_force(engine) == 1
-
-
 @pytest.mark.parametrize("name", ["ana", "bo", "cy", "dee", "eve"])
-def test_only_who_may_make_the_change_confirms_or_refuses_it(
-    engine: Engine, two: People, propose: Callable[..., ChangeProposal], name: str
-) -> None:
+def test_only_who_may_make_the_change_confirms_or_refuses_it(engine, two, propose, name):
     row = propose()
     for decide in (second_person.confirm, second_person.refuse):
         with open_writing(engine) as session, pytest.raises(ForbiddenError, match="administrator"):
@@ -110,9 +95,7 @@ def test_only_who_may_make_the_change_confirms_or_refuses_it(
     assert _state(engine, row) == "OPEN"
 
 
-def test_no_key_confirms_and_what_a_key_proposed_is_its_owners(
-    engine: Engine, two: People, propose: Callable[..., ChangeProposal]
-) -> None:
+def test_no_key_nor_a_given_password_confirms_and_what_a_key_proposed_is_its_owners(engine, two, propose):
     with open_writing(engine) as session:
         secrets = [
             api_keys.create_key(session, two[name], label="robot", scopes=["sensors"])[1] for name in ("root", "rita")
@@ -124,23 +107,18 @@ def test_no_key_confirms_and_what_a_key_proposed_is_its_owners(
             _confirm(engine, actor, row)
     with pytest.raises(ForbiddenError, match="You proposed"):
         _confirm(engine, two["root"], row)
-    assert _confirm(engine, two["rita"], row).state == "CONFIRMED"
-
-
-def test_whose_password_somebody_else_set_decides_on_nothing(
-    engine: Engine, two: People, propose: Callable[..., ChangeProposal]
-) -> None:
-    row = propose()
     with open_writing(engine) as session:
         session.get_one(User, two["rita"].user_id).must_change_password = 1
         audit.append(session, COMMAND_LINE, "changed", "users/1")
     with pytest.raises(ForbiddenError, match="set your own first"):
         _confirm(engine, two["rita"], row)
+    with open_writing(engine) as session:
+        session.get_one(User, two["rita"].user_id).must_change_password = 0
+        audit.append(session, COMMAND_LINE, "changed", "users/1")
+    assert _confirm(engine, two["rita"], row).state == "CONFIRMED"
 
 
-def test_a_refusal_needs_a_comment_and_a_withdrawal_its_owner(
-    engine: Engine, two: People, propose: Callable[..., ChangeProposal]
-) -> None:
+def test_a_refusal_needs_a_comment_and_a_withdrawal_its_owner(engine, two, propose):
     row, other = propose(), propose(document={"gates": [{"name": "coverage", "limit": 0.2}]})
     with open_writing(engine) as session, pytest.raises(RefusedInputError, match="Say why"):
         second_person.refuse(session, two["rita"], row.id, 1, " ")
@@ -155,9 +133,7 @@ def test_a_refusal_needs_a_comment_and_a_withdrawal_its_owner(
         _confirm(engine, two["rita"], row, 2)
 
 
-def test_a_confirmed_change_makes_every_other_proposal_of_its_kind_stale(
-    engine: Engine, two: People, propose: Callable[..., ChangeProposal]
-) -> None:
+def test_a_confirmed_change_makes_every_other_proposal_of_its_kind_stale(engine, two, propose):
     first, second = propose(), propose(document={"gates": [{"name": "coverage", "limit": 0.2}]})
     layout = propose("ana", plain_definition("inverted_wang"), "table-definition")
     _confirm(engine, two["rita"], first)
@@ -169,9 +145,7 @@ def test_a_confirmed_change_makes_every_other_proposal_of_its_kind_stale(
     assert _in_force(engine) == 1
 
 
-def test_a_version_that_came_into_force_past_the_services_makes_a_proposal_stale_when_confirmed(
-    engine: Engine, two: People, propose: Callable[..., ChangeProposal]
-) -> None:
+def test_a_version_that_came_into_force_past_the_services_makes_a_proposal_stale_when_confirmed(engine, two, propose):
     row = propose()
     with open_writing(engine) as session:
         profile = gate_profiles.ensure_profile(session, two["root"], 1)
@@ -184,12 +158,8 @@ def test_a_version_that_came_into_force_past_the_services_makes_a_proposal_stale
 
 
 def test_requests_stay_open_while_a_change_is_proposed_and_become_stale_with_its_confirmation(
-    engine: Engine,
-    two: People,
-    propose: Callable[..., ChangeProposal],
-    candidate: Callable[..., ParameterSet],
-    blobs: BlobStore,
-) -> None:
+    engine, two, propose, candidate, blobs
+):
     made = candidate()
     with open_writing(engine) as session:
         approval = approvals.submit(session, two["ana"], blobs, made.id, "better", made.version)
@@ -202,9 +172,7 @@ def test_requests_stay_open_while_a_change_is_proposed_and_become_stale_with_its
         assert transitions.get_approval(session, approval.id).state == "STALE"
 
 
-def test_a_proposal_expires_by_itself_or_by_who_comes_too_late(
-    engine: Engine, two: People, propose: Callable[..., ChangeProposal], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_proposal_expires_by_itself_or_by_who_comes_too_late(engine, two, propose, monkeypatch):
     first, second = propose(), propose(document={"gates": [{"name": "coverage", "limit": 0.2}]})
     later = utc_after(31 * 86400.0)
     monkeypatch.setattr(proposals, "utc_now", lambda: later)
@@ -216,9 +184,7 @@ def test_a_proposal_expires_by_itself_or_by_who_comes_too_late(
     assert {_state(engine, row) for row in (first, second)} == {"EXPIRED"}
 
 
-def test_a_change_that_could_not_be_made_is_not_proposed_nor_the_same_twice(
-    engine: Engine, two: People, propose: Callable[..., ChangeProposal]
-) -> None:
+def test_a_change_that_could_not_be_made_is_not_proposed_nor_the_same_twice(engine, two, propose):
     row = propose()
     asked: list[tuple[str, Mapping[str, Any], str, int | None, type[BoresightError]]] = [
         ("root", SHIFT, "again", 0, ConflictError),
@@ -235,7 +201,7 @@ def test_a_change_that_could_not_be_made_is_not_proposed_nor_the_same_twice(
         assert [one.id for one in proposals.list_proposals(session)] == [row.id]
 
 
-def test_a_proposal_shows_each_entry_that_it_changes(engine: Engine, propose: Callable[..., ChangeProposal]) -> None:
+def test_a_proposal_shows_each_entry_that_it_changes(engine, propose):
     row = propose()
     layout = propose("ana", plain_definition("inverted_wang"), "table-definition")
     with open_reading(engine) as session:
@@ -249,7 +215,7 @@ def test_a_proposal_shows_each_entry_that_it_changes(engine: Engine, propose: Ca
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
-def race(request: pytest.FixtureRequest, engine: Engine, two: People) -> Any:
+def race(request, engine, two) -> Any:
     if request.param == "sqlite":
         return engine, two
     other: Engine = request.getfixturevalue("postgresql")
@@ -261,7 +227,7 @@ def race(request: pytest.FixtureRequest, engine: Engine, two: People) -> Any:
         return other, {row.name: users.get_actor(session, row.id) for row in users.list_users(session)}
 
 
-def test_of_many_that_confirm_at_once_one_does(race: tuple[Engine, People]) -> None:
+def test_of_many_that_confirm_at_once_one_does(race):
     engine, people = race
     with open_writing(engine) as session:
         row = second_person.change(session, people["root"], "gate-profile", 1, SHIFT, "x", 0, policy=ON)
@@ -288,9 +254,7 @@ def test_of_many_that_confirm_at_once_one_does(race: tuple[Engine, People]) -> N
     assert len(confirmed) == 1
 
 
-def test_a_jump_of_the_clock_expires_no_proposal_before_somebody_has_acknowledged_it(
-    engine: Engine, two: People, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_jump_of_the_clock_expires_no_proposal_before_somebody_has_acknowledged_it(engine, two, monkeypatch):
     wall_s, steady_s = [1.8e9], 1000.0
     monkeypatch.setattr(clock, "OURS", clock.Clock(lambda: wall_s[0], lambda: steady_s))
     with open_writing(engine) as session:

@@ -3,7 +3,6 @@
 import re
 import shutil
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 import sqlalchemy as sa
@@ -68,7 +67,7 @@ def furnish(site: Site, n: int) -> Site:
 
 
 @pytest.fixture(scope="module")
-def fleets(furnished: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[int, Site]]:
+def fleets(furnished, tmp_path_factory) -> Iterator[dict[int, Site]]:
     made = {}
     for n in (300, 1000):
         folder = tmp_path_factory.mktemp(f"fleet-of-{n}") / "data"
@@ -131,20 +130,22 @@ def test_a_list_is_narrowed_by_name_or_by_a_link_to_a_sensor_that_no_menu_would_
     assert row not in ada.get(f"{path}.csv?sensor_name=eet-0291")
 
 
-@pytest.mark.parametrize("text", ["%", "_", "Fleet-0290'", "x" * 500])
-def test_what_is_sought_is_taken_as_it_is_written(ada, text):
-    assert 'class="empty"' in ada.send("GET", "/telemetry", params={"sensor_name": text}).text
-
-
 @pytest.mark.parametrize("path", ["/runs", "/telemetry", "/alarms", "/parameter-sets"])
 def test_what_no_store_can_hold_is_refused(ada, path):
     ada.get(f"{path}?sensor_name=%00&q=%00", status=422)
 
 
-def test_the_name_stays_in_the_addresses_of_the_other_pages_and_of_the_file(ada):
+def test_a_name_is_sought_as_it_is_written_and_stays_in_the_addresses_of_other_pages_and_of_the_file(ada):
+    for text in ("%", "_", "Fleet-0290'", "x" * 500):
+        assert 'class="empty"' in ada.send("GET", "/telemetry", params={"sensor_name": text}).text
     page = ada.get("/telemetry?sensor_name=fleet-0")
     assert "/telemetry.csv?sensor_name=fleet-0" in page
     assert re.search(r'href="/telemetry\?sensor_name=fleet-0&amp;before=\d+" rel="next"', page)
+    for address in (
+        "/telemetry?find=-0290",
+        "/telemetry?sensor=290&find=-01",
+    ):  # and an upload is of whichever is found
+        assert selected(ada.get(address), "sensor_id") == ("290", LAST)
 
 
 def test_a_launch_begins_with_the_first_sensor_by_name_and_holds_only_its_sets_and_parameters(ada):
@@ -233,16 +234,13 @@ def test_a_clone_keeps_its_sets_however_many_are_newer(ada, fleets):
     assert selected(ada.get("/runs/new?clone=1"), "telemetry_set_id")[0] == str(like.id)
 
 
-def test_an_upload_is_of_any_sensor_that_is_found(ada):
-    assert selected(ada.get("/telemetry?find=-0290"), "sensor_id") == ("290", LAST)
-    assert selected(ada.get("/telemetry?sensor=290&find=-01"), "sensor_id") == ("290", LAST)
-
-
-def test_a_campaign_of_a_large_fleet_begins_with_nothing_ticked_and_says_what_to_do(ada, read):
+def test_a_campaign_of_a_large_fleet_begins_with_what_its_address_names_and_says_what_to_do(ada, read):
     page = ada.get("/campaigns/new")
     assert len(hold(page, "calibration")) == 200
     assert 'name="sensors" value="2" checked' not in page
     assert "Find sensors by what their names hold and tick them" in read(page)
+    page = ada.get("/campaigns/new?preset=wu&sensors=290&sensors=777")
+    assert re.findall(r'name="sensors" value="(\d+)" checked', page) == ["290", "777"]
 
 
 def test_finding_sensors_for_a_campaign_keeps_every_tick_and_every_set(ada, fleets):
@@ -273,11 +271,6 @@ def test_a_campaign_of_a_sensor_far_down_the_list_is_queued_with_its_sets(ada, f
     with open_reading(fleets[1000].engine) as session:
         number = int(answer.headers["location"].removeprefix("/campaigns/"))
         assert [one.sensor_id for one in campaigns.results(session, number)] == [290, 777]
-
-
-def test_sensors_that_an_address_names_begin_a_campaign(ada):
-    page = ada.get("/campaigns/new?preset=wu&sensors=290&sensors=777")
-    assert re.findall(r'name="sensors" value="(\d+)" checked', page) == ["290", "777"]
 
 
 def test_parameter_sets_are_narrowed_by_the_sensor_s_name(fleets, ada, read):

@@ -8,15 +8,25 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from boresight.console.jobs.broadcast import QUEUE_LENGTH, Broadcast, EventBatch, EventCursor, events_after
+from boresight.console.jobs.broadcast import (
+    QUEUE_LENGTH,
+    Broadcast,
+    EventBatch,
+    EventCursor,
+    RecentProgress,
+    events_after,
+)
+from boresight.console.runs.queries import Line, write_event
 from boresight.platform.actors import SYSTEM
 from boresight.platform.audit import log as audit
+from boresight.platform.audit import queries as audit_rows
 from boresight.platform.db.sessions import open_engine, open_reading, open_writing
 from tests.served import House, add_people, serving, settings_in
 from tests.stores import open_migrated, url_in
@@ -48,49 +58,57 @@ def _until(events: Iterator[Told], **wanted: Any) -> Told:
     return next(told for told in events if wanted.items() <= (told.get("data") or {}).items())
 
 
-def test_a_stream_begins_with_its_place_and_how_soon_to_come_back(house: House) -> None:
-    with following(house.person("victor")) as events:
-        greeting = next(events)
-    assert re.fullmatch(r"\d+\.\d+\.\d+", greeting["id"])
-    assert greeting["retry"] == "2000"
+def test_a_stream_begins_with_its_place_and_how_soon_to_come_back_and_silence_is_filled(house, monkeypatch):
+    monkeypatch.setattr("boresight.console.jobs.routes.PING_S", 0.2)
+    for place in (None, "nonsense"):
+        with following(house.person("victor"), place, run=10**9) as events:
+            greeting = next(events)
+            assert "ping" in next(events)["comment"]
+        assert re.fullmatch(r"\d+\.\d+\.\d+", greeting["id"])
+        assert EventCursor.parse(greeting["id"]).record > 0
+        assert greeting["retry"] == "2000"
 
 
-def test_a_launch_is_told_as_a_run_event_and_an_audit_event(house: House) -> None:
+def test_a_launch_is_told_as_a_run_event_and_an_audit_event_and_another_process_is_heard_too(house):
+    engine = open_engine(house.app.state.settings.database_url)
     with following(house.person("victor")) as events:
         next(events)
         run = house.launched()
         queued = _until(events, run_id=run["id"])
         launched = _until(events, object=f"runs/{run['id']}")
+        with open_writing(engine) as session:
+            audit.append(session, SYSTEM, "compared", "fleet/1")
+            write_event(session, run["id"], 1, Line.log("Given up on frame 3."))
+        told = list(itertools.islice(events, 2))
+    engine.dispose()
+    kinds = {event["event"]: event["data"] for event in told}
+    assert kinds["audit"]["actor"] == "Boresight"
+    assert kinds["log"]["message"] == "Given up on frame 3."
     assert (queued["event"], queued["data"]["state"]) == ("run", "QUEUED")
     assert (launched["event"], launched["data"]["action"]) == ("audit", "launched")
     assert "before" not in launched["data"]
 
 
-def test_what_another_process_writes_is_told_too(house: House) -> None:
-    engine = open_engine(house.app.state.settings.database_url)
-    with following(house.person("victor")) as events:
-        next(events)
-        with open_writing(engine) as session:
-            audit.append(session, SYSTEM, "compared", "fleet/1")
-        assert _until(events, object="fleet/1")["data"]["actor"] == "Boresight"
-    engine.dispose()
-
-
-def test_who_comes_back_with_the_last_id_is_told_all_that_was_missed_in_order(house: House) -> None:
+def test_who_comes_back_with_the_last_id_is_told_all_that_was_missed_in_order_under_growing_ids(house):
     with following(house.person("victor")) as events:
         place = next(events)["id"]
     runs = [house.launched()["id"] for _ in range(3)]
     house.end(runs[0], "FAILED")
     with following(house.person("victor"), place) as events:
-        states = []
+        next(events)
+        states, places = [], []
         while len(states) < 4:
             told = next(events)
+            places.append(tuple(map(int, told["id"].split("."))))
             if told.get("event") == "run":
                 states.append((told["data"]["run_id"], told["data"]["state"]))
+    for a, b in itertools.pairwise(places):
+        assert a < b
+        assert all(x <= y for x, y in zip(a, b, strict=True))
     assert states == [*((run, "QUEUED") for run in runs), (runs[0], "FAILED")]
 
 
-def test_nothing_is_told_twice_after_a_break(house: House) -> None:
+def test_nothing_is_told_twice_after_a_break(house):
     with following(house.person("victor")) as events:
         next(events)
         run = house.launched()
@@ -103,21 +121,6 @@ def test_nothing_is_told_twice_after_a_break(house: House) -> None:
     assert not any((told.get("data") or {}).get("run_id") == run["id"] for told in heard)
 
 
-def test_ids_only_grow(house: House) -> None:
-    with following(house.person("victor"), "0.0") as events:
-        next(events)
-        house.app.state.broadcast.hear({"kind": "progress", "run_id": -1, "fraction": 0.1})
-        places = [tuple(map(int, next(events)["id"].split("."))) for _ in range(20)]
-    assert all(a <= b and a != b for (a, b) in itertools.pairwise(places))
-    assert all(x <= y for a, b in itertools.pairwise(places) for x, y in zip(a, b, strict=True))
-
-
-def test_an_id_that_is_none_begins_now(house: House) -> None:
-    with following(house.person("victor"), "nonsense") as events:
-        begun = next(events)["id"]
-    assert EventCursor.parse(begun).record > 0
-
-
 def _until_told(house: House) -> None:
     broadcast = house.app.state.broadcast
     with open_reading(house.app.state.engine) as session:
@@ -128,7 +131,7 @@ def _until_told(house: House) -> None:
         time.sleep(0.01)
 
 
-def test_a_filter_leaves_only_what_concerns_the_run(house: House) -> None:
+def test_a_filter_leaves_only_what_concerns_the_run(house):
     watched = house.launched()
     _until_told(house)
     with following(house.person("victor"), run=watched["id"]) as events:
@@ -142,20 +145,13 @@ def test_a_filter_leaves_only_what_concerns_the_run(house: House) -> None:
     assert (second["event"], second["data"]["state"]) == ("run", "SUCCEEDED")
 
 
-def test_a_key_may_listen_and_nobody_unknown(house: House) -> None:
+def test_a_key_may_listen_and_nobody_unknown(house):
     with following(house.key("ada")) as events:
         assert next(events)["comment"] == "connected"
     assert house.anybody().get("/api/v1/events").status_code == 401
 
 
-def test_silence_is_filled_with_comments(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("boresight.console.jobs.routes.PING_S", 0.2)
-    with following(house.person("victor"), run=10**9) as events:
-        next(events)
-        assert "ping" in next(events)["comment"]
-
-
-def test_a_log_in_that_was_ended_stops_hearing(house: House) -> None:
+def test_a_log_in_that_was_ended_stops_hearing(house):
     client = house.log_in("olga")
     with following(client) as events:
         next(events)
@@ -165,7 +161,7 @@ def test_a_log_in_that_was_ended_stops_hearing(house: House) -> None:
         assert [event["event"] for event in events if event["event"] != "audit"] == ["logged-out"]
 
 
-def test_stopping_the_server_ends_the_streams_at_once(tmp_path: Path) -> None:
+def test_stopping_the_server_ends_the_streams_at_once(tmp_path):
     settings = settings_in(tmp_path)
     add_people(settings)
     heard: list[Told] = []
@@ -189,7 +185,7 @@ def test_stopping_the_server_ends_the_streams_at_once(tmp_path: Path) -> None:
     client.close()
 
 
-def test_a_listener_that_is_too_slow_is_told_so_and_let_go(tmp_path: Path) -> None:
+def test_a_listener_that_is_too_slow_is_told_so_and_let_go(tmp_path):
     engine = open_migrated(url_in(tmp_path))
     broadcast = Broadcast(engine)
 
@@ -212,9 +208,7 @@ def test_a_listener_that_is_too_slow_is_told_so_and_let_go(tmp_path: Path) -> No
     engine.dispose()
 
 
-def test_pages_of_missed_records_follow_one_another_without_a_gap(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pages_of_missed_records_follow_one_another_without_a_gap(tmp_path, monkeypatch):
     monkeypatch.setattr("boresight.console.jobs.broadcast.PAGE", 7)
     engine = open_migrated(url_in(tmp_path))
     with open_writing(engine) as session:
@@ -227,3 +221,115 @@ def test_pages_of_missed_records_follow_one_another_without_a_gap(
             place = events[-1].move(place)
     assert heard == made
     engine.dispose()
+
+
+def test_one_new_record_is_told_without_reading_those_before_it(tmp_path, monkeypatch):
+    engine = open_migrated(url_in(tmp_path))
+    with open_writing(engine) as session:
+        records = [audit.append(session, SYSTEM, "did", f"thing/{k}") for k in range(30)]
+    *_, told, new = (record.id for record in records)
+    read: list[int] = []
+    rows_after = audit_rows.heads_after
+
+    def noted(*given: Any) -> Any:
+        page = rows_after(*given)
+        read.append(len(page))
+        return page
+
+    monkeypatch.setattr(audit_rows, "heads_after", noted)
+    with open_reading(engine) as session:
+        events = events_after(session, EventCursor(0, told))
+    assert [event.number for event in events] == [new]
+    assert read == [1]
+    engine.dispose()
+
+
+STREAMS = 500
+KEPT = 16
+
+
+def step(run_id: int, fraction: float) -> dict[str, Any]:
+    points = {"after": None, "frame": [int(100 * fraction)], "parameters": [[1.0, None]]}
+    return {"kind": "progress", "run_id": run_id, "attempt": 1, "fraction": fraction, "history": points}
+
+
+def test_who_comes_back_is_told_the_progress_that_was_missed_and_nothing_twice(house):
+    feed = house.app.state.broadcast
+    with following(house.person("victor"), history=7) as events:
+        next(events)
+        feed.hear(step(7, 0.1))
+        last = next(events)["id"]
+    for fraction in (0.2, 0.3):
+        feed.hear(step(7, fraction))
+    with following(house.person("victor"), last, history=7) as events:
+        next(events)
+        feed.hear(step(7, 0.4))
+        heard = [next(events) for _ in range(3)]
+    assert [told["event"] for told in heard] == ["progress"] * 3
+    assert [told["data"]["fraction"] for told in heard] == [0.2, 0.3, 0.4]
+
+
+def test_a_course_is_told_only_to_who_follows_the_run(house):
+    feed = house.app.state.broadcast
+    for wish, follows in (({}, False), ({"history": 8}, False), ({"history": 7}, True)):
+        with following(house.person("victor"), **wish) as events:
+            next(events)
+            feed.hear(step(7, 0.5))
+            assert ("history" in next(events)["data"]) is follows
+
+
+@pytest.mark.parametrize("progress", [0, 10**15])
+def test_who_comes_back_with_a_place_of_another_server_is_told_that_progress_was_missed(house, progress):
+    with following(house.person("victor")) as events:
+        rows = next(events)["id"].rpartition(".")[0]
+    with following(house.person("victor"), f"{rows}.{progress}") as events:
+        next(events)
+        missed = next(events)
+        house.app.state.broadcast.hear(step(7, 0.5))
+        after = next(events)
+    assert missed["event"] == "missed"
+    assert EventCursor.parse(missed["id"]).progress == house.app.state.broadcast.progress - 1
+    assert after["data"]["fraction"] == 0.5
+
+
+@given(st.integers(0, 40), st.integers(-3, 45))
+def test_a_bounded_ring_tells_all_after_a_number_or_that_it_cannot(count, after):
+    ring = RecentProgress(KEPT)
+    begun = ring.newest
+    for k in range(count):
+        ring.add({"step": k}, None)
+    told = ring.after(begun + after)
+    if max(0, count - KEPT) <= after <= count:
+        assert told is not None
+        assert [event.data["step"] for event in told] == list(range(after, count))
+    else:
+        assert told is None
+
+
+def test_an_event_is_written_once_for_all_listeners():
+    event = RecentProgress(KEPT).add({"run_id": 7}, {"frame": [0]})
+    assert event.text is event.text
+    assert json.loads(event.text_with_history) == {"run_id": 7, "history": {"frame": [0]}}
+    assert json.loads(event.text) == {"run_id": 7}
+
+
+def test_five_hundred_streams_take_no_thread_of_their_own(house):
+    cookie = "; ".join(f"{name}={value}" for name, value in house.person("victor").cookies.items())
+    url = httpx.URL(house.address)
+    ask = f"GET /api/v1/events?history=7 HTTP/1.1\r\nHost: {url.netloc.decode()}\r\nCookie: {cookie}\r\n\r\n"
+
+    async def listen() -> tuple[int, list[bytes]]:
+        links = [await asyncio.open_connection(url.host, url.port) for _ in range(STREAMS)]
+        for _, writer in links:
+            writer.write(ask.encode())
+        await asyncio.gather(*(reader.readuntil(b"retry: 2000\n\n") for reader, _ in links))
+        threads = threading.active_count()
+        house.app.state.broadcast.hear(step(7, 0.5))
+        heard = await asyncio.gather(*(reader.readuntil(b"0.5") for reader, _ in links))
+        for _, writer in links:
+            writer.close()
+        return threads, heard
+
+    threads, heard = asyncio.run(listen())
+    assert len(heard) == STREAMS
+    assert threads < 100  # the framework keeps 40 for short reads, whoever asks

@@ -29,7 +29,7 @@ LIMITS = SessionLimits(age_s=12 * 3600.0, idle_s=3600.0)
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[Engine]:
+def store(tmp_path) -> Iterator[Engine]:
     (tmp_path / "data").mkdir()
     store = open_migrated(url_in(tmp_path / "data"))
     _count(store, 3)
@@ -59,7 +59,7 @@ def _kinds(store: Engine) -> list[str]:
         return [row.kind for row in alarms.list_alarms(session) if row.active]
 
 
-def test_the_head_is_written_when_it_moved_and_on_its_schedule(store: Engine, tmp_path: Path) -> None:
+def test_the_head_is_written_when_it_moved_and_on_its_schedule(store, tmp_path):
     file = tmp_path / "heads"
     upkeep = _upkeep(store, file)
     for _ in range(2):
@@ -78,9 +78,7 @@ def test_the_head_is_written_when_it_moved_and_on_its_schedule(store: Engine, tm
 
 
 @pytest.mark.sqlite("it is its write-ahead log that is damaged")
-def test_ten_records_that_vanish_with_a_damaged_write_ahead_log_are_told_by_the_kept_head(
-    store: Engine, tmp_path: Path
-) -> None:
+def test_ten_records_that_vanish_with_a_damaged_write_ahead_log_are_told_by_the_kept_head(store, tmp_path):
     store.dispose()  # what was written so far is in the file
     path, file = Path(str(store.url.database)), tmp_path / "heads"
     with closing(sqlite3.connect(path)) as open_reader:  # keeps the log from being folded into the file
@@ -110,7 +108,7 @@ def test_ten_records_that_vanish_with_a_damaged_write_ahead_log_are_told_by_the_
         engine.dispose()
 
 
-def test_records_lost_between_two_walks_keep_the_next_head_from_being_written(store: Engine, tmp_path: Path) -> None:
+def test_records_lost_between_two_walks_keep_the_next_head_from_being_written(store, tmp_path):
     file, lost = tmp_path / "heads", ExternalHead(9, "f" * 64, utc_now())
     upkeep = _upkeep(store, file)
     _round(upkeep)
@@ -121,7 +119,7 @@ def test_records_lost_between_two_walks_keep_the_next_head_from_being_written(st
     assert _kinds(store) == ["CHAIN"]
 
 
-def test_a_head_file_that_is_gone_is_a_finding_and_is_not_begun_anew(store: Engine, tmp_path: Path) -> None:
+def test_a_head_file_that_is_gone_is_a_finding_and_is_not_begun_anew(store, tmp_path):
     file = tmp_path / "share" / "heads"
     file.parent.mkdir()
     with open_reading(store) as session:
@@ -145,9 +143,7 @@ def test_a_head_file_that_is_gone_is_a_finding_and_is_not_begun_anew(store: Engi
     assert (upkeep.light().state, _kinds(store)) == ("verified", [])
 
 
-def test_the_command_fails_where_the_kept_head_is_gone(
-    store: Engine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_fails_where_the_kept_head_is_gone(store, tmp_path, monkeypatch):
     file = tmp_path / "share" / "head.txt"
     monkeypatch.setenv("BORESIGHT_DATABASE_URL", store.url.render_as_string(hide_password=False))
     monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(tmp_path / "data"))
@@ -168,7 +164,7 @@ def test_the_command_fails_where_the_kept_head_is_gone(
     assert verified() == 0
 
 
-def test_a_head_that_cannot_be_written_is_an_alarm_that_returns(store: Engine, tmp_path: Path) -> None:
+def test_a_head_that_cannot_be_written_is_an_alarm_that_returns(store, tmp_path):
     file = tmp_path / "absent" / "heads"
     upkeep = _upkeep(store, file)
     _round(upkeep)
@@ -179,7 +175,7 @@ def test_a_head_that_cannot_be_written_is_an_alarm_that_returns(store: Engine, t
     assert read_head(file) is not None
 
 
-def test_a_webhook_that_asked_for_heads_gets_each_once(store: Engine) -> None:
+def test_a_webhook_that_asked_for_heads_gets_each_once(store):
     with open_writing(store) as session:
         for label, actions in (("heads", [HEAD]), ("all", [])):
             session.add(
@@ -195,7 +191,7 @@ def test_a_webhook_that_asked_for_heads_gets_each_once(store: Engine) -> None:
     assert [(row.webhook_id, json.loads(row.body)["data"]["audit_hash"]) for row in sent] == [(1, newest.hash)]
 
 
-def test_a_torn_line_is_passed_over_and_not_written_into(tmp_path: Path) -> None:
+def test_a_torn_line_is_passed_over_and_not_written_into(tmp_path):
     file, heads = tmp_path / "heads", [ExternalHead(number, f"{number:064d}", utc_now()) for number in (1, 2)]
     assert read_head(file) is None
     write_head(file, heads[0])
@@ -209,17 +205,17 @@ def test_a_torn_line_is_passed_over_and_not_written_into(tmp_path: Path) -> None
         read_head(tmp_path / "other")
 
 
-def test_a_file_in_the_data_folder_is_refused(tmp_path: Path) -> None:
+def test_a_file_in_the_data_folder_is_refused(tmp_path):
     inside = {"BORESIGHT_DATA_FOLDER": str(tmp_path), "BORESIGHT_AUDIT_HEAD_FILE": str(tmp_path / "x" / "heads")}
     with pytest.raises(RefusedInputError, match="in the data folder"):
         _ = read_settings(inside).kept_head_file
 
 
-def test_a_clock_that_runs_backwards_is_a_record_of_its_own(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clock_that_runs_backwards_is_a_record_of_its_own(store, monkeypatch):
     monkeypatch.setattr("boresight.platform.audit.chain.utc_now", lambda: "2020-01-01T00:00:00.000000Z")
     _count(store, 2)
     with open_reading(store) as session:
         told = [row.action for row in audit.list_records(session)][::-1]
         report = audit.verify(session)
-    assert told == ["counted", "counted", "counted", "clock ran backwards", "counted", "counted"]
+    assert told == [*["counted"] * 3, "clock ran backwards", *["counted"] * 2]
     assert report.ok

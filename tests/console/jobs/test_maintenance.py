@@ -9,22 +9,29 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
+from boresight.console import list_queries as lists
+from boresight.console import transitions
 from boresight.console.access import api_keys, users
+from boresight.console.alarms import rules as clock
 from boresight.console.alarms import service as alarms
+from boresight.console.alarms.tables import Alarm
+from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval
 from boresight.console.jobs import maintenance as upkeep_module
+from boresight.console.jobs.heartbeat import Heartbeat
 from boresight.console.jobs.maintenance import Maintenance
-from boresight.platform.actors import SessionLimits
+from boresight.platform.actors import Policy, SessionLimits
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
-from tests.passwords import add_person
+from tests.passwords import add_person, approve
 from tests.stores import open_migrated, url_in
 
 LIMITS = SessionLimits(age_s=12 * 3600.0, idle_s=3600.0)
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[Engine]:
+def store(tmp_path) -> Iterator[Engine]:
     store = open_migrated(url_in(tmp_path))
     with open_writing(store) as session:
         row = add_person(session, "ada")
@@ -38,13 +45,9 @@ def _upkeep(store: Engine) -> Maintenance:
     return Maintenance(store, LIMITS, FolderBlobStore(Path(tempfile.mkdtemp())))
 
 
-def test_before_the_first_walk_nothing_is_claimed(store: Engine) -> None:
-    light = _upkeep(store).light()
-    assert (light.state, light.at_utc) == ("not yet", None)
-
-
-def test_the_light_tells_through_which_record_and_when(store: Engine) -> None:
+def test_the_light_tells_through_which_record_and_when_and_whether_it_is_stale(store, monkeypatch):
     upkeep = _upkeep(store)
+    assert (upkeep.light().state, upkeep.light().at_utc) == ("not yet", None)  # before the first walk
     upkeep.verify()
     with open_reading(store) as session:
         newest = audit.list_records(session, limit=1)[0]
@@ -52,9 +55,11 @@ def test_the_light_tells_through_which_record_and_when(store: Engine) -> None:
     assert (light.state, light.last_id) == ("verified", newest.id)
     assert light.at_utc is not None
     assert light.at_utc >= newest.at_utc
+    monkeypatch.setattr(time, "monotonic", lambda: 1e9)
+    assert upkeep.light().state == "stale"  # what is not renewed
 
 
-def test_an_edit_by_hand_turns_the_light(store: Engine, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_edit_by_hand_turns_the_light(store, caplog):
     upkeep = _upkeep(store)
     with store.begin() as connection:
         connection.exec_driver_sql("UPDATE users SET roles = '[\"administrator\"]'")
@@ -66,14 +71,7 @@ def test_an_edit_by_hand_turns_the_light(store: Engine, caplog: pytest.LogCaptur
     assert caplog.text.count("The audit log does not hold") == 1  # said when it is found, not every minute
 
 
-def test_a_finding_that_is_not_renewed_becomes_stale(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
-    upkeep = _upkeep(store)
-    upkeep.verify()
-    monkeypatch.setattr(time, "monotonic", lambda: 1e9)
-    assert upkeep.light().state == "stale"
-
-
-def test_a_running_upkeep_looks_at_once_and_writes_the_last_uses_when_it_stops(store: Engine) -> None:
+def test_a_running_upkeep_looks_at_once_and_writes_the_last_uses_when_it_stops(store):
     upkeep = _upkeep(store)
     with open_reading(store) as session:
         key = api_keys.list_keys(session)[0]
@@ -90,7 +88,7 @@ def test_a_running_upkeep_looks_at_once_and_writes_the_last_uses_when_it_stops(s
         assert api_keys.get_key(session, key.id).last_used_utc is not None
 
 
-def test_what_fails_is_tried_again(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_fails_is_tried_again(store, monkeypatch):
     walks = []
 
     def failing(session: object, **_: object) -> None:
@@ -110,7 +108,7 @@ def test_what_fails_is_tried_again(store: Engine, monkeypatch: pytest.MonkeyPatc
     assert upkeep.light().state == "not yet"
 
 
-def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_return(store: Engine) -> None:
+def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_return(store):
     upkeep = _upkeep(store)
     upkeep.verify()
     with store.begin() as connection:
@@ -132,7 +130,7 @@ def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_r
         assert alarms.get_alarm_state(over) == "unacknowledged, returned to normal"
 
 
-def test_a_server_that_stops_does_not_wait_for_a_long_look(store: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_that_stops_does_not_wait_for_a_long_look(store, monkeypatch):
     begun, released = threading.Event(), threading.Event()
     monkeypatch.setattr(upkeep_module, "PATIENCE_S", 0.05)
     upkeep = _upkeep(store)
@@ -142,3 +140,86 @@ def test_a_server_that_stops_does_not_wait_for_a_long_look(store: Engine, monkey
     upkeep.close()
     assert not released.is_set()
     released.set()
+
+
+AT_ONCE = Policy(approval_days=0.0, rollback_days=0.0)
+DAY_S = 86_400.0
+
+
+class Hands:
+    def __init__(self) -> None:
+        self.wall_s, self.steady_s = 1.8e9, 1000.0
+
+    def pass_by(self, seconds: float) -> None:
+        self.wall_s += seconds
+        self.steady_s += seconds
+
+
+@pytest.fixture
+def hands(monkeypatch) -> Hands:
+    hands = Hands()
+    monkeypatch.setattr(clock, "OURS", clock.Clock(lambda: hands.wall_s, lambda: hands.steady_s))
+    return hands
+
+
+@pytest.fixture
+def due(engine, people, blobs, candidate) -> Approval:
+    row = candidate()
+    with open_writing(engine) as session:
+        return approvals.submit(session, people["ana"], blobs, row.id, "better", row.version, policy=AT_ONCE)
+
+
+def _state(engine: Engine, approval: Approval) -> str:
+    with open_reading(engine) as session:
+        return transitions.get_approval(session, approval.id).state
+
+
+def _alarm(engine: Engine) -> Alarm | None:
+    with open_reading(engine) as session:
+        return next((row for row in alarms.list_alarms(session) if row.kind == "CLOCK"), None)
+
+
+@pytest.mark.parametrize("jump_s", [40 * DAY_S, -40 * DAY_S])
+def test_a_jump_expires_no_request_before_somebody_has_acknowledged_it(engine, people, due, hands, jump_s):
+    heart = Heartbeat(engine, lambda: None)
+    hands.wall_s += jump_s
+    for _ in range(3):
+        heart.beat()
+        hands.pass_by(5.0)
+    row = _alarm(engine)
+    assert (_state(engine, due), row.level, row.version) == ("OPEN", "serious", 1)
+    with open_writing(engine) as session:
+        alarms.acknowledge(session, people["ana"], row.id, "GPS was lost; the clock is right.", row.version)
+    heart.beat()
+    heart.beat()
+    assert (_state(engine, due), _alarm(engine)) == ("EXPIRED", None)
+
+
+def test_a_request_that_a_jump_would_let_expire_still_waits_for_who_may_sign_it_and_is_signed(
+    engine, people, due, hands
+):
+    def waiting() -> int:
+        with open_reading(engine) as session:
+            return lists.count(session, "approvals", {"open_to": approvals.signatory(session, people["cy"])})
+
+    assert waiting() == 0
+    hands.wall_s += 40 * DAY_S
+    assert waiting() == 1
+    with open_writing(engine) as session:
+        approve(session, people["cy"], due)
+    assert _state(engine, due) == "APPROVED"
+
+
+def test_time_that_passes_and_small_corrections_are_no_jump(engine, due, hands):
+    hands.pass_by(40 * DAY_S)
+    hands.wall_s += 2.0
+    Heartbeat(engine, lambda: None).beat()
+    assert (_state(engine, due), _alarm(engine)) == ("EXPIRED", None)
+
+
+@pytest.mark.parametrize(("seen_s", "asks"), [(2 * DAY_S, True), (3600.0, False)])
+def test_a_server_asks_before_anything_expires_if_it_was_last_seen_long_ago(engine, due, hands, tmp_path, seen_s, asks):
+    seen = tmp_path / "last-seen"
+    seen.write_text(str(hands.wall_s - seen_s))
+    Heartbeat(engine, lambda: None, seen).beat()
+    assert (_state(engine, due), _alarm(engine) is not None) == ("OPEN" if asks else "EXPIRED", asks)

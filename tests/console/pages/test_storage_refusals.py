@@ -14,11 +14,12 @@ from boresight.console.webhooks import service as webhooks
 from boresight.disks import full
 from boresight.errors import StorageError
 from tests.console.alarms.test_pages import drifting  # noqa: F401 - a fixture
-from tests.console.campaigns.test_pages import FORM as CAMPAIGN
-from tests.console.change_proposals.test_pages import _proposed, asking  # noqa: F401 - a fixture
+from tests.console.campaigns.test_routes import FORM as CAMPAIGN
+from tests.console.change_proposals.test_routes import _proposed, asking_site  # noqa: F401 - a fixture
 from tests.sites import PASSWORD
 
 SIGNED = {"decision": "APPROVE", "meaning": "m", "comment": "Seen.", "version": "1", "password": PASSWORD}
+FRESH = dict.fromkeys(("password", "repeated"), "kestrel over the moor 41")
 FORMS = {  # who sends which form to which page
     "/users": ("adele", {"name": "zoe", "printed_name": "Zoe", "password": "kestrel over the moor 41"}),
     "/users/{user_id}/roles": ("adele", {"roles": ["viewer"]}),
@@ -41,10 +42,7 @@ FORMS = {  # who sends which form to which page
     "/sensors/{sensor_id:int}/gates": ("adele", {"action": "set", "reason": "x"}),
     "/alarms/{alarm_id:int}/{step}": ("ada", {"text": "Seen.", "version": "1"}),
     "/sensors/{sensor_id:int}/table-definition": ("adele", {"action": "set", "document": "{}", "reason": "x"}),
-    "/password": (
-        "ada",
-        {"current": PASSWORD, "password": "kestrel over the moor 41", "repeated": "kestrel over the moor 41"},
-    ),
+    "/password": ("ada", {"current": PASSWORD, **FRESH}),
     "/runs/new": ("ada", {"intent": "queue", "sensor_id": "1", "telemetry_set_id": "1", "method": "batch"}),
     "/presets/{preset_id:int}/archive": ("ada", {}),
     "/telemetry/{set_id}/archive": ("ada", {}),
@@ -81,7 +79,7 @@ def _forms() -> set[str]:
     return {route.path for route in routes if isinstance(route, APIRoute) and "POST" in route.methods}
 
 
-def test_every_form_of_a_page_is_tried() -> None:
+def test_every_form_of_a_page_is_tried():
     assert set(FORMS) == _forms()
 
 
@@ -91,7 +89,7 @@ def test_a_full_disk_is_503_with_retry_after_by_every_form(request, site, monkey
     if route.startswith("/alarms"):
         request.getfixturevalue("drifting")
     if route.startswith("/change-proposals"):
-        request.getfixturevalue("asking")
+        request.getfixturevalue("asking_site")
         _proposed(site)
     if "{approval_id" in route:
         ada = site.visitor("ada")

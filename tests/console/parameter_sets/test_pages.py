@@ -4,7 +4,24 @@ import pytest
 
 from boresight.console import transitions
 from boresight.console.parameter_sets import queries as set_queries
-from boresight.platform.db.sessions import open_reading
+from boresight.console.parameter_sets import service as parameter_sets
+from boresight.platform.db.documents import compute_sha256
+from boresight.platform.db.sessions import open_reading, open_writing
+from tests.sites import PASSWORD
+
+TURNED = {
+    "quaternion": [0.0, 1e-5, 0.0, 1.0],
+    "rotation_arcsec": [0.0, 4.1, -1234.5],
+    "sigma_arcsec": [0.4, 0.7, None],
+    "sigma_of_mean_arcsec": [0.1, 0.1, 0.2],
+    "frames": 10,
+    "scatter_arcsec": 1.0,
+    "noise_arcsec": 2.0,
+    "consistent": True,
+    "sentence": "Loading these parameters turns the reported attitude by 4.1 ± 0.1 arcsec about y.",
+    "c_sd_update": [[1.0, 0.0, -2e-5], [0.0, 1.0, 0.0], [2e-5, 0.0, 1.0]],
+}
+SIGNED = {"decision": "APPROVE", "meaning": "Good.", "comment": "", "password": PASSWORD}
 
 
 @pytest.fixture
@@ -16,6 +33,18 @@ def version(page):
     return page.split('name="version" value="')[1].split('"')[0]
 
 
+def requested(site, place):
+    ada = site.visitor("ada")
+    return ada.post(f"{place}/submit", version=version(ada.get(place)), reason="Better.").headers["location"]
+
+
+def promoted(site, place):
+    request, alan, olga = requested(site, place), site.visitor("alan"), site.visitor("olga")
+    assert alan.post(f"{request}/sign", version="1", **SIGNED).status_code == 303
+    assert olga.post(f"{place}/promote", version=version(olga.get(place))).headers["location"] == place
+    return olga
+
+
 @pytest.mark.usefixtures("candidate")
 def test_the_list_shows_ground_and_board_as_two_states(site, read):
     text = read(site.visitor("victor").get("/parameter-sets"))
@@ -23,10 +52,8 @@ def test_the_list_shows_ground_and_board_as_two_states(site, read):
     assert "BASELINE" in text
     assert "CANDIDATE" in text
     assert text.partition("Baseline since")[2].count("NOT SENT") == 2
-
-
-def test_filters_that_fit_nothing_say_so(site):
     assert 'class="empty"' in site.visitor("victor").get("/parameter-sets?state=REJECTED")
+    site.visitor("victor").get("/parameter-sets/99", status=404)
 
 
 def test_a_set_shows_its_values_against_the_baseline_and_where_it_comes_from(site, candidate, read):
@@ -55,72 +82,93 @@ def test_a_submission_without_a_reason_is_refused_in_its_place(site, candidate, 
     assert "CANDIDATE" in read(ada.get(candidate))
 
 
-def test_a_submission_from_an_old_page_is_refused_and_keeps_the_reason(site, candidate):
+def test_a_submission_from_an_old_page_or_none_is_refused_and_keeps_the_reason(site, candidate):
     answer = site.visitor("ada").post(f"{candidate}/submit", version="99", reason="My long reason.")
     assert answer.status_code == 412
     assert "My long reason." in answer.text
+    assert site.visitor("ada").post(f"{candidate}/submit", reason="Because.").status_code == 422
+    assert 'aria-describedby="submit-blocked"' in site.visitor("victor").get(candidate)
 
 
-def test_a_form_that_does_not_say_what_was_seen_is_refused(site, candidate):
-    answer = site.visitor("ada").post(f"{candidate}/submit", reason="Because.")
-    assert answer.status_code == 422
-
-
-def test_a_viewer_sees_the_submit_button_blocked_with_the_reason(site, candidate):
-    page = site.visitor("victor").get(candidate)
-    assert 'aria-describedby="submit-blocked"' in page
-
-
-def test_promotion_is_blocked_until_an_approver_has_signed(site, candidate):
-    ada = site.visitor("ada")
-    ada.post(f"{candidate}/submit", version=version(ada.get(candidate)), reason="Because.")
-    olga = site.visitor("olga")
-    assert 'id="promote-blocked"' in olga.get(candidate)
+def test_promotion_is_blocked_until_an_approver_has_signed_and_the_submitter_alone_may_withdraw(site, candidate, read):
+    requested(site, candidate)
+    ada, olga = site.visitor("ada"), site.visitor("olga")
+    page = olga.get(candidate)
+    assert 'id="promote-blocked"' in page
+    assert 'id="withdraw-blocked"' in page
     assert olga.post(f"{candidate}/promote", version="2").status_code == 409
-
-
-def test_the_submitter_withdraws_and_may_submit_again(site, candidate, read):
-    ada = site.visitor("ada")
-    ada.post(f"{candidate}/submit", version=version(ada.get(candidate)), reason="Because.")
     ada.post(f"{candidate}/withdraw", version=version(ada.get(candidate)))
-    text = read(ada.get(candidate))
-    assert "WITHDRAWN" in text
+    assert "WITHDRAWN" in read(ada.get(candidate))
 
 
-def test_withdrawing_another_s_request_is_refused_with_the_reason_beside_the_button(site, candidate):
-    ada = site.visitor("ada")
-    ada.post(f"{candidate}/submit", version=version(ada.get(candidate)), reason="Because.")
-    assert 'id="withdraw-blocked"' in site.visitor("olga").get(candidate)
-
-
-def test_an_approved_set_becomes_the_baseline_and_supersedes_the_old_one(site, candidate, read):
-    ada, alan, olga = (site.visitor(name) for name in ("ada", "alan", "olga"))
-    ada.post(f"{candidate}/submit", version=version(ada.get(candidate)), reason="Because.")
-    words = {"decision": "APPROVE", "meaning": "I approve.", "comment": "", "password": "correct horse battery"}
-    alan.post("/approvals/1/sign", version=version(alan.get("/approvals/1")), **words)
-    answer = olga.post(f"{candidate}/promote", version=version(olga.get(candidate)))
-    assert answer.headers["location"] == candidate
-    text = read(olga.get(candidate))
-    assert "This set is the baseline; it replaced PS-ST16-1-0." in text
+def test_an_approved_set_becomes_the_baseline_and_the_former_offers_a_roll_back(site, candidate, read):
+    olga = promoted(site, candidate)
+    assert "This set is the baseline; it replaced PS-ST16-1-0." in read(olga.get(candidate))
     with open_reading(site.engine) as session:
         assert set_queries.baseline(session, 1).name == "PS-ST16-1-1"
         assert transitions.get_parameter_set(session, 1).ground_state == "SUPERSEDED"
-
-
-def test_a_set_that_does_not_exist_is_not_found(site):
-    site.visitor("victor").get("/parameter-sets/99", status=404)
-
-
-def test_a_former_baseline_offers_a_roll_back_with_a_request_of_its_own(site, read):
-    ada, alan, olga = (site.visitor(name) for name in ("ada", "alan", "olga"))
-    place = ada.post("/runs/1/parameter-set").headers["location"]
-    request = ada.post(f"{place}/submit", version=version(ada.get(place)), reason="Better.").headers["location"]
-    words = {"decision": "APPROVE", "meaning": "", "comment": "", "password": "correct horse battery"}
-    alan.post(f"{request}/sign", version="1", **words)
-    olga.post(f"{place}/promote", version=version(olga.get(place)))
     page = olga.get("/parameter-sets/1")
     assert "Ask to roll back to PS-ST16-1-0" in read(page)
     back = olga.post("/parameter-sets/1/roll-back", version=version(page), reason="The new one lost stars.")
-    text = read(alan.get(back.headers["location"]))
+    text = read(site.visitor("alan").get(back.headers["location"]))
     assert "Roll back to PS-ST16-1-0" in text
     assert "The new one lost stars." in text
+
+
+@pytest.fixture
+def set_with(engine, blobs, people, finished_run):
+    def make(**result):
+        with open_writing(engine) as session:
+            run = finished_run(session, people["ana"].user_id, **result)
+            return parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
+
+    return make
+
+
+def test_a_set_carries_the_alignment_of_its_run_in_its_hash_or_none(set_with):
+    row = set_with(alignment=TURNED)
+    assert row.document["alignment"] == TURNED
+    assert row.sha256 == compute_sha256(row.document)
+    assert row.sha256 != compute_sha256(row.document | {"alignment": TURNED | {"frames": 11}})
+    assert set_with().document["alignment"] is None  # a result from before alignments were found
+
+
+@pytest.fixture
+def place_of(site, results):
+    def place(alignment):
+        run = site.add_run("batch", state="SUCCEEDED", result={**results["batch"], "alignment": alignment})
+        return site.visitor("ada").post(f"/runs/{run}/parameter-set").headers["location"]
+
+    return place
+
+
+def test_the_page_of_a_set_and_of_its_request_show_rotation_uncertainty_and_update_before_the_signature(
+    site, place_of, read
+):
+    place = place_of(TURNED)
+    for address in (place, requested(site, place)):
+        text = read(site.visitor("alan").get(address))
+        assert TURNED["sentence"] in text
+        assert "over 10 frames" in text
+        assert "y, along the columns 4.1 0.1 0.7 arcsec" in text
+        assert "0.000020000" in text
+        assert "old C_SD × this matrix" in text
+    page = site.visitor("alan").get(address)
+    assert page.index('id="change-title"') < page.index('id="alignment-title"') < page.index('id="sign-title"')
+
+
+def test_a_rotation_that_changes_through_the_set_is_a_caution(site, place_of):
+    def notices(alignment):
+        return site.visitor("victor").get(place_of(alignment)).count('class="notice notice-caution"')
+
+    assert notices(TURNED | {"consistent": False}) == notices(TURNED) + 1
+
+
+def test_a_set_without_one_says_why(site, place_of, read):
+    assert "its run compared no attitudes" in read(site.visitor("victor").get(place_of(None)))
+    assert "a ground calibration turns nothing" in read(site.visitor("victor").get("/parameter-sets/1"))
+
+
+def test_a_baseline_that_was_calibrated_itself_is_a_caution_for_the_next(site, place_of, read):
+    olga = promoted(site, place_of(TURNED))
+    assert "PS-ST16-1-1 is no ground calibration" in read(olga.get(place_of(TURNED | {"frames": 11})))

@@ -1,5 +1,6 @@
 """The comparison of runs."""
 
+from types import SimpleNamespace
 from urllib.parse import parse_qsl
 
 import pytest
@@ -7,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.console.runs.comparisons import MOST_RUNS, read_run_ids
-from boresight.console.runs.pages.compare import read_view
+from boresight.console.runs.pages.compare import read_view, together
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
 
@@ -23,29 +24,10 @@ def test_every_figure_overlays_the_other_runs_on_the_reference(site):
 def test_only_what_differs_is_shown_unless_asked_for(site, read):
     victor = site.visitor("victor")
     few, all_rows = read(victor.get("/compare?runs=1,2")), read(victor.get("/compare?runs=1,2&all=1"))
+    assert "NIS mean not applicable" in few  # of the batch
     assert "Square-root filter" in few
     assert "Calibration set" not in few
     assert "Calibration set" in all_rows
-
-
-def test_a_batch_has_no_innovations_to_compare(site, read):
-    text = read(site.visitor("victor").get("/compare?runs=1,2"))
-    assert "NIS mean not applicable" in text
-
-
-def test_repeated_fields_of_the_list_s_form_are_read_as_a_list(site):
-    assert 'src="/api/v1/runs/1/figures/rms?compare=2"' in site.visitor("victor").get("/compare?runs=1&runs=2")
-
-
-def test_unlike_camera_models_are_refused_with_both_named(site, read, results):
-    other = site.add_run(state="SUCCEEDED", result=results["batch"], sensor_document={"camera_model": "pinhole_radial"})
-    text = read(site.visitor("victor").get(f"/compare?runs=1,{other}", status=422))
-    assert f"Run #1 uses the camera model inverted_wang and run #{other} uses pinhole_radial" in text
-
-
-def test_one_run_alone_asks_for_another(site, read):
-    assert "Choose two or more runs" in read(site.visitor("victor").get("/compare?runs=1"))
-    assert "Choose two or more runs" in read(site.visitor("victor").get("/compare"))
 
 
 def test_a_run_without_a_result_is_compared_as_far_as_it_has_come(site, read):
@@ -89,12 +71,18 @@ def test_the_address_of_a_view_opens_the_same_view(numbers, reference, everythin
     assert again == view
 
 
-def test_the_view_is_in_every_address_of_the_page(site):
+def test_the_view_is_in_every_address_of_the_page_and_tables_alone_draw_nothing(site):
     victor = site.visitor("victor")
     page = victor.get("/compare?runs=1,2&reference=2&align=update&overlay=band")
     assert 'src="/api/v1/runs/2/figures/rms?compare=1&amp;align=update&amp;overlay=band"' in page
     assert 'href="/compare?runs=1,2&amp;reference=2&amp;all=1&amp;align=update&amp;overlay=band"' in page
     assert '<option value="update" selected>' in page
+    assert 'src="/api/v1/runs/1/figures/rms?compare=2"' in victor.get("/compare?runs=1&runs=2")  # the list's form
+    page = victor.get("/compare?runs=1,2&overlay=table")
+    assert "<plot-figure" not in page
+    assert "Parameters of the runs" in page
+    for address in ("/compare?runs=1", "/compare"):
+        assert "Choose two or more runs" in victor.get(address)
 
 
 def test_two_methods_on_one_set_differ_by_no_noise_and_the_page_says_on_what_that_rests(site, read):
@@ -102,12 +90,6 @@ def test_two_methods_on_one_set_differ_by_no_noise_and_the_page_says_on_what_tha
     assert "the same data, TS-calibration" in text
     assert "not noise" in text
     assert "Runs of separate data: the variances add up." in text
-
-
-def test_tables_only_draws_nothing(site):
-    page = site.visitor("victor").get("/compare?runs=1,2&overlay=table")
-    assert "<plot-figure" not in page
-    assert "Parameters of the runs" in page
 
 
 def test_more_than_eight_runs_are_warned_of_with_the_table_and_the_band_at_hand(site, results):
@@ -118,10 +100,17 @@ def test_more_than_eight_runs_are_warned_of_with_the_table_and_the_band_at_hand(
     assert 'overlay=band">Band of the lowest' in page
 
 
-def test_unlike_models_are_refused_with_a_set_to_convert(site, results):
+def test_unlike_models_are_refused_with_both_named_and_a_set_to_convert(site, read, results):
     other = site.add_run(state="SUCCEEDED", result=results["batch"], sensor_document={"camera_model": "pinhole_radial"})
     ada = site.visitor("ada")
     made = ada.send("POST", "/api/v1/parameter-sets", json={"run_id": 1}, headers={"X-CSRF-Token": ada.csrf_token})
     assert made.status_code == 201
     page = ada.get(f"/compare?runs=1,{other}", status=422)
+    assert f"Run #1 uses the camera model inverted_wang and run #{other} uses pinhole_radial" in read(page)
     assert f'<a href="/parameter-sets/{made.json()["id"]}">' in page
+
+
+@pytest.mark.parametrize(("p", "said"), [(0.0, "p < 10⁻³⁰⁰"), (0.25, "p = 0.25")])
+def test_no_chance_is_nought_however_large_chi_square_is(p, said):
+    found = SimpleNamespace(reference=0, contrasts=[None, SimpleNamespace(joint=(51_280.0, 8, p))])
+    assert together(found)[1].note.endswith(said)

@@ -2,41 +2,46 @@
 
 import pytest
 
-from boresight.console.runs.tables import Run
-from boresight.platform.db.sessions import open_writing
-from tests.served import House
+from boresight.console.runs.tables import Run, RunEvent
+from boresight.platform.db.sessions import open_writing, utc_now
 
 
-def test_a_launch_answers_202_with_the_address_of_the_run(house: House) -> None:
+def test_a_launch_answers_202_with_the_address_of_the_run(house):
     sensor_id, set_id = house.ready_sensor()
     order = {"sensor_id": sensor_id, "telemetry_set_id": set_id, "settings": {"method": "sqrf"}, "label": "first"}
     answer = house.person("ada").post("/api/v1/runs", json=order)
     assert answer.status_code == 202
     followed = house.person("victor").get(answer.headers["location"])
     assert followed.json() == answer.json()
-    assert (followed.json()["state"], followed.json()["method"], followed.json()["label"]) == (
-        "QUEUED",
-        "sqrf",
-        "first",
-    )
+    expected = {"state": "QUEUED", "method": "sqrf", "label": "first"}
+    assert {name: followed.json()[name] for name in expected} == expected
 
 
-@pytest.mark.parametrize("member", ["sensor_id", "telemetry_set_id", "validation_set_id"])
-def test_a_body_with_a_number_that_no_row_can_have_is_refused(house: House, member: str) -> None:
-    order = {"sensor_id": 1, "telemetry_set_id": 1, member: 10**25}
-    assert house.person("ada").post("/api/v1/runs", json=order).status_code == 422
-
-
-def test_a_label_with_a_control_character_is_refused(house: House) -> None:
+@pytest.mark.parametrize(
+    "given",
+    [
+        *({member: 10**25} for member in ("sensor_id", "telemetry_set_id", "validation_set_id")),
+        *(
+            {"settings": one}
+            for one in ({"method": "magic"}, {"colour": 1}, {"free": ["f_px"]}, {"minimum_stars": "4"})
+        ),
+        {"label": "a\x02b"},
+    ],
+    ids=str,
+)
+def test_an_order_that_cannot_be_is_refused_in_a_sentence(house, given):
     sensor_id, set_id = house.ready_sensor()
-    order = {"sensor_id": sensor_id, "telemetry_set_id": set_id, "label": "a\x02b"}
-    answer = house.person("ada").post("/api/v1/runs", json=order)
+    answer = house.person("ada").post(
+        "/api/v1/runs", json={"sensor_id": sensor_id, "telemetry_set_id": set_id, **given}
+    )
     assert answer.status_code == 422
-    assert answer.json()["detail"] == "The label has the control character U+0002 at place 2; remove it."
+    if "label" in given:
+        assert answer.json()["detail"] == "The label has the control character U+0002 at place 2; remove it."
+    assert "settings" not in given or answer.json()["type"] == "urn:boresight:problem:refused-input"
 
 
 @pytest.mark.parametrize("where", ["query", "body"])
-def test_validate_only_says_what_it_would_be_and_queues_nothing(house: House, where: str) -> None:
+def test_validate_only_says_what_it_would_be_and_queues_nothing(house, where):
     sensor_id, set_id = house.ready_sensor()
     order = {"sensor_id": sensor_id, "telemetry_set_id": set_id}
     asked = {"validate_only": True}
@@ -46,28 +51,12 @@ def test_validate_only_says_what_it_would_be_and_queues_nothing(house: House, wh
     assert answer.status_code == 200
     assert answer.json()["frames"] == 30
     assert answer.json()["pairs"] > 0
+    assert house.person("victor").post("/api/v1/runs?validate_only=true", json=order).status_code == 403
     assert "location" not in answer.headers
     assert house.person("ada").get("/api/v1/runs", params={"sensor_id": sensor_id}).json()["items"] == []
 
 
-def test_validate_only_needs_the_same_rights(house: House) -> None:
-    sensor_id, set_id = house.ready_sensor()
-    order = {"sensor_id": sensor_id, "telemetry_set_id": set_id}
-    assert house.person("victor").post("/api/v1/runs?validate_only=true", json=order).status_code == 403
-
-
-@pytest.mark.parametrize(
-    "settings", [{"method": "magic"}, {"colour": 1}, {"free": ["f_px"]}, {"minimum_stars": "four"}]
-)
-def test_a_setting_that_is_none_is_refused_in_a_sentence(house: House, settings: dict[str, object]) -> None:
-    sensor_id, set_id = house.ready_sensor()
-    order = {"sensor_id": sensor_id, "telemetry_set_id": set_id, "settings": settings}
-    answer = house.person("ada").post("/api/v1/runs", json=order)
-    assert answer.status_code == 422
-    assert answer.json()["type"] == "urn:boresight:problem:refused-input"
-
-
-def test_lists_filter_by_state_sensor_and_method(house: House) -> None:
+def test_lists_filter_by_state_sensor_and_method(house):
     run = house.launched()
     client = house.person("victor")
     sensor = {"sensor_id": run["sensor_id"]}
@@ -79,7 +68,7 @@ def test_lists_filter_by_state_sensor_and_method(house: House) -> None:
     assert client.get("/api/v1/runs", params={"state": "DONE"}).status_code == 422
 
 
-def test_a_waiting_run_is_cancelled_at_once_and_an_ended_one_not_again(house: House) -> None:
+def test_a_waiting_run_is_cancelled_at_once_and_an_ended_one_not_again(house):
     run, client = house.launched(), house.person("ada")
     address = f"/api/v1/runs/{run['id']}"
     seen = {"If-Match": client.get(address).headers["etag"]}
@@ -92,7 +81,7 @@ def test_a_waiting_run_is_cancelled_at_once_and_an_ended_one_not_again(house: Ho
     assert "CANCELLED already" in again.json()["detail"]
 
 
-def test_the_tag_of_a_run_is_weak_and_names_its_state_in_either_spelling(house: House) -> None:
+def test_the_tag_of_a_run_is_weak_and_names_its_state_in_either_spelling(house):
     client = house.person("ada")
     for spelt in (lambda tag: tag, lambda tag: tag.removeprefix("W/")):
         address = f"/api/v1/runs/{house.launched()['id']}"
@@ -101,25 +90,22 @@ def test_the_tag_of_a_run_is_weak_and_names_its_state_in_either_spelling(house: 
         assert client.post(f"{address}:cancel", headers={"If-Match": spelt(tag)}).status_code == 200
 
 
-def test_a_state_is_never_patched(house: House) -> None:
+def test_a_state_is_never_patched(house):
     run = house.launched()
     for method in ("PATCH", "PUT", "DELETE"):
         assert house.person("ada").request(method, f"/api/v1/runs/{run['id']}", json={}).status_code == 405
 
 
-def test_the_result_is_the_calibration_as_it_was_computed(house: House) -> None:
+def test_the_result_is_the_calibration_as_it_was_computed(house):
     answer = house.person("victor").get(f"/api/v1/runs/{house.finished()}/result")
     assert answer.json() == house.result
     assert answer.json()["schema"] == "boresight.calibration/1"
 
 
-def test_a_run_with_nothing_yet_says_that_it_runs(house: House) -> None:
-    body = house.person("victor").get(f"/api/v1/runs/{house.launched()['id']}/result").json()
-    assert (body["status"], body["run_state"]) == ("running", "QUEUED")
-
-
-def test_a_partial_result_is_shown_while_it_computes(house: House) -> None:
+def test_a_partial_result_is_shown_while_it_computes(house):
     run = house.launched()
+    nothing = house.person("victor").get(f"/api/v1/runs/{run['id']}/result").json()
+    assert (nothing["status"], nothing["run_state"]) == ("running", "QUEUED")
     partial = {"schema": "boresight.calibration/1", "status": "running", "frames": 3}
     with open_writing(house.app.state.engine) as session:
         session.get_one(Run, run["id"]).progress = {"fraction": 0.1, "message": "frame 3", "partial": partial}
@@ -129,7 +115,7 @@ def test_a_partial_result_is_shown_while_it_computes(house: House) -> None:
     assert progress == {"fraction": 0.1, "message": "frame 3", "elapsed_s": None, "at_utc": None}
 
 
-def test_the_report_is_one_file_to_keep(house: House) -> None:
+def test_the_report_is_one_file_to_keep(house):
     run_id = house.finished()
     answer = house.person("victor").get(f"/api/v1/runs/{run_id}/report")
     assert answer.headers["content-type"] == "text/html; charset=utf-8"
@@ -138,14 +124,14 @@ def test_the_report_is_one_file_to_keep(house: House) -> None:
     assert "default-src 'none'" in answer.text
 
 
-def test_a_run_without_a_result_has_no_report_and_says_its_state(house: House) -> None:
+def test_a_run_without_a_result_has_no_report_and_says_its_state(house):
     run_id = house.launched()["id"]
     answer = house.person("victor").get(f"/api/v1/runs/{run_id}/report")
     assert answer.status_code == 409
     assert answer.json()["detail"].startswith(f"Run {run_id} is QUEUED and has no result;")
 
 
-def test_two_hundred_launches_at_once_are_all_queued(house: House) -> None:
+def test_two_hundred_launches_at_once_are_all_queued(house):
     from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - only here
 
     sensor_id, set_id = house.ready_sensor()
@@ -155,3 +141,74 @@ def test_two_hundred_launches_at_once_are_all_queued(house: House) -> None:
         answers = list(pool.map(lambda _: client.post("/api/v1/runs", json=order), range(200)))
     assert {answer.status_code for answer in answers} == {202}
     assert len({answer.json()["id"] for answer in answers}) == 200
+
+
+@pytest.fixture(scope="module")
+def run_id(house) -> int:
+    return house.finished()
+
+
+def test_frames_come_in_pages_by_number(house, run_id):
+    client, seen, cursor = house.person("victor"), [], None
+    for _ in range(4):
+        params = {"limit": 12, **({"cursor": cursor} if cursor else {})}
+        page = client.get(f"/api/v1/runs/{run_id}/frames", params=params).json()
+        seen += [line["frame"] for line in page["items"]]
+        cursor = page["next"]
+        if cursor is None:
+            break
+    assert seen == list(range(30))
+
+
+def test_the_worst_come_first_with_what_makes_them_so(house, run_id):
+    answer = house.person("victor").get(f"/api/v1/runs/{run_id}/frames", params={"order": "worst", "limit": 5}).json()
+    deviations = [line["deviation"] for line in answer["items"]]
+    assert deviations == sorted(deviations, reverse=True)
+    assert [line["frame"] for line in answer["items"]] == house.result["trust"]["worst_frames"]["frame"][:5]
+    assert house.person("victor").get(f"/api/v1/runs/{run_id}/frames", params={"order": "best"}).status_code == 422
+
+
+def test_a_frame_s_residuals_are_those_the_result_keeps(house, run_id):
+    kept = house.result["trust"]["residuals"]
+    frame = house.person("victor").get(f"/api/v1/runs/{run_id}/frames/4").json()
+    stars = {
+        (star["star_id"], round(star["row_px"], 1)): star
+        for exposure in frame["exposures"]
+        for star in exposure["stars"]
+    }
+    places = [place for place, number in enumerate(kept["frame"]) if number == 4]
+    assert len(places) > 5
+    for place in places:
+        star = stars[kept["star_id"][place], round(kept["row_px"][place], 1)]
+        assert star["fate"] == "used"
+        assert star["new"]["d_px"] == pytest.approx([kept["d_row_px"][place], kept["d_col_px"][place]], abs=1e-4)
+    assert (frame["place"], frame["previous"], frame["next"]) == (5, 3, 5)
+
+
+def test_a_run_without_a_result_is_shown_at_the_old_parameters(house):
+    frame = house.person("victor").get(f"/api/v1/runs/{house.launched()['id']}/frames/0").json()
+    assert frame["why_no_new"]
+    assert frame["previous"] is None
+    assert all(exposure["attitude"]["new"] is None for exposure in frame["exposures"])
+    assert any(exposure["attitude"]["old"] for exposure in frame["exposures"])
+
+
+@pytest.mark.parametrize(("frame", "status"), [("99", 404), ("-1", 404), ("x", 422)])
+def test_a_frame_that_is_not_there_is_a_problem_with_a_sentence(house, run_id, frame, status):
+    answer = house.person("victor").get(f"/api/v1/runs/{run_id}/frames/{frame}")
+    assert answer.status_code == status
+    assert answer.headers["content-type"] == "application/problem+json"
+    if status == 404:
+        assert "30 frames are numbered from 0 to 29" in answer.json()["detail"]
+
+
+def test_the_log_is_text_a_line_an_event(site):
+    with open_writing(site.engine) as session:
+        session.add(RunEvent(run_id=1, attempt=2, at_utc=utc_now(), kind="lost", message="the worker died"))
+    lines = site.visitor("victor").send("GET", "/runs/1/log").text.splitlines()
+    assert lines[-1].endswith(" 2 lost the worker died")
+
+
+def test_the_sensor_file_is_the_one_of_the_launch(site):
+    run_id = site.add_run(sensor_document={"name": "as it was"})
+    assert site.visitor("victor").send("GET", f"/runs/{run_id}/sensor.json").json() == {"name": "as it was"}

@@ -1,13 +1,20 @@
 """The run page."""
 
+import csv
+import io
 import re
+from dataclasses import asdict, replace
 
 import pytest
 
-from boresight.console.runs.tables import RunEvent
+from boresight.console.runs.pages.run import TITLES
+from boresight.console.runs.queries import Line, write_event
+from boresight.console.runs.tables import RUN_STATES, RunEvent
+from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.tables import parameter_rows
-from boresight.platform.db.sessions import open_writing, utc_now
+from boresight.platform.db.sessions import open_writing, utc_after, utc_now
 from boresight.verdicts.verdict import make_verdict_marks
+from tests.figures.examined import matching, shadow, trust
 
 
 def test_the_head_says_the_verdict_and_the_weakest_direction_over_every_part(site, read, results):
@@ -17,12 +24,17 @@ def test_the_head_says_the_verdict_and_the_weakest_direction_over_every_part(sit
         assert results["sqrf"]["observability"]["weakest"]["sentence"] in text
 
 
-def test_the_provenance_has_the_command_the_settings_and_the_hashes(site, read):
-    text = read(site.visitor("victor").get("/runs/2?part=provenance"))
-    assert "boresight calibrate" in text
-    assert "--method sqrf" in text
-    assert '"method": "sqrf"' in text
-    assert "telemetry SHA-256" in text
+def test_the_parts_say_provenance_notes_and_the_set_that_was_made(site, read):
+    ada = site.visitor("ada")
+    text = read(ada.get("/runs/2?part=provenance"))
+    for words in ("boresight calibrate", "--method sqrf", '"method": "sqrf"', "telemetry SHA-256"):
+        assert words in text
+    ada.post("/notes/runs/2", text="The sun was near.")
+    assert "Notes 1" in read(ada.get("/runs/2"))
+    assert "The sun was near." in read(ada.get("/runs/2?part=notes"))
+    address = ada.post("/runs/1/parameter-set").headers["location"]
+    assert f'href="{address}"' in ada.get("/runs/1")
+    assert ada.post("/runs/1/parameter-set").headers["location"] == address  # opened instead of made again
 
 
 def test_a_simulated_sensor_shows_the_truth_and_how_many_sigmas_off_it_is(site, read):
@@ -31,25 +43,18 @@ def test_a_simulated_sensor_shows_the_truth_and_how_many_sigmas_off_it_is(site, 
     assert "16.0267" in text
 
 
-def test_a_parameter_that_was_not_free_is_said_to_be_not_estimated(site, results):
-    result = {**results["batch"], "sigma": {**results["batch"]["sigma"], "a1_rad": None}}
+def test_a_parameter_that_was_not_free_is_said_to_be_not_estimated_below_the_advice(site, results):
+    result = {
+        **results["batch"],
+        "sigma": {**results["batch"]["sigma"], "a1_rad": None},
+        "advice": ["Do not use this."],
+    }
     run_id = site.add_run("batch", state="SUCCEEDED", result=result)
     page = site.visitor("victor").get(f"/runs/{run_id}")
     row = page[page.index("a1_rad</code></th>") :].split("</tr>")[0]
     assert "not estimated" in row
     assert "—" in row
-
-
-def test_advice_stands_above_the_parameters(site, results):
-    result = {**results["batch"], "advice": ["Do not use this."]}
-    page = site.visitor("victor").get(f"/runs/{site.add_run('batch', state='SUCCEEDED', result=result)}")
     assert page.index("Do not use this.") < page.index('id="parameters"')
-
-
-def test_a_queued_run_says_its_position(site, read):
-    site.add_run()
-    second = site.add_run()
-    assert "Position 2 in the queue." in read(site.visitor("victor").get(f"/runs/{second}"))
 
 
 def test_a_running_run_shows_its_partial_estimate_marked_partial_and_follows_the_stream(site, read, results):
@@ -61,30 +66,30 @@ def test_a_running_run_shows_its_partial_estimate_marked_partial_and_follows_the
     assert re.search(r"as of frame \d+ \d+ of \d+ frames so far", " ".join(read(page).split()))
     assert "live-run.js" in page
     assert "data-follows" in page
+    page = site.visitor("victor").get(f"/runs/{run_id}?part=trust")
+    assert "Trust is examined when the run ends" in read(page)
+    assert not figures_of(page)
 
 
 @pytest.mark.parametrize(
     ("state", "columns", "said"),
     [
-        (
-            "FAILED",
-            {"reason": "Every exposure has fewer than four stars."},
-            "Every exposure has fewer than four stars.",
-        ),
-        (
-            "LOST",
-            {"lease_until_utc": "2026-11-21T03:04:05.000000Z"},
-            "The worker stopped reporting at 2026-11-21 03:04:05Z",
-        ),
+        ("FAILED", {"reason": "Every exposure has too few stars."}, "Every exposure has too few stars."),
+        ("LOST", {"lease_until_utc": "2026-11-21T03:04:05.000000Z"}, "stopped reporting at 2026-11-21 03:04:05Z"),
         ("CANCELLED", {"reason": "Cancelled by Ada Analyst."}, "Cancelled by Ada Analyst."),
         ("CANCELLING", {"reason": "Cancelled by Ada Analyst."}, "Stopping: Cancelled by Ada Analyst."),
     ],
 )
 def test_a_run_without_a_result_says_what_happened_and_offers_no_parameter_set(site, read, state, columns, said):
-    page = site.visitor("ada").get(f"/runs/{site.add_run(state=state, **columns)}")
+    run_id = site.add_run(state=state, **columns)
+    page = site.visitor("ada").get(f"/runs/{run_id}")
     assert said in read(page)
     assert "No verdict" in read(page)
     assert "Create parameter set" not in page
+    for part, words in (("trust", "No examination: the run"), ("matching", "No matching: the run")):
+        page = site.visitor("victor").get(f"/runs/{run_id}?part={part}")
+        assert state == "CANCELLING" or f"{words} ended as {state}" in read(page)
+        assert not figures_of(page)
 
 
 def test_the_log_is_shown_in_order_with_later_attempts_named(site, read):
@@ -95,12 +100,13 @@ def test_the_log_is_shown_in_order_with_later_attempts_named(site, read):
     assert text.index("first words") < text.index("attempt 2") < text.index("second words")
 
 
-def test_an_analyst_cancels_a_queued_run_and_it_says_who_did(site, read):
+def test_an_analyst_cancels_a_queued_run_and_it_says_who_did_and_why(site, read):
     run_id = site.add_run()
     ada = site.visitor("ada")
-    assert ada.post(f"/runs/{run_id}/cancel").headers["location"] == f"/runs/{run_id}"
+    assert 'name="reason" form="cancel-run"' in ada.get(f"/runs/{run_id}")
+    assert ada.post(f"/runs/{run_id}/cancel", reason="Wrong set.").headers["location"] == f"/runs/{run_id}"
     text = read(ada.get(f"/runs/{run_id}"))
-    assert "Cancelled by Ada Analyst." in text
+    assert "Cancelled by Ada Analyst: Wrong set." in text
     assert "asked to stop" in text
 
 
@@ -112,28 +118,13 @@ def test_a_viewer_sees_the_cancel_button_disabled_with_the_reason_and_is_refused
     assert "This needs the role analyst" in read(victor.get(f"/runs/{run_id}"))
 
 
-def test_a_parameter_set_made_from_a_run_is_opened_instead_of_made_again(site):
-    ada = site.visitor("ada")
-    address = ada.post("/runs/1/parameter-set").headers["location"]
-    assert f'href="{address}"' in ada.get("/runs/1")
-    assert ada.post("/runs/1/parameter-set").headers["location"] == address
-
-
-def test_a_form_without_the_token_changes_nothing(site):
-    ada = site.visitor("ada")
-    assert ada.send("POST", "/runs/1/parameter-set").status_code == 403
-
-
-def test_a_run_that_does_not_exist_is_not_found(site):
-    site.visitor("victor").get("/runs/999", status=404)
+def mark_of(result, question):
+    return next(mark for mark in make_verdict_marks(result) if mark.question.startswith(question))
 
 
 def test_a_filter_is_judged_by_its_innovations_and_a_batch_is_not(results):
-    by_question = {mark.question: mark for mark in make_verdict_marks(results["sqrf"])}
-    assert by_question["Innovations (NIS)"].word == "consistent"
-    assert {mark.question: mark for mark in make_verdict_marks(results["batch"])}[
-        "Innovations (NIS)"
-    ].word == "not applicable"
+    said = [mark_of(results[method], "Innovations (NIS)").word for method in ("sqrf", "batch")]
+    assert said == ["consistent", "not applicable"]
 
 
 def test_a_filter_on_its_way_counts_the_frames_so_far_and_no_star_that_is_still_to_come(results):
@@ -143,45 +134,349 @@ def test_a_filter_on_its_way_counts_the_frames_so_far_and_no_star_that_is_still_
     )[0]
     assert (fit.word, fit.value, fit.detail) == ("running", "as of frame 11", "12 of 200 frames so far")
     batch = {**results["batch"], "status": "running", "frames_done": None, "frames": 200, "iterations": 3}
-    assert (make_verdict_marks(batch)[0].value, make_verdict_marks(batch)[0].detail) == (
-        "as of iteration 3",
-        "200 frames in all",
-    )
+    fit = make_verdict_marks(batch)[0]
+    assert (fit.value, fit.detail) == ("as of iteration 3", "200 frames in all")
     assert "stars" in make_verdict_marks(results["sqrf"])[0].detail
 
 
-def test_no_validation_is_no_data_and_never_passes(results):
-    mark = next(
-        mark
-        for mark in make_verdict_marks({**results["batch"], "validation": None})
-        if mark.question == "Validation RMS"
-    )
-    assert mark.word == "NO DATA"
-    assert mark.level != "normal"
-
-
-def test_noise_above_the_model_is_a_caution(results):
+def test_no_validation_is_no_data_and_never_passes_and_noise_above_the_model_is_a_caution(results):
+    mark = mark_of({**results["batch"], "validation": None}, "Validation RMS")
+    assert (mark.word, mark.level == "normal") == ("NO DATA", False)
     result = {**results["batch"], "chi2_per_dof": 3.0, "chi2": {**results["batch"]["chi2"], "consistent": False}}
-    mark = next(mark for mark in make_verdict_marks(result) if mark.question.startswith("χ²"))
+    mark = mark_of(result, "χ²")
     assert (mark.level, mark.word) == ("caution", "noise above model")
 
 
-def test_delta_over_sigma_is_the_result_s_own(results):
-    for row in parameter_rows(results["batch"]):
-        assert row.delta_over_sigma == pytest.approx(results["batch"]["delta_over_sigma"][row.name])
-
-
 def test_an_estimate_far_from_the_truth_is_marked(results):
-    truth = {
-        name: value + 10 * (results["batch"]["sigma"][name] or 0)
-        for name, value in results["batch"]["parameters"].items()
-    }
+    sigma, found = results["batch"]["sigma"], results["batch"]["parameters"]
+    truth = {name: value + 10 * (sigma[name] or 0) for name, value in found.items()}
     rows = parameter_rows({**results["batch"], "truth": truth})
     assert all(row.off_truth for row in rows)
     assert [row.error_over_sigma for row in rows] == pytest.approx([-10.0] * len(rows))
 
 
-def test_rows_stand_in_the_model_s_order_however_the_store_sorted_them(results):
-    shuffled = dict(sorted(results["batch"]["parameters"].items()))
-    rows = parameter_rows({**results["batch"], "parameters": shuffled})
-    assert [row.name for row in rows] == list(results["batch"]["parameters"])
+def test_rows_have_the_result_s_own_delta_in_the_model_s_order_however_the_store_sorted_them(results):
+    batch = results["batch"]
+    rows = parameter_rows({**batch, "parameters": dict(sorted(batch["parameters"].items()))})
+    assert [row.name for row in rows] == list(batch["parameters"])
+    assert [row.delta_over_sigma for row in rows] == pytest.approx(
+        [batch["delta_over_sigma"][row.name] for row in rows]
+    )
+
+
+@pytest.fixture
+def examined(site, results):
+    made = examined_result(results["batch"])
+    return made, site.add_run("batch", state="SUCCEEDED", result=made)
+
+
+def examined_result(result, **changes):
+    sigma = {name: value or 1.0 for name, value in result["sigma"].items()}
+    made = {"trust": {**trust(sigma), **changes}, "matching": matching(), "shadow": shadow(), "evaluation": None}
+    return {**result, **made}
+
+
+def figures_of(page):
+    return set(re.findall(r'<plot-figure src="/api/v1/runs/\d+/figures/([\w-]+)"', page))
+
+
+@pytest.mark.parametrize("part", TITLES)
+def test_a_part_draws_its_own_figures_with_guide_and_numbers_and_no_others(site, read, examined, part):
+    page = site.visitor("victor").get(f"/runs/{examined[1]}?part={part}")
+    assert figures_of(page) == {figure.name for figure in CHAPTERS.get(part, ())}
+    for figure in CHAPTERS.get(part, ()):
+        assert f'href="/api/v1/runs/{examined[1]}/figures/{figure.name}/data' in page
+        assert figure.guide.split(".")[0][:40] in read(page)
+    assert re.findall('data-tab="([a-z]+)" aria-current="page"', page) == [part]
+    assert set(CHAPTERS) <= set(TITLES)
+    assert sum(map(len, CHAPTERS.values())) == len(FIGURES)
+
+
+def test_the_runs_before_and_after_are_one_step_away_in_the_same_part(site):
+    last = site.add_run()
+    page = site.visitor("victor").get("/runs/2?part=rms")
+    assert 'rel="prev" href="/runs/1?part=rms"' in page
+    assert f'rel="next" href="/runs/{last}?part=rms"' in page
+    assert 'rel="next"' not in site.visitor("victor").get(f"/runs/{last}")
+    site.visitor("victor").get("/runs/999", status=404)
+
+
+def test_the_view_of_a_part_is_in_its_address_and_goes_to_its_figures(site, read):
+    victor = site.visitor("victor")
+    page = victor.get("/runs/2?part=rms&tail_from=20")
+    assert "/figures/rms?tail_from=20" in page
+    assert "frame 20 to 39" in read(page)
+    assert 'scale="linear"' in victor.get("/runs/2?part=convergence&scale=linear")
+    assert 'data-tab="summary" aria-current="page"' in victor.get("/runs/2?part=estimate")  # an older link
+    assert "choose from" in victor.get("/runs/1?part=nonsense", status=404)
+
+
+def test_the_tabs_say_how_trust_and_matching_stand(site, read, examined):
+    text = read(site.visitor("victor").get(f"/runs/{examined[1]}"))
+    assert "Trust 2 doubts" in text
+    assert "Matching rested" in text
+    assert "Convergence settled" in text
+    assert "Observability seen" in text
+
+
+def test_every_sentence_of_the_examination_is_on_the_page(site, read, examined):
+    result, run_id = examined
+    text = read(site.visitor("victor").get(f"/runs/{run_id}?part=trust"))
+    for name in ("two_halves", "efficiency", "more_data", "nis_over_time", "whiteness"):
+        assert result["trust"][name]["sentence"] in text
+    assert result["trust"]["drop_one_sentence"] in text
+    assert result["trust"]["stars_sentence"] in text
+
+
+def test_suspect_stars_are_marked_by_shape_and_word_and_can_be_copied(site, examined):
+    page = site.visitor("victor").get(f"/runs/{examined[1]}?part=trust")
+    assert 'data-copy="1000, 1017"' in page
+    rows = {row.split("</th>")[0].rpartition(">")[2]: row for row in page.split("<tr>") if "data-value" in row}
+    assert all("status-caution" in rows[star] and "suspect" in rows[star] for star in ("1000", "1017"))
+    assert "suspect" not in rows["1034"]
+
+
+def test_a_part_that_could_not_be_made_is_no_data_with_its_reason(site, read, results):
+    why = {"two_halves": "Two halves of 3 frames are too few: use 20.", "stars": "No star has a number."}
+    result = examined_result(results["batch"], two_halves=None, stars=None, suspects=[], unavailable=why)
+    text = read(site.visitor("victor").get(f"/runs/{site.add_run(state='SUCCEEDED', result=result)}?part=trust"))
+    assert re.search(f"Two halves NO DATA – {why['two_halves']}", text)
+    assert text.count(why["stars"]) == 2
+    assert "Copy the stars to flag" not in text
+
+
+def test_matching_shows_both_counts_starts_reasons_flags_and_the_view_of_flight(site, read, examined):
+    text = read(site.visitor("victor").get(f"/runs/{examined[1]}?part=matching"))
+    for words in ("Kept 2 201", "Removed 32", "Added 2 265", "3: the matches rested", "41 doubles"):
+        assert words in text
+    assert shadow()["validation"]["summary"]["sentence"] in text
+    for phrase in ("neighbouring frame 5", "no catalogue star is near 61", "fewer than three stars matched 2"):
+        assert phrase in text
+    assert "valid 398" not in text
+    assert "Frames available 46.0 % 100.0 %" in text
+    assert "420 µrad" in text
+
+
+def test_a_result_from_before_the_examination_says_how_to_have_one(site, read, results):
+    old = {**results["batch"], "trust": None, "matching": None, "shadow": None}
+    run_id = site.add_run("batch", state="SUCCEEDED", result=old)
+    victor = site.visitor("victor")
+    assert "clone its run and start it again" in read(victor.get(f"/runs/{run_id}?part=trust"))
+    assert "used the matches it was given" in read(victor.get(f"/runs/{run_id}?part=matching"))
+
+
+FREE = {"turns": True, "connected": True, "threads": 2, "tasks": 1}
+HALF = {"fraction": 0.43, "message": "frame 17: 17 of 40 frames", "elapsed_s": 8.6}
+
+
+@pytest.fixture
+def tell(site):
+    def write(run_id, line, *, at_utc=None):
+        with open_writing(site.engine) as session:
+            session.add(RunEvent(run_id=run_id, attempt=1, at_utc=at_utc or utc_now(), **asdict(line)))
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("workers", "said"),
+    [
+        ({}, "This server computes nothing itself"),
+        (FREE | {"turns": False}, "This server computes nothing itself"),
+        (FREE | {"connected": False}, "No worker is there yet"),
+        (FREE | {"threads": 0}, "No worker is there yet"),
+        (FREE, "A worker is free: it starts at once."),
+        (FREE | {"tasks": 2}, "All 2 workers are busy with run #{busy}; it starts when one is free."),
+        (FREE | {"tasks": 1, "threads": 1}, "The only worker is busy with run #{busy}"),
+    ],
+)
+def test_a_queued_run_says_its_position_and_what_it_waits_for(site, read, workers, said):
+    busy = site.add_run(state="RUNNING", started_utc=utc_now())
+    run_id = site.add_run()
+    site.app.state.workers.state = lambda: workers
+    text = read(site.visitor("victor").get(f"/runs/{run_id}"))
+    assert "Next in the queue." in text
+    assert "Position 2 in the queue." in read(site.visitor("victor").get(f"/runs/{site.add_run()}"))
+    assert said.format(busy=busy) in text
+
+
+def test_a_run_that_is_computed_again_says_why(site, read, tell):
+    run_id = site.add_run(state="RUNNING", attempt=2, started_utc=utc_now())
+    tell(run_id, replace(Line.queued_again("its server host/1 was not heard of any more"), message="in other words"))
+    text = read(site.visitor("victor").get(f"/runs/{run_id}"))
+    assert "Attempt 1 ended without a result: its server host/1 was not heard of any more." in text
+    assert "attempt 2" in text
+
+
+def test_a_filter_says_its_pace_and_what_is_left_and_a_batch_only_its_time(site, read):
+    columns = {"state": "RUNNING", "progress": HALF | {"at_utc": utc_now()}, "attempt": 1, "started_utc": utc_now()}
+    filtered, batch = (site.add_run(method, **columns) for method in ("sqrf", "batch"))
+    victor = site.visitor("victor")
+    assert "2.0 frames/s, about 11 s left" in read(victor.get(f"/runs/{filtered}"))
+    text = read(victor.get(f"/runs/{batch}"))
+    assert "for 8.6 s" in text
+    assert "frames/s" not in text
+
+
+def test_a_page_says_how_long_ago_a_run_was_heard_of_and_asked_to_stop(site, read, tell):
+    silent, heard = (HALF | {"at_utc": utc_after(-ago_s)} for ago_s in (45.0, 7.0))
+    columns = {"state": "RUNNING", "started_utc": utc_after(-90.0), "attempt": 1}
+    victor = site.visitor("victor")
+    text = read(victor.get(f"/runs/{site.add_run('sqrf', progress=silent, **columns)}"))
+    assert re.search(r"The worker has not reported for (4[5-9]|5\d) s\.", text)
+    page = victor.get(f"/runs/{site.add_run(progress=heard, **columns)}")
+    assert 7.0 <= float(page.partition('data-heard="')[2].partition('"')[0]) < 17.0
+    run_id = site.add_run(state="CANCELLING", reason="Cancelled by Ada Analyst: wrong set.", started_utc=utc_now())
+    tell(run_id, Line.moved("CANCELLING", "Cancelled by Ada Analyst: wrong set."), at_utc=utc_after(-12.0))
+    text = read(victor.get(f"/runs/{run_id}"))
+    assert "Stopping: Cancelled by Ada Analyst: wrong set. Asked at" in text
+    assert re.search(r"\b1[2-9] s ago", text)
+
+
+def test_a_lost_run_says_when_it_was_last_heard_of_and_offers_to_run_it_again(site, read):
+    progress = HALF | {"at_utc": "2026-11-21T03:04:05.000000Z"}
+    run_id = site.add_run("sqrf", state="LOST", progress=progress, reason="Given up after 3 lost attempts.")
+    page = site.visitor("ada").get(f"/runs/{run_id}")
+    text = read(page)
+    assert "The worker stopped reporting at 2026-11-21 03:04:05Z; no result is trusted. Given up after" in text
+    assert "PARTIAL: It had come to 43 % (frame 17: 17 of 40 frames)." in text
+    assert f'href="/runs/new?clone={run_id}">Run it again</a>' in page
+
+
+def test_a_failed_run_shows_its_cause_the_end_of_its_log_and_the_next_step(site, read, tell):
+    run_id = site.add_run(state="FAILED", reason="Its telemetry is gone.")
+    for k in range(9):
+        tell(run_id, Line.log(f"step {k}"))
+    tell(run_id, Line.moved("FAILED", "Its telemetry is gone."))
+    page = site.visitor("ada").get(f"/runs/{run_id}")
+    text = read(page)
+    assert '<p role="alert">Its telemetry is gone.</p>' in page
+    assert [f"step {k}" in text for k in range(9)] == [False] * 4 + [True] * 5
+    assert f'href="/runs/{run_id}?part=log"' in page
+    assert 'href="/telemetry/1">Quality report' in page
+
+
+def test_a_row_says_how_much_the_rms_fell_in_microradians(site, read, results):
+    house_page = read(site.visitor("victor").get("/runs"))
+    rms = results["batch"]["rms_arc_rad"]
+    assert f"{rms['initial'] * 1e6:.1f} → {rms['final'] * 1e6:.2f}" in house_page
+    assert f"{100 * (rms['final'] / rms['initial'] - 1):.1f}".lstrip("-") in house_page
+    assert "SUCCEEDED" in house_page
+    assert "converged" in house_page
+
+
+def test_a_fit_with_advice_is_a_caution_in_the_list_with_the_advice_at_hand(site, results):
+    doubted = results["batch"] | {"advice": ["Too few frames took part."]}
+    site.add_run(state="SUCCEEDED", result=doubted)
+    page = site.visitor("victor").get("/runs")
+    cell = page[page.index('title="Too few frames took part."') :][:400].split("</td>")[0]
+    assert "converged, with reservations" in cell
+    assert "status-caution" in cell
+    page = site.visitor("victor").get("/sensors/1")
+    assert "converged, with reservations" in page
+    assert "reservations" not in site.visitor("victor").send("GET", "/runs.csv").text
+
+
+def test_filters_leave_out_the_runs_that_do_not_fit(site, read):
+    site.add_run("sqrf", state="FAILED", reason="No stars.", label="the poor one")
+    page = site.visitor("victor").get("/runs?state=FAILED&method=sqrf")
+    assert "the poor one" in read(page)
+    assert "reference" not in read(page)
+    assert "<option selected>FAILED" in page
+    assert 'class="empty"' in site.visitor("victor").get("/runs?state=LOST")
+
+
+@pytest.mark.parametrize("query", ["sensor=abc", "state=NONSENSE", "method=", "before=x"])
+def test_an_address_with_nonsense_shows_the_whole_list(site, query, read):
+    assert "#1" in read(site.visitor("victor").get(f"/runs?{query}"))
+
+
+def test_a_second_page_begins_where_the_first_ended(site):
+    for number in range(55):
+        site.add_run(label=f"many-{number}")
+    page = site.visitor("victor").get("/runs")
+    assert "many-54" in page
+    assert "many-0<" not in page
+    address = page.split('rel="next"')[0].rsplit('href="', 1)[1].split('"')[0].replace("&amp;", "&")
+    older = site.visitor("victor").get(address)
+    assert "many-0<" in older
+    assert "many-54" not in older
+
+
+def test_the_csv_has_every_run_in_si_and_no_formula(site, results):
+    site.add_run(label="=cmd()")
+    answer = site.visitor("victor").send("GET", "/runs.csv")
+    rows = list(csv.DictReader(io.StringIO(answer.text)))
+    assert answer.headers["content-type"].startswith("text/csv")
+    assert [row["run"] for row in rows] == ["3", "2", "1"]
+    assert rows[0]["label"] == "'=cmd()"
+    assert float(rows[2]["rms_final_arc_rad"]) == results["batch"]["rms_arc_rad"]["final"]
+
+
+LINES = [
+    (Line.moved("QUEUED"), "QUEUED", "info"),
+    (Line.begun(1, "host/1"), "RUNNING: attempt 1 on host/1", "info"),
+    (Line.log("10 %: frame 4: 4 of 40 frames", {"fraction": 0.1}), "10 %: frame 4: 4 of 40 frames", "info"),
+    (Line.attempt_ended(1, "its server was stopped", is_lost=False), "Attempt 1: its server was stopped", "warning"),
+    (Line.queued_again("its server was stopped"), "QUEUED: again, because its server was stopped", "warning"),
+    (Line.attempt_ended(2, "its worker process died", is_lost=True), "Attempt 2: its worker process died", "error"),
+    (Line.log("Traceback:\n  <b>1</b> / 0", level="error"), "Traceback:\n  <b>1</b> / 0", "error"),
+    (Line.moved("CANCELLING", "Cancelled by Ada."), "CANCELLING: Cancelled by Ada.", "warning"),
+    (Line.moved("FAILED", "given up"), "FAILED: given up", "error"),
+]
+
+
+@pytest.fixture
+def run_id(site):
+    made = site.add_run(state="FAILED", reason="given up")
+    with open_writing(site.engine) as session:
+        for line, *_ in LINES:
+            write_event(session, made, 1, line)
+    return made
+
+
+def shown(page):
+    return re.findall(r'<li data-line="\d+" data-level="(\w+)"', page)
+
+
+@pytest.mark.parametrize(("line", "message", "level"), LINES)
+def test_a_line_has_its_sentence_and_how_grave_it_is(line, message, level):
+    assert (line.message, line.level) == (message, level)
+
+
+def test_the_api_gives_what_a_line_says_as_fields_too(site, run_id):
+    lines = site.visitor("victor").send("GET", f"/api/v1/runs/{run_id}/log").json()["items"]
+    told = [(line["state"], line["cause"], line["level"], line["numbers"]) for line in lines]
+    assert told == [(line.state, line.cause, line.level, line.numbers) for line, *_ in LINES]
+
+
+@pytest.mark.parametrize("state", RUN_STATES)
+def test_every_end_without_a_result_is_more_than_information(state):
+    grave = Line.moved(state).level != "info"
+    assert grave is (state in {"FAILED", "LOST", "CANCELLED", "CANCELLING"})
+
+
+def test_the_filter_is_in_the_address_and_each_choice_says_how_many_lines_it_has(site, read, run_id):
+    victor = site.visitor("victor")
+    assert shown(victor.get(f"/runs/{run_id}?part=log")) == [level for *_, level in LINES]
+    page = victor.get(f"/runs/{run_id}?part=log&level=error")
+    assert shown(page) == ["error"] * 3
+    assert "All lines 9 Warnings and errors 6 Errors 3" in " ".join(read(page).split())
+    assert f'href="/runs/{run_id}/log" download' in page
+
+
+def test_a_level_that_is_none_is_refused_and_one_without_lines_is_empty(site, run_id):
+    site.visitor("victor").get(f"/runs/{run_id}?part=log&level=loud", status=422)
+    site.visitor("victor").get(f"/runs/{run_id}/log/lines?level=loud", status=422)
+    page = site.visitor("victor").get("/runs/1?part=log&level=error")  # which nothing in this log is
+    assert "<li" not in page.split('<ol class="log"')[1].split("</ol>")[0]
+
+
+def test_a_page_that_follows_gets_only_the_lines_after_its_last(site, run_id):
+    victor = site.visitor("victor")
+    page = victor.get(f"/runs/{run_id}/log/lines")
+    assert "&lt;b&gt;1&lt;/b&gt; / 0" in page  # what a log says is text
+    numbers = re.findall(r'data-line="(\d+)"', page)
+    later = victor.get(f"/runs/{run_id}/log/lines?after={numbers[5]}&level=warning")
+    assert re.findall(r'data-line="(\d+)"', later) == numbers[6:]
+    assert victor.get(f"/runs/{run_id}/log/lines?after={numbers[-1]}").strip() == ""

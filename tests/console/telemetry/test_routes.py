@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.platform.db.sessions import open_reading
+from boresight.simulation.scenes import calibration_scenario, simulate
+from boresight.telemetry.read.readers import write_csv
 from tests.served import PASSWORD, House, add_people, serving, settings_in
-
-Spoil = Callable[[list[list[str]]], None]
 
 
 def _files_left(house: House) -> list[Path]:
     return list((house.app.state.settings.data_folder / "uploads").iterdir())
 
 
-def test_an_upload_is_created_with_its_quality_report(house: House) -> None:
+def test_an_upload_is_created_with_its_quality_report(house):
     sensor = house.new_sensor()
     answer = house.upload(house.person("ada"), sensor["id"], purpose="validation")
     body = answer.json()
@@ -32,19 +34,14 @@ def test_an_upload_is_created_with_its_quality_report(house: House) -> None:
     assert _files_left(house) == []
 
 
-def test_the_bytes_come_back_as_they_were_uploaded(house: House) -> None:
+def test_the_bytes_come_back_as_they_were_uploaded(house):
     _, set_id = house.ready_sensor()
     answer = house.person("victor").get(f"/api/v1/telemetry-sets/{set_id}/file")
     assert answer.content == house.telemetry_csv
     assert 'filename="telemetry.csv"' in answer.headers["content-disposition"]
 
 
-def test_the_same_bytes_again_are_the_set_that_is_there(house: House) -> None:
-    sensor_id, set_id = house.ready_sensor()
-    assert house.upload(house.person("ada"), sensor_id).json()["id"] == set_id
-
-
-def test_an_uploaded_image_is_told_that_centroids_are_read(house: House) -> None:
+def test_an_uploaded_image_is_told_that_centroids_are_read(house):
     answer = house.upload(
         house.person("ada"), house.new_sensor()["id"], b"SIMPLE  =    T".ljust(2880), file_name="a.fits"
     )
@@ -54,33 +51,19 @@ def test_an_uploaded_image_is_told_that_centroids_are_read(house: House) -> None
     assert _files_left(house) == []
 
 
-def _with_text(rows: list[list[str]]) -> None:
-    rows[3][rows[0].index("row_px")] = "twelve"
-
-
-def _without_column(rows: list[list[str]]) -> None:
-    k = rows[0].index("col_px")
-    for row in rows:
-        del row[k]
-
-
-SPOILT: list[tuple[str, Spoil, int | None, str]] = [
-    ("text in a number", _with_text, 4, "row_px"),
-    ("a missing column", _without_column, None, "col_px"),
-]
-
-
-@pytest.mark.parametrize(("what", "spoil", "row", "column"), SPOILT)
-def test_a_bad_file_is_refused_with_its_row_and_column(
-    house: House, what: str, spoil: Spoil, row: int | None, column: str
-) -> None:
+@pytest.mark.parametrize(("row", "column"), [(4, "row_px"), (None, "col_px")], ids=["a word", "a missing column"])
+def test_a_bad_file_is_refused_with_its_row_and_column(house, row, column):
     rows = list(csv.reader(io.StringIO(house.telemetry_csv.decode())))
-    spoil(rows)
+    place = rows[0].index(column)
+    if row is None:
+        rows = [[*cells[:place], *cells[place + 1 :]] for cells in rows]
+    else:
+        rows[row - 1][place] = "twelve"
     content = "".join(",".join(row) + "\n" for row in rows).encode()
     sensor = house.new_sensor()
     answer = house.upload(house.person("ada"), sensor["id"], content)
     body = answer.json()
-    assert answer.status_code == 422, what
+    assert answer.status_code == 422
     assert answer.headers["content-type"] == "application/problem+json"
     assert (row, column) in {(place["row"], place["column"]) for place in body["errors"]}
     listed = house.person("ada").get("/api/v1/telemetry-sets", params={"sensor_id": sensor["id"]})
@@ -88,16 +71,11 @@ def test_a_bad_file_is_refused_with_its_row_and_column(
     assert _files_left(house) == []
 
 
-@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"PAR1 and then nothing"])
-def test_what_is_no_telemetry_is_refused_in_a_sentence(house: House, content: bytes) -> None:
-    name = "telemetry.parquet" if content.startswith(b"PAR1") else "telemetry.csv"
-    answer = house.upload(house.person("ada"), house.new_sensor()["id"], content, file_name=name)
-    assert answer.status_code == 422
-    assert answer.json()["detail"].endswith(".")
-
-
-@pytest.mark.parametrize("content", [b"", b" \n", b"\xff\xfe\x00", b"PK\x03\x04", b"frame\n1\n", b"frame\n\xff\n"])
-def test_a_refused_file_is_called_what_its_sender_calls_it(house: House, content: bytes) -> None:
+@pytest.mark.parametrize(
+    "content",
+    [b"", b" \n", b"\xff\xfe\x00", b"PK\x03\x04", b"frame\n1\n", b"frame\n\xff\n", b"PAR1 and then nothing"],
+)
+def test_a_refused_file_is_called_what_its_sender_calls_it(house, content):
     answer = house.upload(
         house.person("ada"), house.new_sensor()["id"], content, file_name="C:\\downlink\\pass 7 (2).csv"
     )
@@ -105,7 +83,7 @@ def test_a_refused_file_is_called_what_its_sender_calls_it(house: House, content
     assert answer.json()["detail"].startswith("pass 7 (2).csv")
 
 
-def test_a_request_without_a_file_says_how_to_send_one(house: House) -> None:
+def test_a_request_without_a_file_says_how_to_send_one(house):
     client = house.person("ada")
     wrong = client.post("/api/v1/telemetry-sets", json={"sensor_id": 1})
     empty = client.post("/api/v1/telemetry-sets", data={"sensor_id": "1"})
@@ -117,7 +95,7 @@ def test_a_request_without_a_file_says_how_to_send_one(house: House) -> None:
     assert "One file at a time" in two.json()["detail"]
 
 
-def test_an_upload_that_breaks_off_is_refused(house: House) -> None:
+def test_an_upload_that_breaks_off_is_refused(house):
     half = b'--b\r\nContent-Disposition: form-data; name="file"; filename="t.csv"\r\n\r\nframe,exposure'
     answer = house.person("ada").post(
         "/api/v1/telemetry-sets", content=half, headers={"Content-Type": "multipart/form-data; boundary=b"}
@@ -126,25 +104,21 @@ def test_an_upload_that_breaks_off_is_refused(house: House) -> None:
     assert _files_left(house) == []
 
 
-@pytest.mark.parametrize("sensor_id", ["one", "", "-1"])
-def test_an_upload_for_no_sensor_says_which_field(house: House, sensor_id: Any) -> None:
-    answer = house.upload(house.person("ada"), sensor_id)
-    assert answer.status_code == 422
-    assert "sensor_id" in answer.json()["detail"]
-
-
-def test_an_upload_for_an_unknown_sensor_is_not_found(house: House) -> None:
+def test_an_upload_for_no_sensor_says_which_field(house):
+    for sensor_id in ("one", "", "-1"):
+        answer = house.upload(house.person("ada"), sensor_id)
+        assert (answer.status_code, "sensor_id" in answer.json()["detail"]) == (422, True)
     assert house.upload(house.person("ada"), 987654).status_code == 404
 
 
-def test_who_only_looks_may_not_upload(house: House) -> None:
+def test_who_only_looks_may_not_upload(house):
     sensor = house.new_sensor()
     assert house.upload(house.person("victor"), sensor["id"]).status_code == 403
     assert house.upload(house.key("ada", "runs"), sensor["id"]).status_code == 403
     assert house.upload(house.key("ada", "telemetry-sets"), sensor["id"]).status_code == 201
 
 
-def test_nothing_is_written_for_nobody(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_written_for_nobody(house, monkeypatch):
     def refuse(*_args: object) -> None:
         pytest.fail("a part of the body was taken")
 
@@ -153,7 +127,7 @@ def test_nothing_is_written_for_nobody(house: House, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("announced", [True, False])
-def test_a_file_over_the_limit_is_refused_while_it_is_read(tmp_path: Path, announced: bool) -> None:
+def test_a_file_over_the_limit_is_refused_while_it_is_read(tmp_path, announced):
     settings = settings_in(tmp_path, upload_limit_mb="1.5")
     add_people(settings)
     content = (
@@ -171,18 +145,7 @@ def test_a_file_over_the_limit_is_refused_while_it_is_read(tmp_path: Path, annou
         assert list((tmp_path / "uploads").iterdir()) == []
 
 
-def test_archived_sets_are_listed_only_when_asked(house: House) -> None:
-    sensor_id, set_id = house.ready_sensor()
-    client = house.person("ada")
-    seen = {"If-Match": client.get(f"/api/v1/telemetry-sets/{set_id}").headers["etag"]}
-    assert client.post(f"/api/v1/telemetry-sets/{set_id}:archive", headers=seen).json()["archived_utc"]
-    params = {"sensor_id": sensor_id}
-    assert client.get("/api/v1/telemetry-sets", params=params).json()["items"] == []
-    found = client.get("/api/v1/telemetry-sets", params={**params, "archived": True}).json()["items"]
-    assert [row["id"] for row in found] == [set_id]
-
-
-def test_a_copy_of_the_original_file_never_goes_out_of_date(house: House) -> None:
+def test_a_copy_of_the_original_file_never_goes_out_of_date(house):
     _, set_id = house.ready_sensor()
     address, client = f"/api/v1/telemetry-sets/{set_id}/file", house.person("ada")
     tag = client.get(address).headers["etag"]
@@ -190,3 +153,104 @@ def test_a_copy_of_the_original_file_never_goes_out_of_date(house: House) -> Non
         again = client.get(address, headers={"If-None-Match": known})
         assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", tag)
     assert client.get(address, headers={"If-None-Match": '"x"'}).status_code == 200
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory, catalogue) -> bytes:
+    scenario = dataclasses.replace(calibration_scenario(1), frames=20)
+    path = tmp_path_factory.mktemp("telemetry") / "pass.csv"
+    write_csv(simulate(scenario, np.random.default_rng(3), catalogue), path)
+    return path.read_bytes()
+
+
+@pytest.fixture
+def site(site, catalogue):
+    site.app.state.catalogue = lambda: catalogue
+    return site
+
+
+def upload(visitor, content, name="pass.csv", headers=None, **fields):
+    data = {"csrf_token": visitor.csrf_token, "sensor_id": "1", "purpose": "calibration", **fields}
+    return visitor.send("POST", "/telemetry", data=data, files={"file": (name, content)}, headers=headers)
+
+
+def test_an_upload_leads_to_its_quality_report_and_a_scripted_one_is_told_where_to_go(site, table, read):
+    visitor = site.visitor("ada")
+    answer = upload(visitor, table)
+    assert answer.status_code == 303
+    scripted = upload(visitor, table, headers={"X-Boresight-Upload": "1"})  # the same bytes are the set that is there
+    assert (scripted.status_code, scripted.headers["location"]) == (201, answer.headers["location"])
+    page = visitor.get(answer.headers["location"])
+    assert "pass.csv" in read(page)
+    for title in ("Detector coverage", "Radial coverage", "Stars in an exposure", "Magnitudes", "Findings", "Origin"):
+        assert title in read(page)
+    assert "No run has used this set yet." in read(page)
+
+
+def test_a_refused_file_shows_row_and_column_and_keeps_the_choices(site, table, read):
+    lines = list(csv.reader(io.StringIO(table.decode())))
+    lines[4][lines[0].index("row_px")] = "wide"
+    answer = upload(site.visitor("ada"), "\n".join(map(",".join, lines)).encode(), purpose="validation")
+    assert answer.status_code == 422
+    assert "5 row_px" in read(answer.text)
+    assert '<option value="1" selected>' in answer.text
+    assert 'value="validation" checked' in answer.text
+    with open_reading(site.engine) as session:
+        assert len(telemetry_sets.list_telemetry_sets(session)) == 2
+
+
+@pytest.mark.parametrize(
+    ("content", "name", "fields", "sentence"),
+    [
+        (b"", "void.csv", {}, "void.csv is empty"),
+        (b"a,b\n1,2\n", "columns.csv", {}, "columns.csv: column frame: the column is missing"),
+        (b"PAR1", "cut.parquet", {}, "cut.parquet"),
+        (b"x", "pass.csv", {"sensor_id": ""}, "Choose the sensor"),
+        (b"x", "", {}, "No file was chosen"),
+    ],
+)
+def test_what_is_no_telemetry_is_refused_in_one_sentence(site, read, content, name, fields, sentence):
+    answer = upload(site.visitor("ada"), content, name, **fields)
+    assert answer.status_code == 422
+    assert sentence in read(answer.text)
+
+
+def test_who_may_not_upload_reads_which_role_is_needed_and_nothing_comes_without_the_log_ins_token(site, table):
+    visitor = site.visitor("victor")
+    assert 'type="file"' not in visitor.get("/telemetry")
+    assert upload(visitor, table).status_code == 403
+    forged = upload(site.visitor("ada"), table, csrf_token="another", headers={"accept": "text/html"})
+    assert forged.status_code == 403
+    with open_reading(site.engine) as session:
+        assert len(telemetry_sets.list_telemetry_sets(session)) == 2
+
+
+def test_a_figures_numbers_add_up_to_the_usable_stars(site, table):
+    visitor = site.visitor("ada")
+    address = upload(visitor, table).headers["location"]
+    rows = list(csv.reader(io.StringIO(visitor.get(f"{address}/figures/radial-coverage.csv"))))
+    with open_reading(site.engine) as session:
+        quality = telemetry_sets.get_telemetry_set(session, int(address.rsplit("/", 1)[1])).quality
+    assert sum(int(row[1]) for row in rows[1:]) == quality["usable"]
+    assert visitor.send("GET", f"{address}/figures/nothing.csv").status_code == 404
+
+
+def test_an_archived_set_leaves_the_list_until_it_is_asked_for(site, table, read):
+    visitor = site.visitor("ada")
+    address = upload(visitor, table).headers["location"]
+    assert visitor.post(f"{address}/archive").status_code == 303
+    listed = read(visitor.get("/telemetry")).split("Upload a set")[0]
+    assert "pass.csv" not in listed.replace("pass.csv is archived", "")
+    assert "archived" in read(visitor.get("/telemetry?archived=1"))
+    for sensor in ("99", "99999999999"):
+        assert 'class="empty"' in visitor.get(f"/telemetry?sensor={sensor}")
+
+
+def test_the_runs_that_fitted_and_validated_with_a_set_are_its_lineage(site, table):
+    visitor = site.visitor("ada")
+    set_id = int(upload(visitor, table).headers["location"].rsplit("/", 1)[1])
+    fitted = site.add_run(telemetry_set_id=set_id)
+    judged = site.add_run(validation_set_id=set_id)
+    lineage = visitor.get(f"/telemetry/{set_id}").split("Runs that used this set")[1]
+    assert f"#{fitted}</a></th><td>fit" in lineage
+    assert f"#{judged}</a></th><td>validate" in lineage

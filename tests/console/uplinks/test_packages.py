@@ -54,58 +54,42 @@ def define(engine, people):
     return act
 
 
-@pytest.fixture
-def promoted(engine, people, approved):
-    def make():
-        row = approved()
-        with open_writing(engine) as session:
-            return approvals.promote(session, people["dee"], row.id, row.version)
-
-    return make
-
-
-def test_built_again_it_is_the_package_that_exists(build, approved, define):
+def test_built_again_it_is_the_package_that_exists_and_bytes_that_were_lost_are_laid_down_again(
+    engine, blobs, build, approved, define
+):
     define()
     row = approved()
-    first, again = build(row)[0], build(row, "ana")[0]
-    assert (again.id, again.sha256) == (first.id, first.sha256)
-
-
-def test_its_inputs_alone_make_its_bytes(engine, blobs, build, approved, define):
-    define()
-    package, _ = build(approved())
     with open_writing(engine) as session:
-        content = packages.read(session, blobs, package.id)
-    assert packages.rebuild(json.loads(json.dumps(package.inputs))) == content
-
-
-def test_bytes_that_the_folder_lost_are_laid_down_again(blobs, build, approved):
-    row = approved()
+        head = audit.head(session)
     package, files = build(row)
+    again = build(row, "ana")[0]
+    assert (again.id, again.sha256) == (package.id, package.sha256)
+    assert json.loads(files["MANIFEST.json"])["audit"]["head"] == head  # of its first building
+    with open_writing(engine) as session:
+        content, record = (
+            packages.read(session, blobs, package.id),
+            audit.last_change(session, f"packages/{package.id}"),
+        )
+    assert packages.rebuild(json.loads(json.dumps(package.inputs))) == content
+    assert (record.action, record.after["sha256"]) == ("exported", package.sha256)
     blobs.path(package.sha256).unlink()
     assert build(row)[1] == files
 
 
-def test_it_names_the_audit_head_of_its_first_building(engine, build, approved):
-    row = approved()
-    with open_writing(engine) as session:
-        head = audit.head(session)
-    build(row)
-    _, files = build(row)
-    assert json.loads(files["MANIFEST.json"])["audit"]["head"] == head
+def test_the_way_back_of_an_approved_set_is_the_baseline_and_of_the_baseline_the_one_before(
+    engine, people, build, approved
+):
+    def way_back():
+        row = approved()
+        yield json.loads(build(row)[1]["MANIFEST.json"])["backout"]
+        with open_writing(engine) as session:
+            row = approvals.promote(session, people["dee"], row.id, row.version)
+        yield json.loads(build(row)[1]["MANIFEST.json"])["backout"]
 
-
-def test_the_way_back_of_an_approved_set_is_the_baseline(build, approved):
-    manifest = json.loads(build(approved())[1]["MANIFEST.json"])
-    assert manifest["backout"]["name"] == "PS-ST16-1-0"
-    assert "the current baseline" in manifest["backout"]["sentence"]
-
-
-def test_the_way_back_of_the_baseline_is_the_baseline_before(build, promoted):
-    promoted()
-    manifest = json.loads(build(promoted())[1]["MANIFEST.json"])
-    assert manifest["backout"]["name"] == "PS-ST16-1-1"
-    assert "the baseline before" in manifest["backout"]["sentence"]
+    (first, _), (second, last) = way_back(), way_back()
+    assert [way["name"] for way in (first, second, last)] == ["PS-ST16-1-0", "PS-ST16-1-1", "PS-ST16-1-1"]
+    assert "the current baseline" in first["sentence"]
+    assert "the baseline before" in last["sentence"]
 
 
 def test_the_first_baseline_is_its_own_way_back(engine, build):
@@ -116,18 +100,14 @@ def test_the_first_baseline_is_its_own_way_back(engine, build):
     assert "nothing earlier" in json.loads(files["MANIFEST.json"])["backout"]["sentence"]
 
 
-def test_signatures_and_their_meaning_travel_with_it(build, approved):
+def test_signatures_with_meaning_and_who_gave_the_password_travel_with_it(build, approved):
     files = build(approved())[1]
     signature = json.loads(files["MANIFEST.json"])["approval"]["signatures"][0]
     assert (signature["printed_name"], signature["meaning"]) == ("Cy", "I approve")
-    assert b"I approve" in files["verification_sheet.html"]
-
-
-def test_who_gave_a_signer_s_password_stands_under_the_printed_name(build, approved):
-    files = build(approved())[1]
-    said = json.loads(files["MANIFEST.json"])["approval"]["signatures"][0]["password_by"]
-    assert said.startswith("given by Command line at")
-    assert f"Cy<br>Password {said}." in files["verification_sheet.html"].decode()
+    assert signature["password_by"].startswith("given by Command line at")
+    sheet = files["verification_sheet.html"].decode()
+    assert "I approve" in sheet
+    assert f"Cy<br>Password {signature['password_by']}." in sheet
 
 
 def test_an_installation_without_four_eyes_says_so(build, approved):
@@ -178,13 +158,6 @@ def test_a_definition_needs_what_was_seen_a_reason_and_a_change(define):
     with pytest.raises(RefusedInputError, match="Give the reason"):
         define(DEFINITION | {"fill": 255}, seen=1, reason=" ")
     assert define(DEFINITION | {"fill": 255}, seen=1).number == 2
-
-
-def test_an_exported_package_is_on_record(engine, build, approved):
-    package, _ = build(approved())
-    with open_writing(engine) as session:
-        record = audit.last_change(session, f"packages/{package.id}")
-    assert (record.action, record.after["sha256"]) == ("exported", package.sha256)
 
 
 def test_there_is_no_package_of_an_unknown_number(engine, blobs):

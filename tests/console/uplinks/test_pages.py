@@ -1,5 +1,7 @@
 """Uplink: the fleet on the ground and on board, and a set's steps to the spacecraft."""
 
+import html
+import json
 import re
 from html import unescape
 
@@ -8,10 +10,9 @@ from sqlalchemy import select
 
 from boresight.console.fleet import timeline
 from boresight.console.fleet.pages.sensors import EXAMPLE
-from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.pages.list import RunNames
-from boresight.console.uplinks import packages
+from boresight.console.uplinks import packages, table_definitions
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.pages import steps as uplink
 from boresight.console.uplinks.pages.steps import (
@@ -22,9 +23,11 @@ from boresight.console.uplinks.pages.steps import (
     list_steps,
     make_uplink_line,
 )
+from boresight.console.uplinks.pages.table_definition import written_as_text
 from boresight.console.uplinks.service import add_entry
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.platform.db.sessions import open_reading, open_writing
+from boresight.uplink.table_definition import plain_definition
 from tests.console.uplinks.pages import climb, define, send_dump, table, version
 from tests.sites import PASSWORD
 
@@ -67,23 +70,13 @@ def test_the_exported_package_is_the_one_that_was_sent_and_before_that_the_newes
 
 def test_the_fleet_shows_ground_and_board_side_by_side_and_active_only_where_it_was_recorded(site, read):
     visitor = site.visitor("victor")
-    assert re.search(r"NOT SENT .*PS-ST16-1-0 .*nothing recorded", read(visitor.get("/uplink")))
+    page = read(visitor.get("/uplink"))
+    assert re.search(r"NOT SENT .*PS-ST16-1-0 .*nothing recorded", page)
+    assert "ACTIVE" not in page
+    for address in ("/uplink", STEPS):
+        assert "This tool does not command the spacecraft." in read(visitor.get(address))
     climb(site, *LADDER)
     assert re.search(r"THE SAME .*PS-ST16-1-0 .*ACTIVE .*pass for ACTIVE signed", read(visitor.get("/uplink")))
-
-
-def test_a_set_that_was_only_promoted_is_never_shown_as_active(site):
-    page = site.visitor("victor").get("/uplink")
-    assert "ACTIVE" not in page.split("<main")[1].split("</main>")[0]
-
-
-def test_a_mismatch_comes_before_everything(site, read):
-    visitor = site.visitor("ada")
-    text = EXAMPLE.replace("ST16-7", "A-1")
-    assert visitor.post("/sensors", document=text).status_code == 303
-    assert re.search(r"A-1 .*ST16-1", read(visitor.get("/uplink")))
-    climb(site, "SENT", "MISMATCH")
-    assert re.search(r"ST16-1 MISMATCH .*A-1", read(visitor.get("/uplink")))
 
 
 @pytest.fixture
@@ -136,11 +129,6 @@ def test_a_large_fleet_comes_page_by_page(site, fleet, monkeypatch):
     assert "data-sortable" not in page
 
 
-def test_every_page_says_that_this_tool_commands_nothing(site, read):
-    for address in ("/uplink", STEPS):
-        assert "This tool does not command the spacecraft." in read(site.visitor("olga").get(address))
-
-
 def test_a_dump_with_a_flipped_bit_is_a_mismatch_that_the_page_names(site, read):
     define(site)
     climb(site, "SENT", "LOADED")
@@ -156,11 +144,12 @@ def test_a_dump_with_a_flipped_bit_is_a_mismatch_that_the_page_names(site, read)
     assert "What was read back matches, byte for byte." in read(visitor.get(STEPS))
 
 
-def test_a_typed_crc_verifies_and_the_page_says_that_it_was_by_crc(site, read):
-    define(site)
+def test_the_page_says_who_defines_the_table_and_that_a_typed_crc_verified_by_crc(site, read):
     climb(site, "SENT", "LOADED")
-    visitor, crc = site.visitor("olga"), table(site)[64:66].hex()
-    answer = visitor.post(f"{STEPS}/read-back", crc=crc, source="TM 1", version=version(site))
+    visitor = site.visitor("olga")
+    assert "have an analyst or an administrator set one" in read(visitor.get(STEPS))
+    define(site)
+    answer = visitor.post(f"{STEPS}/read-back", crc=table(site)[64:66].hex(), source="TM 1", version=version(site))
     assert answer.status_code == 303
     assert "matches, by CRC" in (words := read(visitor.get(STEPS)))
     assert "compared by CRC" in words
@@ -222,18 +211,6 @@ def test_who_is_no_operator_is_told_who_may_and_refused_by_the_server(site, name
     assert answer.status_code == 403
 
 
-def test_a_candidate_is_told_that_only_the_baseline_is_sent(site, read):
-    with open_writing(site.engine) as session:
-        row = parameter_sets.create_from_run(session, site.actor("ada"), site.blobs, 1)
-    words = read(site.visitor("olga").get(f"/parameter-sets/{row.id}/uplink"))
-    assert f"{row.name} is CANDIDATE: only the baseline is sent." in words
-
-
-def test_without_a_table_definition_the_page_says_who_sets_one(site, read):
-    climb(site, "SENT", "LOADED")
-    assert "have an analyst or an administrator set one" in read(site.visitor("olga").get(STEPS))
-
-
 def test_the_package_is_built_once_and_listed_with_hashes_and_the_way_back(site, read):
     define(site)
     visitor = site.visitor("olga")
@@ -249,5 +226,77 @@ def test_the_package_is_built_once_and_listed_with_hashes_and_the_way_back(site,
     assert {"MANIFEST.json", "parameters.json"} <= {member.name.rpartition("/")[2] for member in members}
 
 
-def test_a_set_that_does_not_exist_has_no_steps(site):
-    assert site.visitor("olga").send("GET", "/parameter-sets/99/uplink").status_code == 404
+def test_what_does_not_exist_has_neither_steps_nor_a_table_nor_a_timeline(site):
+    for address in ("/parameter-sets/99/uplink", "/sensors/99/table-definition", "/sensors/99/timeline"):
+        site.visitor("olga").get(address, status=404)
+
+
+ADDRESS = "/sensors/1/table-definition"
+LAYOUT = plain_definition("inverted_wang")
+
+
+def _typed(page):
+    return html.unescape(re.search(r'<textarea id="document"[^>]*>(.*?)</textarea>', page, re.DOTALL)[1])
+
+
+def _in_force(site):
+    with open_reading(site.engine) as session:
+        return table_definitions.definition_in_force(session, 1)
+
+
+@pytest.fixture
+def defined(site):
+    answer = site.visitor("ada").post(
+        ADDRESS, document=written_as_text(LAYOUT), reason="First.", action="set", number="0"
+    )
+    assert answer.status_code == 303, answer.text
+    return site
+
+
+def test_without_a_definition_the_page_says_so_and_offers_an_example(site, read):
+    visitor = site.visitor("ada")
+    assert "no bytes to load" in read(visitor.get(ADDRESS))
+    page = visitor.get(f"{ADDRESS}?example=1")
+    assert json.loads(_typed(page)) == LAYOUT
+    assert "not in force" in read(page).lower()
+
+
+def test_a_viewer_may_try_a_definition_and_set_none(site, read):
+    visitor = site.visitor("victor")
+    assert 'id="set-blocked"' in visitor.get(ADDRESS)
+    text = written_as_text(LAYOUT | {"byte_order": "little"})
+    answer = visitor.post(ADDRESS, document=text, action="try")
+    assert "F_M f_m 0 float32, little" in read(answer.text)
+    assert visitor.post(ADDRESS, document=text, action="set", reason="x", number="0").status_code == 403
+    assert _in_force(site) is None
+
+
+def test_a_refused_definition_stays_in_the_form(site):
+    wrong = written_as_text(LAYOUT | {"length_bytes": 20, "lengt": 3})
+    answer = site.visitor("ada").post(ADDRESS, document=wrong, action="set", reason="x", number="0")
+    assert answer.status_code == 422
+    assert _typed(answer.text).strip() == wrong.strip()
+    assert site.visitor("ada").post(ADDRESS, document="{\n,", action="try").status_code == 422
+
+
+def test_who_lost_the_race_is_told_and_keeps_what_was_typed(defined):
+    text = written_as_text(LAYOUT | {"fill": 255})
+    answer = defined.visitor("ada").post(ADDRESS, document=text, action="set", reason="x", number="0")
+    assert answer.status_code == 412
+    assert json.loads(_typed(answer.text))["fill"] == 255
+
+
+def test_the_layout_has_offset_type_and_order_and_every_version_its_reason(defined, read):
+    text = written_as_text(LAYOUT | {"flight_software_version": "2.0"})
+    defined.visitor("adele").post(ADDRESS, document=text, action="set", reason="New <software>.", number="1")
+    layout, page = read(defined.visitor("victor").get(ADDRESS)).split("Versions of the definition")
+    assert "F_M f_m 0 float32, big" in layout
+    assert "CRC CRC-16/CCITT-FALSE 34 uint16, big" in layout
+    assert "2.0 New <software>." in page
+    assert "1.0.0 First." in page
+
+
+def test_the_text_of_a_definition_reads_back_as_the_definition():
+    document = {"fields": [{"name": "A"}], "table_id": "x"}
+    assert json.loads(written_as_text(document)) == document
+    assert json.loads(written_as_text(LAYOUT)) == LAYOUT

@@ -1,11 +1,15 @@
 """On board over REST: read-backs as forms, the signed entry, what held at a time, the timeline page by page."""
 
+import hashlib
+import io
+import zipfile
 from typing import Any
 
 import httpx
 import pytest
 
 from boresight.platform.db.sessions import utc_after
+from tests.console.operations import GOOD
 from tests.console.uplinks import routes as onboard
 from tests.served import PASSWORD, House
 
@@ -19,7 +23,7 @@ def _seen(house: House, row: dict[str, Any]) -> dict[str, Any]:
     return house.person("olga").get(f"/api/v1/parameter-sets/{row['id']}").json()
 
 
-def test_a_flipped_bit_comes_back_named_and_its_dump_can_be_fetched(house: House) -> None:
+def test_a_flipped_bit_comes_back_named_and_its_dump_can_be_fetched(house):
     row = onboard.at(house, "SENT", "LOADED")
     table = onboard.table(house, row)
     damaged = table[:17] + bytes([table[17] ^ 0x10]) + table[18:]
@@ -36,7 +40,7 @@ def test_a_flipped_bit_comes_back_named_and_its_dump_can_be_fetched(house: House
     assert again.json()["onboard_state"] == "VERIFIED"
 
 
-def test_the_same_form_under_one_key_is_one_record_though_its_text_differs(house: House) -> None:
+def test_the_same_form_under_one_key_is_one_record_though_its_text_differs(house):
     row = onboard.at(house, "SENT", "LOADED")
     table = onboard.table(house, row)
     client, headers = house.person("olga"), {"Idempotency-Key": f"read-{row['id']}"}
@@ -59,14 +63,14 @@ def test_the_same_form_under_one_key_is_one_record_though_its_text_differs(house
         ({"data": {f"field{n}": "x" for n in range(20)}, "files": {"file": ("d", b"1")}}, 400, "Too many fields"),
     ],
 )
-def test_what_is_no_read_back_is_refused(house: House, given: dict[str, Any], status: int, says: str) -> None:
+def test_what_is_no_read_back_is_refused(house, given, status, says):
     row = onboard.at(house, "SENT", "LOADED")
     answer = _read_back(house.person("olga"), row, **given)
     assert answer.status_code == status, answer.text
     assert says in answer.json()["detail"]
 
 
-def test_a_key_reads_back_and_does_not_sign(house: House) -> None:
+def test_a_key_reads_back_and_does_not_sign(house):
     row = onboard.at(house, "SENT", "LOADED")
     key, table = house.key("olga", "uplinks"), onboard.table(house, row)
     assert _read_back(key, row, data={"source": "TM 1"}, files={"file": ("d", table)}).status_code == 201
@@ -85,7 +89,7 @@ def _stated(client: httpx.Client, row: dict[str, Any], state: str, **given: Any)
     return client.post("/api/v1/uplinks", json=step, headers={"If-Match": f'"v{row["version"]}"'})
 
 
-def test_verified_and_active_are_nobodys_to_state(house: House) -> None:
+def test_verified_and_active_are_nobodys_to_state(house):
     row = onboard.at(house, "SENT", "LOADED")
     key, olga = house.key("olga", "uplinks"), house.person("olga")
     asked = [(who, state) for who in (olga, key) for state in ("VERIFIED", "ACTIVE")]
@@ -98,7 +102,7 @@ def test_verified_and_active_are_nobodys_to_state(house: House) -> None:
     assert as_of["sentence"].endswith("on board no set known to be active")
 
 
-def test_the_old_address_takes_the_signed_entry_of_a_person_and_of_no_key(house: House) -> None:
+def test_the_old_address_takes_the_signed_entry_of_a_person_and_of_no_key(house):
     row, signature = onboard.verified(house), {"meaning": "I saw it.", "password": PASSWORD}
     olga = house.person("olga")
     assert _stated(house.key("olga", "uplinks"), row, "ACTIVE", **signature).status_code == 403
@@ -113,7 +117,7 @@ def test_the_old_address_takes_the_signed_entry_of_a_person_and_of_no_key(house:
     assert body["evidence"]["shown_sha256"]
 
 
-def test_what_held_is_answered_for_any_time_and_the_old_address_still_answers(house: House) -> None:
+def test_what_held_is_answered_for_any_time_and_the_old_address_still_answers(house):
     row = onboard.at(house, "SENT")
     between = utc_after(0.0)
     client, address = house.person("victor"), f"/api/v1/sensors/{row['sensor_id']}"
@@ -132,7 +136,7 @@ def test_what_held_is_answered_for_any_time_and_the_old_address_still_answers(ho
     assert client.get(f"{address}/as-of", params={"time": "yesterday"}).status_code == 422
 
 
-def test_the_timeline_is_read_page_by_page_and_its_cursor_is_of_one_sensor(house: House) -> None:
+def test_the_timeline_is_read_page_by_page_and_its_cursor_is_of_one_sensor(house):
     row, other = onboard.at(house, "SENT", "LOADED", "UNKNOWN"), house.new_sensor()
     client, address = house.person("victor"), f"/api/v1/sensors/{row['sensor_id']}/timeline"
     whole = client.get(address).json()
@@ -148,3 +152,50 @@ def test_the_timeline_is_read_page_by_page_and_its_cursor_is_of_one_sensor(house
     first = client.get(address, params={"limit": 1}).json()["next"]
     foreign = client.get(f"/api/v1/sensors/{other['id']}/timeline", params={"cursor": first})
     assert foreign.status_code == 422
+
+
+def _baseline(house: House) -> tuple[int, int]:
+    row = onboard.at(house)
+    return row["sensor_id"], row["id"]
+
+
+def _export(client: httpx.Client, set_id: int, **said: Any) -> httpx.Response:
+    return client.post(f"/api/v1/parameter-sets/{set_id}:export", json=said)
+
+
+def test_the_content_is_the_zip_of_the_hash_that_the_entry_names_whoever_exports_it(house):
+    set_id = _baseline(house)[1]
+    made, again = (_export(house.person(name), set_id).json() for name in ("olga", "ada"))
+    assert again == made
+    answer = house.person("victor").get(f"/api/v1/packages/{made['id']}/content")
+    assert answer.headers["content-type"] == "application/zip"
+    assert answer.headers["etag"] == f'"{made["sha256"]}"'
+    assert f"{made['sha256'][:12]}.zip" in answer.headers["content-disposition"]
+    assert hashlib.sha256(answer.content).hexdigest() == made["sha256"]
+    assert "MANIFEST.json" in zipfile.ZipFile(io.BytesIO(answer.content)).namelist()
+
+
+def test_a_key_with_the_scope_prepares_a_package_and_neither_one_without_nor_an_approver_does(house):
+    set_id = _baseline(house)[1]
+    asked = [house.key("olga", "uplinks"), house.key("olga", "runs"), house.person("alan")]
+    assert [_export(client, set_id).status_code for client in asked] == [201, 403, 403]
+
+
+def test_a_package_for_other_flight_software_is_refused_with_both_versions(house):
+    who, options = GOOD["set_table_definition"](house)
+    sensor = options.pop("sensor_id")
+    assert house.person(who).post(f"/api/v1/sensors/{sensor}/table-definitions", **options).status_code == 201
+    rows = house.person("ada").get("/api/v1/parameter-sets", params={"sensor_id": sensor}).json()["items"]
+    refused = _export(house.person("olga"), rows[0]["id"], flight_software_version="2")
+    assert refused.status_code == 409
+    assert "is for flight software version 1, not for flight software version 2" in refused.json()["detail"]
+    assert _export(house.person("olga"), rows[0]["id"], flight_software_version="1", table_id="T").status_code == 201
+
+
+def test_the_tag_of_the_definitions_is_the_number_in_force(house):
+    who, options = GOOD["set_table_definition"](house)
+    address = f"/api/v1/sensors/{options.pop('sensor_id')}/table-definitions"
+    client = house.person(who)
+    before = client.get(address).headers["etag"]
+    client.post(address, **options)
+    assert (before, client.get(address).headers["etag"]) == ('"v0"', '"v1"')

@@ -70,24 +70,20 @@ def _board(session: Session, engine: Engine, people: People, blobs: BlobStore) -
 
 @settings(max_examples=effort(12, 60), suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(moves=st.lists(MOVES, max_size=12), shown=st.booleans())
-def test_no_sequence_of_records_takes_back_what_a_dump_showed(
-    engine: Engine, people: People, blobs: BlobStore, moves: list[str], shown: bool
-) -> None:
+def test_no_sequence_of_records_takes_back_what_a_dump_showed(engine, people, blobs, moves, shown) -> None:
     with open_writing(engine) as session:
         board = _board(session, engine, people, blobs)
         board.try_all(["SENT", "LOADED", *(["bad dump"] if shown else []), *moves])
 
 
 @pytest.fixture(autouse=True)
-def defined(engine: Engine, people: People) -> None:
+def defined(engine, people) -> None:
     define(engine, people["ana"])
 
 
 @pytest.mark.parametrize("between", [("UNKNOWN",), ("UNKNOWN", "MISMATCH"), ("UNKNOWN", "MISMATCH", "UNKNOWN")])
 @pytest.mark.parametrize("attempt", ["good crc", "bad crc", "LOADED", "VERIFIED", "ACTIVE", "sign"])
-def test_what_is_said_in_between_does_not_open_the_way_round_the_bytes(
-    engine: Engine, people: People, blobs: BlobStore, between: Sequence[str], attempt: str
-) -> None:
+def test_what_is_said_in_between_does_not_open_the_way_round_the_bytes(engine, people, blobs, between, attempt):
     with open_writing(engine) as session:
         board = _board(session, engine, people, blobs)
         for move in ("SENT", "LOADED", "bad dump", *between):
@@ -98,7 +94,7 @@ def test_what_is_said_in_between_does_not_open_the_way_round_the_bytes(
         assert board.row.onboard_state == "VERIFIED"
 
 
-def test_sent_again_a_table_is_verified_by_its_crc(engine: Engine, people: People, blobs: BlobStore) -> None:
+def test_sent_again_a_table_is_verified_by_its_crc(engine, people, blobs):
     with open_writing(engine) as session:
         board = _board(session, engine, people, blobs)
         for move in ("SENT", "LOADED", "bad dump", "UNKNOWN", "SENT", "LOADED", "good crc", "sign"):

@@ -1,8 +1,10 @@
 """What held at a time is the fold of what happened until then, and says who said so."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
+from urllib.parse import quote
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -17,9 +19,7 @@ from boresight.console.uplinks.tables import TableDefinition, Uplink
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.platform.actors import COMMAND_LINE, Actor
 from boresight.platform.audit import log as audit
-from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import (
-    Engine,
     Session,
     mark_dry_run,
     open_reading,
@@ -27,6 +27,7 @@ from boresight.platform.db.sessions import (
     utc_after,
     utc_text,
 )
+from tests.console.uplinks import pages as board
 from tests.console.uplinks.services import climb, define, promote_by_hand
 from tests.effort import effort
 from tests.passwords import approve
@@ -45,6 +46,8 @@ STEPS = st.lists(
     ),
     max_size=14,
 )
+
+
 Held = tuple[int | None, dict[int, str], int | None, int | None]  # baseline, on board, profile, definition
 
 
@@ -122,9 +125,7 @@ def _folded(events: Sequence[Any]) -> tuple[int | None, dict[int, str]]:
 
 @settings(max_examples=effort(12, 40), suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(steps=STEPS, until=st.integers(-1, 30), length=st.integers(1, 5))
-def test_what_held_at_a_time_is_the_fold_of_what_happened_until_then(
-    engine: Engine, steps: list[Step], until: int, length: int
-) -> None:
+def test_what_held_at_a_time_is_the_fold_of_what_happened_until_then(engine, steps, until, length) -> None:
     with open_writing(engine) as session:
         mark_dry_run(session)
         _add_sets(session)
@@ -145,18 +146,16 @@ def _paged(session: Session, length: int, until: str) -> list[Any]:
 
 
 @pytest.fixture
-def promoted(engine: Engine, people: People, approved: Callable[[], ParameterSet]) -> ParameterSet:
+def promoted(engine, people, approved) -> ParameterSet:
     row = approved()
     with open_writing(engine) as session:
         return approvals.promote(session, people["dee"], row.id, row.version)
 
 
-def test_an_answer_names_who_asked_who_signed_and_who_promoted(
-    engine: Engine, people: People, promoted: ParameterSet
-) -> None:
+def test_an_answer_names_who_asked_who_signed_and_who_promoted(engine, people, promoted):
     with open_reading(engine) as session:
         known = timeline.get_state_at(session, 1, utc_after(0.0))
-    assert (known.baseline is not None and known.baseline.id, known.differs) == (promoted.id, False)
+    assert (known.baseline.id, known.differs) == (promoted.id, False)
     assert known.promotion is not None
     assert known.promotion.promoted_by == people["dee"].user_id
     assert known.approval is not None
@@ -167,9 +166,7 @@ def test_an_answer_names_who_asked_who_signed_and_who_promoted(
     assert known.approval.bound["set_sha256"] == promoted.sha256
 
 
-def test_the_timeline_tells_every_step_with_who_and_their_words(
-    engine: Engine, people: People, promoted: ParameterSet
-) -> None:
+def test_the_timeline_tells_every_step_with_who_and_their_words(engine, people, promoted):
     define(engine, people["ana"])
     climb(engine, people["dee"], "SENT", set_id=promoted.id)
     with open_reading(engine) as session:
@@ -184,9 +181,7 @@ def test_the_timeline_tells_every_step_with_who_and_their_words(
     assert {kind for kind, _, _ in told[5:]} == {"ground calibration", "gate profile"}
 
 
-def test_a_roll_back_on_the_ground_leaves_the_board_as_it_was_and_says_so(
-    engine: Engine, people: People, blobs: BlobStore, promoted: ParameterSet
-) -> None:
+def test_a_roll_back_on_the_ground_leaves_the_board_as_it_was_and_says_so(engine, people, blobs, promoted):
     climb(engine, people["dee"], "SENT", "LOADED", "VERIFIED", "ACTIVE", set_id=promoted.id)
     with open_reading(engine) as session:
         assert (
@@ -205,14 +200,7 @@ def test_a_roll_back_on_the_ground_leaves_the_board_as_it_was_and_says_so(
     assert (newest.kind, newest.sentence) == ("roll-back", "PS-ST16-1-0 became the baseline again.")
 
 
-def test_a_mismatch_is_part_of_the_sentence(engine: Engine, people: People) -> None:
-    climb(engine, people["dee"], "SENT", "MISMATCH")
-    with open_reading(engine) as session:
-        sentence = timeline.get_state_at(session, 1).sentence
-    assert sentence == "baseline PS-ST16-1-0, on board no set known to be active; PS-ST16-1-0 MISMATCH"
-
-
-def test_what_was_learned_later_is_told_apart_from_what_was_known(engine: Engine, people: People) -> None:
+def test_what_was_learned_later_is_told_apart_from_what_was_known_and_a_mismatch_is_said(engine, people):
     before, between = utc_after(-7200.0), utc_after(-3600.0)
     with open_writing(engine) as session:
         uplinks.record(session, people["dee"], 1, "SENT", "pass 4711", happened=utc_after(-5400.0))
@@ -221,11 +209,13 @@ def test_what_was_learned_later_is_told_apart_from_what_was_known(engine: Engine
     assert [record.onboard_state for _, record in then.learned_later] == ["SENT"]
     assert (list(then.on_board), list(earlier.learned_later), list(now.learned_later)) == ([], [], [])
     assert [record.onboard_state for _, record in now.on_board] == ["SENT"]
+    climb(engine, people["dee"], "MISMATCH")
+    with open_reading(engine) as session:
+        sentence = timeline.get_state_at(session, 1).sentence
+    assert sentence == "baseline PS-ST16-1-0, on board no set known to be active; PS-ST16-1-0 MISMATCH"
 
 
-def test_a_baseline_that_was_promoted_by_hand_at_a_later_time_is_not_answered_before(
-    engine: Engine, candidate: Callable[..., ParameterSet]
-) -> None:
+def test_a_baseline_that_was_promoted_by_hand_at_a_later_time_is_not_answered_before(engine, candidate):
     row = candidate()
     with open_writing(engine) as session:
         promote_by_hand(session, session.get_one(ParameterSet, row.id), utc_after(3600.0))
@@ -235,7 +225,7 @@ def test_a_baseline_that_was_promoted_by_hand_at_a_later_time_is_not_answered_be
     assert names == ["baseline PS-ST16-1-0", f"baseline {row.name}"]
 
 
-def test_what_cannot_be_asked_is_refused(engine: Engine) -> None:
+def test_what_cannot_be_asked_is_refused(engine):
     with open_reading(engine) as session:
         with pytest.raises(RefusedInputError, match="2026-11-21T03:04:05Z"):
             timeline.get_state_at(session, 1, "yesterday")
@@ -247,3 +237,75 @@ def test_what_cannot_be_asked_is_refused(engine: Engine) -> None:
             timeline.events(session, 77)
         with pytest.raises(RefusedInputError, match="begin again without a cursor"):
             timeline.events(session, 1, before_id=99999)
+
+
+PAGE = "/sensors/1/timeline"
+
+
+def test_the_answer_for_now_names_baseline_board_and_definition(site, read):
+    board.define(site)
+    board.climb(site, "SENT", "LOADED", "VERIFIED", "ACTIVE")
+    words = read(site.visitor("victor").get(PAGE))
+    assert "As of now" in words
+    assert "Baseline PS-ST16-1-0, on board PS-ST16-1-0 ACTIVE: the same." in words
+    assert re.search(r"Table definition 1 .*Ada Analyst: As flown\.", words)
+    assert re.search(r"PS-ST16-1-0 ACTIVE .*Olga Operator pass for ACTIVE signed: I saw it\.", words)
+
+
+def test_the_answer_for_a_time_is_of_that_time_and_in_the_address(site, read):
+    board.climb(site, "SENT")
+    between = utc_after(0.0)
+    board.climb(site, "LOADED")
+    page = site.visitor("victor").get(f"{PAGE}?at={quote(between)}")
+    answer = read(page).split("What happened")[0]
+    assert f"As of {between}" in answer
+    assert ("SENT" in answer, "LOADED" in answer) == (True, False)
+    assert f'value="{between}"' in page
+    words = read(site.visitor("victor").get(f"{PAGE}?at=2000-01-01T00:00Z"))
+    assert "No baseline, on board no set known to be active." in words
+    assert "Nothing had been recorded on board." in words
+
+
+def test_what_is_no_time_is_refused_in_place_with_the_events_still_there(site, read):
+    page = site.visitor("victor").get(f"{PAGE}?at=yesterday", status=422)
+    assert "is no time; write it like 2026-11-21T03:04:05Z" in read(page)
+    assert "ground calibration" in read(page)
+
+
+def test_what_was_learned_later_is_shown_apart(site, read):
+    with open_writing(site.engine) as session:
+        uplinks.record(session, site.actor("olga"), 1, "SENT", "pass 7", happened=utc_after(-7200.0))
+    words = read(site.visitor("victor").get(f"{PAGE}?at={quote(utc_after(-3600.0))}"))
+    assert "Nobody could act on it then." in words
+    assert "pass 7" in words.split("Learned later")[1]
+
+
+def test_the_events_are_paged_and_keep_the_question(site, read):
+    for _ in range(20):
+        board.climb(site, "SENT", "UNKNOWN", "VERIFIED")
+    at = quote(utc_after(0.0))
+    visitor = site.visitor("victor")
+    page = visitor.get(f"{PAGE}?at={at}")
+    older = re.search(r'href="([^"]+before=\d+)"', page)[1].replace("&amp;", "&")
+    assert "at=" in older
+    assert "ground calibration" in read(visitor.get(older))
+    assert "ground calibration" not in read(page).split("What happened")[1]
+
+
+def test_a_source_that_is_markup_is_shown_as_text(site):
+    with open_writing(site.engine) as session:
+        uplinks.record(session, site.actor("olga"), 1, "SENT", "<script>alert(1)</script>")
+    for address in (PAGE, "/uplink", "/parameter-sets/1/uplink"):
+        page = site.visitor("victor").get(address)
+        assert "<script>alert" not in page
+        assert "&lt;script&gt;alert(1)" in page
+
+
+def test_every_state_of_the_store_is_left_as_it_was_by_looking(site):
+    board.climb(site, "SENT")
+    with open_reading(site.engine) as session:
+        before = [row.id for row in uplinks.list_uplinks(session)]
+    for address in (PAGE, "/uplink", "/parameter-sets/1/uplink"):
+        site.visitor("olga").get(address)
+    with open_reading(site.engine) as session:
+        assert [row.id for row in uplinks.list_uplinks(session)] == before

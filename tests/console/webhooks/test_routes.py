@@ -2,13 +2,13 @@
 
 import gzip
 import json
+import re
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -27,7 +27,6 @@ from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.db.sessions import Engine, open_reading, open_writing, utc_now
 from boresight.platform.web.targets import WebhookTargets
 from tests.passwords import add_person
-from tests.served import House
 from tests.stores import open_migrated, url_in
 
 
@@ -74,22 +73,27 @@ def receiver() -> Iterator[Receiver]:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[Engine]:
+def store(tmp_path) -> Iterator[Engine]:
     store = open_migrated(url_in(tmp_path))
     yield store
     store.dispose()
 
 
 @pytest.fixture
-def box(tmp_path: Path) -> SecretBox:
+def box(tmp_path) -> SecretBox:
     return SecretBox(tmp_path / "webhooks.key")
 
 
 @pytest.fixture
-def hook(store: Engine, receiver: Receiver, box: SecretBox) -> Webhook:
+def hook(store, receiver, box) -> Webhook:
     with open_writing(store) as session:
         add_person(session, "root", "administrator")
         return webhooks.create_webhook(session, _root(session), box, label="Chat", url=receiver.url)[0]
+
+
+@pytest.fixture
+def deliver(store, box) -> Callable[[], None]:
+    return WebhookSender(store, WebhookTargets(local=True), box).deliver
 
 
 def _root(session: Any) -> Actor:
@@ -107,11 +111,9 @@ def _delivery(store: Engine, number: int) -> WebhookDelivery:
         return session.get_one(WebhookDelivery, number)
 
 
-def test_the_library_of_standard_webhooks_accepts_what_a_receiver_got(
-    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
-) -> None:
+def test_the_library_of_standard_webhooks_accepts_what_a_receiver_got_once(store, hook, receiver, box, deliver):
     number = _trial(store, hook)
-    WebhookSender(store, WebhookTargets(local=True), box).deliver()
+    deliver()
     path, headers, body = receiver.heard[0]
     assert path == "/hook?team=1"
     assert headers["host"].startswith("localhost:")
@@ -122,34 +124,23 @@ def test_the_library_of_standard_webhooks_accepts_what_a_receiver_got(
         StandardWebhook(secret).verify(body + " ", headers)
     assert json.loads(body)["id"] == headers["webhook-id"]
     assert (_delivery(store, number).state, _delivery(store, number).status) == ("DELIVERED", 204)
-
-
-def test_a_message_that_was_delivered_is_not_sent_again(
-    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
-) -> None:
-    _trial(store, hook)
-    for _ in range(3):
-        WebhookSender(store, WebhookTargets(local=True), box).deliver()
+    deliver()
     assert len(receiver.heard) == 1
 
 
-def test_a_refusal_and_a_redirect_are_kept_and_not_followed(
-    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
-) -> None:
+def test_a_refusal_and_a_redirect_are_kept_and_not_followed(store, hook, receiver, deliver):
     receiver.statuses = [503, 302]
     first, second = _trial(store, hook), _trial(store, hook)
-    WebhookSender(store, WebhookTargets(local=True), box).deliver()
+    deliver()
     assert [path for path, *_ in receiver.heard] == ["/hook?team=1"] * 2
     assert (_delivery(store, first).state, _delivery(store, first).outcome) == ("PENDING", "Refused with 503")
     assert (_delivery(store, second).state, _delivery(store, second).status) == ("PENDING", 302)
 
 
-def test_nobody_there_is_an_outcome_and_no_error(
-    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
-) -> None:
+def test_nobody_there_is_an_outcome_and_no_error(store, hook, receiver, deliver):
     number = _trial(store, hook)
     receiver.close()
-    WebhookSender(store, WebhookTargets(local=True), box).deliver()
+    deliver()
     found = _delivery(store, number)
     assert (found.state, found.status, found.attempts) == ("PENDING", None, 1)
     assert str(found.outcome).startswith("No answer: ")
@@ -158,22 +149,18 @@ def test_nobody_there_is_an_outcome_and_no_error(
     receiver.thread.start()
 
 
-def test_a_dead_receiver_is_asked_once_a_look_and_delays_nobody(
-    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
-) -> None:
+def test_a_dead_receiver_is_asked_once_a_look_and_delays_nobody(store, hook, receiver, box, deliver):
     with open_writing(store) as session:
         dead, _ = webhooks.create_webhook(session, _root(session), box, label="Dead", url="http://127.0.0.1:9/")
     numbers = [_trial(store, dead) for _ in range(3)]
     _trial(store, hook)
-    WebhookSender(store, WebhookTargets(local=True), box).deliver()
+    deliver()
     assert len(receiver.heard) >= 1
     assert [_delivery(store, number).attempts for number in numbers] == [1, 0, 0]
 
 
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "[::1]", "169.254.169.254", "[::ffff:127.0.0.1]"])
-def test_this_machine_and_its_link_are_not_reached_unless_allowed(
-    store: Engine, hook: Webhook, receiver: Receiver, host: str, box: SecretBox
-) -> None:
+def test_this_machine_and_its_link_are_not_reached_unless_allowed(store, hook, receiver, host, box):
     with open_writing(store) as session:
         session.get_one(Webhook, hook.id).url = f"http://{host}:{receiver.server.server_address[1]}/hook"
         audit.append(session, _root(session), "brought in", f"webhooks/{hook.id}")
@@ -190,7 +177,7 @@ def _wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
         time.sleep(0.02)
 
 
-def test_the_server_tells_a_webhook_made_over_rest_what_happens_next(house: House, receiver: Receiver) -> None:
+def test_the_server_tells_a_webhook_made_over_rest_what_happens_next(house, receiver):
     adele = house.person("adele")
     deliveries = house.app.state.deliveries
     deliveries.targets = WebhookTargets(local=True)
@@ -205,7 +192,7 @@ def test_the_server_tells_a_webhook_made_over_rest_what_happens_next(house: Hous
         adele.post(f"/api/v1/webhooks/{made.json()['id']}:disable")
 
 
-def test_a_secret_is_shown_once_and_never_again(house: House) -> None:
+def test_a_secret_is_shown_once_and_never_again(house):
     adele = house.person("adele")
     wanted = {"label": "Chat", "url": "https://mission.invalid/"}
     headers = {"Idempotency-Key": "one-webhook"}
@@ -217,8 +204,8 @@ def test_a_secret_is_shown_once_and_never_again(house: House) -> None:
 
 
 def test_where_a_name_leads_is_judged_at_each_attempt_and_the_judged_address_is_connected_to(
-    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    store, hook, receiver, box, monkeypatch
+):
     lookups: list[str] = []
     answers = [["93.184.215.14", "10.0.0.7"], ["127.0.0.1"], ["10.0.0.7"]]  # the second rebinds to this machine
 
@@ -250,18 +237,16 @@ def test_where_a_name_leads_is_judged_at_each_attempt_and_the_judged_address_is_
     assert "leads to 10.0.0.7" in outcomes[2]
 
 
-def test_while_a_former_secret_holds_both_verify_and_afterwards_only_the_new_one(
-    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
-) -> None:
+def test_while_a_former_secret_holds_both_verify_and_afterwards_only_the_new_one(store, hook, receiver, box, deliver):
     former = str(box.open(hook.secret))
     with open_writing(store) as session:
         _, newer = webhooks.renew_secret(session, _root(session), box, hook.id)
     _trial(store, hook)
-    WebhookSender(store, WebhookTargets(local=True), box).deliver()
+    deliver()
     with open_writing(store) as session:
         _, newest = webhooks.renew_secret(session, _root(session), box, hook.id, overlap_hours=0.0)
     _trial(store, hook)
-    WebhookSender(store, WebhookTargets(local=True), box).deliver()
+    deliver()
     told = [(headers, body) for _, headers, body in receiver.heard if "boresight.trial" in body]
     assert [_verifies(secret, *told[0]) for secret in (former, newer, newest)] == [True, True, False]
     assert [_verifies(secret, *told[1]) for secret in (former, newer, newest)] == [False, False, True]
@@ -276,8 +261,8 @@ def _verifies(secret: str, headers: dict[str, str], body: str) -> bool:
 
 
 def test_without_its_key_a_webhook_is_paused_and_its_messages_wait_for_a_new_secret(
-    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox, tmp_path: Path
-) -> None:
+    store, hook, receiver, box, tmp_path
+):
     elsewhere = SecretBox(tmp_path / "elsewhere" / "webhooks.key")
     number = _trial(store, hook)
     WebhookSender(store, WebhookTargets(local=True), elsewhere).deliver()
@@ -295,13 +280,13 @@ def test_without_its_key_a_webhook_is_paused_and_its_messages_wait_for_a_new_sec
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "[fd00:ec2::254]", "10.1.2.3", "[64:ff9b::7f00:1]", "[2002:7f00:1::]"])
-def test_an_address_that_is_not_allowed_is_refused_when_a_webhook_is_made(house: House, host: str) -> None:
+def test_an_address_that_is_not_allowed_is_refused_when_a_webhook_is_made(house, host):
     answer = house.person("adele").post("/api/v1/webhooks", json={"label": "x", "url": f"http://{host}/hook"})
     assert answer.status_code == 422
     assert "not allowed" in answer.json()["detail"]
 
 
-def test_only_an_administrator_makes_the_server_look_a_name_up(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_an_administrator_makes_the_server_look_a_name_up(house, monkeypatch):
     def look_up(*_: Any) -> None:
         raise AssertionError
 
@@ -310,7 +295,7 @@ def test_only_an_administrator_makes_the_server_look_a_name_up(house: House, mon
     assert house.person("ada").post("/api/v1/webhooks", json=wanted).status_code == 403
 
 
-def test_a_new_secret_is_shown_once_and_the_webhook_says_until_when_the_former_signs(house: House) -> None:
+def test_a_new_secret_is_shown_once_and_the_webhook_says_until_when_the_former_signs(house):
     adele = house.person("adele")
     made = adele.post("/api/v1/webhooks", json={"label": "Chat", "url": "https://mission.invalid/"}).json()
     address, headers = f"/api/v1/webhooks/{made['id']}", {"Idempotency-Key": "one-renewal"}
@@ -324,9 +309,7 @@ def test_a_new_secret_is_shown_once_and_the_webhook_says_until_when_the_former_s
     assert ended.json()["former_secret_until_utc"] is None
 
 
-def test_an_answer_that_drips_ends_at_the_deadline_of_the_whole(
-    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_answer_that_drips_ends_at_the_deadline_of_the_whole(store, hook, receiver, monkeypatch, deliver):
     monkeypatch.setattr("boresight.console.jobs.webhook_sender.TIMEOUT_S", 1.0)
 
     def drip(wire: Any) -> None:
@@ -338,15 +321,13 @@ def test_an_answer_that_drips_ends_at_the_deadline_of_the_whole(
 
     receiver.says = drip
     number, began_s = _trial(store, hook), time.monotonic()
-    WebhookSender(store, WebhookTargets(local=True), box).deliver()
+    deliver()
     assert time.monotonic() - began_s < 5
     found = _delivery(store, number)
     assert (found.state, found.status, found.attempts) == ("PENDING", None, 1)
 
 
-def test_of_an_answer_no_more_is_read_than_is_kept(
-    store: Engine, hook: Webhook, receiver: Receiver, box: SecretBox
-) -> None:
+def test_of_an_answer_no_more_is_read_than_is_kept(store, hook, receiver, deliver):
     sent: list[int] = []
 
     def flood(wire: Any) -> None:
@@ -358,7 +339,7 @@ def test_of_an_answer_no_more_is_read_than_is_kept(
 
     receiver.says = flood
     number = _trial(store, hook)
-    WebhookSender(store, WebhookTargets(local=True), box).deliver()
+    deliver()
     assert (_delivery(store, number).state, _delivery(store, number).status) == ("PENDING", 500)
     assert len(str(_delivery(store, number).outcome)) < 300
     assert len(sent) < 4000
@@ -367,9 +348,65 @@ def test_of_an_answer_no_more_is_read_than_is_kept(
 @pytest.mark.parametrize(
     "url", ["http://a..b/", "http://.../", "http://@host/", "http://:@host/", f"http://{'a' * 64}.b/"]
 )
-def test_an_address_that_no_name_can_have_is_refused_when_it_is_given(
-    store: Engine, url: str, box: SecretBox, hook: Webhook
-) -> None:
+def test_an_address_that_no_name_can_have_is_refused_when_it_is_given(store, url, box, hook):
     del hook  # its administrator
     with open_writing(store) as session, pytest.raises(RefusedInputError):
         webhooks.create_webhook(session, _root(session), box, label="Poison", url=url)
+
+
+FORM = {
+    "label": "Mission chat",
+    "url": "https://mission.invalid/hook",
+    "actions": "parameter-sets.promoted, approvals.*",
+}
+
+
+def _made(site) -> str:
+    answer = site.visitor("adele").post("/webhooks", **FORM)
+    assert answer.status_code == 200
+    return re.search(r'href="(/webhooks/\d+)"', answer.text)[1]
+
+
+def test_a_new_webhooks_secret_is_shown_this_once(site):
+    visitor = site.visitor("adele")
+    assert "whsec_" in visitor.post("/webhooks", **FORM).text
+    page = visitor.get("/webhooks")
+    assert "whsec_" not in page
+    assert "approvals.*" in page
+
+
+def test_a_refused_webhook_keeps_what_was_typed(site, read):
+    answer = site.visitor("adele").post("/webhooks", **{**FORM, "url": "mission"})
+    assert answer.status_code == 422
+    assert "is no address" in read(answer.text)
+    assert 'value="Mission chat"' in answer.text
+
+
+def test_a_trial_stands_in_the_log_and_a_message_given_up_can_be_sent_again(site, read):
+    visitor, address = site.visitor("adele"), _made(site)
+    assert visitor.post(f"{address}/try").status_code == 303
+    number = int(re.search(r"msg_(\d+)", visitor.get(address))[1])
+    with open_writing(site.engine) as session:
+        for _ in range(webhooks.MOST_ATTEMPTS):
+            webhooks.settle(session, number, status=None, outcome="No answer: nobody is there.")
+    page = read(visitor.get(address))
+    assert "FAILED" in page
+    assert "No answer: nobody is there." in page
+    assert visitor.post(f"{address}/deliveries/{number}/redeliver").status_code == 303
+    assert "PENDING" in read(visitor.get(address))
+
+
+def test_a_disabled_webhook_offers_to_be_enabled_and_nothing_else(site):
+    visitor, address = site.visitor("adele"), _made(site)
+    visitor.post(f"{address}/disable")
+    page = visitor.get(address)
+    assert f'action="{address}/try"' not in page
+    assert f'action="{address}/enable"' in page
+
+
+def test_who_is_no_administrator_is_told_who_may_and_shown_no_address(site, read):
+    address = _made(site)
+    page = read(site.visitor("ada").get("/webhooks"))
+    assert "Webhooks are managed by administrators" in page
+    assert "mission.invalid" not in page
+    assert site.visitor("ada").send("GET", address, headers={"accept": "text/html"}).status_code == 403
