@@ -95,6 +95,11 @@ def catalogue(catalogue_folder: Path) -> Catalogue:
 
 
 @pytest.fixture(scope="session")
+def deep_catalogue() -> Catalogue:
+    return load_catalogue(None, magnitude_limit=12.0)
+
+
+@pytest.fixture(scope="session")
 def real_sky() -> Path:
     beside = TESTS.parents[1] / "shared/data/real-sky"
     folder = Path(os.environ.get("BORESIGHT_REAL_SKY", beside))

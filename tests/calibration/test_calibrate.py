@@ -56,7 +56,7 @@ def test_the_matrix_of_the_document_is_the_square_of_its_sigmas(method, sensor, 
     assert (document["sigma"]["m0_px"], document["parameters"]["m0_px"]) == (None, sensor.initial[1])
 
 
-def test_a_history_follows_the_frames_with_its_bounds_and_both_rms(calibrated, telemetry_of):
+def test_a_history_follows_the_frames_with_bounds_and_both_rms_and_a_long_one_stays_small(calibrated, telemetry_of):
     document = calibrated(telemetry_of(4), method="sqrf", variant="q")
     history = document["history"]
     n = len(history["frame"])
@@ -66,18 +66,18 @@ def test_a_history_follows_the_frames_with_its_bounds_and_both_rms(calibrated, t
     assert [len(history[key]) for key in ("tail_rms_rad", "aggregate_rms_rad", "nis", "nis_dof")] == [n] * 4
     assert history["tail_rms_rad"][-1] == pytest.approx(document["rms_arc_rad"]["final"], rel=1e-9)
     np.testing.assert_allclose(history["parameters"][-1], list(document["parameters"].values()), rtol=1e-12)
-
-
-def test_a_long_history_keeps_its_ends_and_stays_small(calibrated, telemetry_of):
     kept = calibrated(telemetry_of(5, frames=2500, stars=5, exposures=1), method="sqrf")["history"]["frame"]
     assert len(kept) <= 1000
     assert kept[-1] == 2499
 
 
-def test_the_printed_filter_is_marked_over_confident(calibrated, telemetry_of):
+def test_over_confidence_and_wrong_noise_are_said_with_the_sigma_that_would_fit(calibrated, telemetry_of, sensor):
     said = " ".join(calibrated(telemetry_of(6, frames=80, stars=5), method="sqrf", linearisations=1)["advice"])
     assert "as printed, makes the filter over-confident" in said
     assert "times the information that the data hold" in said
+    document = calibrated(telemetry_of(10), replace(sensor, centroid_sigma_px=0.2))
+    sentence = next(sentence for sentence in document["advice"] if "centroid sigma of" in sentence)
+    assert float(sentence.split("centroid sigma of ")[1].split(" px")[0]) == pytest.approx(0.437, rel=0.05)
 
 
 def test_too_few_stars_and_stars_on_one_line_leave_nothing_estimated_and_are_counted(calibrated, telemetry_of):
@@ -94,7 +94,9 @@ def test_too_few_stars_and_stars_on_one_line_leave_nothing_estimated_and_are_cou
     assert {"what": "exposures", "count": 6, "reason": "all usable stars on one line"} in document["left_out"]
 
 
-def test_a_start_that_is_not_this_sensor_is_not_called_converged_with_small_sigmas(calibrated, telemetry_of):
+def test_a_start_or_telemetry_that_is_not_this_sensor_is_said_to_be_so_and_not_called_converged(
+    calibrated, telemetry_of
+):
     rng, telemetry = np.random.default_rng(0), telemetry_of(9)
     ra, dec = rng.uniform(0, 6.28, len(telemetry)), rng.uniform(-1.5, 1.5, len(telemetry))
     document = calibrated(replace(telemetry, ra_rad=ra, dec_rad=dec))
@@ -102,12 +104,8 @@ def test_a_start_that_is_not_this_sensor_is_not_called_converged_with_small_sigm
     assert document["status"] in given_up or not document["chi2"]["consistent"]
     assert document["advice"]
     json.dumps(document, allow_nan=False)
-
-
-def test_wrong_noise_is_said_with_the_sigma_that_would_fit(sensor, calibrated, telemetry_of):
-    document = calibrated(telemetry_of(10), replace(sensor, centroid_sigma_px=0.2))
-    sentence = next(sentence for sentence in document["advice"] if "centroid sigma of" in sentence)
-    assert float(sentence.split("centroid sigma of ")[1].split(" px")[0]) == pytest.approx(0.437, rel=0.05)
+    document = calibrated(telemetry_of(15, truth=TRUTH * np.where(np.arange(8) == 0, 2, 1)))
+    assert document["status"] == "diverged" or "hardly comes from this sensor" in document["advice"][0]
 
 
 def test_an_unknown_free_parameter_is_refused_with_the_names_there_are(sensor, catalogue, telemetry_of):
@@ -160,11 +158,6 @@ def test_with_all_eight_free_the_real_sky_says_in_words_that_principal_point_and
     assert "n0 and a1 move together" in said
     assert "m0 and a2 move together" in said
     assert min(document["sigma"]["m0_px"], document["sigma"]["n0_px"]) > 5
-
-
-def test_telemetry_of_another_camera_is_said_to_be_so_before_all_else(calibrated, telemetry_of):
-    document = calibrated(telemetry_of(15, truth=TRUTH * np.where(np.arange(8) == 0, 2, 1)))
-    assert document["status"] == "diverged" or "hardly comes from this sensor" in document["advice"][0]
 
 
 def test_what_is_over_in_a_moment_makes_no_document_on_its_way(calibrated, telemetry_of, monkeypatch):

@@ -64,12 +64,18 @@ def halves(catalogue):
     return scenario.sensor, simulate(scenario, np.random.default_rng(1), catalogue), scenario.truth
 
 
-def test_a_state_beside_itself_gains_nothing(evaluated):
+def test_a_state_beside_itself_gains_nothing_and_where_nothing_is_accepted_there_is_no_rms_and_no_ratio(evaluated):
     found = evaluated(1, TRUTH, TRUTH)
     assert found["matched_star_ratio"] == found["rms_ratio"] == 1
     assert found["intervals"]["matched_star_ratio"] == found["intervals"]["rms_ratio"] == [1, 1]
     assert found["availability"] == {"initial": 1, "final": 1}
     assert found["reasons"] == {"initial": {}, "final": {}}
+    longer = TRUTH * np.where(np.arange(8) == 0, 2, 1)
+    found = evaluated(5, longer, longer)
+    assert found["availability"] == {"initial": 0, "final": 0}
+    assert found["rms_arc_rad"] == {"initial": None, "final": None}
+    assert (found["matched_star_ratio"], found["common_pairs"]) == (None, 0)
+    assert orjson.loads(orjson.dumps(found)) == found
 
 
 def test_every_frame_that_is_not_available_has_its_reason(evaluated):
@@ -127,15 +133,6 @@ def test_half_the_stars_come_back_by_matching_anew_and_sensor_three_becomes_avai
     assert anew["matched_stars"]["final"] > 1.8 * given["matched_stars"]["final"]
     low, high = anew["intervals"]["availability"]["initial"]
     assert low <= anew["availability"]["initial"] <= high
-
-
-def test_states_under_which_nothing_is_accepted_have_no_rms_and_no_ratio(evaluated):
-    longer = TRUTH * np.where(np.arange(8) == 0, 2, 1)
-    found = evaluated(5, longer, longer)
-    assert found["availability"] == {"initial": 0, "final": 0}
-    assert found["rms_arc_rad"] == {"initial": None, "final": None}
-    assert (found["matched_star_ratio"], found["common_pairs"]) == (None, 0)
-    assert orjson.loads(orjson.dumps(found)) == found
 
 
 @pytest.fixture
@@ -237,6 +234,19 @@ def test_a_wrong_match_is_dropped_and_costs_nothing_else(telemetry_of, catalogue
     assert (len(dropped), seen.availability, seen.matched_stars) == (20, 1, 20 * 11)
 
 
+def test_a_frame_is_available_by_either_exposure_and_counts_the_stars_of_valid_ones(telemetry_of, catalogue, checked):
+    telemetry = telemetry_of(5, frames=3)
+    matches = given_of(telemetry, catalogue)
+    s_i = matches.s_i.copy()
+    s_i[3:12] = np.nan  # frame 0, exposure 0 keeps three
+    s_i[24:48] = np.nan  # frame 1 keeps none
+    seen = checked(telemetry, replace(matches, s_i=s_i))
+    assert seen.frames.tolist() == [0, 1, 2]
+    assert seen.valid_frames.tolist() == [True, False, True]
+    assert seen.matched_in_frame.tolist() == [12, 0, 24]
+    assert seen.availability == pytest.approx(2 / 3)
+
+
 @pytest.mark.parametrize(
     ("stars", "matched", "wrong", "reason"), [(12, 3, 0, 1), (12, 5, 2, 2), (12, 12, 4, 3), (12, 12, 3, 0)]
 )
@@ -252,19 +262,6 @@ def test_every_reason_is_given_where_it_is_due(telemetry_of, catalogue, checked,
     assert seen.valid_frames.tolist() == [reason == 0]
     assert seen.matched_stars == (matched - wrong if reason == 0 else 0)
     assert FLIGHT_REASONS[0] == "valid"
-
-
-def test_a_frame_is_available_by_either_exposure_and_counts_the_stars_of_valid_ones(telemetry_of, catalogue, checked):
-    telemetry = telemetry_of(5, frames=3)
-    matches = given_of(telemetry, catalogue)
-    s_i = matches.s_i.copy()
-    s_i[3:12] = np.nan  # frame 0, exposure 0 keeps three
-    s_i[24:48] = np.nan  # frame 1 keeps none
-    seen = checked(telemetry, replace(matches, s_i=s_i))
-    assert seen.frames.tolist() == [0, 1, 2]
-    assert seen.valid_frames.tolist() == [True, False, True]
-    assert seen.matched_in_frame.tolist() == [12, 0, 24]
-    assert seen.availability == pytest.approx(2 / 3)
 
 
 @pytest.mark.parametrize("number", [3, 4])

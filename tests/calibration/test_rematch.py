@@ -45,6 +45,7 @@ def test_from_quaternions_alone_the_sky_is_matched_though_names_are_missing_or_a
         score.count(matches, replace(telemetry, star_id=np.zeros_like(field.true)), field.true)
     assert score.recovered >= 0.97
     assert score.wrong_share <= 0.002
+    score = Score()
     for number in (3, 5):
         field = sky(catalogue, number, 30)
         wrong = np.random.default_rng(5).permutation(field.true)
@@ -137,14 +138,16 @@ def test_given_names_are_not_trimmed_where_the_centroid_noise_is_understated(cat
     assert kept >= 0.99 * named
 
 
+def with_names(whole, named):
+    ra, dec = (np.where(named, angle, np.nan) for angle in (whole.ra_rad, whole.dec_rad))
+    return replace(whole, star_id=np.where(named, whole.star_id, 0), ra_rad=ra, dec_rad=dec, quaternion=None)
+
+
 def test_without_times_the_given_names_stand_and_nothing_is_added(catalogue):
     field = sky(catalogue, 1, 15, start="refined")
     whole = matched_telemetry(field.telemetry, field.match(field.telemetry))
     half = np.random.default_rng(1).random(len(field.true)) < 0.5
-    telemetry = replace(
-        whole, star_id=np.where(half, whole.star_id, 0), ra_rad=np.where(half, whole.ra_rad, np.nan),
-        dec_rad=np.where(half, whole.dec_rad, np.nan), time_utc=None, quaternion=None,
-    )  # fmt: skip
+    telemetry = replace(with_names(whole, half), time_utc=None)
     matches = field.match(telemetry)
     np.testing.assert_array_equal(matches.star_id[matches.star_id > 0], telemetry.star_id[matches.star_id > 0])
     rich = np.repeat(np.add.reduceat(telemetry.star_id > 0, matches.exposure_start[:-1], dtype=int) >= 4,
@@ -239,10 +242,7 @@ def test_a_file_s_own_directions_are_kept_and_what_they_hold_is_carried_to_unnam
     field = sky(catalogue, 1, 30, start="refined")
     whole = lifted(field, 1e-3, np.random.default_rng(2))
     named = (whole.star_id > 0) & (np.random.default_rng(3).random(len(whole)) < 0.7)
-    part = replace(
-        whole, star_id=np.where(named, whole.star_id, 0), ra_rad=np.where(named, whole.ra_rad, np.nan),
-        dec_rad=np.where(named, whole.dec_rad, np.nan), quaternion=None,
-    )  # fmt: skip
+    part = with_names(whole, named)
     matches = field.match(part)
     kept = named & (matches.star_id == whole.star_id)
     again = matched_telemetry(part, matches)
@@ -261,10 +261,7 @@ def test_where_too_few_directions_tell_of_the_air_only_the_named_stars_stay(cata
     image = 2 * whole.frame + whole.exposure
     count = np.array([np.sum((whole.star_id[:row] > 0) & (image[:row] == image[row])) for row in range(len(whole))])
     named = (whole.star_id > 0) & (count < 5)
-    part = replace(
-        whole, star_id=np.where(named, whole.star_id, 0), ra_rad=np.where(named, whole.ra_rad, np.nan),
-        dec_rad=np.where(named, whole.dec_rad, np.nan), quaternion=None,
-    )  # fmt: skip
+    part = with_names(whole, named)
     matches = field.match(part)
     np.testing.assert_array_equal((matches.star_id > 0) & ~named, False)
     assert np.sum(matches.star_id > 0) > 0.98 * named.sum()

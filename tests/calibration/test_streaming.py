@@ -317,7 +317,7 @@ def test_a_calibration_of_a_stored_table_parses_checks_and_converts_nothing(tmp_
         assert differences(whole, found) == []
 
 
-def test_a_flipped_bit_in_a_working_copy_is_refused(tmp_path: Path) -> None:
+def test_a_working_copy_or_a_part_of_a_stored_table_that_was_altered_is_refused(tmp_path: Path) -> None:
     arrays = {"row_px": np.linspace(0, 1, 1001), "time_utc": np.array(["2026-11-21"], "M8[us]"), "none": np.empty(0)}
     columns = write_columns(tmp_path / "piece", arrays)
     for name, values in columns.read().items():
@@ -327,9 +327,6 @@ def test_a_flipped_bit_in_a_working_copy_is_refused(tmp_path: Path) -> None:
     Path(columns.path).write_bytes(content)
     with pytest.raises(CorruptFileError, match="working copy piece was altered"):
         columns.read()
-
-
-def test_a_part_of_a_stored_table_that_was_altered_is_refused(tmp_path: Path) -> None:
     write_working_table(telemetry(1, frames=2), tmp_path / "table")
     with pytest.raises(CorruptFileError) as refused:
         WorkingTable(tmp_path / "table", "0" * 64).part(0)

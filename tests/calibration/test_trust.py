@@ -49,11 +49,15 @@ def test_every_method_is_judged_from_every_side_and_a_clean_set_calls_for_nothin
     assert [sentence for sentence in trust_advice(trust) if "do not ask for" not in sentence] == []
 
 
-def test_a_reduced_set_is_judged_by_its_own_parameters(sensor, catalogue):
+def test_a_reduced_set_is_judged_by_its_own_parameters_and_the_wrong_parity_found_though_arcs_fit(sensor, catalogue):
     trust = case(field(1), sensor, catalogue, free=("f_m", "b2_per_m2")).trust
     assert trust["two_halves"]["names"] == ["f_m", "b2_per_m2"]
     assert [entry["name"] for entry in trust["drop_one"]] == ["f_m", "b2_per_m2"]
     assert set(trust["more_data"]["sigma"]) == {"f_m", "b2_per_m2"}
+    trust = case(field(4), replace(sensor, parity=-1), catalogue).trust
+    assert trust["two_halves"]["chi2"]["consistent"]
+    assert trust_advice(trust)[0].endswith("the sensor's parity is probably wrong; try +1.")
+    assert trust["residuals"] is trust["stars"] is trust["residual_against"] is None
 
 
 def test_a_model_that_does_not_fit_is_said_before_drift_and_stars(catalogue):
@@ -66,7 +70,7 @@ def test_a_model_that_does_not_fit_is_said_before_drift_and_stars(catalogue):
     assert trust["stars_sentence"].endswith("free more parameters first.")
 
 
-def test_a_fit_that_leaves_a_direction_open_says_which_parts_that_costs(sensor, catalogue):
+def test_a_fit_that_leaves_a_direction_open_or_diverged_says_which_parts_that_costs(sensor, catalogue):
     flat = replace(sensor, initial=sensor.initial * np.array([1, 1, 1, 0, 0, 0, 0, 1.0]))
     held = case(field(2, frames=3, stars=4, exposures=1), flat, catalogue, max_iterations=1)
     open_fit = Case(**{**vars(held), "estimate": replace(held.estimate, status="rank_deficient")})
@@ -76,9 +80,6 @@ def test_a_fit_that_leaves_a_direction_open_says_which_parts_that_costs(sensor, 
     assert all(trust[part] is None for part in lost)
     assert trust["residuals"] is not None
     json.dumps(trust, allow_nan=False)
-
-
-def test_a_diverged_fit_has_no_part_and_one_reason(sensor, catalogue):
     fitted = case(field(3), sensor, catalogue)
     trust = Case(**{**vars(fitted), "estimate": replace(fitted.estimate, status="diverged")}).trust
     assert all(trust[part] is None for part in PARTS)
@@ -87,13 +88,6 @@ def test_a_diverged_fit_has_no_part_and_one_reason(sensor, catalogue):
         "The fit diverged, so there is no estimate to judge: free fewer parameters or start closer."
     }
     assert trust_advice(trust) == []
-
-
-def test_the_wrong_parity_is_found_though_the_arcs_fit(sensor, catalogue):
-    trust = case(field(4), replace(sensor, parity=-1), catalogue).trust
-    assert trust["two_halves"]["chi2"]["consistent"]
-    assert trust_advice(trust)[0].endswith("the sensor's parity is probably wrong; try +1.")
-    assert trust["residuals"] is trust["stars"] is trust["residual_against"] is None
 
 
 def test_drawings_stay_small_and_large_sets_are_thinned_and_say_so(sensor, catalogue):
@@ -297,16 +291,13 @@ def test_a_star_far_off_is_the_first_outlier_and_the_worst_frames_are_the_spoile
     assert chi2 == pytest.approx(float(noisy.sums.chi2[k]), rel=1e-3)
 
 
-def test_a_hundredth_of_wrong_centroids_makes_heavy_tails(sensor, catalogue):
+def test_a_hundredth_of_wrong_centroids_makes_heavy_tails_and_a_set_too_small_says_so(sensor, catalogue):
     clean, rng = field(3, frames=60), np.random.default_rng(6)
     wrong = clean.row_px + np.where(rng.uniform(size=len(clean)) < 0.01, 3.0, 0.0)
     ground = case(replace(clean, row_px=wrong), sensor, catalogue).ground
     view = residual_distribution(ground, compute_star_residuals(ground))
     assert not view["normal_tails"]
     assert view["sentence"].endswith("some stars are wrong; look at the outliers.")
-
-
-def test_a_set_too_small_for_cells_says_so(sensor, catalogue):
     trust = case(field(2, frames=3, stars=4, exposures=1), sensor, catalogue, free=("f_m",)).trust
     assert trust["residual_distribution"] is None
     assert trust["unavailable"]["residual_distribution"].startswith("A distribution needs 50 residuals")

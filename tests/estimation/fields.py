@@ -9,6 +9,7 @@ from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.metrics import arc_errors
 
 PITCH = 2.2e-6
 ROWS, COLUMNS = 1944, 2592
@@ -27,20 +28,20 @@ def rotation(rng):
     return q * np.linalg.det(q)
 
 
+def drawn(rng, camera, truth, pitch, size, exposures, mean_stars, noise_px):
+    starts, parts = [0], []
+    for _ in range(exposures):
+        n = max(4, rng.poisson(mean_stars))
+        row, col = rng.uniform(0, size[0] - 1, n), rng.uniform(0, size[1] - 1, n)
+        s_i = camera.directions(truth, row, col, pitch) @ rotation(rng)
+        parts.append((row + noise_px * rng.normal(size=n), col + noise_px * rng.normal(size=n), s_i))
+        starts.append(starts[-1] + n)
+    return starts, *(np.concatenate(each) for each in zip(*parts, strict=True))
+
+
 def star_field(rng, frames=200, mean_stars=10.7, noise_px=NOISE_PX, truth=TRUTH):
-    starts, frame_start, rows, cols, directions = [0], [0], [], [], []
-    for _ in range(frames):
-        for _ in range(2):
-            n = max(4, rng.poisson(mean_stars))
-            row, col = rng.uniform(0, ROWS - 1, n), rng.uniform(0, COLUMNS - 1, n)
-            directions.append(INVERTED_WANG.directions(truth, row, col, PITCH) @ rotation(rng))
-            rows.append(row + noise_px * rng.normal(size=n))
-            cols.append(col + noise_px * rng.normal(size=n))
-            starts.append(starts[-1] + n)
-        frame_start.append(len(starts) - 1)
-    return arranged(
-        starts, frame_start, np.concatenate(rows), np.concatenate(cols), np.concatenate(directions), noise_px
-    )
+    starts, *stars = drawn(rng, INVERTED_WANG, truth, PITCH, (ROWS, COLUMNS), 2 * frames, mean_stars, noise_px)
+    return arranged(starts, np.arange(0, 2 * frames + 1, 2), *stars, noise_px)
 
 
 def arranged(starts, frame_start, row_px, col_px, s_i, noise_px):
@@ -81,18 +82,8 @@ START_SIGMA = np.array([1e-3, 5e-4, 10.0, 10.0, 0.5, 1.0])
 
 
 def wu_field(rng, frames=100, mean_stars=19.0, noise_px=0.2):
-    starts, rows, cols, directions = [0], [], [], []
-    for _ in range(frames):
-        n = max(4, rng.poisson(mean_stars))
-        row, col = rng.uniform(0, WU_ROWS - 1, n), rng.uniform(0, WU_COLUMNS - 1, n)
-        directions.append(PINHOLE.directions(WU_TRUTH, row, col, WU_PITCH) @ rotation(rng))
-        rows.append(row + noise_px * rng.normal(size=n))
-        cols.append(col + noise_px * rng.normal(size=n))
-        starts.append(starts[-1] + n)
-    field = arranged(
-        starts, np.arange(frames + 1), np.concatenate(rows), np.concatenate(cols), np.concatenate(directions), noise_px
-    )
-    return replace(field, model=PINHOLE.kernel, pitch=WU_PITCH)
+    starts, *stars = drawn(rng, PINHOLE, WU_TRUTH, WU_PITCH, (WU_ROWS, WU_COLUMNS), frames, mean_stars, noise_px)
+    return replace(arranged(starts, np.arange(frames + 1), *stars, noise_px), model=PINHOLE.kernel, pitch=WU_PITCH)
 
 
 def wu_weighed(field, x=WU_TRUTH):
@@ -106,3 +97,14 @@ def whitened_rows(arcs, x, free, scale, band=None):
         arcs.model, x, arcs.pitch, *stars, arcs.phi, arcs.band if band is None else band, free, scale, e, H
     )
     return e, H
+
+
+def whitened_plainly(arcs, x):
+    e, a0 = arc_errors(arcs, x), 0
+    for n in 2 * np.diff(arcs.star_start) - 3:
+        L = np.zeros((n, n))
+        for d in range(5):
+            L[np.arange(d, n), np.arange(n - d)] = arcs.band[a0 + d : a0 + n, 4 - d]
+        e[a0 : a0 + n] = np.linalg.solve(L, e[a0 : a0 + n])
+        a0 += n
+    return e

@@ -14,24 +14,15 @@ from boresight.estimation import batch, cosine
 from boresight.estimation.metrics import arc_errors
 from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.statistics.consistency import chi_square, nees
-from tests.estimation.fields import FREE, GROUND, SCALE, TRUTH, star_field, weighed, whitened_rows
+from tests.estimation.fields import FREE, GROUND, SCALE, TRUTH, star_field, weighed, whitened_plainly, whitened_rows
 
 
 def test_the_fit_agrees_with_scipy_on_the_same_whitened_residuals():
     field = weighed(star_field(np.random.default_rng(2), frames=20), GROUND)
 
-    def whitened(z):
-        e, a0 = arc_errors(field, GROUND + z * SCALE), 0
-        for k in range(field.n_exposures):
-            n = 2 * (field.star_start[k + 1] - field.star_start[k]) - 3
-            L = np.zeros((n, n))
-            for d in range(5):
-                L[np.arange(d, n), np.arange(n - d)] = field.band[a0 + d : a0 + n, 4 - d]
-            e[a0 : a0 + n] = np.linalg.solve(L, e[a0 : a0 + n])
-            a0 += n
-        return e
-
-    peer = least_squares(whitened, np.zeros(8), method="lm", xtol=1e-12, ftol=1e-12)
+    peer = least_squares(
+        lambda z: whitened_plainly(field, GROUND + z * SCALE), np.zeros(8), method="lm", xtol=1e-12, ftol=1e-12
+    )
     fitted = batch.fit(field, GROUND, FREE, SCALE)
 
     sigma = batch.sigma_in_scale(fitted.A)
@@ -109,7 +100,7 @@ def _nees(fitted):
     return nees((fitted.x - TRUTH) / SCALE, np.linalg.inv(fitted.A))
 
 
-def test_the_fused_equations_are_hubers():
+def test_the_fused_equations_are_hubers_and_the_cost_falls_along_their_gradient():
     arcs = weighed(star_field(np.random.default_rng(1), frames=5), TRUTH)
     x = TRUTH + 0.1 * SCALE
     fused = batch.normal_equations(arcs, x, FREE, SCALE, HUBER)
@@ -120,9 +111,6 @@ def test_the_fused_equations_are_hubers():
     np.testing.assert_allclose(fused.A, H.T @ (w[:, None] * H), rtol=1e-9, atol=1e-9 * np.abs(fused.A).max())
     np.testing.assert_allclose(fused.b, H.T @ np.clip(e, -HUBER, HUBER), rtol=1e-9, atol=1e-9 * np.abs(fused.b).max())
     assert fused.chi2 == pytest.approx(np.where(beyond, 2 * HUBER * np.abs(e) - HUBER**2, e**2).sum())
-
-
-def test_the_cost_falls_along_the_gradient_that_the_equations_give():
     arcs = weighed(star_field(np.random.default_rng(2), frames=5), TRUTH)
     x, step = TRUTH + 0.1 * SCALE, 1e-5
     slope = 2 * batch.normal_equations(arcs, x, FREE, SCALE, HUBER).b
@@ -132,7 +120,7 @@ def test_the_cost_falls_along_the_gradient_that_the_equations_give():
         assert (costs[0] - costs[1]) / (2 * step) == pytest.approx(slope[p], rel=1e-4, abs=1e-3 * np.abs(slope).max())
 
 
-def test_an_infinite_threshold_is_least_squares():
+def test_an_infinite_threshold_is_least_squares_and_one_below_every_arc_leaves_no_information():
     field = weighed(star_field(np.random.default_rng(3), frames=20), GROUND)
     plain, wide = batch.fit(field, GROUND, FREE, SCALE), batch.fit(field, GROUND, FREE, SCALE, threshold=1e9)
     np.testing.assert_allclose(wide.x, plain.x, rtol=1e-12)
@@ -140,6 +128,12 @@ def test_an_infinite_threshold_is_least_squares():
     # the noise's size is measured, not taken from the file, so information differs by what chi-square differs from 1
     n = field.n_arcs
     np.testing.assert_allclose(wide.A, plain.A * (n - 8) / plain.chi2, rtol=1e-9)
+    arcs = weighed(star_field(np.random.default_rng(4), frames=2), GROUND)
+    far = GROUND.copy()
+    far[0] *= 10
+    paid = measure_huber_effect(arcs, far, 8, 1e-6)
+    assert paid.beyond == arcs.n_arcs
+    assert paid.information_share == 0
 
 
 def test_under_gaussian_noise_sigmas_stay_honest_and_cost_a_fortieth():
@@ -166,24 +160,21 @@ def test_with_two_stars_in_a_hundred_wrong_it_stays_near_the_truth_and_least_squ
     assert np.median(plain) > 100
 
 
-def test_where_every_arc_is_beyond_the_threshold_there_is_no_information():
-    arcs = weighed(star_field(np.random.default_rng(4), frames=2), GROUND)
-    far = GROUND.copy()
-    far[0] *= 10
-    paid = measure_huber_effect(arcs, far, 8, 1e-6)
-    assert paid.beyond == arcs.n_arcs
-    assert paid.information_share == 0
-
-
 COSINE_SETS = 60
 
 
-def test_the_cost_is_the_sum_of_squared_cosine_errors_to_first_order():
+def test_the_cosine_cost_is_the_sum_of_squares_to_first_order_and_knows_nothing_better_than_arclengths():
     arcs = weighed(star_field(np.random.default_rng(1), frames=10), TRUTH)
     cost = batch.normal_equations(cosine.unweighted(arcs), TRUTH, FREE, SCALE).chi2
     squares = np.sum((np.cos(arcs.phi + arc_errors(arcs, TRUTH)) - np.cos(arcs.phi)) ** 2)
     variance = np.mean(np.sin(arcs.phi) ** 2 * (arcs.band**2).sum(axis=1))
     np.testing.assert_allclose(cost * variance, squares, rtol=5e-3)
+    arcs = weighed(star_field(np.random.default_rng(3), frames=30), TRUTH)
+    worth, best = (
+        cosine.compute_information(arcs, TRUTH, FREE, SCALE),
+        batch.normal_equations(arcs, TRUTH, FREE, SCALE).A,
+    )
+    assert np.linalg.eigvals(np.linalg.solve(best, worth.held)).real.max() < 1 + 1e-9
 
 
 def test_its_information_equals_the_plain_sandwich():
@@ -230,12 +221,3 @@ def test_its_errors_are_spread_as_the_sandwich_says_and_a_third_wider_than_those
     wider = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(np.square(errors_of_arcs), axis=0))
     # 60 sets know a ratio of spreads to a tenth
     assert 1.2 < np.exp(np.mean(np.log(wider))) < 1.5
-
-
-def test_no_direction_is_known_better_than_by_arclengths():
-    arcs = weighed(star_field(np.random.default_rng(3), frames=30), TRUTH)
-    worth, best = (
-        cosine.compute_information(arcs, TRUTH, FREE, SCALE),
-        batch.normal_equations(arcs, TRUTH, FREE, SCALE).A,
-    )
-    assert np.linalg.eigvals(np.linalg.solve(best, worth.held)).real.max() < 1 + 1e-9

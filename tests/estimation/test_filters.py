@@ -21,6 +21,7 @@ from tests.estimation.fields import (
     WU_TRUTH,
     star_field,
     weighed,
+    whitened_plainly,
     whitened_rows,
     wu_field,
     wu_weighed,
@@ -120,17 +121,6 @@ def test_a_state_that_runs_away_ends_the_history_there(method):
 SINGLE = Tuning(linearisations=1)
 
 
-def _whitened_plainly(frame, x):
-    e, a0 = arc_errors(frame, x), 0
-    for n in 2 * np.diff(frame.star_start) - 3:
-        L = np.zeros((n, n))
-        for d in range(5):
-            L[np.arange(d, n), np.arange(n - d)] = frame.band[a0 + d : a0 + n, 4 - d]
-        e[a0 : a0 + n] = np.linalg.solve(L, e[a0 : a0 + n])
-        a0 += n
-    return e
-
-
 def _textbook(arcs, z, P, free, noise, forgetting=1.0):
     n, total = len(free), 0.0
     for k in range(arcs.n_frames):
@@ -140,7 +130,7 @@ def _textbook(arcs, z, P, free, noise, forgetting=1.0):
         points = np.concatenate([z + spread.T, z - spread.T])
         states = np.tile(GROUND, (2 * n, 1))
         states[:, free] += points * SCALE[free]
-        seen = np.array([_whitened_plainly(frame, x) for x in states])
+        seen = np.array([whitened_plainly(frame, x) for x in states])
         e, d = seen.mean(axis=0), points - z
         P_ee = (seen - e).T @ (seen - e) / (2 * n) + np.eye(len(e))
         K = np.linalg.solve(P_ee, (seen - e).T @ d / (2 * n)).T

@@ -88,7 +88,7 @@ def test_halves_are_held_against_three_sigmas_and_only_those_that_differ_are_cal
     ]
 
 
-def test_levels_stand_where_chance_and_the_bound_put_them_and_maps_begin_at_zero(sequential_result):
+def test_levels_stand_where_chance_and_the_bound_put_them_and_predictions_begin_at_the_run_as_it_is(sequential_result):
     drawn = draw("arc-uncertainty", sequential_result)
     assert (drawn.data[0].zmin, drawn.layout.yaxis.autorange, "4°" in drawn.layout.title.text) == (0, "reversed", True)
     drawn = draw("efficiency", sequential_result)
@@ -96,9 +96,6 @@ def test_levels_stand_where_chance_and_the_bound_put_them_and_maps_begin_at_zero
     assert values(drawn.data[0]) == pytest.approx([1.03] * 8)
     levels = sorted(shape.y0 for shape in draw("whiteness", sequential_result).layout.shapes)
     assert levels == [-0.139, 0.139]
-
-
-def test_prediction_begins_at_the_run_as_it_is_in_its_own_unit(sequential_result):
     first = draw("more-data", sequential_result).data[0]
     assert values(first, "x")[0] == 200
     assert values(first)[0] == pytest.approx(sequential_result["sigma"]["f_m"] * 1e6)

@@ -97,7 +97,7 @@ def test_what_is_active_on_board_is_there_too_where_it_is_neither():
     assert "PS-FM1-0 is recorded as active" in manifest["backout"]["sentence"]
 
 
-def test_parameters_json_says_what_its_numbers_mean(files):
+def test_parameters_json_says_what_its_numbers_mean_and_parameters_csv_has_their_arithmetic(files):
     document = json.loads(files["parameters.json"])
     names = [parameter["name"] for parameter in document["parameters"]]
     assert names == list(INITIAL[document["camera_model"]])
@@ -105,9 +105,6 @@ def test_parameters_json_says_what_its_numbers_mean(files):
     assert all({"value", "sigma", "unit", "symbol", "estimated", "on_board"} <= set(p) for p in document["parameters"])
     assert document["covariance"]["names"] == names
     assert "row 0, column 0" in document["conventions"]["pixel_origin"]
-
-
-def test_parameters_csv_has_the_arithmetic_of_its_columns(files):
     held = {row["parameter"]: row for row in _rows(files["table_report.csv"])}
     for row in _rows(files["parameters.csv"]):
         old, new, sigma = (float(row[key]) for key in ("old", "new", "sigma"))

@@ -131,14 +131,11 @@ def test_the_shift_is_in_sigmas_of_the_difference_at_least_a_tenth_of_the_typica
     assert found("parameter-shift", candidate=moved, incumbent=sure).value == pytest.approx(10, rel=1e-6)
 
 
-def test_the_arc_uncertainty_grows_with_the_sigmas_and_stands_beside_the_incumbents():
+def test_residuals_are_judged_by_the_runs_own_bounds_and_arcs_beside_the_incumbent():
     once = found("arc-uncertainty")
     twice = found("arc-uncertainty", candidate=with_matrix(4 * P))
     assert twice.value == pytest.approx(2 * once.value)
     assert once.incumbent == pytest.approx(50 * once.value, rel=0.05)
-
-
-def test_residuals_are_judged_by_the_runs_own_bounds_and_a_batch_has_no_innovations():
     assert found("chi-square").bounds == (0.91, 1.09)
     assert "A batch has no innovations" in found("nis").sentence
     assert found("nis", result=a_result(method="sqrf")).sentence.startswith("Innovations are")
