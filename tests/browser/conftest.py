@@ -229,3 +229,15 @@ def key(people):
         secret = window.page.locator(".secret code").inner_text()
         assert secret.startswith("bs_")
         return secret
+
+
+@pytest.fixture(scope="package")
+def numbers(sensor_id, telemetry, batch_run, sequential_run, promoted):
+    return {
+        "sensor": sensor_id,
+        "set": telemetry["calibration"],
+        "batch": batch_run,
+        "filter": sequential_run,
+        "parameters": promoted.set_id,
+        "request": promoted.request_id,
+    }

@@ -52,18 +52,6 @@ CUT = """() => [...document.querySelectorAll(".scroll")]
 LONG_NAME = "Wolfeschlegelsteinhausenbergerdorffwelchevoralternwarengewis"
 
 
-@pytest.fixture(scope="module")
-def numbers(sensor_id, telemetry, batch_run, sequential_run, promoted):
-    return {
-        "sensor": sensor_id,
-        "set": telemetry["calibration"],
-        "batch": batch_run,
-        "filter": sequential_run,
-        "parameters": promoted.set_id,
-        "request": promoted.request_id,
-    }
-
-
 def visit(window, name, numbers):
     window.open(ADDRESSES[name].format(**numbers))
     if name == "forbidden":

@@ -14,7 +14,7 @@ import time
 
 import pytest
 
-from benchmarks.servers import free_port
+from benchmarks.servers import free_port, wait_until
 from tests.browser.people import password_of
 
 pytestmark = pytest.mark.browser
@@ -48,10 +48,7 @@ class Marionette:
 
     def until(self, script: str) -> None:
         """Wait until a script returns what is true."""
-        until_s = time.monotonic() + READY_WITHIN_S
-        while not self.run(script):
-            assert time.monotonic() < until_s, script
-            time.sleep(0.1)
+        wait_until(lambda: self.run(script), READY_WITHIN_S)
 
     def close(self) -> None:
         """Hang up."""

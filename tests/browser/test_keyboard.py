@@ -1,16 +1,19 @@
 """The keyboard alone is enough, what has the focus can be seen, and nothing that happens meanwhile takes it away."""
 
+import json
 import re
+from contextlib import suppress
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Error, expect
 
 from tests.browser.people import password_of
 from tests.browser.work import choose_filter, ends_as, queue
 
 pytestmark = pytest.mark.browser
 
-MOST_TABS = 60
+
+MOST_TABS = 90
 ONE_A_SECOND = 1.0
 FOCUSED = """() => {
     const one = document.activeElement;
@@ -112,3 +115,135 @@ def test_the_keys_g_and_a_letter_go_to_a_page_and_never_while_typing(people):
         expect(window.page.get_by_label("Object")).to_have_value(f"g{letter}")
         window.settle()
         assert left == []
+
+
+TRIES, TRIED_MS = 6, 20_000
+IS_FOCUSED = "place => document.activeElement.matches(place)"
+NAME = "By keyboard"
+
+
+def press(window, *keys):
+    for key in keys:
+        window.page.keyboard.press(key)
+
+
+def tab_to_place(window, place):
+    window.page.wait_for_load_state()
+    for _ in range(MOST_TABS):
+        press(window, "Tab")
+        if window.page.evaluate(IS_FOCUSED, place):
+            return
+    pytest.fail(f"{place} was not reached in {MOST_TABS} steps")
+
+
+def go(window, letter, heading):
+    expect(window.page.locator("#keys-open")).to_be_visible()
+    there = window.page.get_by_role("heading", name=heading, exact=True)
+    for _ in range(TRIES):
+        press(window, "g", letter)
+        with suppress(Error):
+            there.wait_for(timeout=TRIED_MS)
+            break
+    expect(there).to_be_visible()
+    expect(window.page.locator("#keys-open")).to_be_visible()
+
+
+def choose(window, path):
+    for _ in range(TRIES):
+        with suppress(Error):
+            with window.page.expect_file_chooser(timeout=TRIED_MS) as chooser:
+                press(window, "Enter")
+            chooser.value.set_files(path)
+            return
+    pytest.fail("the field opens no dialog")
+
+
+@pytest.mark.usefixtures("batch_run")
+def test_a_sensor_its_telemetry_and_its_run_are_made_and_read_by_keys_alone(people, files):
+    document = json.loads((files / "sensor.json").read_text()) | {"name": NAME}
+    with people.seat() as window:
+        keyboard = window.page.keyboard
+        window.open("/login")
+        keyboard.type("analyst")
+        press(window, "Tab")
+        keyboard.type(password_of("analyst"))
+        press(window, "Enter")
+        window.page.wait_for_url("**/")
+
+        go(window, "s", "Sensors")
+        tab_to_place(window, "textarea[name=document]")
+        press(window, "Control+a")
+        keyboard.insert_text(json.dumps(document, indent=1))
+        tab_to_place(window, "form[action='/sensors'] button")
+        window.keep("keyboard-1-sensor")
+        press(window, "Enter")
+        window.page.wait_for_url(re.compile(r"/sensors/\d+$"))
+
+        go(window, "t", "Telemetry")
+        tab_to_place(window, "#sensor_id")
+        keyboard.type(NAME)
+        tab_to_place(window, "#file")
+        choose(window, files / "calibration.csv")
+        tab_to_place(window, "#upload-send")
+        window.keep("keyboard-2-telemetry")
+        press(window, "Enter")
+        window.page.wait_for_url(re.compile(r"/telemetry/\d+$"))
+
+        tab_to_place(window, "a[href^='/runs/new']")
+        press(window, "Enter")
+        window.page.wait_for_url(re.compile("/runs/new"))
+        tab_to_place(window, "input[name=label]")
+        keyboard.type("By keys alone")
+        expect(window.page.locator("[data-dry-run] dl.facts")).to_be_visible()
+        tab_to_place(window, "button[value=queue]")
+        window.keep("keyboard-3-launch")
+        press(window, "Enter")
+        window.page.wait_for_url(re.compile(r"/runs/\d+$"))
+        ends_as(window, "SUCCEEDED")
+
+        press(window, "3")
+        window.page.wait_for_url("**?part=rms")
+        window.figures_drawn()
+        window.keep("keyboard-4-reading")
+        made = int(re.search(r"/runs/(\d+)", window.page.url)[1])
+        press(window, "[")
+        window.page.wait_for_url(lambda url: int(re.search(r"/runs/(\d+)", url)[1]) < made)
+
+
+@pytest.mark.usefixtures("batch_run", "sequential_run")
+def test_rows_are_walked_chosen_compared_and_sought_by_keys(people):
+    with people.seat("analyst") as window:
+        window.open("/runs?state=SUCCEEDED")
+        expect(window.page.locator("#keys-open")).to_be_visible()
+        rows = window.page.locator("[data-list-body] tr")
+        press(window, "j", "j", "k")
+        expect(rows.nth(0).locator("th a")).to_be_focused()
+        press(window, "x", "j", "Shift+X")
+        expect(window.page.locator("[data-list-body] input:checked")).to_have_count(2)
+        chosen = [rows.nth(place).locator("input").get_attribute("value") for place in (0, 1)]
+        assert f"runs={','.join(chosen)}" in window.page.url
+        window.page.evaluate("document.dispatchEvent(new CustomEvent('boresight:run', { detail: {} }))")
+        with window.page.expect_response("**/runs?state=SUCCEEDED*"):
+            window.settle()
+        window.settle()
+        expect(rows.nth(1).locator("th a")).to_be_focused()
+        press(window, "/")
+        expect(window.page.get_by_role("searchbox", name="Label")).to_be_focused()
+        window.page.keyboard.type("c")
+        expect(window.page.get_by_role("searchbox", name="Label")).to_have_value("c")
+        press(window, "Escape", "?")
+        expect(window.page.get_by_role("dialog", name="Keys")).to_be_visible()
+        window.keep("keyboard-5-keys", whole=False)
+        press(window, "Escape", "c")
+        window.page.wait_for_url(f"**/compare?runs={','.join(chosen)}*")
+
+
+def test_keys_can_be_switched_off(people):
+    with people.seat("analyst") as window:
+        window.open("/")
+        window.page.locator("#keys-open").click()
+        window.page.get_by_label("Keys are on in this browser").uncheck()
+        press(window, "Escape", "?")
+        expect(window.page.get_by_role("dialog", name="Keys")).to_be_hidden()
+        window.page.locator("#keys-open").click()
+        window.page.get_by_label("Keys are on in this browser").check()

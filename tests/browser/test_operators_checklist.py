@@ -14,18 +14,6 @@ SOON_MS = 30_000
 QUESTIONS = ROW.findall(LIST.read_text())
 
 
-@pytest.fixture(scope="module")
-def numbers(sensor_id, telemetry, batch_run, sequential_run, promoted):
-    return {
-        "sensor": sensor_id,
-        "set": telemetry["calibration"],
-        "batch": batch_run,
-        "filter": sequential_run,
-        "parameters": promoted.set_id,
-        "request": promoted.request_id,
-    }
-
-
 def test_there_are_twenty_questions():
     assert [int(number) for number, *_ in QUESTIONS] == list(range(1, 21))
 

@@ -1,10 +1,11 @@
 """One calibration, three doors: the page, REST with an API key, and the command line give the same numbers."""
 
 import json
-import time
 
 import httpx
 import pytest
+
+from benchmarks.servers import wait_until
 
 pytestmark = pytest.mark.browser
 
@@ -36,11 +37,7 @@ def test_rest_with_an_api_key_gives_the_numbers_of_the_page(installation, key, b
         answer = client.post("/api/v1/runs", json=order)
         assert answer.status_code == httpx.codes.ACCEPTED, answer.text
         address = answer.headers["Location"]
-        until_s = time.monotonic() + ENDED_WITHIN_S
-        while (state := client.get(address).json()["state"]) in {"QUEUED", "RUNNING"}:
-            assert time.monotonic() < until_s
-            time.sleep(0.1)
-        assert state == "SUCCEEDED"
+        wait_until(lambda: client.get(address).json()["state"] == "SUCCEEDED", ENDED_WITHIN_S)
         same(client.get(f"{address}/result").json(), page_result)
 
 

@@ -13,6 +13,12 @@ from tests.stores import environment_in, url_in
 FRAMES = 40
 
 
+def refused(done, *words, lines=None):
+    assert done.exit_code == 1
+    assert [word for word in words if word not in done.stderr] == [], done.stderr
+    assert lines in {None, done.stderr.count("\n")}
+
+
 @pytest.fixture(scope="session")
 def data_folder(tmp_path_factory):
     return tmp_path_factory.mktemp("data")

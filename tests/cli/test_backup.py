@@ -21,6 +21,7 @@ from boresight.platform.blobs.store import register_blob
 from boresight.platform.db import backup as backups
 from boresight.platform.db.sessions import open_store, open_writing
 from boresight.settings import read_settings
+from tests.cli.conftest import refused
 from tests.stores import environment_in, on_postgresql
 
 PASSWORD = "correct horse battery"
@@ -63,11 +64,9 @@ def test_what_was_backed_up_comes_back_and_its_audit_log_holds(filled, monkeypat
 def test_nothing_is_written_over(filled):
     boresight, archive, _ = filled
     restored = boresight("restore", archive)
-    assert restored.exit_code == 1
-    assert "already; restore into an empty" in restored.stderr
+    refused(restored, "already; restore into an empty")
     saved = boresight("backup", "--out", archive)
-    assert saved.exit_code == 1
-    assert "a backup is never written over" in saved.stderr
+    refused(saved, "a backup is never written over")
 
 
 @pytest.mark.parametrize("name", ["boresight.sqlite3", "blobs"])
@@ -80,8 +79,7 @@ def test_a_file_that_is_not_as_it_was_backed_up_is_refused_and_no_database_appea
             target.writestr(member, content[:-1] + b"?" if member.startswith(name) else content)
     folder = _into(monkeypatch, tmp_path / "third")
     done = boresight("restore", altered)
-    assert done.exit_code == 1
-    assert "is not as it was backed up" in done.stderr
+    refused(done, "is not as it was backed up")
     assert not (folder / "boresight.sqlite3").exists()
     assert boresight(*ADD, stdin=f"{PASSWORD}\n").exit_code == 0  # nobody of the backup is there
 
@@ -93,16 +91,14 @@ def test_another_zip_is_no_backup(boresight, monkeypatch, tmp_path, manifest):
             archive.writestr("MANIFEST.json", manifest)
     _into(monkeypatch, tmp_path / "fourth")
     done = boresight("restore", tmp_path / "a.zip")
-    assert done.exit_code == 1
-    assert "is no backup" in done.stderr
+    refused(done, "is no backup")
 
 
 def test_what_is_no_zip_is_refused_in_one_sentence(boresight, monkeypatch, tmp_path):
     (tmp_path / "a.zip").write_text("no zip")
     _into(monkeypatch, tmp_path / "fifth")
     done = boresight("restore", tmp_path / "a.zip")
-    assert done.exit_code == 1
-    assert "cannot be read as a backup" in done.stderr
+    refused(done, "cannot be read as a backup")
 
 
 def test_an_installation_moves_to_postgresql_and_back_with_its_log(filled, monkeypatch, tmp_path, postgresql):

@@ -15,6 +15,7 @@ from boresight.cli.calibrate import Choice
 from boresight.cli.calibrate import calibrate as command
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
+from tests.cli.conftest import refused
 
 
 def calibrate(boresight, folder, *words):
@@ -69,9 +70,7 @@ def test_a_parameter_of_another_camera_is_refused_in_one_line(boresight, simulat
 
 def test_a_missing_file_is_refused_in_one_line(boresight, simulated):
     done = boresight("calibrate", simulated / "absent.csv", "--sensor", simulated / "sensor.json")
-    assert done.exit_code == 1
-    assert done.stderr.count("\n") == 1
-    assert "absent.csv" in done.stderr
+    refused(done, "absent.csv", lines=1)
 
 
 def test_the_first_ten_faults_of_a_file_are_listed_a_line_each(boresight, simulated, tmp_path):
@@ -92,8 +91,7 @@ def test_the_first_ten_faults_of_a_file_are_listed_a_line_each(boresight, simula
 
 def test_a_result_that_could_not_be_written_is_refused_before_the_work(boresight, simulated, tmp_path):
     done = calibrate(boresight, simulated, "--json", tmp_path / "no" / "result.json")
-    assert done.exit_code == 1
-    assert "does not exist" in done.stderr
+    refused(done, "does not exist")
 
 
 def test_real_stars_determine_focal_length_and_b2(boresight, real_sky):

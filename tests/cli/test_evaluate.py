@@ -4,6 +4,8 @@ import json
 
 import pytest
 
+from tests.cli.conftest import refused
+
 
 @pytest.fixture
 def evaluate(boresight, simulated):
@@ -114,9 +116,7 @@ def test_parameters_that_are_not_this_sensors_are_refused_in_one_line(written, c
     values = dict(calibration_result["parameters"])
     change(values)
     done = written(values)
-    assert done.exit_code == 1
-    assert sentence in done.stderr
-    assert done.stderr.count("\n") == 1
+    refused(done, sentence, lines=1)
 
 
 @pytest.mark.parametrize(
@@ -131,22 +131,18 @@ def test_parameters_that_are_not_this_sensors_are_refused_in_one_line(written, c
 )
 def test_a_file_that_holds_no_parameters_is_refused_in_one_line(written, document, sentence):
     done = written(document)
-    assert done.exit_code == 1
-    assert sentence in done.stderr
-    assert done.stderr.count("\n") == 1
+    refused(done, sentence, lines=1)
 
 
 @pytest.mark.parametrize("covariance", [{"names": ["f_m"], "matrix": [[-1.0]]}, {"names": ["f_m"], "matrix": 3}, 7])
 def test_a_covariance_that_is_none_is_refused(written, calibration_result, covariance):
     done = written({"parameters": calibration_result["parameters"], "covariance": covariance})
-    assert done.exit_code == 1
-    assert "covariance that is not names and a square matrix" in done.stderr
+    refused(done, "covariance that is not names and a square matrix")
 
 
 def test_a_missing_file_is_refused_in_one_line(evaluate, tmp_path):
     done = evaluate("--parameters", tmp_path / "absent.json")
-    assert done.exit_code == 1
-    assert "absent.json does not exist" in done.stderr
+    refused(done, "absent.json does not exist")
 
 
 @pytest.fixture
@@ -236,5 +232,4 @@ def test_what_cannot_be_used_is_refused_in_one_line(assess, stored, option, docu
 
 def test_what_is_no_calibration_is_refused(boresight, simulated):
     done = boresight("assess", simulated / "truth.json", "--sensor", simulated / "sensor.json")
-    assert done.exit_code == 1
-    assert "truth.json is no whole calibration (schema" in done.stderr
+    refused(done, "truth.json is no whole calibration (schema")

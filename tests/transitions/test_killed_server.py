@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
-from benchmarks.servers import Server, variables
+from benchmarks.servers import Server, variables, wait_until
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.parameter_sets import service as parameter_sets
@@ -176,10 +176,7 @@ def _serve(house: Installation, server: Comings, traffic: Traffic) -> None:
 
 def _wait_until(traffic: Traffic, number: int) -> None:
     """Wait until so many transitions were begun."""
-    until_s = time.monotonic() + 120
-    while traffic.begun < number:
-        assert time.monotonic() < until_s, "the transitions do not get on"
-        time.sleep(0.002)
+    wait_until(lambda: traffic.begun >= number, 120, 0.002)
 
 
 def _is_whole(house: Installation, traffic: Traffic) -> None:

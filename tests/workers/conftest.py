@@ -3,12 +3,12 @@
 import contextlib
 import shutil
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.servers import wait_until
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries as runs
 from boresight.console.runs.queries import events_of_run
@@ -130,10 +130,7 @@ class Store:
         return [int(path.name.split("-")[2]) for path in paths]
 
     def wait_for(self, condition) -> None:
-        until_s = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < until_s, "waited in vain"
-            time.sleep(0.05)
+        wait_until(condition, PATIENCE_S, 0.05)
 
     def wait_until_ended(self, run_ids) -> list[str]:
         self.wait_for(lambda: all(state in TERMINAL_RUN_STATES for state in self.states(run_ids)))

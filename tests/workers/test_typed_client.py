@@ -4,7 +4,6 @@ import importlib
 import json
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.servers import wait_until
 from boresight.simulation.scenes import simulate
 from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.read.readers import write_csv
@@ -96,11 +96,8 @@ def test_a_generated_client_logs_in_uploads_launches_waits_and_reads_a_typed_res
         settings = models.LaunchSettings.from_dict({"method": "batch"})
         run = ask("runs.launch_run", body=models.Launch(sensor.id, uploaded.id, settings=settings, label="typed"))
         assert isinstance(run, models.Run)
-        until_s = time.monotonic() + LONGEST_S
-        while run.state.value not in ENDED:
-            assert time.monotonic() < until_s, run
-            time.sleep(0.2)
-            run = ask("runs.get_run", run_id=run.id)
+        wait_until(lambda: ask("runs.get_run", run_id=run.id).state.value in ENDED, LONGEST_S)
+        run = ask("runs.get_run", run_id=run.id)
         assert (run.state.value, run.reason) == ("SUCCEEDED", None)
 
         result = ask("runs.get_run_result", run_id=run.id)

@@ -9,6 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
+from benchmarks.servers import wait_until
 from boresight.platform.web.concurrency_limit import COME_BACK_S, ConcurrencyLimit, RequestQueue
 from tests.served import House
 
@@ -72,10 +73,7 @@ def test_whoever_was_let_in_is_counted_out_again(house: House) -> None:
     client = house.person("ada")
     for path in ("/api/v1/presets", "/api/v1/sensors/999999", "/nowhere"):
         client.get(path)
-    deadline_s = time.monotonic() + 5
-    while gate_of(house.app).known.taken and time.monotonic() < deadline_s:
-        time.sleep(0.01)
-    assert gate_of(house.app).known.taken == 0
+    wait_until(lambda: gate_of(house.app).known.taken == 0, 5)
 
 
 def test_no_more_have_a_turn_at_once_than_there_are_and_they_come_in_order() -> None:

@@ -15,6 +15,7 @@ import httpx
 import pytest
 from starlette.exceptions import HTTPException
 
+from benchmarks.servers import wait_until
 from boresight.platform.web import connections as connections_module
 from boresight.platform.web.concurrency_limit import ConcurrencyLimits, Slots
 from boresight.platform.web.connections import MOST_OPEN, OTHER_FILES, Connections, Deadlines, open_file_limit
@@ -90,10 +91,7 @@ def test_540_half_sent_requests_shut_out_nobody(tmp_path: Any) -> None:
         for number in range(540):
             connection = opened.enter_context(site.connect())
             connection.sendall((HALF_BODY, HALF_BODY, HALF_HEAD, UPLOAD)[number % 4])
-        deadline_s = time.monotonic() + 5
-        while site.connections.count < 540 and time.monotonic() < deadline_s:
-            time.sleep(0.01)
-        assert site.connections.count >= 540
+        wait_until(lambda: site.connections.count >= 540, 5)
         began_s = time.monotonic()
         assert site.ada.get("/api/v1/sensors").status_code == 200
         assert site.ada.get("/", headers={"Accept": "text/html"}).status_code == 200
@@ -211,10 +209,7 @@ def test_who_takes_nothing_of_an_answer_is_let_go(quick: Site) -> None:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         for _ in range(4):
             connection.sendall(b"GET /static/plotly.min.js HTTP/1.1\r\nHost: here\r\n\r\n")
-        deadline_s = time.monotonic() + 5
-        while any(not one.known for one in quick.connections._open) and time.monotonic() < deadline_s:
-            time.sleep(0.02)
-        assert time.monotonic() < deadline_s
+        wait_until(lambda: all(one.known for one in quick.connections._open), 5)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import resource
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import pytest
 import sqlalchemy as sa
 from click.testing import CliRunner
 
+from benchmarks.servers import wait_until
 from boresight.cli import main
 from boresight.disks import LEAST_FREE_BYTES, refuse_unwritable, storage_error
 from boresight.errors import StorageError
@@ -238,9 +238,6 @@ def test_requests_are_refused_while_postgresql_is_gone_and_answered_when_it_is_b
         assert (gone.status_code, gone.json()["title"]) == (503, "Unavailable")
         assert "The database does not answer" in gone.json()["detail"]
         assert unready.status_code == 503
-        until_s = time.monotonic() + PATIENCE_S
-        while (back := client.get("/api/v1/sensors")).status_code != 200:
-            assert time.monotonic() < until_s, back.text
-            time.sleep(0.1)
+        wait_until(lambda: client.get("/api/v1/sensors").status_code == 200, PATIENCE_S)
     for cursor in [one for one in gc.get_objects() if isinstance(one, psycopg.ServerCursor)]:
         cursor._close()  # its connection is gone, and the driver would warn of it in whichever test comes then

@@ -1,9 +1,10 @@
-"""A comparison sent to a second person as an address: both see the same runs, reference, axis and tables."""
+"""Comparing runs: a second person sees the same by its address, and no figure is drawn over and over."""
 
 import pytest
 from playwright.sync_api import expect
 
 pytestmark = pytest.mark.browser
+
 
 TABLES = ("Runs compared", "Parameters of the runs", "Settings and results of the runs")
 
@@ -38,3 +39,36 @@ def test_a_second_person_sees_the_same_comparison_by_its_address(people, batch_r
         assert seen(window) == mine
         window.page.evaluate("scrollTo(0, 0)")
         window.shoot("comparison-shared")
+
+
+MOST_AGAIN = 3  # once, and again when the room is known
+CHANGES = """async () => {
+    const changes = async (place, data, layout) => {
+        let count = 0;
+        const observer = new MutationObserver(records => { count += records.length; });
+        observer.observe(place, {subtree: true, childList: true, attributes: true});
+        await Plotly.newPlot(place, data, layout);
+        count += observer.takeRecords().length;
+        observer.disconnect();
+        return count;
+    };
+    const found = {};
+    for (const place of document.querySelectorAll(".js-plotly-plot")) {
+        const { data, layout } = place;
+        const axes = Object.keys(place._fullLayout).filter(name => /^[xy]axis/.test(name));
+        const bare = structuredClone(layout);
+        for (const name of axes) bare[name] = {...bare[name], automargin: false};
+        const once = await changes(place, data, bare);
+        found[place.closest("[id]").id] = await changes(place, data, structuredClone(layout)) / once;
+    }
+    return found;
+}"""
+
+
+def test_no_figure_is_drawn_over_and_over_until_its_labels_have_room(people, batch_run, sequential_run):
+    with people.seat("analyst") as window:
+        window.open(f"/compare?runs={batch_run},{sequential_run}")
+        window.figures_drawn()
+        again = window.page.evaluate(CHANGES)
+    assert len(again) > 20
+    assert {name: times for name, times in again.items() if times > MOST_AGAIN} == {}

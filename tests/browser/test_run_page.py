@@ -1,0 +1,261 @@
+"""A run's page: it grows from events, steps through frames, keeps its views in the address, and draws the result's numbers."""
+
+import itertools
+import re
+
+import numpy as np
+import pytest
+from playwright.sync_api import expect
+
+from boresight.figures import CHAPTERS
+from tests.browser.work import choose_filter, ends_as, queue
+
+pytestmark = pytest.mark.browser
+
+
+FROM_EVENTS = 1e-5
+
+
+def test_curves_grow_from_the_events_without_the_figure_being_fetched_again(watched):
+    pairs = itertools.pairwise(zip(watched.lengths, watched.fetched, strict=True))
+    assert any(longer > shorter and later == earlier for (shorter, earlier), (longer, later) in pairs)
+
+
+def test_what_was_drawn_from_events_is_what_the_server_draws(watched):
+    compared = 0
+    for drawn, whole in zip(watched.drawn, watched.fetched_anew, strict=True):
+        half = len(drawn["x"]) // 2 if drawn["fill"] == "toself" else len(drawn["x"])
+        expected = dict(zip(whole["x"], whole["y"], strict=True)) if half == len(drawn["x"]) else None
+        if expected is None:  # of an outline the upper edge comes first
+            expected = dict(zip(whole["x"][: len(whole["x"]) // 2], whole["y"], strict=False))
+        for x, y in zip(drawn["x"][:half], drawn["y"][:half], strict=True):
+            if x in expected and y is not None and len(drawn["x"]) > 2:
+                assert y == pytest.approx(expected[x], rel=FROM_EVENTS, abs=1e-4, nan_ok=True)
+                compared += 1
+    assert compared > 10 * max(watched.lengths)
+
+
+def test_a_running_filter_says_its_pace_what_is_left_and_when_it_was_last_heard_of(watched):
+    said = watched.said[-1]
+    assert re.search(r"\d+\.\d frames/s, about \d.* left", said)
+    assert "attempt 1" in said
+    assert re.search(r"last event \d+\Ws ago", said)
+
+
+def test_the_log_follows_and_a_stop_keeps_its_reason(watched):
+    assert re.search(r"\d+ %: frame \d+: \d+ of 100 frames", watched.log)
+    assert "Cancelled by Ada Analyst: Seen enough." in watched.at_the_end
+    assert "PARTIAL: It had come to" in watched.at_the_end
+
+
+def test_the_log_stays_where_somebody_reads_and_rests_while_it_is_paused(watched):
+    assert watched.scrolled_px == 0
+    assert watched.paused_lines[0] == watched.paused_lines[1]
+
+
+LINES = "#figure-convergence .cursor-line:not([hidden])"
+AXIS = "() => document.querySelector('#figure-convergence .js-plotly-plot')._fullLayout.yaxis10.type"
+
+
+@pytest.fixture(scope="module")
+def desk(people, sequential_run):
+    with people.seat("analyst") as window:
+        window.open(f"/runs/{sequential_run}")
+        yield window
+
+
+def test_the_pointer_over_one_chart_marks_the_same_place_in_all_that_share_its_axis(desk, sequential_run):
+    desk.open(f"/runs/{sequential_run}?part=convergence")
+    desk.figures_drawn()
+    expect(desk.page.locator(LINES)).to_have_count(0)
+    desk.figure("methods").locator(".nsewdrag").hover(position={"x": 200, "y": 150})
+    expect(desk.page.locator(LINES)).to_have_count(10)
+    desk.page.locator("h1").hover()
+    expect(desk.page.locator(LINES)).to_have_count(0)
+
+
+def test_scale_and_tail_are_in_the_address_so_that_a_second_person_sees_the_same(desk, people, sequential_run):
+    desk.open(f"/runs/{sequential_run}?part=convergence")
+    desk.figures_drawn()
+    assert desk.page.evaluate(AXIS) == "log"
+    desk.page.get_by_label("Cost and step").select_option("linear")
+    desk.page.get_by_role("form", name="View of the history").get_by_role("button", name="Show").click()
+    desk.page.wait_for_url("**scale=linear**")
+    desk.figures_drawn()
+    assert desk.page.evaluate(AXIS) == "linear"
+    desk.open(f"/runs/{sequential_run}?part=rms")
+    desk.page.get_by_label("Tail from frame").fill("60")
+    desk.page.get_by_role("form", name="View of the RMS").get_by_role("button", name="Show").click()
+    desk.page.wait_for_url("**tail_from=60**")
+    with people.seat("approver") as second:
+        second.open(desk.page.url)
+        expect(second.page.locator("#facts")).to_contain_text("frame 60 to 99")
+        tails = [one for one in second.drawn("rms") if one["name"].endswith("· tail")]
+        assert [min(one["x"]) for one in tails] == [min(tails[0]["x"]), 60]
+
+
+def test_the_runs_beside_are_one_step_away_in_the_same_part(desk, batch_run, sequential_run):
+    desk.open(f"/runs/{sequential_run}?part=provenance")
+    desk.page.locator("a[rel=prev]").click()
+    desk.page.wait_for_url(re.compile(rf"/runs/(?!{sequential_run}\b)\d+\?part=provenance"))
+    assert int(re.search(r"/runs/(\d+)", desk.page.url)[1]) >= batch_run
+
+
+def test_a_figure_that_fails_says_so_and_comes_back_on_retry(desk, sequential_run):
+    desk.page.route("**/figures/rms?*", lambda route: route.abort())
+    desk.page.route("**/figures/rms", lambda route: route.abort())
+    desk.open(f"/runs/{sequential_run}?part=rms")
+    panel = desk.figure("rms")
+    expect(panel.locator("plot-figure")).to_have_attribute("data-state", "error")
+    desk.page.unroute_all(behavior="ignoreErrors")
+    panel.get_by_role("button", name="Retry").click()
+    expect(panel.locator("plot-figure")).to_have_attribute("data-state", "ready")
+    desk.forgive("ERR_FAILED")
+
+
+def test_a_frame_is_stepped_through_scaled_and_found_again_by_its_address(people, batch_run):
+    with people.seat("analyst") as window:
+        window.open(f"/runs/{batch_run}?part=frames&frame=5&scale=100")
+        page = window.page
+        heading, drawing = page.get_by_role("heading", level=2, name="Frame"), page.locator(".frame-drawing")
+        expect(heading).to_have_text("Frame 5")
+
+        page.locator("[data-frame-link=next]").click()
+        expect(heading).to_have_text("Frame 6")
+        expect(page.locator("[data-frame-link=next]")).to_be_focused()
+        drawing.focus()
+        page.keyboard.press("ArrowRight")
+        expect(heading).to_have_text("Frame 7")
+        expect(drawing).to_be_focused()
+        assert page.url.endswith("frame=7&scale=100")
+
+        page.get_by_label("Drawn").select_option("500")
+        assert page.url.endswith("frame=7&scale=500")
+        frame = window.read(f"/api/v1/runs/{batch_run}/frames/7")
+        star = next(star for star in frame["exposures"][0]["stars"] if star["new"])
+        line = page.locator(f"g[data-star='{star['row']}'] line.new")
+        drawn = [float(line.get_attribute(name)) for name in ("x1", "y1", "x2", "y2")]
+        d_row, d_col = star["new"]["d_px"]
+        assert drawn[2:] == pytest.approx([drawn[0] + 500 * d_col, drawn[1] + 500 * d_row])
+
+        page.locator(f"table.frame-stars tr[data-star='{star['row']}']").hover()
+        expect(page.locator(f"g[data-star='{star['row']}']")).to_have_class("star used is-shown")
+        page.go_back()
+        expect(heading).to_have_text("Frame 6")
+        page.get_by_label("Frame", exact=True).fill("4000")
+        page.keyboard.press("Enter")
+        expect(page.get_by_text("The telemetry has no frame 4000")).to_be_visible()
+        assert window.complaints == []
+
+
+ONE_A_SECOND, FIFTY_A_SECOND = 1.0, 50.0
+SINGLE = 1e-6  # figures travel in single precision
+
+
+def open_part(window, run_id, part):
+    window.open(f"/runs/{run_id}")
+    window.page.get_by_role("navigation", name="Parts of this run").get_by_role("link", name=part).click()
+    window.page.wait_for_url(f"**/runs/{run_id}?part={part.lower()}")
+
+
+def clone(window, run_id, frames_per_s, label):
+    window.open(f"/runs/new?clone={run_id}")
+    choose_filter(window, frames_per_s)
+    return queue(window, label)
+
+
+@pytest.fixture(scope="module")
+def result(people, batch_run):
+    with people.seat("analyst") as window:
+        return window.result(batch_run)
+
+
+@pytest.fixture(scope="module")
+def trust_page(people, batch_run):
+    with people.seat("analyst") as window:
+        open_part(window, batch_run, "Trust")
+        yield window
+
+
+def test_the_page_can_be_read_before_its_figures_are_drawn(people, batch_run):
+    with people.seat("analyst") as window:
+        window.page.route("**/figures/*", lambda _: None)  # no figure ever arrives
+        window.open(f"/runs/{batch_run}?part=trust")
+        expect(window.page.get_by_role("heading", name="Examination")).to_be_visible()
+        expect(window.page.get_by_role("table", name="Residuals of each star")).to_be_visible()
+        window.page.unroute_all(behavior="ignoreErrors")
+
+
+def test_figures_far_below_are_drawn_without_being_scrolled_to(people, batch_run):
+    with people.seat("analyst") as window:
+        window.open(f"/runs/{batch_run}?part=trust")
+        window.figures_drawn()
+        assert window.page.evaluate("scrollY") == 0
+        for figure in CHAPTERS["trust"]:
+            expect(window.figure(figure.name)).to_have_count(1)
+
+
+def test_the_charts_hold_the_numbers_of_the_result(trust_page, result):
+    trust = result["trust"]
+    map_drawn, bars = trust_page.drawn("two-halves")
+    assert bars["y"] == pytest.approx(trust["two_halves"]["difference_in_sigma"], rel=SINGLE)
+    assert np.array(map_drawn["z"], dtype=float) == pytest.approx(
+        np.array(trust["two_halves"]["map"]["difference_arcsec"], dtype=float), rel=SINGLE, nan_ok=True
+    )
+    (ratios,) = trust_page.drawn("efficiency")
+    assert ratios["y"] == pytest.approx(list(trust["efficiency"]["ratio"].values()), rel=SINGLE)
+
+
+def test_the_whiteness_of_the_residuals_part_is_that_of_the_examination(people, batch_run, result):
+    with people.seat("analyst") as window:
+        open_part(window, batch_run, "Residuals")
+        (correlations,) = window.drawn("whiteness")
+        expected = result["trust"]["whiteness"]["autocorrelation"]
+        assert correlations["y"] == pytest.approx(expected, rel=SINGLE, abs=SINGLE)
+
+
+def test_a_heading_sorts_the_stars_and_a_second_press_turns_them_round(trust_page, result):
+    table = trust_page.page.get_by_role("table", name="Residuals of each star")
+    heading = table.get_by_role("columnheader", name="Sightings")
+    seen = [star["sightings"] for star in result["trust"]["stars"]]
+    for direction, expected in (("descending", sorted(seen, reverse=True)), ("ascending", sorted(seen))):
+        heading.get_by_role("button").click()
+        expect(heading).to_have_attribute("aria-sort", direction)
+        cells = table.locator("tbody tr td:nth-child(3)").all_inner_texts()
+        assert [int(re.sub(r"\D", "", cell)) for cell in cells] == expected
+
+
+def test_every_suspect_is_marked_and_they_are_the_list_to_flag(trust_page, result):
+    page = trust_page.page
+    suspects = [str(star) for star in result["trust"]["suspects"]]
+    table = page.get_by_role("table", name="Residuals of each star")
+    marked = table.get_by_role("row").filter(has=page.locator(".status-caution"))
+    assert sorted(marked.locator("th").all_inner_texts()) == sorted(suspects)
+    expect(page.get_by_role("button", name="Copy the stars to flag")).to_have_count(1 if suspects else 0)
+
+
+def test_the_matching_part_counts_what_the_result_counts(people, batch_run, result):
+    with people.seat("analyst") as window:
+        matching = result["matching"]
+        open_part(window, batch_run, "Matching")
+        for name in ("Given", "Kept", "Removed", "Added", "Matched"):
+            told = window.page.locator(f"#matches dl.verdict dt:text-is('{name}') + dd b").inner_text()
+            assert int(re.sub(r"\D", "", told)) == matching[name.lower()]
+        assert window.drawn("matching")[0]["y"] == [cycle["matched"] for cycle in matching["cycles"]]
+
+
+def test_trust_appears_by_itself_when_the_run_that_is_watched_ends(people, batch_run):
+    with people.seat("analyst") as window:
+        before, run_id = (
+            clone(window, batch_run, pace, label)
+            for pace, label in ((ONE_A_SECOND, "Has the only worker"), (FIFTY_A_SECOND, "Watched for its trust"))
+        )
+        open_part(window, run_id, "Trust")
+        examination = window.page.locator("#examination")
+        expect(examination).to_contain_text("No examination")
+        window.send(f"/runs/{before}/cancel", {})
+        ends_as(window, "SUCCEEDED")
+        expect(examination.locator("plot-figure")).to_have_count(len(CHAPTERS["trust"]))
+        window.figures_drawn()
+        assert len(window.drawn("efficiency")[0]["y"]) == len(window.result(run_id)["free"])
+        expect(window.page.locator("#parts")).to_contain_text("doubt")
