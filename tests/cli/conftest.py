@@ -13,7 +13,7 @@ from tests.stores import environment_in, url_in
 FRAMES = 40
 
 
-def refused(done, *words, lines=None):
+def assert_refused(done, *words, lines=None):
     assert done.exit_code == 1
     assert [word for word in words if word not in done.stderr] == [], done.stderr
     assert lines in {None, done.stderr.count("\n")}

@@ -14,7 +14,7 @@ from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.blobs.store import register_blob
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import open_engine, open_writing
-from tests.cli.conftest import refused
+from tests.cli.conftest import assert_refused
 from tests.stores import drop_triggers, triggers_aside, url_in
 
 NOW = "2026-11-21T00:00:00.000000Z"
@@ -63,7 +63,7 @@ def test_an_edit_by_hand_is_found_and_named(store, tmp_path, edit, said):
     assert store("audit", "verify").exit_code == 0
     _edit_by_hand(tmp_path, edit)
     found = store("audit", "verify")
-    refused(found, said)
+    assert_refused(found, said)
 
 
 def _edit_by_hand(folder, edit, *, aside=False):
@@ -92,7 +92,7 @@ def test_a_blob_edited_by_hand_is_found_by_the_row_that_named_it(store, tmp_path
     assert store("audit", "verify", "--no-blobs").exit_code == 0
     _edit_by_hand(tmp_path, "UPDATE blobs SET sha256 = 'b' || substr(sha256, 2)")
     found = store("audit", "verify")
-    refused(found, "Record 2 sealed it otherwise: telemetry_sets/1 was parted from a row that it refers to")
+    assert_refused(found, "Record 2 sealed it otherwise: telemetry_sets/1 was parted from a row that it refers to")
 
 
 def _telemetry():
@@ -119,7 +119,7 @@ def test_a_schema_of_another_version_is_refused_and_left_as_it_is(store, tmp_pat
     assert store("migrate", "--down", "0002").exit_code == 0
     before = path.read_bytes()
     found = store("audit", "verify")
-    refused(found, "has schema 0002", "boresight migrate")
+    assert_refused(found, "has schema 0002", "boresight migrate")
     assert path.read_bytes() == before
 
 
@@ -147,7 +147,7 @@ def test_a_stored_file_that_was_altered_or_is_missing_is_named(store, tmp_path, 
     assert (found.exit_code, "the 1 stored files" in found.stdout) == (0, True)
     spoil(path)
     found = store("audit", "verify")
-    refused(found, f"The stored file {path.name[:12]} (of no row): {what}")
+    assert_refused(found, f"The stored file {path.name[:12]} (of no row): {what}")
     assert store("audit", "verify", "--no-blobs").exit_code == 0
 
 

@@ -15,7 +15,7 @@ from boresight.cli.calibrate import Choice
 from boresight.cli.calibrate import calibrate as command
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
-from tests.cli.conftest import refused
+from tests.cli.conftest import assert_refused
 
 
 def calibrate(boresight, folder, *words):
@@ -70,7 +70,7 @@ def test_a_parameter_of_another_camera_is_refused_in_one_line(boresight, simulat
 
 def test_a_missing_file_is_refused_in_one_line(boresight, simulated):
     done = boresight("calibrate", simulated / "absent.csv", "--sensor", simulated / "sensor.json")
-    refused(done, "absent.csv", lines=1)
+    assert_refused(done, "absent.csv", lines=1)
 
 
 def test_the_first_ten_faults_of_a_file_are_listed_a_line_each(boresight, simulated, tmp_path):
@@ -91,7 +91,7 @@ def test_the_first_ten_faults_of_a_file_are_listed_a_line_each(boresight, simula
 
 def test_a_result_that_could_not_be_written_is_refused_before_the_work(boresight, simulated, tmp_path):
     done = calibrate(boresight, simulated, "--json", tmp_path / "no" / "result.json")
-    refused(done, "does not exist")
+    assert_refused(done, "does not exist")
 
 
 def test_real_stars_determine_focal_length_and_b2(boresight, real_sky):

@@ -14,7 +14,7 @@ from boresight.cli import main
 from boresight.cli.output import progress
 from boresight.errors import BoresightError, Fault, RefusedInputError
 from boresight.platform.db.sessions import current_revision, head_revision, open_engine
-from tests.cli.conftest import refused
+from tests.cli.conftest import assert_refused
 from tests.stores import url_in
 
 COMMANDS = (
@@ -67,13 +67,13 @@ def test_report_refuses_what_is_no_calibration(boresight, tmp_path, content):
     source = tmp_path / "other.json"
     source.write_text(content)
     done = boresight("report", source, "--out", tmp_path / "report.html")
-    refused(done, lines=1)
+    assert_refused(done, lines=1)
     assert not (tmp_path / "report.html").exists()
 
 
 def test_report_of_a_run_that_is_not_stored_is_refused(store, tmp_path):
     done = store("report", "12", "--out", tmp_path / "report.html")
-    refused(done, "12")
+    assert_refused(done, "12")
 
 
 @pytest.mark.parametrize(("setting", "said"), [("1", False), ("0", True)])
@@ -108,7 +108,7 @@ def test_a_person_is_added_once_and_the_audit_chain_knows(store):
     assert "analyst, approver" in done.stdout
     assert PASSWORD not in done.stdout + done.stderr
     again = store(*words, "--password-stdin", stdin=f"{PASSWORD}\n")
-    refused(again, "ada")
+    assert_refused(again, "ada")
     checked = store("audit", "verify")
     assert checked.exit_code == 0
     assert "head " in checked.stdout
@@ -122,7 +122,7 @@ def test_a_password_is_asked_for_twice_where_none_is_piped(store):
 
 def test_an_empty_password_on_standard_input_is_refused(store):
     done = store("user", "add", "eve", "--role", "viewer", "--printed-name", "Eve", "--password-stdin", stdin="")
-    refused(done, "no password")
+    assert_refused(done, "no password")
 
 
 @pytest.mark.parametrize("command", ["serve", "demo"])
@@ -131,7 +131,7 @@ def test_a_port_that_is_taken_is_refused_with_what_to_do(boresight, tmp_path, co
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         done = boresight(command, "--port", taken.getsockname()[1], "--data", tmp_path)
-    refused(done, "--port", lines=1)
+    assert_refused(done, "--port", lines=1)
 
 
 def refusing(error, monkeypatch):

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.cli.conftest import refused
+from tests.cli.conftest import assert_refused
 
 
 @pytest.fixture
@@ -116,7 +116,7 @@ def test_parameters_that_are_not_this_sensors_are_refused_in_one_line(written, c
     values = dict(calibration_result["parameters"])
     change(values)
     done = written(values)
-    refused(done, sentence, lines=1)
+    assert_refused(done, sentence, lines=1)
 
 
 @pytest.mark.parametrize(
@@ -131,18 +131,18 @@ def test_parameters_that_are_not_this_sensors_are_refused_in_one_line(written, c
 )
 def test_a_file_that_holds_no_parameters_is_refused_in_one_line(written, document, sentence):
     done = written(document)
-    refused(done, sentence, lines=1)
+    assert_refused(done, sentence, lines=1)
 
 
 @pytest.mark.parametrize("covariance", [{"names": ["f_m"], "matrix": [[-1.0]]}, {"names": ["f_m"], "matrix": 3}, 7])
 def test_a_covariance_that_is_none_is_refused(written, calibration_result, covariance):
     done = written({"parameters": calibration_result["parameters"], "covariance": covariance})
-    refused(done, "covariance that is not names and a square matrix")
+    assert_refused(done, "covariance that is not names and a square matrix")
 
 
 def test_a_missing_file_is_refused_in_one_line(evaluate, tmp_path):
     done = evaluate("--parameters", tmp_path / "absent.json")
-    refused(done, "absent.json does not exist")
+    assert_refused(done, "absent.json does not exist")
 
 
 @pytest.fixture
@@ -232,4 +232,4 @@ def test_what_cannot_be_used_is_refused_in_one_line(assess, stored, option, docu
 
 def test_what_is_no_calibration_is_refused(boresight, simulated):
     done = boresight("assess", simulated / "truth.json", "--sensor", simulated / "sensor.json")
-    refused(done, "truth.json is no whole calibration (schema")
+    assert_refused(done, "truth.json is no whole calibration (schema")

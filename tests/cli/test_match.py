@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from boresight.telemetry.read.readers import read_telemetry
-from tests.cli.conftest import refused
+from tests.cli.conftest import assert_refused
 
 
 def blanked(source, target, share, rng):
@@ -148,7 +148,7 @@ def test_doubles_can_be_left_out(match, half, tmp_path):
 def test_the_telemetry_itself_is_never_overwritten(match, half):
     before = half[0].read_bytes()
     done = match(half[0], half[0])
-    refused(done, "never overwritten")
+    assert_refused(done, "never overwritten")
     assert half[0].read_bytes() == before
 
 
@@ -157,7 +157,7 @@ def test_the_telemetry_itself_is_never_overwritten(match, half):
 )
 def test_a_place_that_cannot_be_written_is_refused_before_the_work(match, half, tmp_path, name, sentence):
     done = match(half[0], tmp_path / name)
-    refused(done, sentence, lines=1)
+    assert_refused(done, sentence, lines=1)
 
 
 def test_real_stars_keep_their_names_and_the_others_have_reasons(boresight, real_sky, tmp_path):

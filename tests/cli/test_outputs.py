@@ -14,7 +14,7 @@ from boresight.console.fleet import service as sensors
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.db.sessions import open_writing
 from boresight.sky import identification
-from tests.cli.conftest import refused
+from tests.cli.conftest import assert_refused
 from tests.stores import open_migrated, url_in
 
 
@@ -35,7 +35,7 @@ def test_a_report_goes_to_standard_output_and_no_file_is_made(calibration, tmp_p
 @pytest.mark.parametrize("name", ["report.pdf", "report.PDF", "report.docx", "report.json", "report.txt"])
 def test_a_report_is_html_and_no_other_ending_is_written(boresight, calibration, tmp_path, name):
     done = boresight("report", calibration, "--out", tmp_path / name)
-    refused(done, ".html", lines=1)
+    assert_refused(done, ".html", lines=1)
     assert ("print it to PDF" in done.stderr) == name.lower().endswith(".pdf")
     assert list(tmp_path.iterdir()) == []
 
@@ -66,7 +66,7 @@ def test_json_is_not_written_under_the_name_of_another_format(boresight, simulat
         "--json",
         tmp_path / f"result{ending}",
     )
-    refused(done, "end the name with .json")
+    assert_refused(done, "end the name with .json")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -89,7 +89,7 @@ def test_a_place_that_cannot_hold_what_is_written_is_refused_in_one_line(
     monkeypatch.chdir(tmp_path)
     files = {"CALIBRATION": simulated / "calibration.csv", "SENSOR": simulated / "sensor.json"}
     done = store(*(files.get(word, word) for word in words))
-    refused(done, lines=1)
+    assert_refused(done, lines=1)
     assert "unexpected" not in done.stderr
     assert not {"-", "out.txt", "out.csv", "log.csv", "all.json", "package.json"} & {
         path.name for path in tmp_path.iterdir()
@@ -118,7 +118,7 @@ def test_where_the_extra_is_missing_and_needed_every_command_says_how_to_install
     calibrated = boresight("calibrate", nameless, *sensor, "--json", tmp_path / "result.json")
     matched = boresight("match", nameless, *sensor, "--out", tmp_path / "out.csv")
     evaluated = boresight("evaluate", nameless, *sensor, "--parameters", simulated / "truth.json")
-    refused(calibrated, how)
+    assert_refused(calibrated, how)
     assert how in json.loads((tmp_path / "result.json").read_text())["advice"][0]
     assert how in matched.stdout
     assert how in evaluated.stdout
@@ -142,7 +142,7 @@ def test_a_calibration_without_a_member_it_needs_is_refused_by_the_name_of_that_
     cut.write_text(json.dumps(document))
     more = ["--out", tmp_path / "report.html"] if command == "report" else ["--sensor", simulated / "sensor.json"]
     done = boresight(command, cut, *more)
-    refused(done, f"cut.json is no whole calibration ({member}")
+    assert_refused(done, f"cut.json is no whole calibration ({member}")
 
 
 INITIAL = {"s": 1.0, "f_m": 0.05, "u0_px": 512.3, "v0_px": 511.2, "k1": 0.01, "k2": -0.02}
@@ -230,7 +230,7 @@ def test_a_damaged_table_is_refused_by_its_crc(boresight, files):
     damaged[5] ^= 1
     image.write_bytes(damaged)
     read = _table(boresight, files, "decode", image)
-    refused(read, "CRC of table.bin is not that of its bytes")
+    assert_refused(read, "CRC of table.bin is not that of its bytes")
 
 
 def test_a_definition_that_is_no_json_is_refused(boresight, files):

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from boresight.cli import main
-from tests.cli.conftest import refused
+from tests.cli.conftest import assert_refused
 
 STUDIES = {
     "enright": ("--sensors", "4", "--frames", "20"),
@@ -110,4 +110,4 @@ def test_the_same_command_gives_the_same_document_but_for_the_clock(wu, data_fol
 )
 def test_a_study_that_cannot_be_is_refused_in_one_line(boresight, tmp_path, study, words, said):
     done = boresight("reproduce", study, "--quick", "--out", tmp_path / "out", *words)
-    refused(done, said, lines=1)
+    assert_refused(done, said, lines=1)

@@ -6,7 +6,7 @@ import pytest
 
 from boresight.simulation.sensors import wu_sensor
 from boresight.telemetry.sensors import sensor_document
-from tests.cli.conftest import refused
+from tests.cli.conftest import assert_refused
 
 
 def test_a_built_in_scenario_writes_everything_a_calibration_needs(simulated):
@@ -36,12 +36,12 @@ def test_a_bad_scenario_is_refused_in_one_line(boresight, tmp_path, text):
     scenario = tmp_path / "scenario.json"
     scenario.write_text(text)
     done = boresight("simulate", scenario, "--out", tmp_path / "out")
-    refused(done, lines=1)
+    assert_refused(done, lines=1)
 
 
 def test_an_unknown_name_is_refused_with_the_names_there_are(boresight, tmp_path):
     done = boresight("simulate", "st16-7", "--out", tmp_path)
-    refused(done, "st16-1")
+    assert_refused(done, "st16-1")
 
 
 LENS = {"s": 1.0, "f_m": 0.016, "u0_px": 970.0, "v0_px": 550.0, "k1": -0.05, "k2": 0.02}
@@ -68,7 +68,7 @@ def test_a_lens_goes_to_the_other_model_and_back(boresight, lens, tmp_path):
 
 def test_a_misfit_over_what_is_allowed_is_refused_in_one_line_and_nothing_is_written(boresight, lens, tmp_path):
     done = boresight("convert", *lens, "--out", tmp_path / "out.json", "--allow-px", "1e-9")
-    refused(done, "px (", "1e-09 px is allowed", lines=1)
+    assert_refused(done, "px (", "1e-09 px is allowed", lines=1)
     assert not (tmp_path / "out.json").exists()
 
 
@@ -76,14 +76,14 @@ def test_what_is_read_is_not_written_over(boresight, lens):
     for place in (lens[0], lens[2]):
         before = place.read_bytes()
         done = boresight("convert", *lens, "--out", place)
-        refused(done, "choose another name")
+        assert_refused(done, "choose another name")
         assert place.read_bytes() == before
 
 
 def test_a_calibration_keeps_its_covariance(boresight, calibration, simulated, tmp_path):
     words = ("convert", calibration, "--sensor", simulated / "sensor.json", "--to", "pinhole_radial")
     refused = boresight(*words, "--out", tmp_path / "out.json")
-    refused(refused, "decentring")
+    assert_refused(refused, "decentring")
     done = boresight(*words, "--out", tmp_path / "out.json", "--allow-px", "50")
     assert done.exit_code == 0, done.stderr
     assert "cannot express" in done.stdout

@@ -9,14 +9,14 @@ import sys
 import pytest
 
 from benchmarks.servers import free_port
-from tests.cli.conftest import refused
+from tests.cli.conftest import assert_refused
 
 
 def test_a_worker_for_nobody_is_refused(boresight, monkeypatch):
     monkeypatch.setenv("BORESIGHT_SCHEDULER", "")
     done = boresight("worker")
 
-    refused(done, "There is no scheduler to work for: give --scheduler tcp://host:port.")
+    assert_refused(done, "There is no scheduler to work for: give --scheduler tcp://host:port.")
 
 
 @pytest.mark.parametrize("command", ["worker", "scheduler", "serve"])
@@ -28,20 +28,20 @@ def test_what_is_no_address_of_a_scheduler_is_refused_by_all_who_use_one(boresig
     monkeypatch.setenv("BORESIGHT_SCHEDULER", address)
     done = boresight(command, "--port", free_port()) if command != "worker" else boresight(command)
 
-    refused(done, f"BORESIGHT_SCHEDULER={address!r} is no address of a scheduler: write tcp://host:port")
+    assert_refused(done, f"BORESIGHT_SCHEDULER={address!r} is no address of a scheduler: write tcp://host:port")
 
 
 def test_a_scheduler_that_is_to_be_encrypted_does_not_open_a_plain_link(boresight, monkeypatch):
     monkeypatch.setenv("BORESIGHT_SCHEDULER", "tls://127.0.0.1:8786")
     done = boresight("scheduler", "--port", free_port())
 
-    refused(done, "name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE")
+    assert_refused(done, "name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE")
 
 
 def test_a_worker_on_an_encrypted_link_without_certificates_is_refused(boresight):
     done = boresight("worker", "--scheduler", "tls://127.0.0.1:8786")
 
-    refused(done, "name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE")
+    assert_refused(done, "name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE")
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "10.1.2.3"])  # noqa: S104 - what is to be refused
@@ -50,7 +50,7 @@ def test_a_plain_scheduler_that_others_would_reach_is_refused_unless_its_network
 ):
     done = boresight("scheduler", "--host", host, "--port", free_port())
 
-    refused(done, "BORESIGHT_TLS_AUTHORITY", "BORESIGHT_CLUSTER_NETWORK_CLOSED=1")
+    assert_refused(done, "BORESIGHT_TLS_AUTHORITY", "BORESIGHT_CLUSTER_NETWORK_CLOSED=1")
 
     async def listen(*_):
         raise OSError(98, "it would have listened")
@@ -66,7 +66,7 @@ def test_a_plain_scheduler_beyond_this_machine_is_refused_by_all_who_use_one(bor
     words = (*words[:-1], free_port()) if words[0] == "serve" else words
     done = boresight(*words)
 
-    refused(
+    assert_refused(
         done,
         "BORESIGHT_SCHEDULER=tcp://10.1.2.3:8786 is a plain link beyond this machine",
         "BORESIGHT_CLUSTER_NETWORK_CLOSED=1",
@@ -83,7 +83,7 @@ def test_certificates_are_made_for_their_owner_only_and_never_replaced(boresight
     assert "PRIVATE KEY" in files["boresight.pem"]
     assert "PRIVATE KEY" not in files["authority.pem"] + done.output
     again = boresight("certificates", tmp_path / "made")
-    refused(again, "is there already")
+    assert_refused(again, "is there already")
     assert {path.name: path.read_text() for path in (tmp_path / "made").iterdir()} == files
 
 
@@ -107,7 +107,7 @@ def test_a_port_in_use_is_told_however_deep_it_is_wrapped(boresight, monkeypatch
     monkeypatch.setattr("boresight.workers.service._scheduler", fail)
     done = boresight("scheduler", "--port", "8786")
 
-    refused(done, "127.0.0.1:8786 cannot be listened on (Address already in use)")
+    assert_refused(done, "127.0.0.1:8786 cannot be listened on (Address already in use)")
 
 
 @pytest.mark.parametrize("words", [("--processes", "0"), ("--memory-gb", "0"), ("--port", "1")])
@@ -122,5 +122,5 @@ def test_a_server_whose_files_have_no_place_is_refused_before_it_says_that_it_is
     monkeypatch.setenv("BORESIGHT_BLOBS", f"{tmp_path}/file/blobs")
     done = boresight("serve", "--port", free_port())
 
-    refused(done, f"The folder of files {tmp_path}/file/blobs cannot be written")
+    assert_refused(done, f"The folder of files {tmp_path}/file/blobs cannot be written")
     assert "Boresight on" not in done.output
