@@ -215,7 +215,7 @@ def test_results_are_a_table_and_the_same_as_csv_in_radians(site, launched, read
     assert lines[1]["validation_rms_final_arc_rad"] == ""
 
 
-@pytest.mark.parametrize("text", ["=1+1", "+x", "-x", "@x", "\\tx", "\\rx"])
+@pytest.mark.parametrize("text", ["=1+1", "+x", "-x", "@x", "\tx", "\rx"])
 def test_a_text_that_looks_like_a_formula_stays_a_text(text):
     written = csv_file("results", ["words", "number"], [{"words": text, "number": -1.5}]).body.decode()
     assert list(csv.reader(io.StringIO(written)))[1] == [f"'{text}", "-1.5"]
