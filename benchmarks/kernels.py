@@ -301,7 +301,7 @@ def _compiled(frame: Frame) -> Update:
 
     def update() -> tuple[FloatArray, FloatArray]:
         z, posterior, P = np.zeros(n), np.empty_like(PRIOR), np.empty_like(PRIOR)
-        reference.weigh(frame.star_start, frame.s_i, frame.sigma_rad)
+        reference.whiten(frame.star_start, frame.s_i, frame.sigma_rad)
         kernels.information_update(PRIOR, np.zeros(n), np.zeros(n), *reference.rows(s, D), z, posterior, P)
         return z, posterior
 

@@ -1,4 +1,4 @@
-"""Images of the documentation: every figure of a specimen, and the chart of growth, drawn on white by Plotly in Chromium."""
+"""Images of the documentation: figures of the example calibration and the chart of growth, drawn on white in Chromium."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def _entry(figure: Figure) -> str:
 
 
 def make_example_calibration(catalogue: Catalogue) -> bytes:
-    """Calibrate a simulated sensor anew and return the text of `specimen.json`."""
+    """Calibrate a simulated sensor anew and return the text of `example_calibration.json`."""
     scenario = dataclasses.replace(calibration_scenario(1), frames=FRAMES)
     held_out = dataclasses.replace(validation_scenario(1), frames=HELD_OUT_FRAMES)
     sets = [simulate(s, np.random.default_rng(k), catalogue) for s, k in zip((scenario, held_out), SEEDS, strict=True)]

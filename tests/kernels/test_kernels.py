@@ -173,7 +173,7 @@ def _same(found, expected):
 def test_compiled_values_slopes_and_weights_equal_the_plain_ones(model, values):
     frame, selection = _frame(), Selection(model, values)
     reference = SingularValues(selection, FREE, SCALE)
-    dof = reference.weigh(*frame[:3])
+    dof = reference.whiten(*frame[:3])
     e, H = reference.rows(*frame[3:])
     expected = [np.zeros((8, 8)), np.zeros(8), 0.0]
     kept = 0
@@ -191,7 +191,7 @@ def test_compiled_values_slopes_and_weights_equal_the_plain_ones(model, values):
 def test_unwhitened_rows_equal_the_plain_ones_on_any_stars(seed, model, mean_stars):
     frame, selection = _frame(seed, mean_stars), Selection(model)
     reference = SingularValues(selection, FREE, SCALE)
-    reference.weigh(*frame[:3])
+    reference.whiten(*frame[:3])
     for e, H, (plain_e, plain_H, _) in zip(
         *reference.unwhitened(*frame[3:]), _plain_values(frame, selection), strict=True
     ):
@@ -203,7 +203,7 @@ def test_unwhitened_rows_equal_the_plain_ones_on_any_stars(seed, model, mean_sta
 def test_an_exposure_hands_over_the_covariance_of_its_rows():
     frame = _frame(2)
     reference = SingularValues(Selection(), FREE, SCALE)
-    reference.weigh(*frame[:3])
+    reference.whiten(*frame[:3])
     for (e, H, R), (plain_e, plain_H, plain_R) in zip(
         reference.exposures(*frame[3:]), _plain_values(frame, Selection()), strict=True
     ):
@@ -230,7 +230,7 @@ def test_the_determined_part_of_the_covariance_is_what_an_eigen_decomposition_ke
 def test_compiled_pairs_equal_the_plain_ones():
     frame = _frame(4)
     reference = AllPairs(FREE, SCALE)
-    dof = reference.weigh(*frame[:3])
+    dof = reference.whiten(*frame[:3])
     found = _normal(*reference.rows(*frame[3:]), np.eye(2 * frame[0][-1]))
     expected = [np.zeros((8, 8)), np.zeros(8), 0.0]
     for e, H, R in _plain_pairs(frame):
@@ -243,7 +243,7 @@ def test_compiled_pairs_equal_the_plain_ones():
 def test_a_filled_covariance_can_be_inverted_and_says_the_same():
     frame = _frame(5)
     reference = AllPairs(FREE, SCALE)
-    reference.weigh(*frame[:3])
+    reference.whiten(*frame[:3])
     for (e, H, R), (plain_e, plain_H, plain_R) in zip(
         reference.exposures(*frame[3:]), _plain_pairs(frame), strict=True
     ):
@@ -274,5 +274,5 @@ def test_a_missing_centroid_makes_every_row_of_its_exposure_missing():
     frame = _frame(7)
     frame[3][0] = np.nan
     for reference in (SingularValues(Selection(), FREE, SCALE), AllPairs(FREE, SCALE)):
-        reference.weigh(*frame[:3])
+        reference.whiten(*frame[:3])
         assert np.isnan(reference.rows(*frame[3:])[0]).any()

@@ -1,6 +1,6 @@
 """Example calibrations of a simulated sensor, for the gallery, the documentation and tests.
 
-`specimen.json` travels with the package, because no page should wait for a calibration to show what a figure looks like.
+`example_calibration.json` travels with the package, because no page should wait for a calibration to show what a figure looks like.
 It holds one sensor's frames, calibrated by `filter` and by `batch`. Of the filter, `partial` is what it had told
 half-way, and `nothing` is a run that has not come anywhere yet. Numbers keep seven significant digits, which is more
 than a drawing shows. `python -m benchmarks.pages --figures --renew` makes the file again, from seeds.
@@ -15,7 +15,7 @@ import orjson
 
 from boresight.figures.chart import Result, Trace
 
-PLACE = Path(__file__).with_name("specimen.json")
+PLACE = Path(__file__).with_name("example_calibration.json")
 JUDGED_AT_THE_END = (
     "chi2", "chi2_per_dof", "evaluation", "frame_observability", "matching", "observability", "shadow", "trust", "validation",
 )  # fmt: skip
@@ -24,7 +24,7 @@ LABELS = {"filter": ("Run 2", "as frames come down"), "batch": ("Run 1", "all fr
 
 @cache
 def get_example_calibrations() -> dict[str, Result]:
-    """Read the specimen: the results `filter`, `batch`, `partial` and `nothing`."""
+    """Read the example: the results `filter`, `batch`, `partial` and `nothing`."""
     found: dict[str, Result] = orjson.loads(PLACE.read_bytes())
     return found | {"partial": _half_way(found["filter"]), "nothing": {"status": "running"}}
 

@@ -178,7 +178,7 @@ class LentGroup:
 
 
 class ClusterExecutor:
-    """A `Spread` for one attempt of a run; to be made and used in the thread of its task."""
+    """An `Executor` for one attempt of a run; to be made and used in the thread of its task."""
 
     def __init__(self, name: str, folder: Path, cancelled: Callable[[], bool]) -> None:
         self._worker = get_worker()

@@ -162,7 +162,7 @@ class Reconciler:
     owner: str
     lease_s: float
     max_attempts: int
-    paces: DurationModel = field(default_factory=DurationModel)
+    durations: DurationModel = field(default_factory=DurationModel)
 
     @cached_property
     def _marks(self) -> DataVersionReader:
@@ -261,8 +261,8 @@ class Reconciler:
     ) -> list[tuple[RunGroup, list[ClaimedRun]]]:
         """Claim the oldest of the waiting runs for free threads and for those to be followed, grouped into tasks."""
         with open_writing(self.database) as session:
-            self.paces.refresh(session, {run.method for run in waiting})
-            groups = planned(waiting, free, followed, threads, self.paces.seconds)
+            self.durations.refresh(session, {run.method for run in waiting})
+            groups = planned(waiting, free, followed, threads, self.durations.seconds)
             run_ids = [run_id for group in groups for run_id in group.run_ids]
             claimed = runs.claim(session, self.owner, self.lease_s, len(run_ids), run_ids) if run_ids else []
         ours = {run.run_id: run for run in claimed}

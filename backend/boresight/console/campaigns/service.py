@@ -52,14 +52,14 @@ class CampaignMemberPlan:
     """A sensor of a campaign with what it is to do, or why it cannot."""
 
     sensor: Sensor
-    order: RunRequest | None
+    request: RunRequest | None
     refusal: str | None
 
 
 def plan_members(
     session: Session, members: Sequence[MemberRequest] | None, settings: Mapping[str, Any], label: str
 ) -> list[CampaignMemberPlan]:
-    """Check every sensor's order."""
+    """Check every sensor's request."""
     wanted = (
         [MemberRequest(head.id) for head in sensor_rows.sensor_heads(session)] if members is None else list(members)
     )
@@ -71,13 +71,13 @@ def plan_members(
     newest = rows.newest_sets(session, ids)
     named = [(member, *_choose_sets(member, newest)) for member in wanted]
     numbers = {number for _, *numbers in named for number in numbers if number is not None}
-    held = rows.sets_numbered(session, numbers)  # while these are held, an order finds its own without a statement
+    held = rows.sets_numbered(session, numbers)  # while these are held, a request finds its own without a statement
     plans = [
         _plan_member(session, fleet[member.sensor_id], calibration, validation, settings, label)
         for member, calibration, validation in named
     ]
     del held
-    if all(place.order is None for place in plans):
+    if all(planned.request is None for planned in plans):
         raise RefusedInputError(f"No sensor of the campaign can have a run. {plans[0].refusal}")
     return plans
 
@@ -109,7 +109,7 @@ def _plan_member(
     settings: Mapping[str, Any],
     label: str,
 ) -> CampaignMemberPlan:
-    """Check one sensor's order; a refusal is its cause."""
+    """Check one sensor's request; a refusal is its cause."""
     if calibration is None:
         return CampaignMemberPlan(
             sensor, None, f"{sensor.name} has no calibration set; upload one and launch it again."
@@ -221,7 +221,7 @@ def launch_campaign(
     plans = plan_members(session, members, chosen, label.strip())
     if validate_only:
         return _dry_run(session, plans, label.strip(), named, chosen)
-    whole = next(place.order.settings.document() for place in plans if place.order is not None)
+    whole = next(planned.request.settings.document() for planned in plans if planned.request is not None)
     row = Campaign(label=label.strip(), preset=named, settings=whole, launched_utc=utc_now(), launched_by=actor.user_id)
     session.add(row)
     session.flush()
@@ -234,35 +234,36 @@ def launch_campaign(
 def _dry_run(
     session: Session, plans: Sequence[CampaignMemberPlan], label: str, preset: str | None, settings: Mapping[str, Any]
 ) -> dict[str, Any]:
-    orders = [place.order for place in plans if place.order is not None]
-    refused = [place for place in plans if place.order is None]
+    requests = [planned.request for planned in plans if planned.request is not None]
+    refused = [planned for planned in plans if planned.request is None]
     return {
         "label": label,
         "preset": preset,
-        "settings": orders[0].settings.document() if orders else dict(settings),
+        "settings": requests[0].settings.document() if requests else dict(settings),
         "sensors": len(plans),
-        "runs": len(orders),
-        "predicted_s": expected_s(session, orders),
+        "runs": len(requests),
+        "predicted_s": expected_s(session, requests),
         "refused": [
-            {"sensor_id": place.sensor.id, "sensor": place.sensor.name, "refusal": place.refusal} for place in refused
+            {"sensor_id": planned.sensor.id, "sensor": planned.sensor.name, "refusal": planned.refusal}
+            for planned in refused
         ],
     }
 
 
 def _queue(session: Session, actor: Actor, row: Campaign, plans: Sequence[CampaignMemberPlan]) -> None:
-    """Add the runs and the places of a campaign, portion by portion, and put each run on record."""
+    """Add the runs and the members of a campaign, portion by portion, and put each run on record."""
     for start in range(0, len(plans), PORTION):
         some = plans[start : start + PORTION]
-        orders = [place.order for place in some if place.order is not None]
-        run_of = rows.add_runs(session, [{**order.columns(), "launched_by": actor.user_id} for order in orders])
+        requests = [planned.request for planned in some if planned.request is not None]
+        run_of = rows.add_runs(session, [{**request.columns(), "launched_by": actor.user_id} for request in requests])
         named = [
-            {"sensor_id": place.sensor.id, "run_id": run_of.get(place.sensor.id), "refusal": place.refusal}
-            for place in some
+            {"sensor_id": planned.sensor.id, "run_id": run_of.get(planned.sensor.id), "refusal": planned.refusal}
+            for planned in some
         ]
         rows.add_members(session, [{"campaign_id": row.id, **one} for one in named])
-        for order in orders:
-            after = {**order.on_record(), "campaign": row.id}
-            audit.append(session, actor, "launched", f"runs/{run_of[order.sensor.id]}", None, after)
+        for request in requests:
+            after = {**request.on_record(), "campaign": row.id}
+            audit.append(session, actor, "launched", f"runs/{run_of[request.sensor.id]}", None, after)
         audit.head(session)  # written out now: the seals of this portion are in its own last record
 
 
@@ -300,7 +301,9 @@ def relaunch_failed(session: Session, actor: Actor, campaign_id: int) -> Campaig
         else MemberRequest(one.sensor_id, one.telemetry_set_id, one.validation_set_id)
         for one in failed
     ]
-    plans = [place for place in plan_members(session, members, row.settings, row.label) if place.order is not None]
+    plans = [
+        planned for planned in plan_members(session, members, row.settings, row.label) if planned.request is not None
+    ]
     audit.append(session, actor, "launched again", _subject(row), None, {"sensors": len(plans)})
     _queue(session, actor, row, plans)
     return row

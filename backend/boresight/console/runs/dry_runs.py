@@ -134,14 +134,14 @@ def list_timed_runs(session: Session, method: str) -> list[TimedRun]:
 
 def estimate_run_speed(session: Session, method: str) -> RunSpeed:
     """Return the pace of the newest runs of a method; a careful guess before there is one."""
-    paces = [run.seconds / run.stars for run in list_timed_runs(session, method)]
-    if not paces:
+    speeds = [run.seconds / run.stars for run in list_timed_runs(session, method)]
+    if not speeds:
         guess = FIRST_GUESS_S_PER_STAR
         return RunSpeed(guess, guess / GUESS_SPREAD, guess * GUESS_SPREAD, 0)
-    if len(paces) == 1:
-        return RunSpeed(paces[0], paces[0] / 2, paces[0] * 2, 1)
-    tenths = quantiles(paces, n=10, method="inclusive")
-    return RunSpeed(median(paces), tenths[0], tenths[-1], len(paces))
+    if len(speeds) == 1:
+        return RunSpeed(speeds[0], speeds[0] / 2, speeds[0] * 2, 1)
+    tenths = quantiles(speeds, n=10, method="inclusive")
+    return RunSpeed(median(speeds), tenths[0], tenths[-1], len(speeds))
 
 
 def estimate_seconds_per_star(session: Session, method: str) -> float:
@@ -171,10 +171,10 @@ def count_pairs(stars: int, exposures: int) -> int:
     return max(0, 2 * stars - 3 * exposures)
 
 
-def dry_run(session: Session, order: RunRequest, sight: ForecastSources | None = None) -> dict[str, Any]:
+def dry_run(session: Session, request: RunRequest, sight: ForecastSources | None = None) -> dict[str, Any]:
     """Say what a run would be."""
-    telemetry, settings = order.telemetry, order.settings
-    free = list(settings.free or parse_sensor(order.sensor.document).free)
+    telemetry, settings = request.telemetry, request.settings
+    free = list(settings.free or parse_sensor(request.sensor.document).free)
     quality = telemetry.quality
     exposures = quality.get("usable_exposures", telemetry.frames)
     pairs = count_pairs(quality.get("usable", telemetry.stars), exposures)
@@ -185,11 +185,11 @@ def dry_run(session: Session, order: RunRequest, sight: ForecastSources | None =
     ]
     forecast = None
     if sight is not None:
-        forecast = sight.forecast(telemetry.table_sha256, order.sensor.document, settings)
+        forecast = sight.forecast(telemetry.table_sha256, request.sensor.document, settings)
     return {
-        "sensor": order.sensor.name,
+        "sensor": request.sensor.name,
         "telemetry_set": telemetry.name,
-        "validation_set": None if order.validation is None else order.validation.name,
+        "validation_set": None if request.validation is None else request.validation.name,
         "settings": settings.document(),
         "frames": telemetry.frames,
         "exposures": exposures,
@@ -200,25 +200,29 @@ def dry_run(session: Session, order: RunRequest, sight: ForecastSources | None =
         "predicted_range_s": seconds[1:],
         "paced_by": pace.runs,
         "forecast": forecast,
-        "warnings": _warnings(order, free, pairs),
+        "warnings": _warnings(request, free, pairs),
     }
 
 
-def expected_s(session: Session, orders: Sequence[RunRequest]) -> float:
+def expected_s(session: Session, requests: Sequence[RunRequest]) -> float:
     """Return how long runs of one method will take together, seconds of computing."""
-    if not orders:
+    if not requests:
         return 0.0
-    pace = estimate_run_speed(session, orders[0].settings.method).s_per_star
-    settings = orders[0].settings.document()
+    pace = estimate_run_speed(session, requests[0].settings.method).s_per_star
+    settings = requests[0].settings.document()
     return round(
-        sum(predict_duration_s(settings, order.telemetry.frames, order.telemetry.stars, pace) for order in orders), 3
+        sum(
+            predict_duration_s(settings, request.telemetry.frames, request.telemetry.stars, pace)
+            for request in requests
+        ),
+        3,
     )
 
 
-def _warnings(order: RunRequest, free: Sequence[str], pairs: int) -> list[str]:
-    warnings = [str(sentence) for sentence in order.telemetry.quality.get("warnings") or ()]
+def _warnings(request: RunRequest, free: Sequence[str], pairs: int) -> list[str]:
+    warnings = [str(sentence) for sentence in request.telemetry.quality.get("warnings") or ()]
     if pairs < 10 * len(free):
         warnings.append(f"About {pairs} arcs for {len(free)} parameters is little; free fewer or use a longer set.")
-    if order.validation is None:
+    if request.validation is None:
         warnings.append("Without a validation set nothing independent will say whether the result is better.")
     return warnings

@@ -65,7 +65,7 @@ def _prepare(
         yield ready
 
 
-Ready = Annotated[telemetry_sets.PreparedUpload, Depends(_prepare, scope="function")]
+Prepared = Annotated[telemetry_sets.PreparedUpload, Depends(_prepare, scope="function")]
 
 
 @router.get("", summary="List telemetry sets", response_model=Page[schemas.TelemetrySet], dependencies=[SAME_FOR_ALL])
@@ -95,7 +95,7 @@ def list_telemetry_sets(
     response_model=schemas.TelemetrySet,
     openapi_extra={"requestBody": FORM},
 )
-def upload_telemetry_set(actor: Who, upload: Uploaded, ready: Ready, session: Writing, blobs: Blobs) -> TelemetrySet:
+def upload_telemetry_set(actor: Who, upload: Uploaded, ready: Prepared, session: Writing, blobs: Blobs) -> TelemetrySet:
     """Store a file with its quality report; a refused one leaves nothing behind and says row and column.
 
     The same bytes again for the same sensor are the set that is there already.

@@ -36,7 +36,7 @@ class AllPairs:
     def __init__(self, free: IntArray, scale: FloatArray) -> None:
         self._free, self._scale = free, scale
 
-    def weigh(self, star_start: IntArray, s_i: FloatArray, sigma_rad: FloatArray) -> int:
+    def whiten(self, star_start: IntArray, s_i: FloatArray, sigma_rad: FloatArray) -> int:
         """Take the catalogue's angles and factor their covariance; return 2 N - 3 an exposure."""
         counts = np.diff(star_start)
         exposures, most = len(counts), int(counts.max())

@@ -42,7 +42,7 @@ HALVINGS = 6
 class Reference(Protocol):
     """What stays the same under a rotation, measured frame by frame."""
 
-    def weigh(self, star_start: IntArray, s_i: FloatArray, sigma_rad: FloatArray) -> int:
+    def whiten(self, star_start: IntArray, s_i: FloatArray, sigma_rad: FloatArray) -> int:
         """Take a frame's catalogue directions (n_stars, 3) and their errors (n_stars,); return its degrees of freedom."""
 
     def rows(self, s: FloatArray, D: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -93,7 +93,7 @@ def information_filter(
     prior = inverse(P)
     for k in range(n):
         frame = Frame(arcs, k, sigma_rad)
-        dof[k] = reference.weigh(frame.star_start, frame.s_i, frame.sigma_rad)
+        dof[k] = reference.whiten(frame.star_start, frame.s_i, frame.sigma_rad)
         prior = between_frames(prior, tuning)
         P_prior = inverse(prior) if tuning.gain_form == "gain" else prior
         z_prior, at = z, frame.directions(x)

@@ -23,7 +23,7 @@ class SingularValues:
         self._model, self._chosen = selection.model, selection.chosen
         self._free, self._scale = free, scale
 
-    def weigh(self, star_start: IntArray, s_i: FloatArray, sigma_rad: FloatArray) -> int:
+    def whiten(self, star_start: IntArray, s_i: FloatArray, sigma_rad: FloatArray) -> int:
         """Take the catalogue's values and factor their covariance; return how many are independent."""
         exposures, most = len(star_start) - 1, int(np.diff(star_start).max())
         self._star_start = star_start

@@ -110,7 +110,7 @@ def judged(view: View, runs: Sequence[SeenFrames], selection: Selection) -> tupl
     reference = SingularValues(selection, view.free, view.scale)
     A, smallest = np.zeros((len(view.free),) * 2), list[FloatArray]()
     for run in runs:
-        reference.weigh(run.star_start, run.s_i, run.sigma_rad)
+        reference.whiten(run.star_start, run.s_i, run.sigma_rad)
         unwhitened, (_, H) = reference.both(run.s, run.D)
         A += H.T @ H
         smallest.append(_compute_smallest(unwhitened, run.frame_start))
@@ -172,7 +172,7 @@ def information_of_pairs(view: View, runs: Sequence[SeenFrames]) -> FloatArray:
     reference = AllPairs(view.free, view.scale)
     A = np.zeros((len(view.free), len(view.free)))
     for run in runs:
-        reference.weigh(run.star_start, run.s_i, run.sigma_rad)
+        reference.whiten(run.star_start, run.s_i, run.sigma_rad)
         _, H = reference.rows(run.s, run.D)
         A += H.T @ H
     return A

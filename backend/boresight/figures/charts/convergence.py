@@ -38,14 +38,14 @@ from boresight.verdicts.numbers import change_label, quantity
 PANELS = 2
 POINT_BUDGET = 1200  # a panel, of all runs together
 MOST_MARKED = 3  # runs whose settling is marked; more lines than that hide the curves
-Place = dict[str, int]  # row and column, from 1
+Subplot = dict[str, int]  # row and column, from 1
 
 
 def draw_panels(
-    figure: go.Figure, places: Sequence[Place], courses: Sequence[History | None], traces: Sequence[Trace]
+    figure: go.Figure, places: Sequence[Subplot], histories: Sequence[History | None], traces: Sequence[Trace]
 ) -> None:
-    """Add both panels in their places; a course that is None is another axis's."""
-    for history, style in zip(courses, theme.run_styles(traces), strict=True):
+    """Add both panels in their places; a history that is None is another axis's."""
+    for history, style in zip(histories, theme.run_styles(traces), strict=True):
         if history is not None:
             judged = history.series("cost") if history.axis == "iteration" else innovations(history)
             _draw(figure, places[0], history, judged, style, POINT_BUDGET // len(traces))
@@ -53,7 +53,7 @@ def draw_panels(
     cost, step = places
     figure.update_yaxes(title={"text": "step (σ)", "standoff": 4}, type="log", exponentformat="power", **step)
     names = [_axis_name(figure, step)]
-    if any(course is not None and course.axis == "frame" for course in courses):
+    if any(history is not None and history.axis == "frame" for history in histories):
         figure.add_hline(y=1, line=theme.LEVEL, **cost)
         figure.update_yaxes(title={"text": "NIS / dof, so far", "standoff": 4}, **cost)
     else:
@@ -62,13 +62,15 @@ def draw_panels(
     offer_log(figure, names)
 
 
-def _draw(figure: go.Figure, place: Place, history: History, y: FloatArray, style: theme.RunStyle, limit: int) -> None:
+def _draw(
+    figure: go.Figure, place: Subplot, history: History, y: FloatArray, style: theme.RunStyle, limit: int
+) -> None:
     kept = keep_extremes([y], limit)
     settings = {"hovertemplate": f"%{{y:.4g}}<extra>{style.label}</extra>", "showlegend": False}
     figure.add_trace(theme.line(style, history.x[kept], y[kept], **settings), **place)
 
 
-def _axis_name(figure: go.Figure, place: Place) -> str:
+def _axis_name(figure: go.Figure, place: Subplot) -> str:
     """Return the layout's name of a subplot's y axis."""
     return str(next(iter(figure.select_yaxes(**place))).plotly_name)
 
@@ -90,12 +92,14 @@ def step_norm(history: History) -> FloatArray:
     return np.concatenate([[np.nan], norm])
 
 
-def mark_settled(figure: go.Figure, courses: Sequence[History | None], traces: Sequence[Trace], n_panels: int) -> None:
+def mark_settled(
+    figure: go.Figure, histories: Sequence[History | None], traces: Sequence[Trace], n_panels: int
+) -> None:
     """Draw a vertical line in every panel where a run had settled, and name it in the legend."""
     if len(traces) > MOST_MARKED:
         return
     shapes: list[dict[str, Any]] = []
-    for trace, history, style in zip(traces, courses, theme.run_styles(traces), strict=True):
+    for trace, history, style in zip(traces, histories, theme.run_styles(traces), strict=True):
         first = settled_step(trace.result)
         if history is None or first is None or not first < len(history.x):
             continue
@@ -140,11 +144,11 @@ class ConvergencePanel(Panel):
 
 def draw(traces: Sequence[Trace]) -> go.Figure:
     """Draw every free parameter's change with its 3-sigma band."""
-    courses = [read_history(trace.result) for trace in traces]
-    found = [course for course in courses if course is not None]
+    histories = [read_history(trace.result) for trace in traces]
+    found = [history for history in histories if history is not None]
     if not found:
         return theme.missing(TITLE, "No frame or iteration has been recorded yet: the curves appear as the run moves.")
-    axis = "frame" if any(course.axis == "frame" for course in found) else "iteration"
+    axis = "frame" if any(history.axis == "frame" for history in found) else "iteration"
     panels = _panels(traces, found)
     n_panels = len(panels) + PANELS
     columns = _columns(n_panels)
@@ -152,16 +156,16 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     figure = make_subplots(
         n_rows, columns, shared_xaxes="all", horizontal_spacing=0.24 / columns, vertical_spacing=0.16 / n_rows
     )
-    span = _span([course for course in found if course.axis == axis])
+    span = _span([history for history in found if history.axis == axis])
     limit = CONVERGENCE_POINT_BUDGET // (len(panels) * len(found))
-    for history, style in zip(courses, theme.run_styles(traces), strict=True):
+    for history, style in zip(histories, theme.run_styles(traces), strict=True):
         if history is not None:
             _draw_run(figure, panels, history if history.axis == axis else _level(history, span), style, limit)
     for panel in panels:
         _draw_references(figure, panel, traces, span)
         _frame_panel(figure, panel)
     _dress(figure, traces, axis, n_panels)
-    along = [course if course and course.axis == axis else None for course in courses]
+    along = [history if history and history.axis == axis else None for history in histories]
     judges = [grid_place(number, columns) for number in (n_panels - 2, n_panels - 1)]
     draw_panels(figure, judges, along, traces)
     follow_parameters(figure, panels, traces)
@@ -189,15 +193,15 @@ def _headline(traces: Sequence[Trace]) -> str:
     return f"Change since the initial parameters, band ±3σ{state}"
 
 
-def _panels(traces: Sequence[Trace], courses: Sequence[History]) -> list[ConvergencePanel]:
+def _panels(traces: Sequence[Trace], histories: Sequence[History]) -> list[ConvergencePanel]:
     """Lay out one panel a parameter that any run estimates."""
     names = list(dict.fromkeys(name for trace in traces for name in free_names(trace.result)))
-    names = [name for name in names if any(name in course.names for course in courses)]
+    names = [name for name in names if any(name in history.names for history in histories)]
     return [
         ConvergencePanel(
             name,
             quantity(name, traces[0].result),
-            _origin(name, traces, courses),
+            _origin(name, traces, histories),
             *divmod(i, _columns(len(names) + PANELS)),
             [],
         )
@@ -205,16 +209,16 @@ def _panels(traces: Sequence[Trace], courses: Sequence[History]) -> list[Converg
     ]
 
 
-def _origin(name: str, traces: Sequence[Trace], courses: Sequence[History]) -> float:
+def _origin(name: str, traces: Sequence[Trace], histories: Sequence[History]) -> float:
     """Choose what changes are counted from: the first run's initial value, or its first estimate."""
     for trace in traces:
         if (initial := (trace.result.get("initial") or {}).get(name)) is not None:
             return float(initial)
-    return next(float(c.value[0, c.names.index(name)]) for c in courses if name in c.names)
+    return next(float(c.value[0, c.names.index(name)]) for c in histories if name in c.names)
 
 
-def _span(courses: Sequence[History]) -> tuple[float, float]:
-    return min(float(c.x.min()) for c in courses), max(float(c.x.max()) for c in courses)
+def _span(histories: Sequence[History]) -> tuple[float, float]:
+    return min(float(c.x.min()) for c in histories), max(float(c.x.max()) for c in histories)
 
 
 def _level(history: History, span: tuple[float, float]) -> History:

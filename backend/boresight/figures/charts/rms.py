@@ -58,17 +58,17 @@ class _Panel:
 
 def draw(traces: Sequence[Trace]) -> go.Figure:
     """Draw RMS arc error over frames, or over iterations when every run is a batch."""
-    courses = [read_history(trace.result) for trace in traces]
-    found = [course for course in courses if course is not None and _has_curve(course)]
+    histories = [read_history(trace.result) for trace in traces]
+    found = [history for history in histories if history is not None and _has_curve(history)]
     if not found:
         return theme.missing(TITLE, "No RMS arc error has been recorded yet: the curves appear as the run moves.")
-    axis = "frame" if any(course.axis == "frame" for course in found) else "iteration"
-    along = [course.x for course in found if course.axis == axis]
+    axis = "frame" if any(history.axis == "frame" for history in found) else "iteration"
+    along = [history.x for history in found if history.axis == axis]
     span = (min(float(x.min()) for x in along), max(float(x.max()) for x in along))
-    starts = [span[0]] if axis == "iteration" else [span[0], _tail_start(traces, courses)]
+    starts = [span[0]] if axis == "iteration" else [span[0], _tail_start(traces, histories)]
     panels = [_Panel(i + 1, start, span[1], POINT_BUDGET // (6 * len(found))) for i, start in enumerate(starts)]
     figure = make_subplots(1, len(panels), column_widths=[0.4, 0.6][: len(panels)] if len(panels) > 1 else None)
-    for trace, history, style in zip(traces, courses, theme.run_styles(traces), strict=True):
+    for trace, history, style in zip(traces, histories, theme.run_styles(traces), strict=True):
         for panel in panels:
             if history is not None and history.axis == axis:
                 _draw_run(figure, panel, history, style, len(traces) <= MOST_BANDS and trace.result.get("pairs"))
@@ -77,10 +77,10 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     return follow_errors(_dress(figure, panels, traces, axis), URAD_PER_RAD, traces)
 
 
-def _tail_start(traces: Sequence[Trace], courses: Sequence[History | None]) -> float:
+def _tail_start(traces: Sequence[Trace], histories: Sequence[History | None]) -> float:
     """Return where the last of the sequential runs has its tail begin."""
-    pairs = zip(traces, courses, strict=True)
-    return max(tail_start(trace.result, course) for trace, course in pairs if course and course.axis == "frame")
+    pairs = zip(traces, histories, strict=True)
+    return max(tail_start(trace.result, history) for trace, history in pairs if history and history.axis == "frame")
 
 
 def _has_curve(history: History) -> bool:

@@ -171,7 +171,7 @@ def gain_filter(estimator: Estimator, arcs: ArcSet, state: FilterState) -> Float
 
 def _rows(reference: SingularValues | AllPairs, frame: Frame, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Residuals (m,) and scaled Jacobian (m, 6) of a frame of one exposure, every row that is measured."""
-    reference.weigh(frame.star_start, frame.s_i, frame.sigma_rad)
+    reference.whiten(frame.star_start, frame.s_i, frame.sigma_rad)
     e, H = (part[0] for part in reference.unwhitened(*frame.directions(x)))
     measured = np.any(H, axis=1)
     return e[measured], H[measured]

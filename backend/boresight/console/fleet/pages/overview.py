@@ -189,7 +189,7 @@ class FleetView:
 
     standings: Sequence[SensorStatus]
     tiles: Sequence[SensorTile]
-    courses: Mapping[int, RecentCalibrations]
+    histories: Mapping[int, RecentCalibrations]
     waiting: Mapping[int, int]
     queue: Mapping[str, int]
     events: Sequence[RecentEvent]
