@@ -104,7 +104,7 @@ def test_a_full_disk_is_503_with_retry_after_by_every_form(request, site, monkey
 
         monkeypatch.setattr(telemetry, "contextmanager_in_threadpool", nothing_to_prepare)
         monkeypatch.setattr(telemetry, "_store", lambda *_: None)
-    monkeypatch.setattr(gate_report, "_examine", lambda *_: None)
+    monkeypatch.setattr(gate_report, "_examine", lambda *_: "examined")
     monkeypatch.setattr(webhooks, "judge_address", lambda *_: None)
 
     @asynccontextmanager
