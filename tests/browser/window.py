@@ -178,7 +178,9 @@ class Window:
             self.fits()
             self.keep(f"page-{name}-{theme}-{size['width']}", whole=not place and not charts)
             if asked is not None:
-                assert self.barriers(asked, drawings=False) == [], f"{name}, {theme}, {size['width']} px"
+                expect(self.page.locator("[aria-busy=true]")).to_have_count(0)  # is faded until it is answered
+                found = self.barriers(asked, drawings=False)
+                assert found == [], f"{name}, {theme}, {size['width']} px: {found}"
         self.use_theme("dark")
         self.page.set_viewport_size(NARROW)
 
