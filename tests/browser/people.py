@@ -37,7 +37,7 @@ class People:
         try:
             yield window
         finally:
-            window.page.close()
+            window.close()
             if name is None:
                 context.close()
         assert not window.complaints, "\n".join(window.complaints)

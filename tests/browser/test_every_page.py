@@ -5,6 +5,7 @@ from playwright.sync_api import expect
 
 from boresight.console.runs.pages.run import TITLES
 from boresight.figures import CHAPTERS
+from tests.browser.window import NARROW
 
 pytestmark = pytest.mark.browser
 
@@ -71,8 +72,10 @@ def stands_under_the_verdict(window, part):
 @pytest.mark.parametrize("name", ADDRESSES)
 def test_a_page_keeps_nobody_out_fits_its_window_and_sends_nothing_by_keys(people, numbers, name):
     with people.seat(VISITORS.get(name, "analyst")) as window:
+        window.wear(name)
         visit(window, name, numbers)
         if name in LISTS:
+            window.page.set_viewport_size(NARROW)
             assert window.page.evaluate(CUT) == [], "what can be done with the rows is not in sight"
         if (part := name.removeprefix("run-")) in TITLES:
             stands_under_the_verdict(window, part)

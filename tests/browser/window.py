@@ -72,12 +72,19 @@ class Window:
         self.page.set_default_timeout(PATIENCE_MS)
         self.complaints: list[str] = []
         self._link: CDPSession | None = None
+        self._themed = False
         self.page.on("console", self._hear)
         self.page.on("pageerror", lambda error: self.complaints.append(f"{self.page.url}: {error}"))
 
     def _hear(self, message: ConsoleMessage) -> None:
         if message.type in {"error", "warning"}:
             self.complaints.append(f"{self.page.url}: {message.text} ({message.location.get('url')})")
+
+    def close(self) -> None:
+        """Close it; the next window of the same person begins with no theme chosen."""
+        if self._themed:
+            self.page.evaluate("localStorage.removeItem('boresight-theme')")
+        self.page.close()
 
     def forgive(self, pattern: str) -> None:
         kept = [line for line in self.complaints if not re.search(pattern, line)]
@@ -128,6 +135,7 @@ class Window:
         return points.json_value()
 
     def use_theme(self, theme: str) -> None:
+        self._themed = True
         assert self.page.evaluate(CHOOSE_THEME, theme) == theme
 
     def shoot(self, name: str, *, wide: bool = False) -> None:
@@ -165,14 +173,20 @@ class Window:
             self.page.evaluate(PUT_BACK)
         return found
 
+    def wear(self, name: str) -> None:
+        """Show every page from now on in the look that is this name's own: one that is drawn anew costs as much again."""
+        theme, size, _ = _look_of(name)
+        self._themed = True
+        self.page.add_init_script(f"localStorage.setItem('boresight-theme', '{theme}')")
+        self.page.set_viewport_size(size)
+
     def holds_in_themes_and_widths(self, name: str) -> None:
         """Hold that the page fits and keeps nobody out, opened once; keep its looks under a name.
 
         Axe looks around the drawings: the gallery's test has it look at every figure there is, drawn, in every theme.
         """
         charts = self.page.locator(".main-svg").count()
-        one = LOOKS[zlib.crc32(name.encode()) % len(LOOKS)]
-        for place, (theme, size, asked) in enumerate(LOOKS if effort(0, 1) else [(*one[:2], {})]):
+        for place, (theme, size, asked) in enumerate(LOOKS if effort(0, 1) else [_look_of(name)]):
             self.use_theme(theme)
             self.page.set_viewport_size(size)
             self.fits()
@@ -181,8 +195,6 @@ class Window:
                 expect(self.page.locator("[aria-busy=true]")).to_have_count(0)  # is faded until it is answered
                 found = self.barriers(asked, drawings=False)
                 assert found == [], f"{name}, {theme}, {size['width']} px: {found}"
-        self.use_theme("dark")
-        self.page.set_viewport_size(NARROW)
 
     def sends_nothing_by_keys(self) -> None:
         sent: list[str] = []
@@ -194,6 +206,11 @@ class Window:
         self.settle()
         self.page.unroute("**/*", _stay)
         assert sent == []
+
+
+def _look_of(name: str) -> tuple[str, dict[str, int], dict[str, Any]]:
+    theme, size, _ = LOOKS[zlib.crc32(name.encode()) % len(LOOKS)]
+    return theme, size, {}
 
 
 def _stay(route: Route) -> None:
