@@ -13,8 +13,7 @@ from boresight.figures.style.axes import ALIGNMENTS
 from boresight.figures.style.theme import run_styles
 from boresight.figures.style.thinning import POINT_LIMIT, keep_extremes, thinning
 from boresight.figures.views import POINT_BUDGET, aligned, as_band, find_span, focus
-from tests.figures.conftest import batch, sequential
-from tests.figures.examined import shadow, trust
+from tests.figures.examined import examined, sequential, shadow, trust
 
 LONG = 30_000
 
@@ -62,7 +61,7 @@ def test_updates_are_counted_over_all_and_a_run_without_times_says_what_else_the
 @pytest.mark.parametrize("along", ["time", "update"])
 @pytest.mark.parametrize("name", FIGURES)
 def test_a_figure_names_the_axis_that_its_runs_were_moved_to_and_no_other_does(name, along):
-    traces = [Trace("a", timed(sequential(50))), Trace("b", batch())]
+    traces = [Trace("a", timed(sequential(50))), Trace("b", examined("batch"))]
     figure = FIGURES[name].draw(aligned(traces, along))
     titles = [figure.layout[axis].title.text or "" for axis in figure.layout if axis.startswith("xaxis")]
     moved = [title for title in titles if title.startswith(ALIGNMENTS[along])]
@@ -168,8 +167,9 @@ def test_no_figure_of_twenty_long_runs_is_over_500_kb(name, long_result):
 @pytest.fixture(scope="module")
 def long_result():
     """A history longer than any budget: from here on more updates make no figure larger."""
-    result = sequential(6000)
-    return result | {"trust": trust(result["sigma"], 6000), "shadow": shadow(6000, range(100), range(200, 300))}
+    judged, moved = trust(6000), {"shadow": shadow(6000, range(100), range(200, 300))}
+    stars = {key: (2 * cells)[:2000] for key, cells in judged["residuals"].items() if isinstance(cells, list)}
+    return sequential(6000) | {"trust": judged | {"residuals": judged["residuals"] | stars}} | moved
 
 
 SERIES = arrays.arrays(

@@ -171,8 +171,7 @@ def examined(site, results):
 
 
 def examined_result(result, **changes):
-    sigma = {name: value or 1.0 for name, value in result["sigma"].items()}
-    made = {"trust": {**trust(sigma), **changes}, "matching": matching(), "shadow": shadow(), "evaluation": None}
+    made = {"trust": {**trust(), **changes}, "matching": matching(), "shadow": shadow(), "evaluation": None}
     return {**result, **made}
 
 
