@@ -92,6 +92,7 @@ def test_the_same_study_in_processes_of_its_own_gives_the_same_document(enright,
     assert [key for key in one if not _agree(one[key], other[key])] == []
 
 
+@pytest.mark.full
 def test_the_same_command_gives_the_same_document_but_for_the_clock(wu, data_folder, tmp_path):
     _made("wu", tmp_path / "again", data_folder)
     one, other = (json.loads((folder / "wu.json").read_text()) for folder in (wu[1], tmp_path / "again"))

@@ -1,4 +1,4 @@
-"""Results with every key of the contract, on the stored example: what it happens not to have (doubts, gaps, long histories) is added."""
+"""Results with every key of the contract: the stored example, and what it happens not to have (doubts, gaps, long histories)."""
 
 import numpy as np
 

@@ -13,6 +13,7 @@ from boresight.papers import wu
 from boresight.papers.documents import CAUSES, VERDICTS, number, printed_digits
 from boresight.papers.wu import printed
 from boresight.papers.wu import study as report
+from boresight.papers.wu import timing
 from boresight.papers.wu.drawings import draw_criteria
 from boresight.papers.wu.estimators import (
     ARCSEC_PER_RAD,
@@ -114,7 +115,12 @@ def test_images_near_the_milky_way_hold_about_as_many_stars_as_the_papers():
 
 @pytest.fixture(scope="module")
 def study():
-    return wu.run(wu.Plan(quick=True, frames=120, judges=30, sets=2, processes=1), None)
+    """Times are taken in this process and in few rounds; `boresight reproduce` takes them as a study does."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report, "run_on_one_thread", lambda run, folder: run(folder))
+        for name, number in (("DRAWN", 300), ("FRAMES", 20), ("SLOW_FRAMES", 4), ("ROUNDS", 3)):
+            patch.setattr(timing, name, number)
+        return wu.run(wu.Plan(quick=True, frames=120, judges=30, sets=2, processes=1), None)
 
 
 def test_the_document_follows_its_schema(study):

@@ -15,6 +15,7 @@ from boresight.errors import RefusedInputError
 from boresight.sky.apparent import aberrated, apparent_directions, days_since_j2000, earth_state
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import star_directions
+from tests.effort import effort
 from tests.strategies import unit_vectors
 
 ARCSEC = np.pi / 180 / 3600
@@ -45,9 +46,9 @@ def star_at(ra_rad, dec_rad, parallax_arcsec=0.0, pm_ra_arcsec=0.0, pm_dec_arcse
 
 
 def plain_directions(catalogue, index, time_utc, velocity_m_s):
-    days = days_since_j2000(time_utc)
-    years = (days - (2448349.0625 - 2451545.0)) / 365.25
-    _, barycentric = erfa.epv00(2451545.0, days)
+    days, place = np.unique(days_since_j2000(time_utc), return_inverse=True)
+    years = (days[place] - (2448349.0625 - 2451545.0)) / 365.25
+    _, barycentric = (parts[place] for parts in erfa.epv00(2451545.0, days))
     ra, dec = catalogue.ra_rad[index], catalogue.dec_rad[index]
     p = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
     east = np.stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)], axis=-1)
@@ -66,7 +67,8 @@ def plain_directions(catalogue, index, time_utc, velocity_m_s):
 def test_directions_equal_the_plain_derivation_for_the_whole_catalogue(catalogue):
     rng = np.random.default_rng(1)
     index = np.arange(len(catalogue))
-    time_utc = moment("2015-01-01") + rng.integers(0, int(15 * 365.25 * 86400e6), len(index))
+    times = moment("2015-01-01") + rng.integers(0, int(15 * 365.25 * 86400e6), effort(5_000, len(index)))
+    time_utc = rng.choice(times, len(index))
     velocity = rng.normal(size=(len(index), 3)) * 4e3
     seen = apparent_directions(catalogue, index, time_utc, velocity)
     assert angle(seen, plain_directions(catalogue, index, time_utc, velocity)).max() < 2e-4 * ARCSEC
