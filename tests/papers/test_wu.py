@@ -11,9 +11,8 @@ from boresight.estimation.filters.history import start
 from boresight.estimation.singular_values import Selection
 from boresight.papers import wu
 from boresight.papers.documents import CAUSES, VERDICTS, number, printed_digits
-from boresight.papers.wu import printed
+from boresight.papers.wu import printed, timing
 from boresight.papers.wu import study as report
-from boresight.papers.wu import timing
 from boresight.papers.wu.drawings import draw_criteria
 from boresight.papers.wu.estimators import (
     ARCSEC_PER_RAD,
