@@ -1,10 +1,4 @@
-"""Arrays in one file, back to back, mapped into memory when they are asked for.
-
-A mapping costs nothing until a page of it is touched, and its pages leave with the last array that stands on it. So a program that
-maps one piece at a time stays as small as one piece, however many there are, and what is read again comes from the machine's cache.
-The layout travels with the address, and with both the SHA-256 of the bytes, so that a file which is not what was written is refused
-by every process that maps it, the first time.
-"""
+"""Arrays in one file, back to back, mapped into memory when they are asked for."""
 
 from __future__ import annotations
 

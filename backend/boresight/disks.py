@@ -1,15 +1,4 @@
-"""The errors of a disk that is full, read-only or absent, each with one sentence.
-
-Whether a file holds the bytes that its SHA-256 promises; every reader of a stored file asks here first.
-
-A file is read and hashed the first time that a process asks. After that its identity on the disk answers: folder entry,
-inode, size and times, so that a file that is replaced, written to or given another's name is read again. A SHA-256 of
-200 MB takes a tenth of a second on a processor that has instructions for it, and half a second on one that has not.
-
-Times on a disk move in steps of some milliseconds, so a file that was written a moment ago is read again once more.
-What changes under an unchanged identity, as on a disk that fails, is found by whoever reads again on purpose:
-`boresight audit verify`, a backup, and the server's upkeep.
-"""
+"""What a disk answers: its errors, each with one sentence, and whether a file holds the bytes that its SHA-256 promises."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""What can go wrong, by kind. Every error is one clear sentence that says what to do.
-
-Nothing here knows HTTP or exit codes: the API maps kinds to status codes and the command line to exit codes,
-each in one table at its own door.
-"""
+"""What can go wrong, by kind. Every error is one clear sentence that says what to do."""
 
 from __future__ import annotations
 

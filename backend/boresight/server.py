@@ -1,9 +1,4 @@
-"""The composition root: settings in, a server out. The only place where the parts of Boresight meet.
-
-Opening order at start: folders, schema, event feed, worker engine, catalogue (in a thread: the first page does not wait
-for it). Closing is the reverse. `serve` ends the event streams before it waits for connections, so that stopping the
-server takes no longer than the requests that are under way.
-"""
+"""The composition root: settings in, a server out. The only place where the parts of Boresight meet."""
 
 from __future__ import annotations
 
@@ -66,8 +61,8 @@ from boresight.platform.web.request_bodies import BodyRate, RequestValidation
 from boresight.platform.web.response_cache import (
     COMPRESS_FROM_BYTES,
     COMPRESSION_LEVEL,
-    CacheLookup,
-    CacheStore,
+    CacheLookupMiddleware,
+    CacheStoreMiddleware,
     ResponseCache,
 )
 from boresight.settings import Settings
@@ -112,10 +107,10 @@ def create_app(settings: Settings, *, limits: ConcurrencyLimits | None = None, p
         app.add_exception_handler(kind, _refuse)
     app.add_exception_handler(OSError, _refuse_disk)
     app.add_middleware(RequestValidation, refuse=_refuse)  # what is added later is further out
-    app.add_middleware(CacheStore, ready=app.state.ready)
+    app.add_middleware(CacheStoreMiddleware, cache=app.state.response_cache)
     app.add_middleware(GZipMiddleware, minimum_size=COMPRESS_FROM_BYTES, compresslevel=COMPRESSION_LEVEL)
-    app.add_middleware(ConcurrencyLimit, refuse=_turn_away, begin=app.state.ready.begin, limits=limits)
-    app.add_middleware(CacheLookup, ready=app.state.ready)
+    app.add_middleware(ConcurrencyLimit, refuse=_turn_away, begin=app.state.response_cache.begin, limits=limits)
+    app.add_middleware(CacheLookupMiddleware, cache=app.state.response_cache)
     app.add_middleware(Authentication, refuse=_turn_away)
     app.add_middleware(HeadMiddleware)
     app.add_middleware(AcceptEncodingMiddleware)
@@ -161,7 +156,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.changes, state.fleet = DataVersionPoller(data_versions), FleetStatusCache(state.engine, data_versions)
     state.known, state.overview = CredentialCache(data_versions), VersionedCache[object](data_versions)
     state.written = OrderedDict()
-    state.ready = ResponseCache(state.changes, authenticate, lambda: _beside(app))
+    state.response_cache = ResponseCache(state.changes, authenticate, lambda: _beside(app))
     state.workers = None
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
 

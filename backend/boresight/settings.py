@@ -1,7 +1,4 @@
-"""Every setting in one table: name, default, unit, sentence. Read once at a door and passed down as a value.
-
-A setting `lease_s` is given by the environment variable `BORESIGHT_LEASE_S`.
-"""
+"""Every setting in one table: name, default, unit, sentence. Read once at a door and passed down as a value."""
 
 from __future__ import annotations
 

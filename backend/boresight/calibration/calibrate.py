@@ -23,7 +23,7 @@ import numpy as np
 from boresight.calibration import result
 from boresight.calibration.estimate import Estimate, Parameters, never
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate
-from boresight.calibration.matching.match_report import CyclesEnd, filter_set, fit_in_cycles, identification_advice
+from boresight.calibration.matching.match_report import CyclesEnd, Estimation, identification_advice
 from boresight.calibration.matching.matched import Dataset
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
@@ -260,8 +260,7 @@ def _calibrated(
         document["advice"] = [*identification_advice(first.unidentified), *document["advice"]]
         return document, None
     listener = ProgressReporter(first.problem, parameters, settings, sha256s, place.report, sets.prepared)
-    run = filter_set if settings.sequential else fit_in_cycles
-    ended = run(sets, first, parameters, settings, listener, place.cancelled)
+    ended = Estimation(sets, first, parameters, settings, listener, place.cancelled).run()
     ended = replace(ended, estimate=_checked(ended.matched.problem, ended.estimate))
     clock.lap("fit")
     document = result.document(ended.matched.problem, parameters, settings, ended.estimate, sha256s)

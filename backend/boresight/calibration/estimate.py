@@ -37,7 +37,7 @@ class Compared:
 
 
 def compared(arcs: Arcs, x: FloatArray, free: NDArray[np.int64], scale: FloatArray) -> Compared | None:
-    """Judge the cosine estimate x (n_parameters,) of weighed arcs; None where the model cannot be evaluated."""
+    """Judge the cosine estimate x (n_parameters,) of whitened arcs; None where the model cannot be evaluated."""
     best = batch.normal_equations(arcs, x, free, scale)
     if not best.finite():
         return None

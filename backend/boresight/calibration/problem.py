@@ -55,7 +55,7 @@ class Problem:
     time_utc: TimeArray | None
     frames_in_set: int
     left_out: tuple[LeftOut, ...]
-    _weighed: dict[bytes, Arcs] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _whitened_at: dict[bytes, Arcs] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def camera(self) -> CameraModel:
@@ -65,11 +65,11 @@ class Problem:
     def whitened(self, x: FloatArray) -> Arcs:
         """Return the arcs with R taken at state x (n_parameters,); those of the last state asked for are kept."""
         key = np.asarray(x, np.float64).tobytes()
-        arcs = self._weighed.get(key)
+        arcs = self._whitened_at.get(key)
         if arcs is None:
             arcs = self.arcs.each(whiten_part, self.camera.name, x)
-            self._weighed.clear()
-            self._weighed[key] = arcs
+            self._whitened_at.clear()
+            self._whitened_at[key] = arcs
         return arcs
 
     def find_place(self, frame: IntArray) -> IntArray:
@@ -179,7 +179,7 @@ def _full_exposures(telemetry: Telemetry, rows: IntArray, minimum_stars: int) ->
 
 
 def _ordered(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, rows: IntArray) -> tuple[ArcSet, int]:
-    """Order the stars of each exposure and drop the collinear exposures; returns the arcs (unweighed) and their number."""
+    """Order the stars of each exposure and drop the collinear exposures; returns the arcs (unwhitened) and their number."""
     starts = _exposure_starts(telemetry.frame[rows], telemetry.exposure[rows])
     places, fatness = arcsets.order(starts, s_i[rows])
     fat = fatness > arcsets.COLLINEAR

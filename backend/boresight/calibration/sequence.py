@@ -48,7 +48,7 @@ MOST_IN_CHUNK = 4096
 class Frames:
     """The frames of a set as a filter takes them in.
 
-    `number`: (n_frames,) their numbers. `arcs`: unweighed arcs of the frames first <= k < last, for a filter at this state;
+    `number`: (n_frames,) their numbers. `arcs`: unwhitened arcs of the frames first <= k < last, for a filter at this state;
     frames without usable stars are not in it.
     """
 

@@ -1,11 +1,4 @@
-"""`boresight user`: people, for whom nobody is logged in yet to make them.
-
-`boresight webhook`: the key that encrypts the secrets of webhooks.
-
-`boresight certificates`: what server, scheduler and workers prove themselves with, where they are services of their own.
-
-`boresight migrate`: the database's schema, forwards and back.
-"""
+"""`boresight user`, `webhook`, `certificates` and `migrate`: the administration of an installation."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""`boresight audit`: the hash chain of the audit log.
-
-`boresight backup` and `boresight restore`: database and blobs in one file, and back into an empty installation.
-"""
+"""`boresight audit`, `backup` and `restore`: the audit log verified and exported, and an installation saved and put back."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""`boresight calibrate`: a telemetry file and a sensor file in, a calibration out; no server, no store.
-
-The choices of a calibration on the command line, by group: each is declared in `calibration.options`.
-"""
+"""`boresight calibrate`: a telemetry file and a sensor file in, a calibration out; no server, no store."""
 
 from __future__ import annotations
 

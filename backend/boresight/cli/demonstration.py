@@ -1,12 +1,4 @@
-"""The demonstration: six simulated star trackers, their telemetry, their first runs, and one person for every role.
-
-Everything is made through the ordinary services by the people of the demonstration, so the audit log tells it like any
-other work. What a store already has is left as it is: making the demonstration again adds only what is missing.
-
-The runs are queued so that a visitor sees the console at work. The six batch runs end within seconds. The first
-sensor's filter is fed 3.5 frames a second, a minute to watch on one worker, while the other five, at 20 frames a
-second, take turns on the next.
-"""
+"""The demonstration: six simulated star trackers, their telemetry, their first runs, and one person for every role."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""`boresight check`: what a telemetry file is worth, before any run.
-
-`boresight match`: which star each detection is, found anew under any parameters, as a telemetry file of the same rows.
-
-`boresight evaluate`: how two parameter sets do on a telemetry set, before anything is uplinked.
-"""
+"""`boresight check`, `match` and `evaluate`: what a telemetry file is worth, and how parameters do on it, without a run."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Results: aligned columns for people on standard output, files for machines or, with `-`, those on standard output.
-
-What a refusal looks like in a terminal: one line, then the first faults, a line each.
-
-Progress on standard error: a bar in a terminal, one plain line elsewhere, nothing for what ends within a second.
-"""
+"""Output of the command line: results in columns or files, refusals, and progress on standard error."""
 
 from __future__ import annotations
 

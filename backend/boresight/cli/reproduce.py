@@ -1,7 +1,4 @@
-"""`boresight simulate`: telemetry whose truth is known, as files in the contract's form.
-
-`boresight reproduce`: a paper's tables and figures made again on simulated sensors, beside the printed numbers.
-"""
+"""`boresight simulate` and `reproduce`: telemetry whose truth is known, and a paper's tables and figures made again."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""`boresight export`: the uplink package of a parameter set, from the store of the data folder.
-
-`boresight table`: the table on board without a store, parameters to bytes and bytes to parameters.
-"""
+"""`boresight export` and `table`: the uplink package of a parameter set, and the table on board without a store."""
 
 from __future__ import annotations
 

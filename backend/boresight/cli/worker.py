@@ -1,7 +1,4 @@
-"""`boresight worker` and `boresight scheduler`: the machines of a cluster, for the server to use by BORESIGHT_SCHEDULER.
-
-`boresight warm`: what the first run would wait for, done beforehand.
-"""
+"""`boresight worker`, `scheduler` and `warm`: a cluster's machines, and what the first run would wait for."""
 
 from __future__ import annotations
 

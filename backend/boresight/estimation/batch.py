@@ -191,7 +191,7 @@ def fit(
     Parameters
     ----------
     arcs
-        The weighed arcs of a set.
+        The whitened arcs of a set.
     x0
         (n_parameters,) start, SI; fixed parameters keep these values.
     free

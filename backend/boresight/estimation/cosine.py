@@ -37,7 +37,7 @@ class CosineInformation:
 
 
 def unweighted(arcs: Arcs) -> Arcs:
-    """Put cosine's diagonal factor in the place of R's; takes weighed arcs."""
+    """Put cosine's diagonal factor in the place of R's; takes whitened arcs."""
     return arcs.each(_flat, _sigma_0(arcs))
 
 

@@ -60,7 +60,7 @@ class ArcsPiece:
 
 
 def write_arcs(path: Path, arcs: ArcSet, time_utc: NDArray[np.datetime64] | None) -> ArcsPiece:
-    """Write unweighed arcs and the times of their frames."""
+    """Write unwhitened arcs and the times of their frames."""
     arrays = {name: getattr(arcs, name) for name in _STORED}
     if time_utc is not None:
         arrays["time_utc"] = time_utc
@@ -161,7 +161,7 @@ def taken(sets: Sequence[ArcSet], first: int, last: int, steps: Sequence[Step] =
 
 
 def joined(parts: Sequence[ArcSet]) -> ArcSet:
-    """Join consecutive unweighed sets, at least one."""
+    """Join consecutive unwhitened sets, at least one."""
     if len(parts) == 1:
         return parts[0]
     arrays: dict[str, Any] = {

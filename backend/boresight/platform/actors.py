@@ -1,11 +1,4 @@
-"""Who acts, with which credential, and what they may do.
-
-Roles say what a person may do; a key acts as its owner, but only within its scopes: a scope is the noun that the key
-may write, as the REST address spells it. Reading needs no more than being known. Nothing here trusts a page: every
-transition asks again, inside its transaction.
-
-How long log-ins last; without the store, for the settings are read by commands that need none.
-"""
+"""Who acts, with which credential, what they may do, and how long log-ins last."""
 
 from __future__ import annotations
 

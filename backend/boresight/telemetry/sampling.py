@@ -1,10 +1,4 @@
-"""How a set is spread in time: its span, the usual interval between frames, and the gaps.
-
-Which exposures two telemetry tables share, told by their centroids alone.
-
-Frame numbers may be counted anew in every download, so an exposure is known by what was seen in it: the sums of its rows and
-of its columns, to a millionth of a pixel, which no two exposures of noisy centroids share.
-"""
+"""How a set is spread in time, and which exposures two telemetry tables share, told by their centroids alone."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""The sensor description: detector, camera model, starting parameters and their typical spread.
-
-A sensor file is small and written by hand, so every field is checked and every wrong one named. Most mistakes are of
-units (millimetres for metres) or belong to another sensor; single values hide them, the field of view does not. So,
-beside the range of each value, the camera must see an angle between opposite corners that a star tracker can have.
-"""
+"""The sensor description: detector, camera model, starting parameters and their typical spread."""
 
 from __future__ import annotations
 

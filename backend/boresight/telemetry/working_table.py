@@ -1,9 +1,4 @@
-"""The stored table of a set: the arrays of `Telemetry` in SI, checked once when they came, mapped whenever they are used.
-
-An Arrow file without compression, a record batch for each part of whole frames in which the upload was read. Nothing is parsed or
-converted again: 1.4 million rows are there in a third of a millisecond, where reading, checking and converting compressed Parquet
-took six seconds; the file is 2.2 times as large. Columns that nobody interprets stay behind in the upload.
-"""
+"""The stored table of a set: the arrays of `Telemetry` in SI, checked once when they came, mapped whenever they are used."""
 
 from __future__ import annotations
 

@@ -1,12 +1,4 @@
-"""Files into one ZIP whose bytes follow from theirs alone: sorted by name, dated 1980, stored and not compressed.
-
-Compressed bytes differ between versions of the compressor; these files are small.
-
-How the package's texts are spelt, so that one content has one sequence of bytes.
-
-JSON has its keys sorted, two spaces a level, numbers by Python's `repr` (the shortest text that reads back as the same number),
-no NaN, and a line end at its end. CSV has a header, commas, quotes where needed, and line ends of one character. All is UTF-8.
-"""
+"""Files and texts whose bytes follow from their content alone: one ZIP, canonical JSON and CSV."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Entries of a table definition, read one by one; what is wrong is noted with its place, and a stand-in returned.
-
-The CRC of a table definition: one of the known names, or a name of the mission's own with every parameter.
-"""
+"""Entries of a table definition, its CRC among them, read one by one; what is wrong is noted with its place."""
 
 from __future__ import annotations
 

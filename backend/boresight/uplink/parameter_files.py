@@ -1,7 +1,4 @@
-"""The parameters themselves: `parameters.json` for programs, `parameters.csv` for eyes, `c_sd.json` for the attitude.
-
-`parameters.json` is normative: beside the values it has what they mean, how well they are known and where they are from.
-"""
+"""The parameters themselves: `parameters.json` for programs, `parameters.csv` for eyes, `c_sd.json` for the attitude."""
 
 from __future__ import annotations
 

@@ -1,14 +1,4 @@
-"""Numbers as people read them, on pages, in reports and in terminals.
-
-A value printed with its sigma stops at the second significant digit of the sigma: no digit is shown that is not known.
-Whatever is no finite number is a dash.
-
-How a camera parameter is written for people: symbol, unit of its value, unit of its changes.
-
-Results are in SI. A focal length is read in millimetres, but its recalibration moves it by micrometres; an aspect
-factor is one, and moves by parts per million. Names that are not in the table fall back to the result's own symbols
-and units.
-"""
+"""Numbers and camera parameters as people read them, on pages, in reports and in terminals."""
 
 from __future__ import annotations
 

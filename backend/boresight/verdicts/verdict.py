@@ -1,13 +1,4 @@
-"""What a calibration's numbers say about its own trustworthiness: one mark a question, each with a level and a word.
-
-No mark is weighed against another and no score is made: the strip as a whole is as good as its worst mark, which is the
-verdict; the examination of trust counts alike. Where a question cannot be answered, or a part of the examination could not be
-made, the mark says NO DATA with the reason; it never passes for an answer.
-
-The few figures of a calibration that lists, the fleet and its trends show, so that none opens a result file.
-
-`level` is the verdict of the run page, `advice` the gravest sentence of the run or, where it gave none, of the verdict.
-"""
+"""What a calibration's numbers say about its own trustworthiness: one mark a question, the worst of which is the verdict."""
 
 from __future__ import annotations
 

@@ -1,24 +1,4 @@
-"""The dask cluster as the engine uses it: submit, ask to stop, kill, notice its loss.
-
-By default a scheduler in this process with worker processes of one thread each, which end when this process does,
-however it ends, joined by a key that nobody else has; or an external scheduler by address, started by `boresight scheduler` with
-workers by `boresight worker`. Ours allow no failures: the engine counts the workers that a run has cost. A death is no run's fault
-while a large run's pieces were, or had just been, on the same worker: which of them it was nobody knows.
-
-A dask client that leaves nothing behind, however its link ends.
-
-A client computes its side of the link on a thread of its own. Where the scheduler does not answer, or the link was lost, dask's
-leaves that thread for good, one for each attempt; where the link fails otherwise, as between certificates that do not fit, the
-thread ends when the collector finds the client. If that is while the next client starts its thread, both wait for one lock, and
-the next fails too: so a connection ends its thread once, itself, and the collector finds nothing to do.
-
-distributed's scheduler, nanny and worker as Boresight starts them: without the web server that each opens beside its link.
-
-That server would speak plain HTTP to whoever asks, whatever the links require. Nothing of Boresight's own is imported here, because
-a new worker process reads this module before its environment is set.
-
-How distributed is set up wherever Boresight starts it: in the server, as a scheduler, as a worker.
-"""
+"""The dask cluster as the engine uses it: its client, scheduler and workers, submitted to, asked to stop, killed, missed."""
 
 from __future__ import annotations
 

@@ -1,27 +1,4 @@
-"""The cluster executor: a large run computes its pieces itself and lends pieces to idle workers.
-
-The run's own worker takes pieces from the front all the time, in a thread beside; the run's thread hands groups to idle workers and
-gathers. So nothing can wait for ever: with no other worker, or with all of them busy, the run computes everything itself, and
-what is out elsewhere for too long it computes again, for a piece may be computed twice (`boresight.estimation.executor`).
-
-- A worker that computes a run, or has one waiting, is lent nothing: runs go first, and wait for the group under way at most.
-- A piece whose worker died is computed by the run itself. If it is poison it ends the run's own worker, and the engine counts that
-  as a lost attempt of this run, as of any other; so two processes an attempt at most pay for it.
-- That a worker was lent is told on a topic, so that the engine charges no run with a death that a piece may have caused.
-- A worker that does not see the scratch folder gives its first group back untouched and is asked no more.
-
-The pieces of one map over a large set: which wait, which are out, which are done.
-
-Whoever computes takes a group of neighbouring pieces at a time. A group is to last about half a second, against the ten
-milliseconds that it costs to hand it over, and never more than its share of half of what is left, so that all end together
-(guided self-scheduling; Polychronopoulos and Kuck, IEEE Trans. Computers C-36, 1987). How long a piece lasts is measured on
-the way. Results are kept by place: who computed a piece, when, and how often is nowhere to be seen in them.
-
-Folders for the working copies of large runs: one an attempt, seen by every worker that sees the data folder.
-
-An attempt that was killed cannot remove its own. The next attempt of the run does, and whatever nobody has touched for a day any
-large run does: a working copy is made within minutes, and an attempt that still used it would be behind its fence by then.
-"""
+"""The cluster executor: a large run computes its pieces itself and lends pieces to idle workers."""
 
 from __future__ import annotations
 

@@ -1,14 +1,4 @@
-"""Dispatched tasks: which worker computes which attempts, and which worker thread is free.
-
-A thread computes one task. While that is a group of short runs, a second such group may wait behind it, so that the thread need
-not wait for us between the two; only a group that nobody would miss for long is put there, and never one of more than a
-group's time. When a worker dies, only the task that it computed is suspected: what waited behind had not begun.
-
-The worker check: a worker needs the server's version of Boresight and access to its files.
-
-A plugin of the scheduler, so that it is asked of workers that come later as well. A worker that is not fit says so in one sentence,
-in its own log and in the server's, and leaves; what it was given meanwhile goes back to the queue unharmed.
-"""
+"""Dispatched tasks: which worker computes which attempts, which thread is free, and whether a worker is fit for them."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ LISTS = (RUNS, "/api/v1/sensors", "/api/v1/telemetry-sets", "/api/v1/parameter-s
 
 
 def served(house: House) -> int:
-    return len(house.app.state.ready._kept)
+    return len(house.app.state.response_cache._kept)
 
 
 def fresh(client: httpx.Client, path: str) -> dict[str, Any]:
@@ -50,7 +50,7 @@ def shown(answer: httpx.Response) -> dict[str, Any]:
 
 
 def undisturbed(house: House, ask: Callable[[], T], before_each: Callable[[], object] = lambda: None) -> T:
-    marks = house.app.state.ready.changes._marks
+    marks = house.app.state.response_cache.changes._marks
     for _ in range(20):
         before_each()
         before, found = marks.look(), ask()
@@ -320,8 +320,8 @@ def test_an_old_answer_is_made_anew(house: House, monkeypatch: pytest.MonkeyPatc
     client.get("/runs")
     monkeypatch.setattr(standing, "HELD_S", 0.0)
     asked: list[Any] = []
-    original = house.app.state.ready.keep
-    monkeypatch.setattr(house.app.state.ready, "keep", lambda *a, **k: (asked.append(a), original(*a, **k))[1])
+    original = house.app.state.response_cache.keep
+    monkeypatch.setattr(house.app.state.response_cache, "keep", lambda *a, **k: (asked.append(a), original(*a, **k))[1])
     client.get("/runs")
     assert asked
 
@@ -330,11 +330,11 @@ def test_what_stands_ready_is_bounded(house: House, monkeypatch: pytest.MonkeyPa
     client = house.person("ada")
     house.launched()
     client.get(RUNS)
-    size = house.app.state.ready.held_bytes
-    monkeypatch.setattr(house.app.state.ready, "_limit_bytes", max(20_000, 2 * size))
+    size = house.app.state.response_cache.held_bytes
+    monkeypatch.setattr(house.app.state.response_cache, "_limit_bytes", max(20_000, 2 * size))
     for limit in range(1, 60):
         client.get(f"{RUNS}?limit={limit}")
-    assert house.app.state.ready.held_bytes <= max(20_000, 2 * size)
+    assert house.app.state.response_cache.held_bytes <= max(20_000, 2 * size)
     assert served(house) > 0
 
 
@@ -347,9 +347,9 @@ def test_people_of_the_same_roles_share_the_making_of_a_page_and_each_has_their_
     for path in ("/sensors", "/telemetry", "/runs", "/parameter-sets"):
         clients[0].get(path)
         made: list[str] = []
-        original = house.app.state.ready.keep
+        original = house.app.state.response_cache.keep
         monkeypatch.setattr(
-            house.app.state.ready, "keep", lambda *g, made=made, o=original: (made.append(""), o(*g))[1]
+            house.app.state.response_cache, "keep", lambda *g, made=made, o=original: (made.append(""), o(*g))[1]
         )
 
         def asked(path: str = path, made: list[str] = made) -> tuple[list[tuple[httpx.Client, str]], int]:
@@ -422,7 +422,7 @@ class NothingKept(dict[Any, Any]):
 @contextmanager
 def beside(house: House) -> Iterator[str]:
     with serving(house.app.state.settings, house.app.state.catalogue()) as (address, app):
-        app.state.ready._limit_bytes = 0
+        app.state.response_cache._limit_bytes = 0
         app.state.overview = SimpleNamespace(answer_to=lambda _question, read, _asked_s: (read(), False))
         app.state.written = NothingKept()
         app.state.workers.stop()

@@ -77,51 +77,54 @@ class CyclesEnd:
         return replace(self, matched=matched, estimate=replace(self.estimate, history=history))
 
 
-def fit_in_cycles(
-    sets: Dataset,
-    first: Matched,
-    parameters: Parameters,
-    settings: CalibrationSettings,
-    listen: ReportEstimate,
-    cancelled: Asked,
-) -> CyclesEnd:
-    """Run the batch estimator until its matches rest."""
-    matched, cycles = first, list[Cycle]()
-    while True:
+@dataclass(frozen=True)
+class Estimation:
+    """What a set is estimated from: its first matches, what is free, the settings, who listens and who may stop it."""
+
+    sets: Dataset
+    first: Matched
+    parameters: Parameters
+    settings: CalibrationSettings
+    listen: ReportEstimate
+    cancelled: Asked
+
+    def run(self) -> CyclesEnd:
+        """Run the estimator of the settings on the set's matches until they rest."""
+        return self._filtered() if self.settings.sequential else self._fitted_in_cycles()
+
+    def _fitted_in_cycles(self) -> CyclesEnd:
+        """Run the batch estimator until its matches rest."""
+        sets, matched, cycles = self.sets, self.first, list[Cycle]()
+        while True:
+            began = time.thread_time()
+            estimate = run_batch(matched.problem, self.parameters, self.settings, self.listen, self.cancelled)
+            method_s = time.thread_time() - began
+            if sets.stands or estimate.status == "diverged":
+                return CyclesEnd(matched, estimate, tuple(cycles), sets.stands, method_s)
+            again = sets.at(estimate, matched.problem)
+            cycles.append(_cycle(len(cycles) + 1, sets.changed(matched, again), matched, again, estimate))
+            rested = cycles[-1].changed == 0
+            if rested or len(cycles) == MOST_CYCLES or again.problem.arcs.n_exposures == 0:
+                return CyclesEnd(matched, estimate, tuple(cycles), rested, method_s)
+            matched = again
+
+    def _filtered(self) -> CyclesEnd:
+        """Run a filter, on the baseline's matches or on those of its latest state."""
+        sets, first, parameters = self.sets, self.first, self.parameters
+        renewed = self.settings.matched_with == "latest" and not sets.stands
+        frames = sets.frames() if renewed else standing_frames(first.problem)
         began = time.thread_time()
-        estimate = run_batch(matched.problem, parameters, settings, listen, cancelled)
-        method_s = time.thread_time() - began
-        if sets.stands or estimate.status == "diverged":
-            return CyclesEnd(matched, estimate, tuple(cycles), sets.stands, method_s)
-        again = sets.at(estimate, matched.problem)
-        cycles.append(_cycle(len(cycles) + 1, sets.changed(matched, again), matched, again, estimate))
-        rested = cycles[-1].changed == 0
-        if rested or len(cycles) == MOST_CYCLES or again.problem.arcs.n_exposures == 0:
-            return CyclesEnd(matched, estimate, tuple(cycles), rested, method_s)
-        matched = again
-
-
-def filter_set(
-    sets: Dataset,
-    first: Matched,
-    parameters: Parameters,
-    settings: CalibrationSettings,
-    listen: ReportEstimate,
-    cancelled: Asked,
-) -> CyclesEnd:
-    """Run a filter, on the baseline's matches or on those of its latest state."""
-    renewed = settings.matched_with == "latest" and not sets.stands
-    frames = sets.frames() if renewed else standing_frames(first.problem)
-    began = time.thread_time()
-    history = run_sequential(frames, first.problem, parameters, settings, listen, cancelled)
-    method_s = time.thread_time() - began - sets.matching_s
-    if not renewed or not history.finite:
-        return CyclesEnd(first, finished(first.problem, parameters, history), method_s=method_s)
-    last = sets.at_covariance(history.last.x, history.last.P)
-    if last.problem.arcs.n_exposures == 0:
-        return CyclesEnd(first, finished(first.problem, parameters, history), rested=False, method_s=method_s)
-    estimate = finished(last.problem, parameters, history)
-    return CyclesEnd(last, estimate, (_cycle(1, sets.changed(first, last), first, last, estimate),), method_s=method_s)
+        history = run_sequential(frames, first.problem, parameters, self.settings, self.listen, self.cancelled)
+        method_s = time.thread_time() - began - sets.matching_s
+        if not renewed or not history.finite:
+            return CyclesEnd(first, finished(first.problem, parameters, history), method_s=method_s)
+        last = sets.at_covariance(history.last.x, history.last.P)
+        if last.problem.arcs.n_exposures == 0:
+            return CyclesEnd(first, finished(first.problem, parameters, history), rested=False, method_s=method_s)
+        estimate = finished(last.problem, parameters, history)
+        return CyclesEnd(
+            last, estimate, (_cycle(1, sets.changed(first, last), first, last, estimate),), method_s=method_s
+        )
 
 
 def _cycle(number: int, changed: int, before: Matched, after: Matched, estimate: Estimate) -> Cycle:
@@ -133,11 +136,6 @@ def _cycle(number: int, changed: int, before: Matched, after: Matched, estimate:
         changed=changed,
         rms_arc_rad=value if np.isfinite(value) else None,
     )
-
-
-def cycles_view(ended: CyclesEnd) -> list[dict[str, Any]]:
-    """Every cycle as JSON."""
-    return [vars(cycle) for cycle in ended.cycles]
 
 
 #: Given identities below which their share says nothing.
@@ -262,7 +260,7 @@ def matching_view(
         "removed": int((named & ~kept).sum()),
         "renamed": int((named & found & ~kept).sum()),
         "matched": int(found.sum()),
-        "cycles": cycles_view(ended),
+        "cycles": [vars(cycle) for cycle in ended.cycles],
         "rested": ended.rested,
         "tolerance_px": _spread(matches.tolerance_rad[found] / pixel_rad(sensor, ended.estimate.x)),
         "row_reasons": counted(matches.row_reason[~found], ROW_REASONS),

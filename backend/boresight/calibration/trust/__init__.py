@@ -79,7 +79,7 @@ def trust_view(
 ) -> dict[str, Any]:
     """Judge a finished estimate in every way there is.
 
-    `problem`, `parameters`, `settings`, `estimate`: as `calibrate` has them at its end; the arcs are weighed here. `telemetry`:
+    `problem`, `parameters`, `settings`, `estimate`: as `calibrate` has them at its end; the arcs are whitened here. `telemetry`:
     the set that the problem was built from, with the star numbers that it was built with. `catalogue`: for what it says against
     a star's place; None says nothing. Returns the `trust` object of the calibration JSON: every part, null where it cannot be
     had, with the reason in `unavailable`.

@@ -59,7 +59,7 @@ class FittedSet:
     """A finished estimate with its data.
 
     `problem`, `parameters`, `settings`, `estimate`, `telemetry`, `catalogue`: as `calibrate` has them at its end. `x`:
-    (n_parameters,) best fit of the whole set, SI. `arcs`: the arcs, weighed there. `e`, `H`: (n_arcs,) whitened residuals and
+    (n_parameters,) best fit of the whole set, SI. `arcs`: the arcs, whitened there. `e`, `H`: (n_arcs,) whitened residuals and
     (n_arcs, n_free) scaled Jacobian there.
     """
 
@@ -166,7 +166,7 @@ def fit_best(
 def _best_fit(
     problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
 ) -> tuple[FloatArray, ArcSet]:
-    """State and arcs weighed there; the estimate itself where it is the best fit, or a robust one."""
+    """State and arcs whitened there; the estimate itself where it is the best fit, or a robust one."""
     arcs = problem.whitened(estimate.x).whole()
     if not settings.sequential and settings.error == "arclength":
         return estimate.x, arcs
@@ -177,7 +177,7 @@ def _best_fit(
 
 
 def chosen(arcs: ArcSet, frames: BoolArray) -> ArcSet:
-    """Only those frames (n_frames,) of a set, weighed or not, as a set of their own."""
+    """Only those frames (n_frames,) of a set, whitened or not, as a set of their own."""
     return arcs.exposures(np.repeat(frames, np.diff(arcs.frame_start)))
 
 

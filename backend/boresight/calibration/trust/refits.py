@@ -63,14 +63,16 @@ def _fitted(ground: FittedSet, frames: NDArray[np.bool_]) -> batch.BatchFit:
     arcs = chosen(ground.arcs, frames)
     if arcs.n_arcs <= len(ground.names):
         raise Unavailable("A half of the set holds no more arcs than there are free parameters: add frames.")
-    fitted = batch.fit(
-        arcs, ground.x, ground.parameters.free, ground.parameters.scale,
-        threshold=ground.threshold, max_iterations=HALF_ITERATIONS,
-    )  # fmt: skip
+    refusal = "A half of the set does not determine the free parameters by itself: add frames, or free fewer."
+    return _fit_all(ground, arcs, HALF_ITERATIONS, refusal)
+
+
+def _fit_all(ground: FittedSet, arcs: ArcSet, max_iterations: int, refusal: str) -> batch.BatchFit:
+    """Fit all free parameters to some frames from the joint estimate; what does not come to rest is refused."""
+    free, scale = ground.parameters.free, ground.parameters.scale
+    fitted = batch.fit(arcs, ground.x, free, scale, threshold=ground.threshold, max_iterations=max_iterations)
     if fitted.status != "converged":
-        raise Unavailable(
-            "A half of the set does not determine the free parameters by itself: add frames, or free fewer."
-        )
+        raise Unavailable(refusal)
     return fitted
 
 
@@ -152,14 +154,8 @@ def drop_one(ground: FittedSet) -> list[dict[str, Any]]:
     if not ground.determined:
         raise Unavailable("The data leave a direction of the parameters open already: hold some fixed and run again.")
     arcs = ground.thinned(MOST_FRAMES)
-    fitted = batch.fit(
-        arcs, ground.x, ground.parameters.free, ground.parameters.scale,
-        threshold=ground.threshold, max_iterations=MOST_ITERATIONS,
-    )  # fmt: skip
-    if fitted.status != "converged":
-        raise Unavailable(
-            "The fit of all parameters does not come to rest, so none can be compared with it: free fewer."
-        )
+    refusal = "The fit of all parameters does not come to rest, so none can be compared with it: free fewer."
+    fitted = _fit_all(ground, arcs, MOST_ITERATIONS, refusal)
     best = Optimum(fitted.x, covariance(fitted.A), _cost(ground, arcs, fitted.x))
     whole = best if arcs.n_frames == ground.arcs.n_frames else Optimum(ground.x, covariance(ground.A), np.nan)
     return [_without(ground, arcs, place, best, whole) for place in range(len(ground.names))]

@@ -41,7 +41,7 @@ def square_root_filter(
     Parameters
     ----------
     arcs
-        Weighed arcs of the frames to take in.
+        Whitened arcs of the frames to take in.
     state
         Where to start; `history.start` before the first frame, the former `last` afterwards.
     free

@@ -82,14 +82,14 @@ class SeenFrames:
     D: FloatArray
 
 
-def observability_of_models(view: View, arcs: ArcSet, values: tuple[int, ...] = CHOSEN.values) -> FloatArray:
+def observability_of_models(view: View, arcs: ArcSet) -> FloatArray:
     """Smallest singular value of H' of every frame under Models 1 to 4, (n_frames, 4): W Figure 3."""
-    return np.stack([_smallest(view, arcs, Selection(model, values)) for model in STAR_MODELS], axis=1)
+    return np.stack([_smallest(view, arcs, Selection(model, CHOSEN.values)) for model in STAR_MODELS], axis=1)
 
 
-def observability_of_values(view: View, arcs: ArcSet, model: int = CHOSEN.model) -> FloatArray:
+def observability_of_values(view: View, arcs: ArcSet) -> FloatArray:
     """Smallest singular value of H' of every frame with one singular value alone, (n_frames, 3): W Figure 4."""
-    return np.stack([_smallest(view, arcs, Selection(model, (k,))) for k in VALUES], axis=1)
+    return np.stack([_smallest(view, arcs, Selection(CHOSEN.model, (k,))) for k in VALUES], axis=1)
 
 
 def _smallest(view: View, arcs: ArcSet, selection: Selection) -> FloatArray:
@@ -162,7 +162,7 @@ def relative(A: FloatArray, bound: FloatArray) -> FloatArray:
 
 
 def whitened_information(view: View, arcs: ArcSet, selection: Selection | None) -> FloatArray:
-    """H^T R^+ H of a weighed set (n_free, n_free): of singular values, or of all pairs for None."""
+    """H^T R^+ H of a whitened set (n_free, n_free): of singular values, or of all pairs for None."""
     runs = seen(view, arcs)
     return information_of_pairs(view, runs) if selection is None else judged(view, runs, selection)[1]
 
@@ -179,7 +179,7 @@ def information_of_pairs(view: View, runs: Sequence[SeenFrames]) -> FloatArray:
 
 
 def weighted_information(view: View, arcs: ArcSet, selection: Selection | None) -> tuple[FloatArray, FloatArray]:
-    """Information B V^-1 B that weights 1 / R_rr leave of a weighed set, and B, which they claim; both (n_free, n_free)."""
+    """Information B V^-1 B that weights 1 / R_rr leave of a whitened set, and B, which they claim; both (n_free, n_free)."""
     B, V = np.zeros((len(view.free), len(view.free))), np.zeros((len(view.free), len(view.free)))
     for frame in seen(view, arcs):
         s, D = frame.s, frame.D

@@ -2,7 +2,7 @@
 
 H has one row a measured singular value, W the typical sigmas, so that a parameter error of one typical sigma in the worst
 direction moves the measurements of that frame by the value drawn. Above are the star-combination models with sigma_2 and
-sigma_3, below each singular value alone under Model 4. The rows are not weighed by their noise, nor are rows that repeat others
+sigma_3, below each singular value alone under Model 4. The rows are not weighted by their noise, nor are rows that repeat others
 left out: W's measure ranks, and what is known after all frames is drawn beside it, in `reference_information`.
 
 What each reference holds of the information in the centroids: arcs, all pairs, and singular values of star combinations.

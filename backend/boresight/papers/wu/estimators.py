@@ -89,7 +89,7 @@ class Estimator:
         return f"svd-{self.selection.model}-{values}" if self.method == "svd" else "angular"
 
     def run(self, arcs: ArcSet) -> Run:
-        """Run it over a weighed set from the printed start."""
+        """Run it over a whitened set from the printed start."""
         return _diagonal(self, arcs) if self.weights == "diagonal" else _full(self, arcs)
 
     def reference(self) -> SingularValues | AllPairs:

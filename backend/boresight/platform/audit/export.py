@@ -1,8 +1,4 @@
-"""The audit log as a file that others keep: JSON Lines, alone or in a ZIP with the program that verifies it.
-
-The last line carries the head of the chain and the SHA-256 of the lines before it, so that no byte of an export can
-change unseen; what the program does is in `audit_verifier`, which needs nothing of Boresight.
-"""
+"""The audit log as a file that others keep: JSON Lines, alone or in a ZIP with the program that verifies it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Blobs in a folder, named by the SHA-256 of their bytes: `ab/cd/abcd...`.
-
-Nothing is ever overwritten but a file that is not what its name says. A file is written beside, synced, and renamed
-(`boresight.disks` holds it against its address).
-"""
+"""Blobs in a folder, named by the SHA-256 of their bytes: `ab/cd/abcd...`."""
 
 from __future__ import annotations
 

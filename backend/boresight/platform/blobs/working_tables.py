@@ -1,9 +1,4 @@
-"""The table of a stored set as it is mapped, whenever it came.
-
-A set stored before tables were mapped has one of Parquet in the units of its upload. It is converted on first use, into a file
-beside the addresses that is named by both hashes; its numbers are those that every run made of it anew. The row, and all that is
-bound to its address, stays as it is, and a converted file that is lost or altered is made again.
-"""
+"""The table of a stored set as it is mapped, whenever it came."""
 
 from __future__ import annotations
 

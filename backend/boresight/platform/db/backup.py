@@ -1,26 +1,4 @@
-"""A backup: the database and the blobs in one ZIP, taken while servers and workers go on.
-
-The database lies in it as a SQLite file, whichever engine it is on, so a backup of one is restored into the other and an
-installation moves that way. It is copied first, in one state whatever is written meanwhile: by SQLite's own backup, or row
-by row inside one transaction of PostgreSQL. A blob is put before the row that names it is committed and never changes, so
-every blob that the copy names is in the folder when that is listed after it; a few that it does not name may come along.
-One that the copy names and that is not there is told like a corrupt one. Blobs in an object store stay there: they are as
-safe as the bucket, the manifest says where they are, and the bucket is asked whether it has each of them, in its size; their
-bytes are read by `boresight audit verify`. Each file carries its SHA-256:
-a blob as its name, the database in MANIFEST.json. Left out are what can be made again, the star catalogue and
-compiled kernels, the key of the log-in cookies, so that after a restore everybody logs in anew, and the key of the
-secrets of webhooks, which are encrypted.
-
-An archive comes from anywhere, so nothing of it is believed before it is counted: a member is read piece by piece and no
-further than the size that it states, all of them must fit on the disk, none may be there that the manifest does not count,
-and a stored file is in it uncompressed, as it was written, so that it cannot be larger than the archive.
-
-Copying every row of a database to an empty migrated one, on either engine.
-
-Values go over as they are stored, documents as their text: the audit chain hashes that text, so it holds in the copy as
-it did in the original. Tables come in the order of their references, rows in the order of their keys. The copy is made
-inside one transaction on each side: the source is seen in one state, and the target gets all or nothing.
-"""
+"""A backup: the database and the blobs in one ZIP, taken while servers and workers go on, and restored on either engine."""
 
 from __future__ import annotations
 

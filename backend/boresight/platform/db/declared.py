@@ -1,8 +1,4 @@
-"""What every table has in common: one declarative base, STRICT tables, words and rows that are limited, what is sealed of it.
-
-Times are text in one form, `2026-11-21T03:04:05.123456Z`, which sorts as time and reads the same in both engines.
-Documents are `JsonText`. Large things (telemetry, results, histories) are blobs: rows hold their SHA-256 address.
-"""
+"""What every table has in common: one declarative base, STRICT tables, words and rows that are limited, what is sealed of it."""
 
 from __future__ import annotations
 

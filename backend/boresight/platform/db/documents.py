@@ -1,9 +1,4 @@
-"""JSON documents with one spelling, so that a hash of the text is a hash of the meaning.
-
-Canonical means: keys sorted, no spaces, UTF-8 as it is, floats by Python's `repr` (the shortest text that reads back as
-the same number), no NaN and no infinity (JSON has neither; an absent number is null). A document that is read back and
-written again gives the same bytes; that is why the column is TEXT in both engines: JSONB turns `1e+22` to an integer.
-"""
+"""JSON documents with one spelling, so that a hash of the text is a hash of the meaning."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""Opening the database on either engine, and what is said when it does not answer.
-
-On SQLite a writer takes the file's lock when it begins. On PostgreSQL it takes an advisory lock, which lasts as long as
-its transaction and is of one database: installations that share a server do not wait for each other. A server that died in
-the middle holds the lock until PostgreSQL ends its idle transaction. Connections are tried before they are used, so
-after a restart of PostgreSQL the next request finds a new one.
-"""
+"""Opening the database on either engine, and what is said when it does not answer."""
 
 from __future__ import annotations
 

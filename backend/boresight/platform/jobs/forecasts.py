@@ -1,8 +1,4 @@
-"""Forecasts of runs, kept by what they follow from: the table's content address, the sensor's document, the settings.
-
-A forecast takes a tenth of a second and a form asks for one at every change, so those that were made are kept, the latest of them.
-One that cannot be made is a sentence and no refusal: the run may be queued all the same, and will say why it cannot do more.
-"""
+"""Forecasts of runs, kept by what they follow from: the table's content address, the sensor's document, the settings."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""The periodic thread: runs its steps, waits, and runs them again until it is closed.
-
-A round begins at once when the thread is nudged. A step that fails is logged and tried again in the next round, and the
-steps after it are taken all the same.
-"""
+"""The periodic thread: runs its steps, waits, and runs them again until it is closed."""
 
 from __future__ import annotations
 

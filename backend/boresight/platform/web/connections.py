@@ -1,15 +1,4 @@
-"""Connections: how long each may take over what it sends, and how many there may be.
-
-uvicorn reads a request's head for as long as it comes. Here a head has a deadline and a size, whoever does not take an
-answer is let go, and so is who goes on sending after the answer. Bodies have their deadlines in
-`boresight.platform.web.request_bodies`, for only there one sees whether the server waits for the sender or the sender for the
-server.
-
-There are fewer connections than the process may open files, so that accepting one never fails. When all are taken,
-a newcomer gets the place of the one that has waited longest among those of whom nobody is known, from the address that
-holds most of these: so whoever opens many takes from themselves. A connection over which somebody known asked, or whose
-request is being answered, is never taken from; where there are only such, the newcomer is told to come back.
-"""
+"""Connections: how long each may take over what it sends, and how many there may be."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""The figure cache: the bytes of the figures drawn last, with entity tags for the browser's own cache.
-
-A result is named by the hash of its bytes and never changes, so what is drawn from it changes only with the names in the
-legend, with a simulation's truth, and with this program. A tag is the hash of all that; a figure of a run that still
-computes has none. The program's share is the hash of the figures' source: nobody has to remember to count a version up.
-"""
+"""The figure cache: the bytes of the figures drawn last, with entity tags for the browser's own cache."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Answers that are files, by their media type: what the OpenAPI document says of them, and how they are sent.
-
-Tables as CSV files to download: null is empty, columns of unequal length end early.
-"""
+"""Answers that are files, by their media type, and tables as CSV files to download."""
 
 from __future__ import annotations
 

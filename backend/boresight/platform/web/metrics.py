@@ -1,7 +1,4 @@
-"""What a monitoring system scrapes: requests by route, time they took, runs by state, open event streams.
-
-Routes are counted by their template (`/api/v1/runs/{run_id}`), so that no address adds a series.
-"""
+"""What a monitoring system scrapes: requests by route, time they took, runs by state, open event streams."""
 
 from __future__ import annotations
 

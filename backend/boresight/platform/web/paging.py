@@ -1,15 +1,4 @@
-"""Lists by pages: `{items, next}`. `next` is an opaque cursor, null on the last page.
-
-A cursor says after which row to go on and for which filters it was made, so it stays right while rows are added, and
-using it with other filters is refused rather than answered with nonsense.
-
-Row ids in requests: whole numbers that fit the store's 64-bit keys.
-
-Path parameters: the converters of text and numbers that every route uses.
-
-A text has no colon: there a verb begins. Or GET of `/runs/5:cancel` would be taken for the run `5:cancel`, refused as malformed,
-instead of 405 with the methods that there are. A number has at most as many digits as the store's greatest.
-"""
+"""Lists by pages with an opaque cursor, and the converters of ids and names in addresses."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Errors as `application/problem+json` (RFC 9457): one table from error class to status.
-
-`type` is a stable word for programs, `title` names the kind, `detail` is the sentence for people, `instance` the address
-asked, `request_id` what to quote, and `errors` the places: `row` and `column` for a file, `pointer` for a JSON body.
-A body never holds a stack trace.
-"""
+"""Errors as `application/problem+json` (RFC 9457): one table from error class to status."""
 
 from __future__ import annotations
 

@@ -1,16 +1,4 @@
-"""Deadlines of request bodies; only the time that the server waits counts.
-
-What is announced must come: in every window of `WINDOW_S` at least `FLOOR_BYTES`, or the end. So one byte a second is
-refused within a window, and a link that carries 20 kbit/s is not. All of it must have come within a time that goes by the
-largest body its address takes: 512 MB in under six hours, a form in under a minute and a half.
-
-Request validation before any endpoint: text must be valid Unicode and bodies valid JSON.
-
-The framework reads JSON by Python's reader, which takes more than RFC 8259 allows: `NaN`, numbers beyond a double, half of a
-surrogate pair, integers of any length. None of it can be stored, hashed or sent back, so each would fail somewhere further in.
-Here a JSON body is read strictly once, and what is passed on is what was read, written anew: nothing behind can read it
-differently. A form's text is UTF-8; another `charset` could spell half a character too.
-"""
+"""Request bodies: deadlines while the server waits for them, and strict JSON and UTF-8 before any endpoint."""
 
 from __future__ import annotations
 

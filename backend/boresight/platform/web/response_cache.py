@@ -348,12 +348,12 @@ class ResponseCache:
             making.answer.set_result(None)
 
 
-class CacheLookup:
+class CacheLookupMiddleware:
     """The layer after authentication: answers from the cache, and passes on what is not in it."""
 
-    def __init__(self, app: ASGIApp, ready: ResponseCache) -> None:
+    def __init__(self, app: ASGIApp, cache: ResponseCache) -> None:
         self.app = app
-        self.ready = ready
+        self.cache = cache
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request."""
@@ -361,7 +361,7 @@ class CacheLookup:
             await self.app(scope, receive, send)
             return
         asked = CacheRequest.of(scope)
-        kept = await self.ready.find(scope, asked)
+        kept = await self.cache.find(scope, asked)
         if kept is not None:
             scope["route"] = kept.route
             await kept.send(send, asked.known_tags, scope["state"][SHARING].gaps)
@@ -370,28 +370,28 @@ class CacheLookup:
         try:
             await self.app(scope, receive, send)
         finally:
-            self.ready.over(scope)
+            self.cache.over(scope)
 
 
-class CacheStore:
+class CacheStoreMiddleware:
     """The layer nearest to the endpoints: takes their answers as they are, before anything is added or compressed."""
 
-    def __init__(self, app: ASGIApp, ready: ResponseCache) -> None:
+    def __init__(self, app: ASGIApp, cache: ResponseCache) -> None:
         self.app = app
-        self.ready = ready
+        self.cache = cache
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request in and take its answer."""
         if scope["type"] == "http" and scope["method"] == "GET":
-            send = _OutgoingResponse(self.ready, scope, send).send
+            send = _OutgoingResponse(self.cache, scope, send).send
         await self.app(scope, receive, send)
 
 
 class _OutgoingResponse:
     """One answer on its way out."""
 
-    def __init__(self, ready: ResponseCache, scope: Scope, send: Send) -> None:
-        self._ready = ready
+    def __init__(self, cache: ResponseCache, scope: Scope, send: Send) -> None:
+        self._cache = cache
         self._scope = scope
         self._send = send
         self._start: Message | None = None
@@ -423,7 +423,7 @@ class _OutgoingResponse:
         same_for, sharing = state.get(SAME_FOR), state.get(SHARING)
         kept = self._written(start, body, asked, same_for)
         if same_for is not None and asked.mark is not None:
-            self._ready.keep(self._scope, asked, kept, same_for)
+            self._cache.keep(self._scope, asked, kept, same_for)
         await kept.send(self._send, asked.known_tags, sharing.gaps if sharing else ())
 
     def _written(self, start: Message, body: bytes, asked: CacheRequest, same_for: str | None) -> CachedResponse:

@@ -1,8 +1,4 @@
-"""The files of the pages: style, modules, and Plotly and Swagger UI as their Python packages ship them.
-
-Every file carries a strong ETag of its bytes and must be asked again each time, which costs a 304: a browser never runs
-yesterday's module with today's page. Large text is compressed once and kept.
-"""
+"""The files of the pages: style, modules, and Plotly and Swagger UI as their Python packages ship them."""
 
 from __future__ import annotations
 

@@ -1,11 +1,4 @@
-"""Telemetry on the detector it is said to come from: rows off it, and how well the rest covers it.
-
-The detector's edge lies half a pixel beyond the centres of its outermost pixels. A matched star beyond it was not measured
-there and is left out of use, which the quality report and every result tell (`OffDetector`). The centroid of a star that
-the edge cuts runs a pixel or two past it; stars farther out are single faults (a flipped bit, a wrong window) while they are
-few. Where they are many, rows and columns are exchanged, the pixel origin is another, or the sensor is: such a set is refused
-before use (`check_against_sensor`). An unmatched detection beyond the edge is only junk: it is reported.
-"""
+"""Telemetry on the detector it is said to come from: rows off it, and how well the rest covers it."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""What a quality report looks at, computed once: which rows are matched, known, on the detector, and of use.
-
-A row is of use when it is matched, lies on the detector and can have a direction: its own, or the catalogue's, which
-takes a known star, a time and, in a file that gives velocities, a velocity. This is the rule of `sky.directions`.
-
-One thing a quality report has found.
-"""
+"""What a quality report looks at, computed once, and a finding: one thing that it has found."""
 
 from __future__ import annotations
 

@@ -1,16 +1,4 @@
-"""What a telemetry set must satisfy before any arithmetic, each check with its sentence.
-
-Refused here is what would make the arithmetic wrong: rows out of order, a star or a centroid twice in one exposure,
-angles and velocities in other units, quaternions that are not unit, noise that is not positive, half a direction.
-What harms nothing (unknown stars, false detections, gaps, further columns) is let pass, left out of use, and told in
-the quality report.
-
-Collecting what is wrong with an input before refusing it, so that one reading names every fault.
-
-The first twenty faults are kept and the rest counted: a file exported in the wrong units has one fault a row; what has a
-hundred thousand is refused there and then. A file read
-in parts collects into the same faults part by part, `first_row` moving on: which faults are kept does not depend on the parts.
-"""
+"""What a telemetry set must satisfy before any arithmetic; every fault is collected before the set is refused."""
 
 from __future__ import annotations
 

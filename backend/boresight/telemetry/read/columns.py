@@ -1,12 +1,4 @@
-"""From the columns of a file to arrays: every cell becomes a number or a time, or a fault with its row.
-
-The three file formats meet here as Arrow columns, typed where the format could type them and text where it could not.
-What a cell means does not depend on its neighbours, so that a file means the same in whatever parts it is read.
-An absent value is an empty cell or a null. A cell that says NaN or infinity is refused, for it is not a measurement and
-one of them would poison every sum.
-
-From tables to arrays: every column of the contract under its name, in SI, nothing checked across rows yet.
-"""
+"""From a file's tables to arrays: every column of the contract under its name, in SI, and a fault with its row elsewhere."""
 
 from __future__ import annotations
 

@@ -1,15 +1,4 @@
-"""What a telemetry file is: its bytes decide, and its suffix must agree with them.
-
-A telemetry file as a run of tables, whatever its form: what the three formats offer to the reader.
-
-What is wrong with the form of a file (blank rows, rows of too few cells, lines that are no JSON) is collected while the tables
-are taken, for the cells of such a file mean nothing; whoever takes them refuses it at the end, before all else.
-
-Files that are neither telemetry nor JSON, recognised by the signature that their first bytes carry.
-
-People bring the image, the archive or the workbook they have. A signature tells which it is whatever its name, so the refusal
-says what the file is and what to make of it instead of complaining of its encoding.
-"""
+"""What a file is, told by its bytes and its suffix: telemetry in one of three formats, read as tables, or something else."""
 
 from __future__ import annotations
 

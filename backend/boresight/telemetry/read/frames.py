@@ -1,9 +1,4 @@
-"""Single frames out of a stored table, however large it is: where each frame begins is kept for the tables looked at last.
-
-Some frames of a stored set, taken evenly over it, without checking all of it: it was checked when it came in.
-
-Every k-th of n frames stands for the set where its frames are alike in kind, which is what a forecast asks.
-"""
+"""Single frames, or some taken evenly, out of a stored table, however large it is."""
 
 from __future__ import annotations
 

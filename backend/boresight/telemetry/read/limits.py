@@ -1,9 +1,4 @@
-"""How much a telemetry file may hold, whatever its format: told before anything is expanded, in time linear in its bytes.
-
-A telemetry table has tens of columns of short cells, and centroids are noise: a row of Parquet with all of the contract's
-columns takes about 8 bytes in the file and 150 when it is read, some 20 times as much. What breaks these limits is damaged,
-not telemetry, or made to exhaust whoever reads it; a refusal names the limit and what to do.
-"""
+"""How much a telemetry file may hold, whatever its format: told before anything is expanded, in time linear in its bytes."""
 
 from __future__ import annotations
 

@@ -1,25 +1,4 @@
-"""Reading a telemetry file whole: its chunks put together; and writing one again.
-
-Every fault of the file is collected with row and column, as an editor counts them, and refused in one sentence.
-A quaternion is scaled to unit length on the way in; a star number of -1 becomes 0, which means unmatched.
-
-A large Parquet file in stretches that are read apart, by whoever has time, and give the parts that the whole file gives.
-
-A file is compressed in groups of rows. A stretch begins with the first frame that begins in its first group, and ends where the
-next one begins: whole frames, and nearly whole groups, of which each is decompressed once and its head once more. Where frames
-begin is told by one column, read beforehand, which is a fiftieth of the work; that they ascend is seen there too. Everything
-else that a file can be refused for lies within a frame, so each stretch finds its own. But a refusal names the first twenty faults
-of a file and counts the others: whoever meets a fault reads the file from its start (`read_chunks`), which says so in its words.
-
-A telemetry file in parts of whole frames, in constant memory: how every file is read, large or small.
-
-A file comes as tables of bounded size (`formats.Tables`), cut anywhere. Their rows are turned into arrays at once and wait until
-enough frames are whole; what comes out is cut where the frame number changes. Faults are collected as they are met, and
-from the first one on nothing more comes out: the rest of the file is read for its faults alone, and then refused in the words
-and order in which a file is refused that is read at once: form, columns, cells, and what rows say together.
-
-Writing telemetry: the contract's columns in the contract's units, then the columns nobody interprets.
-"""
+"""Reading telemetry whole, in parts of whole frames in constant memory, or in stretches read apart; and writing it again."""
 
 from __future__ import annotations
 

@@ -1,24 +1,4 @@
-"""Reading CSV: a header line, commas, a row a line.
-
-Arrow reads the known columns as numbers at once. Where that fails, every cell of the piece is read as text, and `columns`
-finds the ones that are wrong; only a file with faults pays for it. Where even that fails, the lines are looked at one by one.
-A line of CSV is cells between commas; a cell that begins with a quotation mark ends at the next single one::
-
-    cell = "( not-a-quote | "" )*" rest | plain
-
-The text of a large file in pieces of whole rows, so that it never is in memory at once.
-
-A piece is UTF-8 with plain line ends and without the last of them: n line ends are n + 1 rows. The byte-order mark and the
-blank lines that close the file are left out. What is read does not depend on where the pieces are cut: a row that is longer than
-a line may be (`Limits`) is refused wherever it stands.
-
-Reading JSON Lines: one object a line, a key a column.
-
-Arrow parses well-formed lines with the known columns typed. Where that fails, or where an object does not have a line of its
-own, the lines of the piece are parsed one by one and every cell becomes text, so that `columns` can name row and column.
-Cells of other columns are kept as they were written, which takes a look at every line. Only the end of the file tells which
-columns it has; a file of more than one piece is therefore read twice.
-"""
+"""Reading CSV and JSON Lines, in pieces of whole rows, so that a large file never is in memory at once."""
 
 from __future__ import annotations
 

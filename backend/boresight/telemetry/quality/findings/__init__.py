@@ -1,7 +1,4 @@
-"""Findings: one function each, one line in the registry below; the worst come first in a report.
-
-A finding function takes the evidence and answers with a `Finding`, or None when all is well.
-"""
+"""Findings: one function each, one line in the registry below; the worst come first in a report."""
 
 from __future__ import annotations
 
