@@ -54,7 +54,6 @@ class Columns:
 
 
 def _array(mapped: mmap.mmap, column: Column) -> NDArray[Any]:
-    """One array on a mapping."""
     count = int(np.prod(column.shape, dtype=np.int64))
     return np.frombuffer(mapped, column.dtype, count, column.offset).reshape(column.shape)
 

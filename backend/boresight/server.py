@@ -129,7 +129,6 @@ def create_app(settings: Settings, *, limits: ConcurrencyLimits | None = None, p
 
 
 def _furnish(app: FastAPI, settings: Settings) -> None:
-    """Give the application what its endpoints use."""
     settings.data_folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     state = app.state
     state.settings = settings

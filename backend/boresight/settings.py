@@ -7,8 +7,9 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 from boresight.errors import RefusedInputError
@@ -48,112 +49,70 @@ def _site(text: str) -> str:
     return text
 
 
-SETTINGS = (
-    Setting("data_folder", "", "path", "Database, blobs, catalogue, compiled kernels; empty = your data folder.", str),
-    Setting("database_url", "", "URL", "SQLAlchemy address of the store; empty = SQLite in the data folder.", str),
-    Setting("blobs", "", "path or URL", "Folder of files, or s3://bucket/prefix; empty = in the data folder.", str),
-    Setting("blob_cache_mb", "10240", "MB", "Files of an object store kept here; the least used go.", float),
-    Setting("host", "127.0.0.1", "address", "Address the server listens on.", str),
-    Setting("port", "8000", "", "Port the server listens on.", int),
-    Setting("trusted_proxies", "127.0.0.1", "addresses", "Proxies whose X-Forwarded-For and -Proto count.", str),
-    Setting(
-        "public_url", "", "URL", "Where people find the server, if a proxy hides it; empty = what Host says.", _site
-    ),
-    Setting("mode", "OPS", "", "Tag in the top bar: OPS, SIM or TRAINING.", str),
-    Setting("scheduler", "", "address", "Dask scheduler, tls://host:port; empty = our own worker processes.", str),
-    Setting(
-        "tls_authority", "", "path", "Authority (PEM) that signed every machine's certificate, for tls:// links.", str
-    ),
-    Setting(
-        "tls_certificate", "", "path", "This machine's certificate and key in one PEM file, for tls:// links.", str
-    ),
-    Setting(
-        "cluster_network_closed",
-        "0",
-        "0 or 1",
-        "1 = plain tcp:// links may leave this machine: nobody else is on their network.",
-        int,
-    ),
-    Setting("workers", "2", "processes", "Worker processes started when no scheduler is given; 0 = none here.", int),
-    Setting(
-        "threads", "0", "threads", "Threads a command computes on, 0 = one a core; worker processes use one each.", int
-    ),
-    Setting("lease_s", "10", "s", "How long a run belongs to the server that claimed it without a renewal.", float),
-    Setting("max_attempts", "3", "", "After so many lost attempts a run is FAILED as poison.", int),
-    Setting("upload_limit_mb", "512", "MB", "Largest telemetry file that is accepted.", float),
-    Setting("telemetry_rows", "50000000", "rows", "Most detections of a telemetry file, compressed or not.", int),
-    Setting("telemetry_columns", "1000", "columns", "Most columns of a telemetry file.", int),
-    Setting("session_hours", "12", "h", "A log-in ends after so long.", float),
-    Setting(
-        "session_idle_minutes", "60", "min", "A log-in that is not used for so long ends too; 0 = it does not.", float
-    ),
-    Setting(
-        "login_attempts",
-        "5",
-        "",
-        "Wrong passwords for a name from one place; after so many each further try waits.",
-        int,
-    ),
-    Setting("webhooks_local", "0", "0 or 1", "1 = webhooks may go to this machine and its link.", int),
-    Setting("webhooks_private", "0", "0 or 1", "1 = webhooks may go to private networks (RFC 1918, fc00::/7).", int),
-    Setting(
-        "webhook_hosts", "", "hosts", "The only hosts webhooks may go to, exact or *.suffix; empty = any.", read_hosts
-    ),
-    Setting(
-        "webhook_key", "", "path", "File of the key that encrypts webhooks' secrets; empty = in the data folder.", str
-    ),
-    Setting("four_eyes", "1", "0 or 1", "0 = one person works alone here and may sign what they submitted.", int),
-    Setting("second_person", "0", "0 or 1", "1 = somebody else must confirm new gate limits and table layouts.", int),
-    Setting("approvals", "1", "people", "Approvals that a request needs; two at least where a gate is waived.", int),
-    Setting("approval_days", "30", "d", "A request that nobody decided on expires after so long.", float),
-    Setting("rollback_days", "3", "d", "The same for a request to go back to a former baseline.", float),
-    Setting(
-        "audit_head_file", "", "path", "Gets each new head of the audit log, a line each; outside the data folder.", str
-    ),
-    Setting("audit_head_minutes", "5", "min", "How often the head is written there, and told to webhooks.", float),
-    Setting("secure_cookies", "0", "0 or 1", "1 = the session cookie is sent over HTTPS only.", int),
-)
+def _setting(default: str, unit: str, sentence: str, read: Callable[[str], object] | None = None) -> Any:
+    """Declare a row of the table: a field of the settings, read by its own type where nothing else is said."""
+    return field(metadata={"default": default, "unit": unit, "sentence": sentence, "read": read})
 
 
 @dataclass(frozen=True)
 class Settings:
-    """The settings as values; field names are those of the table."""
+    """Every setting, each declared once; its value is what its row reads."""
 
-    data_folder: Path
-    database_url: str
-    blobs: str
-    blob_cache_mb: float
-    host: str
-    port: int
-    trusted_proxies: str
-    public_url: str
-    mode: str
-    scheduler: str
-    tls_authority: str
-    tls_certificate: str
-    cluster_network_closed: int
-    workers: int
-    threads: int
-    lease_s: float
-    max_attempts: int
-    upload_limit_mb: float
-    telemetry_rows: int
-    telemetry_columns: int
-    session_hours: float
-    session_idle_minutes: float
-    login_attempts: int
-    webhooks_local: int
-    webhooks_private: int
-    webhook_hosts: tuple[str, ...]
-    webhook_key: str
-    four_eyes: int
-    second_person: int
-    approvals: int
-    approval_days: float
-    rollback_days: float
-    audit_head_file: str
-    audit_head_minutes: float
-    secure_cookies: int
+    data_folder: Path = _setting(  # noqa: RUF009 - a field of a dataclass, no value
+        "", "path", "Database, blobs, catalogue, compiled kernels; empty = your data folder."
+    )
+    database_url: str = _setting("", "URL", "SQLAlchemy address of the store; empty = SQLite in the data folder.")
+    blobs: str = _setting("", "path or URL", "Folder of files, or s3://bucket/prefix; empty = in the data folder.")
+    blob_cache_mb: float = _setting("10240", "MB", "Files of an object store kept here; the least used go.")
+    host: str = _setting("127.0.0.1", "address", "Address the server listens on.")
+    port: int = _setting("8000", "", "Port the server listens on.")
+    trusted_proxies: str = _setting("127.0.0.1", "addresses", "Proxies whose X-Forwarded-For and -Proto count.")
+    public_url: str = _setting(
+        "", "URL", "Where people find the server, if a proxy hides it; empty = what Host says.", read=_site
+    )
+    mode: str = _setting("OPS", "", "Tag in the top bar: OPS, SIM or TRAINING.")
+    scheduler: str = _setting("", "address", "Dask scheduler, tls://host:port; empty = our own worker processes.")
+    tls_authority: str = _setting(
+        "", "path", "Authority (PEM) that signed every machine's certificate, for tls:// links."
+    )
+    tls_certificate: str = _setting("", "path", "This machine's certificate and key in one PEM file, for tls:// links.")
+    cluster_network_closed: int = _setting(
+        "0", "0 or 1", "1 = plain tcp:// links may leave this machine: nobody else is on their network."
+    )
+    workers: int = _setting("2", "processes", "Worker processes started when no scheduler is given; 0 = none here.")
+    threads: int = _setting(
+        "0", "threads", "Threads a command computes on, 0 = one a core; worker processes use one each."
+    )
+    lease_s: float = _setting("10", "s", "How long a run belongs to the server that claimed it without a renewal.")
+    max_attempts: int = _setting("3", "", "After so many lost attempts a run is FAILED as poison.")
+    upload_limit_mb: float = _setting("512", "MB", "Largest telemetry file that is accepted.")
+    telemetry_rows: int = _setting("50000000", "rows", "Most detections of a telemetry file, compressed or not.")
+    telemetry_columns: int = _setting("1000", "columns", "Most columns of a telemetry file.")
+    session_hours: float = _setting("12", "h", "A log-in ends after so long.")
+    session_idle_minutes: float = _setting(
+        "60", "min", "A log-in that is not used for so long ends too; 0 = it does not."
+    )
+    login_attempts: int = _setting(
+        "5", "", "Wrong passwords for a name from one place; after so many each further try waits."
+    )
+    webhooks_local: int = _setting("0", "0 or 1", "1 = webhooks may go to this machine and its link.")
+    webhooks_private: int = _setting("0", "0 or 1", "1 = webhooks may go to private networks (RFC 1918, fc00::/7).")
+    webhook_hosts: tuple[str, ...] = _setting(
+        "", "hosts", "The only hosts webhooks may go to, exact or *.suffix; empty = any.", read=read_hosts
+    )
+    webhook_key: str = _setting(
+        "", "path", "File of the key that encrypts webhooks' secrets; empty = in the data folder."
+    )
+    four_eyes: int = _setting("1", "0 or 1", "0 = one person works alone here and may sign what they submitted.")
+    second_person: int = _setting("0", "0 or 1", "1 = somebody else must confirm new gate limits and table layouts.")
+    approvals: int = _setting("1", "people", "Approvals that a request needs; two at least where a gate is waived.")
+    approval_days: float = _setting("30", "d", "A request that nobody decided on expires after so long.")
+    rollback_days: float = _setting("3", "d", "The same for a request to go back to a former baseline.")
+    audit_head_file: str = _setting(
+        "", "path", "Gets each new head of the audit log, a line each; outside the data folder."
+    )
+    audit_head_minutes: float = _setting("5", "min", "How often the head is written there, and told to webhooks.")
+    secure_cookies: int = _setting("0", "0 or 1", "1 = the session cookie is sent over HTTPS only.")
 
     @property
     def policy(self) -> Policy:
@@ -230,6 +189,19 @@ class Settings:
         return self.data_folder / "kernels"
 
 
+_READERS: dict[str, Callable[[str], object]] = {"int": int, "float": float}
+
+
+def _row(item: Field[Any]) -> Setting:
+    said = item.metadata
+    return Setting(
+        item.name, said["default"], said["unit"], said["sentence"], said["read"] or _READERS.get(str(item.type), str)
+    )
+
+
+SETTINGS = tuple(map(_row, fields(Settings)))
+
+
 def default_data_folder(environment: Mapping[str, str]) -> Path:
     """Return the user's data folder for Boresight, as the XDG rules give it."""
     share = environment.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
@@ -255,7 +227,7 @@ def read_settings(environment: Mapping[str, str] | None = None) -> Settings:
     folder = Path(str(values["data_folder"])) if values["data_folder"] else default_data_folder(environment)
     values["data_folder"] = folder.expanduser().resolve()
     values["database_url"] = values["database_url"] or f"sqlite:///{values['data_folder']}/boresight.sqlite3"
-    return Settings(**{field.name: values[field.name] for field in fields(Settings)})  # type: ignore[arg-type]
+    return Settings(**values)  # type: ignore[arg-type]
 
 
 def use_kernel_folder(settings: Settings) -> None:

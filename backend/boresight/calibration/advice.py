@@ -90,7 +90,6 @@ def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator
 def _of_consistency(
     fit: ChiSquare, nis: ChiSquare, problem: Problem, settings: CalibrationSettings, estimate: Estimate
 ) -> Iterator[str]:
-    """Sentences on whether the sigmas can be believed."""
     if estimate.status == "diverged":
         return
     implied = _centroid_sigma_px(problem) * np.sqrt(fit.mean)
@@ -129,7 +128,6 @@ def _of_consistency(
 
 
 def _centroid_sigma_px(problem: Problem) -> float:
-    """Root mean square of the stated centroid sigmas."""
     return float(np.sqrt(sum(problem.arcs.over_blocks(_variance_in_block)) / problem.arcs.n_stars))
 
 
@@ -231,7 +229,6 @@ def _of_holding(held: list[int], A: FloatArray, observed: Observability) -> list
 
 
 def _of_coverage(problem: Problem) -> list[str]:
-    """Say where the detector has no stars."""
     sensor, arcs = problem.sensor, problem.arcs.whole()
     row, col = arcs.row_px - (sensor.rows - 1) / 2, arcs.col_px - (sensor.columns - 1) / 2
     reach = float(np.hypot(row, col).max() / (np.hypot(sensor.rows, sensor.columns) / 2))

@@ -297,7 +297,6 @@ def _sigma(problem: Problem, parameters: Parameters, estimate: Estimate) -> Floa
 
 
 def _estimated(problem: Problem, parameters: Parameters, estimate: Estimate, sigma: FloatArray) -> dict[str, Any]:
-    """Parameters with sigma, covariance and shift."""
     names = problem.camera.parameter_names
     known = np.isfinite(sigma[parameters.free])
     P = parameters.covariance(estimate.P)

@@ -331,7 +331,6 @@ def frame_starts(telemetry: Telemetry) -> IntArray:
 
 
 def _epoch(telemetry: Telemetry, rows: IntArray) -> np.datetime64:
-    """The first known time of some rows."""
     never = np.datetime64("NaT", "us")
     if telemetry.time_utc is None:
         return never
@@ -400,7 +399,6 @@ def judged_matches(parts: Iterable[MatchedRows], ends: Ends) -> MatchedRows:
 
 
 def _ends(arcs: Arcs, block: int) -> tuple[int, int]:
-    """First and last frame number of a block."""
     places = block * FRAMES, min((block + 1) * FRAMES, arcs.n_frames) - 1
     first, last = (int(arcs.frames(place, place + 1).frame[0]) for place in places)
     return first, last

@@ -46,7 +46,6 @@ def assess(
 
 
 def _assess(files: tuple[Path, Path, Path | None, Path | None, Path | None], report: Any) -> dict[str, Any]:
-    """Read the files and judge."""
     from boresight.console.runs.calibration_document import refuse_incomplete
     from boresight.telemetry.sensors import read_sensor
     from boresight.verdicts.gates import parse_profile
@@ -76,7 +75,6 @@ def _frames(telemetry: Path, sensor: Any, report: Any) -> tuple[Any, Any]:
 
 
 def _read_object(path: Path, what: str) -> dict[str, Any]:
-    """Read a JSON object from a file."""
     from boresight.telemetry.read.formats import read_json
 
     try:

@@ -55,7 +55,6 @@ def verify(context: click.Context, head: str | None, *, no_blobs: bool) -> None:
 
 
 def _require_schema(engine: Engine) -> None:
-    """Refuse a schema that is not this version's."""
     from boresight.platform.db.sessions import current_revision, head_revision
 
     found, known = current_revision(engine), head_revision()

@@ -120,7 +120,6 @@ def _settings(choices: dict[str, Any]) -> Any:
 
 
 def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settings: Any, report: Any) -> dict[str, Any]:
-    """Read the files and run the estimator."""
     from boresight.calibration import calibrate as estimator
     from boresight.calibration.telemetry_pieces import TelemetryFile
     from boresight.sky.catalogue import load_catalogue
@@ -147,13 +146,11 @@ def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settin
 
 
 def _sha256(path: Path) -> str:
-    """Content address of a file, read in pieces."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _lines(result: dict[str, Any]) -> Iterator[str]:
-    """Lay a result out for a terminal."""
     from boresight.figures.tables import HEADINGS, printed_rows
 
     words = [result["method"], result["variant"], result["status"].replace("_", " ")]
@@ -171,7 +168,6 @@ def _lines(result: dict[str, Any]) -> Iterator[str]:
 
 
 def _judgements(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """List what the fit is worth."""
     yield "RMS arc error", _pair(result["rms_arc_rad"])
     if (fit := result["chi2"]) is not None:
         yield "chi2 per degree of freedom", _test(result["chi2_per_dof"], fit)

@@ -55,7 +55,6 @@ def convert(
 
 
 def _check_kept(place: str | None, *inputs: Path) -> None:
-    """Refuse to write over what is read."""
     for path in inputs:
         if (
             place not in {None, STANDARD_OUTPUT}
@@ -81,7 +80,6 @@ def _converted(
 
 
 def _lines(written: dict[str, Any]) -> Iterator[str]:
-    """Lay a conversion out for a terminal."""
     how, sigma = written["conversion"], written["sigma"]
     yield f"{written['sensor']}: {how['camera_model']} in {written['camera_model']}"
     yield ""

@@ -104,7 +104,6 @@ def _match(
 
 
 def _match_lines(document: dict[str, Any]) -> Iterator[str]:
-    """Lay the counts out for a terminal."""
     keys = ("given", "kept", "changed", "added", "removed", "matched")
     yield f"{document['sensor']}: {document['rows']:,} detections"
     if document["flight_tolerance_rad"] is not None:
@@ -219,7 +218,6 @@ def _settings(choices: dict[str, Any]) -> Any:
 
 
 def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shadow: bool, report: Any) -> dict[str, Any]:
-    """Read the files and compare."""
     import numpy as np
 
     from boresight.calibration.evaluation import bootstrap
@@ -250,7 +248,6 @@ def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shado
 
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:
-    """Lay an evaluation out for a terminal."""
     tolerance = document["flight_tolerance_rad"] * 1e6
     yield f"{document['sensor']}: {document['frames']:,} frames, {document['common_pairs']:,} common pairs"
     yield f"accepted: arcs that agree within {tolerance:.0f} µrad (simulated flight tolerance)"

@@ -48,7 +48,6 @@ def _check_out(out_file: str) -> None:
 
 
 def _read(source: str) -> dict[str, Any]:
-    """Read a calibration from a file."""
     from boresight.console.runs.calibration_document import refuse_incomplete
 
     try:
@@ -66,7 +65,6 @@ def _read(source: str) -> dict[str, Any]:
 
 
 def _stored(run_id: int) -> dict[str, Any]:
-    """Read a run's calibration from the store."""
     from boresight.console.runs import service as runs
     from boresight.platform.blobs.opening import open_blobs
     from boresight.platform.db.sessions import open_reading, open_store

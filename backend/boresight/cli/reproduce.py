@@ -163,7 +163,6 @@ def _wu(
 
 
 def _numbers(text: str) -> tuple[int, ...]:
-    """Read a list of sensor numbers."""
     try:
         return tuple(sorted({int(word) for word in text.split(",")}))
     except ValueError as error:
@@ -171,7 +170,6 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 def _verdicts(document: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """List every verdict."""
     rows = [
         (f"Table {table['number']}", str(row["label"]), str(row["verdict"]))
         for table in (*document["tables"], *document["timing"].get("tables", ()))

@@ -103,7 +103,6 @@ def decode(context: click.Context, image: Path, sensor_file: Path, definition_fi
 
 
 def _shown(definition: Any, content: bytes) -> str:
-    """Lay out every field, and the CRC."""
     from boresight.uplink.table_definition import decode
 
     decoded = decode(definition, content)

@@ -72,7 +72,6 @@ def _settings(address: str | None, data: Path | None) -> Settings:
 
 
 def _say(line: str) -> None:
-    """Print a line for the log."""
     click.echo(line, err=True)
 
 

@@ -108,7 +108,6 @@ def _trace(result: Result) -> Trace:
 
 
 def _summary(result: Result) -> Iterator[tuple[str, str]]:
-    """List the numbers a reader looks for first."""
     yield "Method", " ".join(str(result[key]) for key in ("method", "variant") if result.get(key))
     yield "Camera model", str(result.get("camera_model") or "–")
     yield "Free parameters", ", ".join(result.get("free") or ()) or "–"

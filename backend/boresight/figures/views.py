@@ -68,7 +68,6 @@ def _numbered(n_kept: int, n_updates: int) -> FloatArray:
 
 
 def _by_time(trace: Trace) -> Result:
-    """Count hours since the run's first frame."""
     result, history = trace.result, trace.result.get("history")
     if not history or not history.get("frame"):
         trust = result.get("trust") or {}

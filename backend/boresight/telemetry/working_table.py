@@ -143,7 +143,6 @@ def _arrow(values: NDArray[Any]) -> pa.Array:
 
 
 def _array(mapped: mmap.mmap, base: int, column: pa.Array) -> NDArray[Any]:
-    """A column as an array on the mapping."""
     wide = isinstance(column, pa.FixedSizeListArray)
     flat = column.flatten() if wide else column
     dtype = np.dtype("datetime64[us]") if pa.types.is_timestamp(flat.type) else flat.type.to_pandas_dtype()

@@ -78,7 +78,6 @@ def _opencv(sensor: Sensor, K: Sequence[float], distortion: Sequence[float]) -> 
 
 
 def _ros(sensor: Sensor, K: Sequence[float], distortion: Sequence[float], title: str) -> bytes:
-    """Write a calibration file for `camera_info_manager`."""
     lines = [
         f"image_width: {sensor.columns}",
         f"image_height: {sensor.rows}",

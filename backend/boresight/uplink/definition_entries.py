@@ -37,7 +37,6 @@ class Entries:
         return f"{self.place}.{key}" if self.place else key
 
     def _wrong(self, key: str, expected: str) -> None:
-        """Note an entry that is missing or wrong."""
         if key in self.document:
             self.faults.add(f"{self._at(key)} is {_shown(self.document[key])}: {expected}")
         else:

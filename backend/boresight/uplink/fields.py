@@ -114,7 +114,6 @@ class Field:
         return int.from_bytes(bits.to_bytes(self.bits // 8, "big"), "little") if self.little else bits
 
     def _refusal(self, number: float) -> RefusedInputError:
-        """Say what does not fit where."""
         ends = sorted(self.scale * limit + self.offset for limit in self.limits)
         return RefusedInputError(
             f"{self.name} cannot hold {number!r}: a {self.kind} of scale {self.scale:g} and offset {self.offset:g} "

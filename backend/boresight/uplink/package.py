@@ -77,7 +77,6 @@ class _Tables:
 
 
 def _tables(definition: TableDefinition | None, sensor: Sensor, subject: Mapping[str, Any]) -> _Tables:
-    """Lay a set into the table."""
     if definition is None:
         return _Tables({})
     parameters, name = subject["document"]["parameters"], subject["name"]

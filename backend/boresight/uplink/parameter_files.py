@@ -110,7 +110,6 @@ def _validity(sensor: Sensor, subject: Set) -> dict[str, Any]:
 
 
 def _provenance(subject: Set) -> dict[str, Any]:
-    """Say where the numbers are from, by hashes."""
     document = subject["document"]
     kept = ("method", "variant", "status", "frames", "stars", "rms_arc_rad", "chi2_per_dof", "advice", "inputs")
     return {key: document.get(key) for key in kept} | {"run": subject.get("run"), "created_utc": subject["created_utc"]}

@@ -207,7 +207,6 @@ def _field(document: Any, place: str, little: bool, sensor: Sensor, faults: Faul
 
 
 def _check_constant(field: Field, place: str, faults: Faults) -> None:
-    """Note a constant that its field cannot hold."""
     try:
         field.pack(field.constant or 0)
     except RefusedInputError as error:

@@ -144,7 +144,6 @@ def _line(one: DecodedField) -> str:
 
 
 def _description(field: Field) -> str:
-    """Say what a raw value stands for."""
     what = field.parameter or ("CRC" if field.constant is None else "constant")
     return what if field.plain else f"{what} = {field.scale!r} raw + {field.offset!r}"
 

@@ -61,7 +61,6 @@ class Pieces:
             return tuple(self._fresh.popleft() for _ in range(size))
 
     def _size(self, left: int, takers: int) -> int:
-        """How many pieces make a group now."""
         if not self.seconds:
             return 1
         most, least = max(1, int(GROUP_S / self.seconds)), math.ceil(LEAST_S / self.seconds)

@@ -252,7 +252,6 @@ class Reconciler:
         return self._waiting.answer(limit, lambda: self._oldest(limit))
 
     def _oldest(self, limit: int) -> list[WaitingRun]:
-        """Read the oldest runs that wait."""
         with open_reading(self.database) as session:
             return waiting_runs(session, limit)
 
@@ -382,7 +381,6 @@ class RunDispatcher:
         self._shut_down()
 
     def _turn(self) -> None:
-        """Do each part of the loop once."""
         if self._attach():
             self._settle()
             self._launch()
@@ -536,7 +534,6 @@ class RunDispatcher:
             raise
 
     def _hand_over(self, worker: str, group: RunGroup, runs: list[ClaimedRun], *, behind: bool) -> None:
-        """Give one task to one worker."""
         members = {(run.run_id, run.attempt) for run in runs}
         work = [(run.run_id, run.attempt, gather_inputs(self._settings, run)) for run in runs]
         future = self._on_cluster().submit(worker, work, self._calculation, self._wake.set)
@@ -557,7 +554,6 @@ class RunDispatcher:
             self._broadcast({"kind": "run", "run_id": run_id, "attempt": attempt})
 
     def _on_cluster(self) -> Cluster:
-        """Return the cluster that the turn has attached."""
         if self._cluster is None:
             raise RuntimeError("Expected an attached cluster / Received none")
         return self._cluster

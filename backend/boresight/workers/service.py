@@ -89,7 +89,6 @@ class WorkerService:
             await asyncio.sleep(pause_s)
 
     async def _until_answered(self, security: Security | None) -> None:
-        """Wait until the scheduler answers."""
         said = False
         while not await _answers(self.settings.scheduler, security):
             if not said:
@@ -98,7 +97,6 @@ class WorkerService:
             await asyncio.sleep(FIRST_PAUSE_S)
 
     async def _be_worker(self, security: Security | None) -> None:
-        """Be a worker until it is over."""
         nanny = Nanny(
             self.settings.scheduler,
             nthreads=1,
@@ -131,7 +129,6 @@ def run_workers(settings: Settings, processes: int, memory_bytes: int | None, sa
 
 
 async def _answers(address: str, security: Security | None) -> bool:
-    """Ask whether a scheduler is there."""
     arguments = security.get_connection_args("worker") if security else {}
     scheduler = rpc(address, connection_args=arguments, timeout=ANSWER_S)
     try:

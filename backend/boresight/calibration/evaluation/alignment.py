@@ -203,7 +203,6 @@ def alignment_view(problem: Problem, x_0: FloatArray, x: FloatArray, P_si: Float
 
 
 def _sigmas(covariance: FloatArray) -> FloatArray:
-    """One-sigma about each axis, arcsec."""
     return np.asarray(np.sqrt(np.diag(covariance)) * ARCSEC_PER_RAD)
 
 
@@ -238,7 +237,6 @@ def _fixed(value: float, sigma: float) -> str:
 
 
 def _about(axis: FloatArray) -> str:
-    """Name the axis of a turn."""
     largest = int(np.argmax(np.abs(axis)))
     if abs(axis[largest]) < MOSTLY:
         return f"about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}) in x, y, z of the detector"

@@ -185,7 +185,6 @@ def _score(
 
 
 def _counted(seen: MatchedFrames) -> dict[str, int]:
-    """How many frames are not available, by reason."""
     return dict(Counter(reason for reason in seen.frame_reasons if reason != FLIGHT_REASONS[0]))
 
 
@@ -281,7 +280,6 @@ def mcnemar(b: int, c: int) -> float:
 
 
 def _sentence(b: int, c: int, p: float, stars_lost: int, stars_gained: int) -> str:
-    """The summary in words."""
     stars = f"{stars_gained:,} sightings of stars are gained and {stars_lost:,} lost"
     if b == c == 0:
         return f"Both parameter sets solve the same frames; {stars}."

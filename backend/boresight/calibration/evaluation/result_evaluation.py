@@ -221,7 +221,6 @@ def _flown(
 
 
 def _of_validation(verdict: dict[str, Any]) -> list[str]:
-    """Sentences on what the held-out set says."""
     rms, availability = verdict["rms_arc_rad"], verdict["availability"]
     sentences = []
     if rms["final"] is not None and rms["initial"] is not None and rms["final"] >= rms["initial"]:

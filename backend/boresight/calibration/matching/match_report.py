@@ -93,7 +93,6 @@ class Estimation:
         return self._filtered() if self.settings.sequential else self._fitted_in_cycles()
 
     def _fitted_in_cycles(self) -> CyclesEnd:
-        """Run the batch estimator until its matches rest."""
         sets, matched, cycles = self.sets, self.first, list[Cycle]()
         while True:
             began = time.thread_time()

@@ -97,7 +97,6 @@ def _centroid_information(fitted: FittedSet, arcs: ArcSet) -> FloatArray:
 
 
 def _efficiency_sentence(overall: float, ratio: FloatArray, fitted: FittedSet, frames_used: int) -> str:
-    """The verdict in words."""
     of = "" if frames_used == fitted.arcs.n_frames else f", from {frames_used} frames spaced evenly over the set"
     worst = int(np.argmax(ratio))
     numbers = (

@@ -154,7 +154,6 @@ def _summed(values: FloatArray, of: IntArray, count: IntArray) -> FloatArray:
 
 
 def _field_sentence(before: dict[str, Any] | None, after: dict[str, Any]) -> str:
-    """The verdict in words."""
     was = "" if before is None else f"{before['rms_in_all_px']:.3g} px before and "
     size = f"Residuals are {was}{after['rms_in_all_px']:.3g} px after (rms an axis)"
     if after["p"] >= UNLIKELY:
@@ -228,7 +227,6 @@ def two_sided(count: int, n: int, share: float) -> float:
 
 
 def _tails_sentence(z: FloatArray, spread: float, share: float, expected: float, p: float) -> str:
-    """The verdict in words."""
     size = f"Of {len(z)} residuals {share:.2%} lie beyond {TAIL:g} times their spread of {spread:.2f} sigmas"
     if p >= UNLIKELY:
         return f"{size}, {expected:.2%} are expected: their tails are those of the normal curve ({probability(p)})."
@@ -348,7 +346,6 @@ def _in_bins(name: str, values: FloatArray, residual: FloatArray, sigma: FloatAr
 
 
 def _against_sentence(name: str, largest: float, p: float) -> str:
-    """The verdict in words."""
     if p >= UNLIKELY:
         return f"The radial residual does not depend on {name}, as far as the noise lets one see ({probability(p)})."
     return (

@@ -71,7 +71,6 @@ def whiteness(fitted: FittedSet) -> dict[str, Any]:
 
 
 def _whiteness_sentence(symbol: str, p: float, n: int, white: bool) -> str:
-    """The verdict in words."""
     if white:
         return (
             f"The residuals are white over {n} frames: no parameter is seen to drift ({probability(p)} for the least white, "
@@ -140,7 +139,6 @@ def _series(fitted: FittedSet) -> tuple[NDArray[np.int64], FloatArray, FloatArra
 
 
 def _innovations_sentence(n: int, outside: float, bounds: tuple[float, float], runs: float, filtered: bool) -> str:
-    """The verdict in words."""
     what = "updates" if filtered else "frames"
     share = f"{outside:.1%} of {n} {what} lie outside their 95 % bounds ({bounds[0]:.1%} to {bounds[1]:.1%} is what chance allows)"
     wrong = "" if bounds[0] <= outside <= bounds[1] else ": the noise or the covariance is not what it is said to be"

@@ -59,7 +59,6 @@ def two_halves(fitted: FittedSet) -> dict[str, Any]:
 
 
 def _fitted(ground: FittedSet, frames: NDArray[np.bool_]) -> batch.BatchFit:
-    """Fit some frames alone."""
     arcs = chosen(ground.arcs, frames)
     if arcs.n_arcs <= len(ground.names):
         raise Unavailable("A half of the set holds no more arcs than there are free parameters: add frames.")
@@ -110,12 +109,10 @@ def _compared(fitted: FittedSet, first: batch.BatchFit, second: batch.BatchFit) 
 
 
 def _rms(values: FloatArray) -> float:
-    """Root mean square."""
     return float(np.sqrt(np.mean(values**2)))
 
 
 def _sentence(value: float, dof: int, bounds: tuple[float, float], found: float, expected: float) -> str:
-    """The verdict in words."""
     lower, upper = bounds
     numbers = (
         f"chi-square {value:.3g} for {dof}, {lower:.2g} to {upper:.3g} expected, {probability(chdtrc(dof, value))}"

@@ -151,7 +151,6 @@ def stars(fitted: FittedSet, table: StarTable) -> list[dict[str, Any]]:
 
 
 def _entry(table: StarTable, i: int, said: list[str]) -> dict[str, Any]:
-    """One star as JSON."""
     flags = list(said)
     if table.sightings[i] > 1 and table.worst_z[i] > FAR_OFF and table.worst_z[i] > 0.9 * table.z[i]:
         flags.append("one sighting far off")

@@ -190,7 +190,6 @@ def _bars(one: Part, *, labelled: bool) -> go.Bar:
 
 
 def _least(entry: Result, result: Result) -> str:
-    """Say which parameter a reference serves worst."""
     if entry.get("least") is None or entry.get("least_share") is None:
         return "leaves a parameter open"
     return f"least for {quantity(entry['least'], result).markup}, {entry['least_share']:.3f}"

@@ -204,7 +204,6 @@ def helpful_data(result: Result) -> list[str]:
 
 
 def _shares(result: Result) -> Mapping[str, float]:
-    """Read the weakest direction's components by parameter."""
     seen: Mapping[str, Any] = result.get("observability") or {}
     direction = (seen.get("weakest") or {}).get("direction") or {}
     return {name: float(share) for name, share in direction.items() if share is not None}

@@ -268,7 +268,6 @@ def _points(found: AxisResiduals, style: theme.RunStyle) -> go.Scatter:
 def _rms_axes_draw_run(
     figure: go.Figure, found: AxisResiduals, axis: str, style: theme.RunStyle, *, banded: bool
 ) -> None:
-    """Add how one axis runs over the frames."""
     own = theme.RunStyle(style.label, style.colour, RUNNING[axis])
     frame, level, sigma = running(found, axis)
     place: dict[str, Any] = {"row": 1, "col": 2}

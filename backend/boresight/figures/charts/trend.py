@@ -88,7 +88,6 @@ def _headline(trend: Document, points: Points, *, own: bool) -> str:
 
 
 def _zero(trend: Document, points: Points, name: str, *, own: bool) -> float:
-    """Return what a parameter's differences are taken from."""
     if own and trend["baselines"]:
         return float(trend["baselines"][-1]["parameters"][name])
     return float(next(point["parameters"][name] for point in points if name in point["parameters"]))
@@ -102,7 +101,6 @@ def _span(trend: Document, points: Points) -> tuple[str, str]:
 
 
 def _marks(figure: go.Figure, points: Points, name: str, zero: float, row: int) -> None:
-    """Draw the calibrations, those that count filled."""
     factor = quantity(name).change_factor
     for counted, label in ((True, "Calibration ±3σ"), (False, "Not counted")):
         shown = [point for point in points if point["counted"] is counted and name in point["parameters"]]

@@ -147,7 +147,6 @@ def _errors(pooled: Pooled, sensor: int, label: str, prefix: str) -> Row:
 
 
 def _close(evaluations: Record) -> Conclusion:
-    """Whether the sequential estimates come near the batch."""
     batch = evaluations["batch"]["rms_arc_rad"]
     excess = {name: evaluations[name]["rms_arc_rad"]["final"] / batch["final"] - 1 for name in printed.ESTIMATORS[1:]}
     falls = all(evaluations[name]["rms_arc_rad"]["final"] < batch["initial"] for name in printed.ESTIMATORS)

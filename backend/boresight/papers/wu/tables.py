@@ -227,7 +227,6 @@ def table_4(pooled: Pooled) -> Table:
 
 
 def _stars(pooled: Pooled) -> tuple[Row]:
-    """The mean number of stars of each group."""
     why = ("unstated setting", "the path over the sky is not given; Hipparcos, Hp, stands for Tycho-2")
     cells = []
     for group, (limit, theirs) in enumerate(printed.GROUPS.items(), 1):

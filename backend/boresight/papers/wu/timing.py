@@ -208,7 +208,6 @@ def _name(values: tuple[int, ...]) -> str:
 
 
 def _sentence(times: Times) -> str:
-    """Say where the printed saving comes from."""
     first = {name: float(np.median(found[0])) for name, found in times.items()}
     rest = Ratio.of(times["angular, as printed"][0], times["angular, information form"][0])
     return (

@@ -49,7 +49,6 @@ def write_export(session: Session, stream: IO[bytes], form: str, policy: Policy)
 
 
 def _lines(session: Session, policy: Policy) -> Iterator[bytes]:
-    """Yield every record and the last line."""
     digest, head, count = hashlib.sha256(), chain.FIRST_HASH, 0
     for record in rows.walk(session):
         line = f"{chain.spelled(record)}\n".encode()

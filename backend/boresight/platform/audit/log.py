@@ -152,7 +152,6 @@ def sought(
 
 
 def _time(text: str | None) -> str | None:
-    """Read a time as the store writes it."""
     return None if text is None else read_time(text)
 
 
@@ -233,7 +232,6 @@ def _absence(file: Path, *, is_lost: bool) -> str:
 
 
 def _where(misfit: RowMismatch) -> str:
-    """Say what tells a misfit."""
     if misfit.record_id is not None:
         return f"record {misfit.record_id} sealed it otherwise: "
     return "no record put it there: " if misfit.what == "inserted" and "/" in misfit.row else ""

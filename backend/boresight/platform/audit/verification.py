@@ -90,7 +90,6 @@ def _expected(migrated: Callable[[sa.Connection], None]) -> dict[str, str]:
 
 
 def _found(connection: sa.Connection, *, postgresql: bool) -> Iterator[Trigger]:
-    """Yield the triggers of a database."""
     if postgresql:
         for row in connection.exec_driver_sql(OF_POSTGRESQL):
             yield Trigger(row.name, row.enabled, row.words, row.function, row.body)

@@ -158,7 +158,6 @@ NO_MANIFEST = "This file is no backup of Boresight: it has no manifest that can 
 
 
 def _is_address(value: object) -> bool:
-    """Whether a value is a SHA-256 in hexadecimal."""
     return isinstance(value, str) and ADDRESS.fullmatch(value) is not None
 
 

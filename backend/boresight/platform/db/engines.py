@@ -146,7 +146,6 @@ def _say_what_cannot_be_held(context: sa.engine.ExceptionContext) -> NotFoundErr
 
 
 def _open_postgresql(address: sa.URL) -> Engine:
-    """Open a PostgreSQL database through psycopg."""
     try:
         engine = sa.create_engine(
             address.set(drivername="postgresql+psycopg"),

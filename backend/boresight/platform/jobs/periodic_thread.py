@@ -54,7 +54,6 @@ class PeriodicThread:
             log.exception("The %s failed and is tried again", self._name)
 
     def _run(self) -> None:
-        """Go round until closed."""
         while not self._closing.is_set():
             for step in self._steps:
                 self.take(step)

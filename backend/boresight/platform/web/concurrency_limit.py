@@ -195,7 +195,6 @@ class ConcurrencyLimit:
             places.give_back(key)
 
     async def _small(self, body: _AnnouncedBody, receive: Receive) -> Receive | None:
-        """Read the body of who is not known."""
         if body.is_large:
             raise UnauthenticatedError(
                 f"Only who is logged in, or sends an API key that holds, may send over {SMALL_BODY_BYTES:,} bytes; log in first."
@@ -239,7 +238,6 @@ def _address(scope: Scope) -> str:
 
 
 def _make_refusal(places: Slots) -> OverloadedError:
-    """Say that all places are taken."""
     said = f"{places.most} requests of its kind are under way, as many as this server takes"
     if places.taken < places.most:
         said = f"{places.most_each} requests of yours are under way, as many as one address or person may have"

@@ -128,7 +128,6 @@ class Connection(HttpToolsProtocol):
             self._refuse_head()
 
     def _refuse_head(self) -> None:
-        """Refuse a head that is over the limit."""
         self.refuse(
             HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE,
             f"The head of the request is over {LONGEST_HEAD_BYTES} bytes; send a shorter address and fewer headers.",
@@ -211,7 +210,6 @@ class Connection(HttpToolsProtocol):
 
 
 def _refusal(status: HTTPStatus, sentence: str) -> bytes:
-    """Write a whole answer, as a problem."""
     title = status.phrase.capitalize()
     problem = {
         "type": "urn:boresight:problem:" + title.lower().replace(" ", "-"),

@@ -288,7 +288,6 @@ def takes_gzip(accepted: bytes) -> bool:
 
 
 def _parse_coding(element: bytes) -> tuple[bytes, float]:
-    """Read a coding and its weight."""
     name, _, parameter = element.partition(b";")
     key, _, value = parameter.partition(b"=")
     if not parameter.strip():

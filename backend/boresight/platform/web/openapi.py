@@ -155,7 +155,6 @@ def dependency_refusals(dependant: Dependant) -> dict[int | str, dict[str, Any]]
 
 
 def _calls(dependant: Dependant) -> Iterator[Any]:
-    """Yield every dependency, and what it depends on."""
     for one in dependant.dependencies:
         yield one.call
         yield from _calls(one)
@@ -182,7 +181,6 @@ def corrected(document: dict[str, Any], cookie_name: str) -> dict[str, Any]:
 
 
 def _parameters(operation: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the parameters of an operation by name."""
     return {parameter["name"]: parameter for parameter in operation.get("parameters", ())}
 
 

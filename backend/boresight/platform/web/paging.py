@@ -76,7 +76,6 @@ class Paging:
 
 
 def _cursor(last_id: int, filters: str) -> str:
-    """Write a cursor."""
     return base64.urlsafe_b64encode(f"{last_id}.{filters}".encode()).decode().rstrip("=")
 
 

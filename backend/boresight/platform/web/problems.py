@@ -105,7 +105,6 @@ def _malformed(error: RequestValidationError) -> Problem:
 
 
 def _faults(error: Exception) -> list[dict[str, Any]]:
-    """List the places that a refused input names."""
     faults = getattr(error, "faults", ())
     return [{"row": fault.row, "column": fault.column, "detail": fault.detail} for fault in faults]
 

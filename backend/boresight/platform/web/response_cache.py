@@ -111,7 +111,6 @@ def _compress(text: bytes) -> bytes:
 
 
 def _store_blocks(text: bytes) -> bytes:
-    """Write a text as stored blocks."""
     parts = [text[begin : begin + MOST_STORED] for begin in range(0, len(text), MOST_STORED)]
     return b"".join(b"\x00" + struct.pack("<HH", len(part), len(part) ^ MOST_STORED) + part for part in parts)
 
@@ -311,7 +310,6 @@ class ResponseCache:
             making.answer.set_result(kept)
 
     def _drop(self, key: Hashable) -> None:
-        """Let go of an answer."""
         kept = self._kept.pop(key, None)
         self.held_bytes -= 0 if kept is None else len(kept.body)
 
@@ -427,7 +425,6 @@ class _OutgoingResponse:
         await kept.send(self._send, asked.known_tags, sharing.gaps if sharing else ())
 
     def _written(self, start: Message, body: bytes, asked: CacheRequest, same_for: str | None) -> CachedResponse:
-        """Write the answer as it is sent."""
         state = self._scope["state"]
         given = [(name, value) for name, value in start["headers"] if name != b"content-length"]
         headers = dict(given)

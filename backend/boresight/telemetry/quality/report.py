@@ -359,7 +359,6 @@ def _magnitudes_of_both(one: dict[str, Any] | None, other: dict[str, Any] | None
 
 
 def _temperatures(one: dict[str, float] | None, other: dict[str, float] | None) -> dict[str, float] | None:
-    """The range of both."""
     if one is None or other is None:
         return one or other
     return {"smallest": min(one["smallest"], other["smallest"]), "largest": max(one["largest"], other["largest"])}

@@ -217,7 +217,6 @@ def _stamp(text: str) -> int | None:
 
 
 def _quoted(cells: pa.Array, entry: int) -> str:
-    """Return a cell's text in quotes, shortened."""
     text = str(cells[entry].as_py())
     return repr(text if len(text) <= 40 else text[:39] + "…")
 

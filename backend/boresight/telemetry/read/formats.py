@@ -189,7 +189,6 @@ def parse_json(text: bytes | str) -> Any:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[BinaryIO]:
-    """Open a file, refusing what cannot be read."""
     if path.is_dir():
         raise RefusedInputError(f"{path} is a folder: name the telemetry file inside it.")
     try:
@@ -275,7 +274,6 @@ def refuse_other_encodings(name: str, data: bytes, first_row: int = 1) -> None:
 
 
 def _sniff(data: bytes) -> str:
-    """Say what the bytes look like."""
     if data.startswith(_PARQUET):
         return "Parquet"
     if b"\0" in data[:4096]:

@@ -403,7 +403,6 @@ def _text_width(name: str, column: str, page: Page, limits: Limits) -> float:
 
 
 def _tables(path: Path, name: str, layout: Layout, rows: range, limits: Limits) -> Iterator[pa.Table]:
-    """Yield the rows, a batch at a time."""
     size, texts = path.stat().st_size, 0
     with open_parquet(path, name, layout.texts) as file:
         row = FIRST_ROW + rows.start

@@ -266,7 +266,6 @@ def json_tables(path: Path, name: str, limits: Limits = LIMITS, *, as_text: bool
 
 
 def _json_tables(path: Path, name: str, form: FormFaults, limits: Limits, *, as_text: bool) -> Iterator[pa.Table]:
-    """Yield a table a piece."""
     row = FIRST_JSON_ROW
     for text in text_pieces(path, name, limits):
         form.look_for_blank_rows(text, row)

@@ -230,7 +230,6 @@ def _row(answer: Mapping[str, Any], blocking: bool) -> GateRow:
 
 
 def _notes(answer: Mapping[str, Any]) -> list[str]:
-    """Say what is special about an answer."""
     return [
         word
         for word, holds in (

@@ -161,7 +161,6 @@ def _score(name: str, evidence: GateInputs) -> Measurement:
 
 
 def _against(name: str, evidence: GateInputs) -> Measurement:
-    """Take a score that compares with the incumbent."""
     if evidence.incumbent is None:
         return absent(IS_INCUMBENT)
     return _score(name, evidence)
