@@ -15,7 +15,6 @@ from boresight.calibration.matching.match_report import (
     Cycle,
     CyclesEnd,
     counted,
-    cycles_view,
     matching_view,
 )
 from boresight.calibration.matching.matched import Dataset, Matched, MatchedRange
@@ -197,7 +196,9 @@ def test_matching_again_does_not_harm_a_set_whose_names_are_all_given(catalogue,
 
 def test_cycles_are_told_with_all_their_counts_and_the_most_frequent_phrase_first():
     ended = CyclesEnd(None, None, (Cycle(1, 10, 12, 4, None),))
-    assert cycles_view(ended) == [{"cycle": 1, "matched": 10, "rematched": 12, "changed": 4, "rms_arc_rad": None}]
+    assert [vars(cycle) for cycle in ended.cycles] == [
+        {"cycle": 1, "matched": 10, "rematched": 12, "changed": 4, "rms_arc_rad": None}
+    ]
     assert list(counted(np.array([1, 0, 1], np.int8), ("a", "b")).items()) == [("b", 2), ("a", 1)]
 
 
