@@ -65,6 +65,7 @@ CHANGES = """async () => {
 }"""
 
 
+@pytest.mark.full
 def test_no_figure_is_drawn_over_and_over_until_its_labels_have_room(people, batch_run, sequential_run):
     with people.seat("analyst") as window:
         window.open(f"/compare?runs={batch_run},{sequential_run}")

@@ -37,6 +37,7 @@ def test_every_kind_of_process_killed_at_random_times_loses_doubles_and_holds_up
     assert {key: found[key] for key in FAULTS} == dict.fromkeys(FAULTS, 0)
 
 
+@pytest.mark.full
 def test_no_run_is_lost_or_doubled_by_a_killed_worker_scheduler_and_server(monkeypatch):
     monkeypatch.setattr(queue, "LEASE_S", 1.0)
     found = queue.one_pass(lambda *_: None, 8, 12, 4, queue.KILLS)

@@ -170,6 +170,7 @@ DOCUMENT = {"free": ["f_m"], "parameters": {"f_m": 1.0}, "sigma": {"f_m": 0.1}} 
 KILL = {"worker": "tcp://one", "happened": True, "after_s": 3.0, "groups_done": 4, "groups_in_hand": 2}
 
 
+@pytest.mark.full
 def test_one_worker_two_and_two_of_which_one_is_killed_find_the_same_bits():
     found = spread.measure(lambda *_: None, frames=FRAMES)
     runs = found["runs"]
