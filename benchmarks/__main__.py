@@ -120,7 +120,6 @@ def bench(parts: tuple[str, ...], frames: int | None, sizes: dict[str, dict[str,
 
 
 def _measured(part: str, frames: int | None, sizes: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Measure one part in this process."""
     with progress("compiling") as report:
         measure, known = PARTS[part].measurement(), PARTS[part].sizes
         chosen = ({"frames": frames} if frames and "frames" in known else {}) | sizes.get(part, {})

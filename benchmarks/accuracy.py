@@ -127,7 +127,6 @@ def _taking_turns(name: str, sets: list[Views]) -> tuple[dict[str, Any], dict[st
 
 @contextmanager
 def _a_process() -> Iterator[ProcessPoolExecutor]:
-    """Open a process for trials, whose linear algebra keeps to one thread."""
     before = {key: os.environ.get(key) for key in (*THREADS, "NUMBA_NUM_THREADS")}
     os.environ |= dict.fromkeys(before, "1")
     try:
@@ -222,7 +221,6 @@ def _summary(trials: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _root_mean_square(errors: list[dict[str, Any]], key: str) -> FloatArray:
-    """Root mean square over the sets, of each element where there are several."""
     return np.asarray(np.sqrt(np.mean(np.square([one[key] for one in errors]), axis=0)))
 
 

@@ -104,18 +104,15 @@ def measure(
 
 
 def _client(server: Server, headers: Mapping[str, str], timeout_s: float = 60.0) -> httpx.Client:
-    """Open a client with a credential."""
     return httpx.Client(base_url=server.address, headers=dict(headers), timeout=timeout_s)
 
 
 def _process(act: str) -> subprocess.Popen[bytes]:
-    """Start many clients in a process of their own."""
     words = [sys.executable, "-m", "benchmarks.crowd", act]
     return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT)
 
 
 def _tell(process: subprocess.Popen[bytes], document: Mapping[str, Any]) -> dict[str, Any]:
-    """Write a line to the clients and read their answer."""
     assert process.stdin is not None
     assert process.stdout is not None
     process.stdin.write(orjson.dumps(document) + b"\n")
@@ -246,7 +243,6 @@ def _looked_at(person: httpx.Client, engine: Engine, path: str, looks: int) -> d
 
 
 def _seconds(person: httpx.Client, path: str) -> tuple[float, int]:
-    """Return how long a page took, and its bytes before they are compressed."""
     began_s = time.perf_counter()
     answer = person.get(path).raise_for_status()
     return time.perf_counter() - began_s, len(answer.content)

@@ -271,7 +271,6 @@ class Listener(asyncio.Protocol):
 
 
 def _field(block: bytes, name: bytes) -> bytes:
-    """Return a field of an event."""
     return next((line[len(name) + 2 :] for line in block.split(b"\n") if line.startswith(name + b": ")), b"")
 
 
@@ -309,7 +308,6 @@ async def _heard() -> Any:
 
 
 def _say(document: Mapping[str, Any]) -> None:
-    """Write a line."""
     sys.stdout.buffer.write(orjson.dumps(document) + b"\n")
     sys.stdout.buffer.flush()
 

@@ -116,7 +116,6 @@ def square_root(views: Views) -> Answer:
 
 
 def _ordered(views: Views) -> ArcSet:
-    """Order the stars again, so that the work is counted."""
     arcsets.order(views.arcs.star_start, views.arcs.s_i)
     return views.arcs
 
@@ -200,7 +199,6 @@ def ceres(views: Views) -> Answer:
 
 
 def _cost(pyceres: Any, views: Views, stars: slice, s_d: FloatArray, s_0: FloatArray, sigma: FloatArray) -> Any:
-    """Cost function of one view."""
     across = np.cross(s_d, np.eye(3)[np.argmin(np.abs(s_d), axis=1)])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     T = np.stack([across, np.cross(s_d, across)], axis=1) / sigma[:, None, None]
@@ -254,7 +252,6 @@ def flat(stars: FloatArray) -> FloatArray:
 
 
 def _guess(views: Views) -> FloatArray:
-    """Camera matrix of the ground calibration."""
     f_px = views.sensor.initial[0] / views.sensor.pixel_pitch_m
     m0, n0 = views.camera.principal_point(views.sensor.initial)
     return np.array([[f_px, 0.0, m0], [0.0, f_px, n0], [0.0, 0.0, 1.0]])
@@ -317,7 +314,6 @@ def _opencv_answer(
 
 
 def _unit(ideal: FloatArray) -> FloatArray:
-    """Directions (n, 3) of ideal coordinates (n, 2)."""
     r = np.column_stack([ideal, np.ones(len(ideal))])
     return np.asarray(r / np.linalg.norm(r, axis=1, keepdims=True))
 

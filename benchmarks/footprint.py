@@ -183,7 +183,6 @@ class Ledger:
         return sum(path.stat().st_size for path in self._blobs.folder.rglob("*") if path.is_file())
 
     def _cpu(self) -> dict[str, float]:
-        """Processor time so far, s; empty while nothing is served."""
         if self._installation is None:
             return {}
         self._installation.look()

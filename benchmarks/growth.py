@@ -147,7 +147,6 @@ def growth(rows: Sequence[dict[str, Any]], empty_s: float = 0.0) -> dict[str, An
 
 
 def _slope(n: FloatArray, t: FloatArray) -> float | None:
-    """Slope by least squares; None of one point."""
     return float(np.polyfit(n, t, 1)[0]) if len(n) > 1 else None
 
 

@@ -165,13 +165,11 @@ def _filter(arcs: ArcSet, x_0: FloatArray, free: IntArray, scale: FloatArray, me
 
 
 def _plain_filter(arcs: ArcSet, x_0: FloatArray, scale: FloatArray) -> None:
-    """Run the same job in plain NumPy, from the same pooled start."""
     pooled = pool_start(arcs, START_ARCS_PER_PARAMETER * len(x_0))
     peers.numpy_square_root_filter(pooled, x_0, scale, START_SIGMA, Tuning().linearisations, Tuning().rest)
 
 
 def _peers(arcs: ArcSet, x_0: FloatArray, scale: FloatArray, report: Report) -> dict[str, float]:
-    """Time the peers on the same data, microseconds a frame."""
     few, batched, slow = (
         arcs.frames(0, min(arcs.n_frames, most)) for most in (SLOWEST_PEER_FRAMES, BATCH_PEER_FRAMES, SLOW_PEER_FRAMES)
     )

@@ -168,7 +168,6 @@ def estimators(*, seeds: int, sensors: Sequence[int]) -> None:
 
 
 def _show_estimators(name: str, trials: list[tuple[FloatArray, Judged]]) -> None:
-    """One table a start: a row an estimator."""
     for begin in ("far", "near"):
         table = table_of(
             f"{name}, {begin} start, {len(trials)} sets; {nees_bounds(8, len(trials))}", "estimator", "RMSE / bound",

@@ -270,7 +270,6 @@ def _exposure(
 
 
 def _arcs(s: FloatArray) -> FloatArray:
-    """Angles (n, n) between unit vectors (n, 3)."""
     return np.asarray(2 * np.arcsin(np.clip(np.linalg.norm(s[:, None] - s, axis=-1) / 2, 0.0, 1.0)))
 
 
@@ -417,7 +416,6 @@ def compiled() -> Iterator[dict[str, CPeer]]:
 
 
 def _built(compiler: str, folder: Path) -> Iterator[tuple[str, CPeer]]:
-    """Compile and load the variants that the compiler accepts."""
     for name, more in VARIANTS.items():
         target = folder / f"{name}.so"
         part = target.with_suffix(".o")
@@ -439,7 +437,6 @@ def _refuse_other_models(arcs: ArcSet) -> None:
 
 
 def _at(values: NDArray[Any]) -> ctypes.c_void_p:
-    """Address of a contiguous array of doubles or long integers."""
     if not values.flags.c_contiguous or values.dtype not in (np.float64, np.dtype(ctypes.c_long)):
         raise ValueError(f"Expected a contiguous array of doubles or longs / Received {values.dtype}, {values.flags}")
     return ctypes.c_void_p(values.ctypes.data)

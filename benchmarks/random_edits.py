@@ -557,7 +557,6 @@ def written(table: Table, path: Path, form: str) -> Path:
 
 
 def _typed(cell: str) -> Any:
-    """Read a cell as JSON would hold it."""
     if not cell:
         return None
     try:

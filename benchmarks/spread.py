@@ -137,7 +137,6 @@ class Site:
         }
 
     def _submit(self, client: SchedulerClient, table: str, worker: str) -> Any:
-        """Hand a run to a worker, as the engine does."""
         self._runs += 1
         inputs = Inputs(
             blob_address=str(self.folder / "blobs"),
@@ -208,7 +207,6 @@ def _cpu_until(future: Any, pids: Mapping[str, int], kill: Kill | None) -> dict[
 
 
 def _found(frames: int, runs: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Compare the runs with the first."""
     documents = {name: run.pop("document") for name, run in runs.items()}
     first = documents["one_worker"]
     differences = {name: _difference_sigma(first, document) for name, document in documents.items()}
@@ -242,7 +240,6 @@ def _shows_nothing(kill: Mapping[str, Any]) -> str:
 
 
 def _difference_sigma(first: Mapping[str, Any], second: Mapping[str, Any]) -> float:
-    """Largest difference of an estimated parameter, in its sigma."""
     free = first["free"]
     x, y = (np.array([document["parameters"][name] for name in free]) for document in (first, second))
     return float(np.max(np.abs(x - y) / np.array([first["sigma"][name] for name in free])))

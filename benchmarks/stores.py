@@ -163,7 +163,6 @@ def add_sensors(folder: Path, filled: Filled, sensors_in_all: int, runs_each: in
 
 
 def _set_like(like: TelemetrySet, sensor: Sensor) -> TelemetrySet:
-    """Return the row of a telemetry set that has another's file."""
     columns = {column.key: getattr(like, column.key) for column in sa.inspect(TelemetrySet).column_attrs}
     return TelemetrySet(**columns | {"id": None, "sensor_id": sensor.id, "name": f"set of {sensor.name}"})
 

@@ -148,7 +148,6 @@ def _whole(
 
 
 def _once(path: Path, sensor: Sensor, catalogue: Catalogue, settings: CalibrationSettings) -> dict[str, Any]:
-    """One calibration from file to file, and how long its steps took."""
     began = time.perf_counter()
     telemetry = read_telemetry(path)
     read = time.perf_counter()

@@ -155,7 +155,6 @@ def accuracy_row(row: Found) -> list[str]:
 
 
 def _growth(found: Found) -> str:
-    """Time and memory by size, and the chart."""
     rows = [
         [method, f"{row['frames']:,}", number(row["seconds"]), number(row["seconds"] / row["frames"] * 1e6),
          number(row["processor_s"]), number(row["peak_mb"])]
@@ -212,7 +211,6 @@ def _whole(found: Found) -> str:
 
 
 def _spread(found: Found) -> str:
-    """What was killed, in words, and every figure."""
     kill = found["runs"]["one_of_two_killed"]["kill"]
     words = (
         f"The worker at `{kill['worker']}` was killed {number(kill['after_s'])} s after the run began. It had computed "
@@ -232,7 +230,6 @@ QUEUE = {
 
 
 def _queue(found: Found) -> str:
-    """Overhead by all its counts, and every figure."""
     limits = {key: f"{limit['limit']:g}" for key, limit in found["limits"].items()}
     rows = [[*words, number(found["calm"][key]), limits.get(key, "-")] for key, words in QUEUE.items()]
     return (
@@ -281,7 +278,6 @@ def _clients(found: Found) -> str:
 
 
 def _fleet(found: Found) -> str:
-    """Every page by the size of the fleet, and the first page after a start."""
     fleets = {f"{int(size):,} sensors": fleet for size, fleet in found["fleets"].items()}
     paths = next(iter(fleets.values()))["pages"]
     rows = [

@@ -104,7 +104,6 @@ class Costs:
 
     @cached_property
     def _runs(self) -> list[Found]:
-        """What runs of all methods and lengths cost."""
         return [cost for method in self.found["run"].values() for name, cost in method.items() if name != "line"]
 
     @property
@@ -177,7 +176,6 @@ def page(document: Mapping[str, Found]) -> str:
 
 
 def _measured(by_database: Mapping[str, Costs]) -> str:
-    """What each thing costs, on each database."""
     rows = [[name, *row] for name, costs in by_database.items() for row in _costs_of(costs)]
     lines = [
         [name, method, number(line["worker_cpu_s"]["constant"]), number(line["worker_cpu_s"]["per_frame"] * 1e3),
@@ -206,8 +204,6 @@ def _measured(by_database: Mapping[str, Costs]) -> str:
 
 
 def _costs_of(costs: Costs) -> Iterator[list[str]]:
-    """One row a thing."""
-
     def row(thing: str, cost: Found, size: float, *spent: float | str) -> list[str]:
         return [
             thing,
@@ -233,7 +229,6 @@ def _costs_of(costs: Costs) -> Iterator[list[str]]:
 
 
 def _sources(database: str, costs: Costs) -> str:
-    """Where the figures of the tables come from."""
     short, long = sorted(int(name) for name in costs.found["set"])
     lengths = f"Costs were measured with sets of {short:,} and {long:,} frames"
     frames = (
@@ -303,7 +298,6 @@ DATABASE_SIZE, FILES = "database, size of a year", "files of sets and results, a
 
 
 def _needs(plan: Plan, costs: Costs, clients: Found) -> Iterator[Need]:
-    """All resources of a plan."""
     sets, runs, launch, bulk = plan.sets_a_day, plan.runs_a_day, costs.found["launch"], costs.found["launch_in_bulk"]
     worker, results = (
         sum(times * costs.run(method, key, plan.frames) for method, times in plan.runs.items())
@@ -377,7 +371,6 @@ def _machines(found: list[Need]) -> Iterator[tuple[str, str, str]]:
 
 
 def _burst(costs: Costs) -> str:
-    """Recalibrating all at once."""
     cpu = sum(costs.run(method, "worker_cpu_s", FRAMES) for method in ("batch", "sqrf")) * TRACKERS
     rows = [
         [f"{cores:,}", f"{number(cpu)} CPU s / {cores:,} / 3600", f"**{number(cpu / cores / 3600)} h**"]

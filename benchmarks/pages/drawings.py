@@ -152,7 +152,6 @@ def make_example_calibration(catalogue: Catalogue) -> bytes:
 
 
 def _shortened(value: Any) -> Any:
-    """Keep seven digits of every number in a document."""
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}")
     if isinstance(value, dict):

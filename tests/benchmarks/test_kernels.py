@@ -24,7 +24,14 @@ CONTRACT = {
 
 
 def test_the_contract_s_keys_are_there_and_every_ratio_is_a_peer_over_the_loop_that_does_its_work(monkeypatch):
-    for name in ("EVALUATION_TURNS", "FILTER_TURNS", "THREAD_TURNS", "MATCHING_TURNS", "SLOWEST_PEER_FRAMES"):
+    for name in (
+        "EVALUATION_TURNS",
+        "FILTER_TURNS",
+        "THREAD_TURNS",
+        "MATCHING_TURNS",
+        "SLOWEST_PEER_FRAMES",
+        "WU_TURNS",
+    ):
         monkeypatch.setattr(kernels, name, 2)
     found = kernels.measure(lambda *_: None, frames=30, thread_frames=2 * FRAMES)
     assert set(found) >= CONTRACT
@@ -43,6 +50,7 @@ def test_a_limit_is_kept_at_its_value_and_not_beyond():
     assert kept == {"evaluation_over_c": True, "sqrf_over_c": None, "two_threads": False}
 
 
+@pytest.mark.full
 def test_c_does_the_arithmetic_of_the_compiled_loops_and_takes_no_small_numbers_from_the_process():
     arcs, sensor = synthetic(60, np.random.default_rng(4)), st16_sensor(1)
     x, scale, free = sensor.initial, sensor.typical_sigma, np.arange(8)

@@ -1,7 +1,5 @@
 """Edited telemetry ends in a result or in a sentence: a dozen and those that once did not, all two thousand with --full."""
 
-import csv
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,6 @@ from benchmarks import random_edits as edits
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.telemetry.read.readers import read_telemetry, write_csv
 from tests.stores import environment_in
 
 ALL, THROUGH_THE_DOOR = 2000, 8
@@ -67,22 +64,11 @@ def test_a_case_is_the_same_whether_it_is_made_alone_or_among_others(bases, fold
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_an_identity_of_a_star_seen_nowhere_else_ends_in_a_result_with_advice(method, catalogue, tmp_path):
+def test_an_identity_of_a_star_seen_nowhere_else_ends_in_a_result_with_advice(method, catalogue):
     scenario = calibration_scenario(4, 60)
-    write_csv(simulate(scenario, np.random.default_rng(4), catalogue), tmp_path / "set.csv")
-    with (tmp_path / "set.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    rows[1000]["star_id"] = "32349"
-    with (tmp_path / "set.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
-    found = calibrate(
-        read_telemetry(tmp_path / "set.csv"),
-        scenario.sensor,
-        catalogue,
-        CalibrationSettings(method=method, match="given"),
-    )
+    telemetry = simulate(scenario, np.random.default_rng(4), catalogue)
+    telemetry.star_id[1000] = 32349
+    found = calibrate(telemetry, scenario.sensor, catalogue, CalibrationSettings(method=method, match="given"))
     assert found["advice"]
     if found["status"] != "diverged":  # a filter that one star 90 degrees off carries away says so
         assert found["trust"]["stars"]

@@ -1,5 +1,6 @@
 """The command line in this process, over a data folder of its own."""
 
+import csv
 import json
 import os
 from pathlib import Path
@@ -13,10 +14,28 @@ from tests.stores import environment_in, url_in
 FRAMES = 40
 
 
+def accepted(done):
+    assert done.exit_code == 0, done.stderr
+    return done
+
+
 def assert_refused(done, *words, lines=None):
     assert done.exit_code == 1
     assert [word for word in words if word not in done.stderr] == [], done.stderr
     assert lines in {None, done.stderr.count("\n")}
+
+
+def read_rows(path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def write_rows(path, rows, names=None):
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, names or rows[0].keys(), extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
 
 
 @pytest.fixture(scope="session")

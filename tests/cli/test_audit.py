@@ -14,7 +14,7 @@ from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.blobs.store import register_blob
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import open_engine, open_writing
-from tests.cli.conftest import assert_refused
+from tests.cli.conftest import accepted, assert_refused
 from tests.stores import drop_triggers, triggers_aside, url_in
 
 NOW = "2026-11-21T00:00:00.000000Z"
@@ -31,7 +31,7 @@ ADD = ("user", "add", "ana", "--role", "analyst", "--printed-name", "Ana", "--pa
 @pytest.mark.parametrize("command", [("verify", "--no-blobs"), ("export", "--out", "-")])
 def test_a_program_of_its_own_knows_every_table_that_the_log_seals(store, monkeypatch, tmp_path, command):
     monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(tmp_path))
-    assert store(*ADD, stdin="correct horse battery\n").exit_code == 0
+    accepted(store(*ADD, stdin="correct horse battery\n"))
     _edit_by_hand(tmp_path, "UPDATE users SET password_hash = 'x'")
     done = subprocess.run(
         [sys.executable, "-m", "boresight", "audit", *command], capture_output=True, text=True, check=False
@@ -59,8 +59,8 @@ def test_a_program_of_its_own_knows_every_table_that_the_log_seals(store, monkey
     ],
 )
 def test_an_edit_by_hand_is_found_and_named(store, tmp_path, edit, said):
-    assert store(*ADD, stdin="correct horse battery\n").exit_code == 0
-    assert store("audit", "verify").exit_code == 0
+    accepted(store(*ADD, stdin="correct horse battery\n"))
+    accepted(store("audit", "verify"))
     _edit_by_hand(tmp_path, edit)
     found = store("audit", "verify")
     assert_refused(found, said)
@@ -80,7 +80,7 @@ def _edit_by_hand(folder, edit, *, aside=False):
 
 
 def test_a_blob_edited_by_hand_is_found_by_the_row_that_named_it(store, tmp_path):
-    assert store(*ADD, stdin="correct horse battery\n").exit_code == 0
+    accepted(store(*ADD, stdin="correct horse battery\n"))
     engine = open_engine(url_in(tmp_path))
     with open_writing(engine) as session:
         session.add(Sensor(name="ST1", document={}, created_utc=NOW))
@@ -89,7 +89,7 @@ def test_a_blob_edited_by_hand_is_found_by_the_row_that_named_it(store, tmp_path
         session.add(_telemetry())
         append_own(session, "uploaded", "telemetry-sets/1")
     engine.dispose()
-    assert store("audit", "verify", "--no-blobs").exit_code == 0
+    accepted(store("audit", "verify", "--no-blobs"))
     _edit_by_hand(tmp_path, "UPDATE blobs SET sha256 = 'b' || substr(sha256, 2)")
     found = store("audit", "verify")
     assert_refused(found, "Record 2 sealed it otherwise: telemetry_sets/1 was parted from a row that it refers to")
@@ -115,8 +115,8 @@ def test_a_schema_of_another_version_is_refused_and_left_as_it_is(store, tmp_pat
     path = tmp_path / "boresight.sqlite3"
     empty = store("audit", "verify")
     assert (empty.exit_code, "has no tables yet" in empty.stderr) == (1, True), empty.stderr
-    assert store("migrate").exit_code == 0
-    assert store("migrate", "--down", "0002").exit_code == 0
+    accepted(store("migrate"))
+    accepted(store("migrate", "--down", "0002"))
     before = path.read_bytes()
     found = store("audit", "verify")
     assert_refused(found, "has schema 0002", "boresight migrate")
@@ -141,18 +141,18 @@ def _store_a_file(folder, content=b"telemetry"):
     ],
 )
 def test_a_stored_file_that_was_altered_or_is_missing_is_named(store, tmp_path, spoil, what):
-    assert store("migrate").exit_code == 0
+    accepted(store("migrate"))
     path = _store_a_file(tmp_path)
     found = store("audit", "verify")
     assert (found.exit_code, "the 1 stored files" in found.stdout) == (0, True)
     spoil(path)
     found = store("audit", "verify")
     assert_refused(found, f"The stored file {path.name[:12]} (of no row): {what}")
-    assert store("audit", "verify", "--no-blobs").exit_code == 0
+    accepted(store("audit", "verify", "--no-blobs"))
 
 
 def test_a_size_of_a_stored_file_that_was_edited_is_named(store, tmp_path):
-    assert store("migrate").exit_code == 0
+    accepted(store("migrate"))
     path = _store_a_file(tmp_path)
     _edit_by_hand(tmp_path, "UPDATE blobs SET size_bytes = size_bytes + 1", aside=True)
     found = store("audit", "verify")
@@ -160,10 +160,10 @@ def test_a_size_of_a_stored_file_that_was_edited_is_named(store, tmp_path):
 
 
 def test_twenty_bits_flipped_in_stored_files_are_twenty_noticed(store, tmp_path):
-    assert store("migrate").exit_code == 0
+    accepted(store("migrate"))
     dice = random.Random(13)  # noqa: S311 - the same flips every time
     paths = [_store_a_file(tmp_path, dice.randbytes(size)) for size in (1, 40, 5000, 70_001, 2 << 20)]
-    assert store("audit", "verify").exit_code == 0
+    accepted(store("audit", "verify"))
     noticed = 0
     for _ in range(20):
         path = dice.choice(paths)
@@ -175,4 +175,4 @@ def test_twenty_bits_flipped_in_stored_files_are_twenty_noticed(store, tmp_path)
         content[bit // 8] ^= 1 << bit % 8
         path.write_bytes(content)
     assert noticed == 20
-    assert store("audit", "verify").exit_code == 0
+    accepted(store("audit", "verify"))

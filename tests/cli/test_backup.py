@@ -21,7 +21,7 @@ from boresight.platform.blobs.store import register_blob
 from boresight.platform.db import backup as backups
 from boresight.platform.db.sessions import open_store, open_writing
 from boresight.settings import read_settings
-from tests.cli.conftest import assert_refused
+from tests.cli.conftest import accepted, assert_refused
 from tests.stores import environment_in, on_postgresql
 
 PASSWORD = "correct horse battery"
@@ -32,11 +32,9 @@ ADD = ("user", "add", "ana", "--role", "analyst", "--printed-name", "Ana", "--pa
 def filled(boresight, monkeypatch, tmp_path) -> Any:
     _into(monkeypatch, tmp_path / "first")
     (tmp_path / "first").mkdir()
-    added = boresight(*ADD, stdin=f"{PASSWORD}\n")
-    assert added.exit_code == 0, added.stderr
+    accepted(boresight(*ADD, stdin=f"{PASSWORD}\n"))
     sha256 = FolderBlobStore(tmp_path / "first" / "blobs").put(b"telemetry")
-    done = boresight("backup", "--out", tmp_path / "all.zip")
-    assert done.exit_code == 0, done.stderr
+    done = accepted(boresight("backup", "--out", tmp_path / "all.zip"))
     assert "the database and 1 files" in done.stdout
     return boresight, tmp_path / "all.zip", sha256
 
@@ -51,12 +49,11 @@ def _into(monkeypatch, folder: Path) -> Path:
 def test_what_was_backed_up_comes_back_and_its_audit_log_holds(filled, monkeypatch, tmp_path):
     boresight, archive, sha256 = filled
     folder = _into(monkeypatch, tmp_path / "second")
-    done = boresight("restore", archive)
-    assert done.exit_code == 0, done.stderr
+    done = accepted(boresight("restore", archive))
     assert "are as they were written" in done.stdout
     assert FolderBlobStore(folder / "blobs").read(sha256) == b"telemetry"
     assert on_postgresql() or stat.S_IMODE((folder / "boresight.sqlite3").stat().st_mode) == 0o600
-    assert boresight("audit", "verify").exit_code == 0
+    accepted(boresight("audit", "verify"))
     again = boresight(*ADD, stdin=f"{PASSWORD}\n")
     assert "There is a user 'ana' already" in again.stderr
 
@@ -105,8 +102,7 @@ def test_an_installation_moves_to_postgresql_and_back_with_its_log(filled, monke
     boresight, archive, sha256 = filled
     _into(monkeypatch, tmp_path / "second")
     monkeypatch.setenv("BORESIGHT_DATABASE_URL", postgresql.url.render_as_string(hide_password=False))
-    there = boresight("restore", archive)
-    assert there.exit_code == 0, there.stderr
+    there = accepted(boresight("restore", archive))
     assert "are as they were written" in there.stdout
     added = boresight(
         *ADD[:2], "bo", *ADD[3:6], "Bo", ADD[-1], stdin=f"{PASSWORD}\n"
@@ -114,15 +110,13 @@ def test_an_installation_moves_to_postgresql_and_back_with_its_log(filled, monke
     assert added.exit_code == 0, added.stderr
     again = boresight("restore", archive)
     assert (again.exit_code, "rows in the database already" in again.stderr) == (1, True)
-    saved = boresight("backup", "--out", tmp_path / "moved.zip")
-    assert saved.exit_code == 0, saved.stderr
+    saved = accepted(boresight("backup", "--out", tmp_path / "moved.zip"))
     folder = _into(monkeypatch, tmp_path / "third")
     monkeypatch.setenv("BORESIGHT_DATABASE_URL", f"sqlite:///{folder}/own.sqlite3")
-    back = boresight("restore", tmp_path / "moved.zip")
-    assert back.exit_code == 0, back.stderr
+    accepted(boresight("restore", tmp_path / "moved.zip"))
     assert FolderBlobStore(folder / "blobs").read(sha256) == b"telemetry"
     heads = [line.split()[-1] for line in saved.stdout.splitlines() if line.startswith("audit head")]
-    assert boresight("audit", "verify", "--head", *heads).exit_code == 0
+    accepted(boresight("audit", "verify", "--head", *heads))
     for name in ("ana", "bo"):
         assert f"There is a user '{name}' already" in boresight(*ADD[:2], name, *ADD[3:], stdin=f"{PASSWORD}\n").stderr
 
@@ -141,13 +135,11 @@ def test_files_of_an_object_store_stay_there_and_are_named(filled, monkeypatch, 
 def test_the_log_is_exported_with_its_verifier_or_alone(filled, tmp_path):
     boresight, _, _ = filled
     for name in ("log.zip", "log.jsonl"):
-        done = boresight("audit", "export", "--out", tmp_path / name)
-        assert done.exit_code == 0, done.stderr
+        accepted(boresight("audit", "export", "--out", tmp_path / name))
     with zipfile.ZipFile(tmp_path / "log.zip") as archive:
         assert set(archive.namelist()) == {"audit.jsonl", "verify_audit.py", "README.txt"}
     last = json.loads((tmp_path / "log.jsonl").read_text(encoding="utf-8").splitlines()[-1])
-    verified = boresight("audit", "verify", "--head", last["head"])
-    assert verified.exit_code == 0
+    accepted(boresight("audit", "verify", "--head", last["head"]))
     other = boresight("audit", "verify", "--head", "0" * 63 + "1")
     assert (other.exit_code, "rewritten" in other.stderr) == (1, True)
 
@@ -164,18 +156,15 @@ def test_a_backup_holds_no_secret_of_a_webhook_and_without_the_key_a_restore_say
             Webhook(label="Mission chat", url="https://a.example", actions=[], secret=secret, created_utc="2026")
         )
         chain.append_own(session, "brought in", "webhooks/1")
-    saved = boresight("backup", "--out", tmp_path / "secret.zip")
-    assert saved.exit_code == 0, saved.stderr
+    accepted(boresight("backup", "--out", tmp_path / "secret.zip"))
     with zipfile.ZipFile(tmp_path / "secret.zip") as archive:
         assert not any(secret.encode() in archive.read(name) for name in archive.namelist())
         assert not any("key" in name for name in archive.namelist())
     folder = _into(monkeypatch, tmp_path / "elsewhere")
-    restored = boresight("restore", tmp_path / "secret.zip")
-    assert restored.exit_code == 0, restored.stderr
+    restored = accepted(boresight("restore", tmp_path / "secret.zip"))
     assert "paused: Mission chat. Copy the key file" in restored.stderr
     folder.joinpath("webhooks.key").write_bytes(tmp_path.joinpath("first", "webhooks.key").read_bytes())
-    rotated = boresight("webhook", "rotate-key", "--forget-old")
-    assert rotated.exit_code == 0, rotated.stderr
+    rotated = accepted(boresight("webhook", "rotate-key", "--forget-old"))
     assert "the secrets of 1 webhooks; 1 older keys were removed" in rotated.stdout
     assert rotated.stderr == ""
 
@@ -202,7 +191,7 @@ def test_every_corrupt_member_of_a_backup_is_named(filled, monkeypatch, tmp_path
     boresight, archive, sha256 = filled
     blobs = FolderBlobStore(tmp_path / "first" / "blobs")
     others = [blobs.put(content) for content in (b"one", b"two")]
-    assert boresight("backup", "--out", tmp_path / "more.zip").exit_code == 0
+    accepted(boresight("backup", "--out", tmp_path / "more.zip"))
     with zipfile.ZipFile(tmp_path / "more.zip") as packed:
         places = {info.filename: info.header_offset for info in packed.infolist()}
     content = bytearray((tmp_path / "more.zip").read_bytes())
@@ -253,9 +242,8 @@ def test_an_upload_while_the_files_are_verified_leaves_no_row_without_its_file(f
     assert first in named
     assert named <= held
     _into(monkeypatch, tmp_path / "second")
-    back = boresight("restore", tmp_path / "live.zip")
-    assert back.exit_code == 0, back.stderr
-    assert boresight("audit", "verify").exit_code == 0
+    accepted(boresight("restore", tmp_path / "live.zip"))
+    accepted(boresight("audit", "verify"))
 
 
 def test_an_upload_before_the_files_are_listed_is_in_the_archive(filled, monkeypatch, tmp_path):
@@ -267,8 +255,7 @@ def test_an_upload_before_the_files_are_listed_is_in_the_archive(filled, monkeyp
         copying(url, copy)
 
     monkeypatch.setattr(backups, "_copy_database", uploading)
-    done = boresight("backup", "--out", tmp_path / "live.zip")
-    assert done.exit_code == 0, done.stderr
+    accepted(boresight("backup", "--out", tmp_path / "live.zip"))
     named, held = _named_by(tmp_path / "live.zip", tmp_path / "seen")
     assert set(late) <= named <= held
 
@@ -294,7 +281,7 @@ def test_a_registered_file_that_is_missing_is_refused_or_named_by_backup_and_res
 def test_restore_names_a_file_that_an_older_backup_lost_unseen(filled, monkeypatch, tmp_path):
     boresight, _, _ = filled
     sha256 = _register(_into(monkeypatch, tmp_path / "first"), b"in the rows only")
-    assert boresight("backup", "--out", tmp_path / "whole.zip").exit_code == 0
+    accepted(boresight("backup", "--out", tmp_path / "whole.zip"))
     with zipfile.ZipFile(tmp_path / "whole.zip") as source, zipfile.ZipFile(tmp_path / "less.zip", "w") as target:
         manifest = json.loads(source.read("MANIFEST.json"))
         for member in source.namelist():

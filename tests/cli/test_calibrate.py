@@ -1,4 +1,4 @@
-"""`boresight calibrate` and `check`: every setting has its option and reaches the estimator; what they print, write and refuse."""
+"""`boresight calibrate`, `match`, `simulate` and `convert`: settings reach the estimator; what they print, write and refuse."""
 
 import hashlib
 import json
@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import click
+import numpy as np
 import orjson
 import pytest
 
@@ -13,9 +14,10 @@ from benchmarks.stars import write_synthetic
 from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.cli.calibrate import Choice
 from boresight.cli.calibrate import calibrate as command
-from boresight.simulation.sensors import st16_sensor
+from boresight.simulation.sensors import st16_sensor, wu_sensor
+from boresight.telemetry.read.readers import read_telemetry
 from boresight.telemetry.sensors import sensor_document
-from tests.cli.conftest import assert_refused
+from tests.cli.conftest import accepted, assert_refused, read_rows, write_rows
 
 
 def calibrate(boresight, folder, *words):
@@ -23,8 +25,7 @@ def calibrate(boresight, folder, *words):
 
 
 def test_the_table_shows_every_parameter_with_sigma_and_what_the_fit_is_worth(boresight, simulated):
-    done = calibrate(boresight, simulated)
-    assert done.exit_code == 0
+    done = accepted(calibrate(boresight, simulated))
     for word in ("f  ", "m0 ", "g_y", "sigma", "RMS arc error", "condition number", "weakest direction", "converged"):
         assert word in done.stdout
     assert done.stderr == ""
@@ -34,11 +35,6 @@ def test_the_columns_are_aligned(boresight, simulated):
     table = calibrate(boresight, simulated).stdout.split("\n\n")[1].splitlines()
     assert len(table) == 9
     assert {len(line) for line in table} == {len(table[0])}
-
-
-def test_json_on_standard_output_is_nothing_but_json(boresight, simulated):
-    done = calibrate(boresight, simulated, "--json", "-")
-    assert json.loads(done.stdout)["schema"] == "boresight.calibration/1"
 
 
 def test_the_result_names_the_bytes_it_was_made_from(calibration_result, simulated):
@@ -94,14 +90,6 @@ def test_a_result_that_could_not_be_written_is_refused_before_the_work(boresight
     assert_refused(done, "does not exist")
 
 
-def test_real_stars_determine_focal_length_and_b2(boresight, real_sky):
-    fields = ("calibrate", real_sky / "esa-5-frames.csv", "--sensor", real_sky / "esa.sensor.json", "--json", "-")
-    both = json.loads(boresight(*fields, "--free", "f_m,b2_per_m2").stdout)
-    alone = json.loads(boresight(*fields, "--free", "f_m").stdout)
-    assert both["sigma"]["f_m"] < 6.9e-6
-    assert both["rms_arc_rad"]["final"] < alone["rms_arc_rad"]["final"]
-
-
 def test_real_stars_leave_principal_point_and_tilt_weak_and_the_terminal_says_so(boresight, real_sky):
     done = boresight("calibrate", real_sky / "esa-5-frames.csv", "--sensor", real_sky / "esa.sensor.json")
     assert "n0 and a1 move together" in done.stdout
@@ -129,8 +117,9 @@ def test_the_help_names_every_word_and_every_default_by_group(boresight):
 
 
 def test_what_is_not_given_keeps_the_default_of_the_settings(boresight, simulated):
-    settings = json.loads(calibrate(boresight, simulated, "--json", "-").stdout)["inputs"]["settings"]
-    assert settings == CalibrationSettings().document()
+    result = json.loads(calibrate(boresight, simulated, "--json", "-").stdout)
+    assert result["schema"] == "boresight.calibration/1"
+    assert result["inputs"]["settings"] == CalibrationSettings().document()
 
 
 @pytest.mark.parametrize(
@@ -224,3 +213,224 @@ def loaded(tmp_path):
 
 def test_a_calibration_loads_neither_server_nor_workers_nor_charts(loaded):
     assert loaded & UNUSED == set()
+
+
+def test_a_built_in_scenario_writes_everything_a_calibration_needs(simulated):
+    names = {path.name for path in simulated.iterdir()}
+    assert names >= {"sensor.json", "truth.json", "scenario.json", "calibration.csv", "validation.csv"}
+
+
+def test_a_scenario_file_gives_the_same_set_as_the_scenario_it_was_written_from(boresight, simulated, tmp_path):
+    accepted(boresight("simulate", simulated / "scenario.json", "--out", tmp_path))
+    assert (tmp_path / "calibration.csv").read_bytes() == (simulated / "calibration.csv").read_bytes()
+    assert (tmp_path / "validation.csv").read_bytes() != (tmp_path / "calibration.csv").read_bytes()
+
+
+def test_another_seed_gives_other_noise(boresight, simulated, tmp_path):
+    boresight("simulate", simulated / "scenario.json", "--out", tmp_path, "--seed", "7")
+    assert (tmp_path / "calibration.csv").read_bytes() != (simulated / "calibration.csv").read_bytes()
+
+
+def test_parquet_is_written_on_request(boresight, tmp_path):
+    boresight("simulate", "st16-1", "--out", tmp_path, "--frames", "5", "--format", "parquet")
+    assert (tmp_path / "calibration.parquet").read_bytes()[:4] == b"PAR1"
+
+
+@pytest.mark.parametrize("text", ["{", "[]", json.dumps({"sensor": 9})])
+def test_a_bad_scenario_is_refused_in_one_line(boresight, tmp_path, text):
+    scenario = tmp_path / "scenario.json"
+    scenario.write_text(text)
+    done = boresight("simulate", scenario, "--out", tmp_path / "out")
+    assert_refused(done, lines=1)
+
+
+def test_an_unknown_name_is_refused_with_the_names_there_are(boresight, tmp_path):
+    done = boresight("simulate", "st16-7", "--out", tmp_path)
+    assert_refused(done, "st16-1")
+
+
+LENS = {"s": 1.0, "f_m": 0.016, "u0_px": 970.0, "v0_px": 550.0, "k1": -0.05, "k2": 0.02}
+
+
+@pytest.fixture
+def lens(tmp_path):
+    parameters, sensor = tmp_path / "lens.json", tmp_path / "sensor.json"
+    parameters.write_text(json.dumps(LENS))
+    sensor.write_text(json.dumps(sensor_document(wu_sensor())))
+    return parameters, "--sensor", sensor, "--to", "inverted_wang"
+
+
+def test_a_lens_goes_to_the_other_model_and_back(boresight, lens, tmp_path):
+    out, sensor = tmp_path / "there.json", tmp_path / "there.sensor.json"
+    done = accepted(boresight("convert", *lens, "--out", out, "--sensor-out", sensor))
+    for word in ("misfit over the detector", "arcsec", "RMS", f"Wrote {out}", f"Wrote {sensor}"):
+        assert word in done.stdout
+    back = accepted(boresight("convert", out, "--sensor", sensor, "--to", "pinhole_radial", "--out", "-"))
+    assert json.loads(back.stdout)["parameters"]["f_m"] == pytest.approx(0.016, rel=1e-6)
+
+
+def test_a_misfit_over_what_is_allowed_is_refused_in_one_line_and_nothing_is_written(boresight, lens, tmp_path):
+    done = boresight("convert", *lens, "--out", tmp_path / "out.json", "--allow-px", "1e-9")
+    assert_refused(done, "px (", "1e-09 px is allowed", lines=1)
+    assert not (tmp_path / "out.json").exists()
+
+
+def test_what_is_read_is_not_written_over(boresight, lens):
+    for place in (lens[0], lens[2]):
+        before = place.read_bytes()
+        done = boresight("convert", *lens, "--out", place)
+        assert_refused(done, "choose another name")
+        assert place.read_bytes() == before
+
+
+def test_a_calibration_keeps_its_covariance(boresight, calibration, simulated, tmp_path):
+    words = ("convert", calibration, "--sensor", simulated / "sensor.json", "--to", "pinhole_radial")
+    refused = boresight(*words, "--out", tmp_path / "out.json")
+    assert_refused(refused, "decentring")
+    done = accepted(boresight(*words, "--out", tmp_path / "out.json", "--allow-px", "50"))
+    assert "cannot express" in done.stdout
+    written = json.loads((tmp_path / "out.json").read_text())
+    assert all(value > 0 for value in written["sigma"].values())
+
+
+def blanked(source, target, share, rng):
+    rows = read_rows(source)
+    truth = [row["star_id"] for row in rows]
+    for row in rows:
+        row["star_id"] = row["star_id"] if rng.random() > share else ""
+        row["note"] = f'row {row["frame"]}, "kept"'
+    write_rows(target, rows)
+    return truth
+
+
+@pytest.fixture
+def half(simulated, tmp_path):
+    path = tmp_path / "half.csv"
+    return path, blanked(simulated / "calibration.csv", path, 0.5, np.random.default_rng(1))
+
+
+@pytest.fixture
+def match(boresight, simulated):
+    return lambda source, out, *more: boresight(
+        "match", source, "--sensor", simulated / "sensor.json", "--out", out, *more
+    )
+
+
+@pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet"])
+def test_the_rows_stay_in_their_order_with_every_other_column_as_it_was(match, half, tmp_path, suffix):
+    source, out = half[0], tmp_path / f"matched.{suffix}"
+    accepted(match(source, out))
+    before, after = read_telemetry(source), read_telemetry(out)
+    for name, values in vars(before).items():
+        if isinstance(values, np.ndarray) and name != "star_id":
+            np.testing.assert_array_equal(getattr(after, name), values, err_msg=name)
+    assert {name: cells.to_pylist() for name, cells in after.unknown.items()} == {
+        name: cells.to_pylist() for name, cells in before.unknown.items()
+    }
+
+
+def test_a_row_off_the_detector_keeps_its_place_and_has_no_star(match, half, tmp_path):
+    source, out = half[0], tmp_path / "matched.csv"
+    rows = read_rows(source)
+    named = [k for k, row in enumerate(rows) if row["star_id"]][7]
+    rows[named]["row_px"] = "-5.5"
+    write_rows(source, rows)
+    done = accepted(match(source, out, "--json", tmp_path / "match.json"))
+    written = read_rows(out)
+    assert [row["note"] for row in written] == [row["note"] for row in rows]
+    assert written[named]["star_id"] == ""
+    document = json.loads((tmp_path / "match.json").read_text())
+    assert [(star["row"], star["off_px"]) for star in document["stars_off_detector"]["rows"]] == [(named + 2, 5.0)]
+    assert document["removed_reasons"]["its centroid is off the detector"] == 1
+    assert "off the detector" in done.stdout
+
+
+def test_the_columns_keep_their_places_and_an_unmatched_star_is_an_empty_cell(match, half, tmp_path):
+    match(half[0], tmp_path / "matched.csv")
+    rows = read_rows(half[0]), read_rows(tmp_path / "matched.csv")
+    assert list(rows[0][0]) == list(rows[1][0])
+    assert {row["star_id"] for row in rows[1]} > {""}
+    assert not {"0", "-1"} & {row["star_id"] for row in rows[1]}
+
+
+def test_the_stars_that_were_taken_away_come_back(match, half, tmp_path):
+    source, truth = half
+    done = match(source, tmp_path / "matched.csv")
+    found = read_telemetry(tmp_path / "matched.csv").star_id
+    true = np.array([int(star or 0) for star in truth])
+    named = true > 0
+    assert np.mean(found[named] == true[named]) > 0.95
+    assert np.sum((found > 0) & named & (found != true)) <= 0.005 * named.sum()
+    assert "given" in done.stdout
+    assert "given matches" in done.stdout
+
+
+def test_a_file_without_stars_gets_the_column(match, simulated, half, tmp_path):
+    rows = read_rows(half[0])
+    write_rows(tmp_path / "bare.csv", rows, [key for key in rows[0] if key != "star_id"])
+    done = accepted(match(tmp_path / "bare.csv", tmp_path / "out.csv", "--parameters", simulated / "truth.json"))
+    assert (read_telemetry(tmp_path / "out.csv").star_id > 0).sum() > 0.8 * len(rows)
+    assert "quaternion" in done.stdout
+
+
+def test_the_json_counts_add_up_and_every_exposure_has_an_attitude_or_a_reason(match, half, tmp_path):
+    found = json.loads(match(half[0], tmp_path / "out.csv", "--json", "-").stdout)
+    assert found["schema"] == "boresight.matching/1"
+    assert found["given"] == found["kept"] + found["changed"] + found["removed"]
+    assert found["matched"] == found["kept"] + found["changed"] + found["added"]
+    assert sum(found["unmatched_reasons"].values()) == found["rows"] - found["matched"]
+    assert sum(found["removed_reasons"].values()) == found["removed"]
+    assert sum(found["starts"].values()) == len(found["exposures"])
+    assert sum(found["frame_reasons"].values()) == found["frames"] - found["valid_frames"]
+    for exposure in found["exposures"]:
+        assert exposure["valid"] == (exposure["reason"] is None)
+        if exposure["valid"]:
+            assert np.linalg.norm(exposure["quaternion"]) == pytest.approx(1)
+            assert np.linalg.eigvalsh(exposure["attitude_covariance_rad2"]).min() > 0
+
+
+def test_the_flight_check_keeps_fewer_stars_at_the_ground_calibration_and_all_at_the_truth(
+    match, half, simulated, tmp_path
+):
+    out = tmp_path / "out.csv"
+    counts = {
+        words: json.loads(match(half[0], out, *words, "--json", "-").stdout)["matched"]
+        for words in (("--flight",), (), ("--flight", "--parameters", simulated / "truth.json"))
+    }
+    ground, every, truth = counts.values()
+    assert ground < 0.5 * every
+    assert truth > 0.98 * every
+
+
+def test_doubles_can_be_left_out(match, half, tmp_path):
+    every, fewer = (
+        json.loads(match(half[0], tmp_path / "out.csv", *words, "--json", "-").stdout)
+        for words in ((), ("--leave-out-doubles",))
+    )
+    assert fewer["matched"] < every["matched"]
+    assert any("left out" in phrase for phrase in fewer["unmatched_reasons"])
+
+
+def test_the_telemetry_itself_is_never_overwritten(match, half):
+    before = half[0].read_bytes()
+    done = match(half[0], half[0])
+    assert_refused(done, "never overwritten")
+    assert half[0].read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"), [("out.txt", "says no format"), ("no/out.csv", "does not exist"), (".", "is a folder")]
+)
+def test_a_place_that_cannot_be_written_is_refused_before_the_work(match, half, tmp_path, name, sentence):
+    done = match(half[0], tmp_path / name)
+    assert_refused(done, sentence, lines=1)
+
+
+def test_telemetry_of_another_camera_is_said_to_be_that(boresight, simulated, half, tmp_path):
+    document = json.loads((simulated / "sensor.json").read_text())
+    document["initial"]["f_m"] *= 1.6
+    (tmp_path / "narrow.json").write_text(json.dumps(document))
+    done = accepted(
+        boresight("match", half[0], "--sensor", tmp_path / "narrow.json", "--out", tmp_path / "matched.csv")
+    )
+    assert "given identities agree with this sensor" in done.stdout

@@ -1,17 +1,40 @@
-"""The compose file, the image and the page on deployment say one thing, and only what the commands can do."""
+"""What an administrator starts: image and compose file, `worker`, `scheduler` and `serve` with their refusals, a demonstration."""
+
+from __future__ import annotations
 
 import re
 import shlex
 import shutil
+import socket
 import subprocess
+import sys
+import time
 from pathlib import Path
 
 import click
 import pytest
 import yaml
 
+from benchmarks.servers import free_port
+from boresight.cameras import CAMERA_MODELS
 from boresight.cli import main
+from boresight.cli.demonstration import LOG_INS, create_demonstration
+from boresight.console.access import users
+from boresight.console.access.tables import ROLES
+from boresight.console.fleet import queries as sensor_queries
+from boresight.console.runs import service as runs
+from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.uplinks import table_definitions
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.folder import FolderBlobStore
+from boresight.platform.db.sessions import migrate, open_engine, open_reading, open_writing
 from boresight.settings import SETTINGS
+from boresight.simulation.sensors import st16_truth
+from boresight.sky.catalogue import load_catalogue
+from boresight.telemetry.working_table import WorkingTable
+from tests.cli.conftest import assert_refused
+from tests.passwords import proved
+from tests.stores import url_in
 
 ROOT = Path(__file__).resolve().parents[2]
 COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
@@ -159,3 +182,270 @@ def test_docker_itself_accepts_the_compose_file():
     words = ["docker", "compose", "config", "--quiet"]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_worker_for_nobody_is_refused(boresight, monkeypatch):
+    monkeypatch.setenv("BORESIGHT_SCHEDULER", "")
+    done = boresight("worker")
+
+    assert_refused(done, "There is no scheduler to work for: give --scheduler tcp://host:port.")
+
+
+@pytest.mark.parametrize("command", ["worker", "scheduler", "serve"])
+@pytest.mark.parametrize(
+    "address",
+    ["foo", "127.0.0.1:8786", "http://127.0.0.1:8786", "tcp://:99999", "tcp://:8786", "tcp://host", "tcp://h:0"],
+)
+def test_what_is_no_address_of_a_scheduler_is_refused_by_all_who_use_one(boresight, monkeypatch, command, address):
+    monkeypatch.setenv("BORESIGHT_SCHEDULER", address)
+    done = boresight(command, "--port", free_port()) if command != "worker" else boresight(command)
+
+    assert_refused(done, f"BORESIGHT_SCHEDULER={address!r} is no address of a scheduler: write tcp://host:port")
+
+
+def test_a_scheduler_that_is_to_be_encrypted_does_not_open_a_plain_link(boresight, monkeypatch):
+    monkeypatch.setenv("BORESIGHT_SCHEDULER", "tls://127.0.0.1:8786")
+    done = boresight("scheduler", "--port", free_port())
+
+    assert_refused(done, "name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE")
+
+
+def test_a_worker_on_an_encrypted_link_without_certificates_is_refused(boresight):
+    done = boresight("worker", "--scheduler", "tls://127.0.0.1:8786")
+
+    assert_refused(done, "name them by BORESIGHT_TLS_AUTHORITY and BORESIGHT_TLS_CERTIFICATE")
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "10.1.2.3"])  # noqa: S104 - what is to be refused
+def test_a_plain_scheduler_that_others_would_reach_is_refused_unless_its_network_is_closed(
+    boresight, monkeypatch, host
+):
+    done = boresight("scheduler", "--host", host, "--port", free_port())
+
+    assert_refused(done, "BORESIGHT_TLS_AUTHORITY", "BORESIGHT_CLUSTER_NETWORK_CLOSED=1")
+
+    async def listen(*_):
+        raise OSError(98, "it would have listened")
+
+    monkeypatch.setenv("BORESIGHT_CLUSTER_NETWORK_CLOSED", "1")
+    monkeypatch.setattr("boresight.workers.service._scheduler", listen)
+    assert "it would have listened" in boresight("scheduler", "--host", host, "--port", free_port()).stderr
+
+
+@pytest.mark.parametrize("words", [("worker",), ("serve", "--port", "1")])
+def test_a_plain_scheduler_beyond_this_machine_is_refused_by_all_who_use_one(boresight, monkeypatch, words):
+    monkeypatch.setenv("BORESIGHT_SCHEDULER", "tcp://10.1.2.3:8786")
+    words = (*words[:-1], free_port()) if words[0] == "serve" else words
+    done = boresight(*words)
+
+    assert_refused(
+        done,
+        "BORESIGHT_SCHEDULER=tcp://10.1.2.3:8786 is a plain link beyond this machine",
+        "BORESIGHT_CLUSTER_NETWORK_CLOSED=1",
+    )
+
+
+def test_certificates_are_made_for_their_owner_only_and_never_replaced(boresight, tmp_path):
+    done = boresight("certificates", tmp_path / "made")
+    files = {path.name: path.read_text() for path in (tmp_path / "made").iterdir()}
+
+    assert done.exit_code == 0
+    assert set(files) == {"authority.pem", "boresight.pem"}
+    assert all(path.stat().st_mode & 0o077 == 0 for path in (tmp_path / "made", *(tmp_path / "made").iterdir()))
+    assert "PRIVATE KEY" in files["boresight.pem"]
+    assert "PRIVATE KEY" not in files["authority.pem"] + done.output
+    again = boresight("certificates", tmp_path / "made")
+    assert_refused(again, "is there already")
+    assert {path.name: path.read_text() for path in (tmp_path / "made").iterdir()} == files
+
+
+def test_a_scheduler_on_a_port_in_use_is_refused():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        words = [sys.executable, "-m", "boresight", "scheduler", "--port", str(port)]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+
+    assert done.returncode == 1
+    assert f"127.0.0.1:{port} cannot be listened on" in done.stderr
+    assert "--port" in done.stderr
+
+
+def test_a_port_in_use_is_told_however_deep_it_is_wrapped(boresight, monkeypatch):
+    async def fail(*_):
+        raise RuntimeError("Scheduler failed to start.") from OSError(98, "Address already in use")
+
+    monkeypatch.setattr("boresight.workers.service._scheduler", fail)
+    done = boresight("scheduler", "--port", "8786")
+
+    assert_refused(done, "127.0.0.1:8786 cannot be listened on (Address already in use)")
+
+
+@pytest.mark.parametrize("words", [("--processes", "0"), ("--memory-gb", "0"), ("--port", "1")])
+def test_what_is_no_number_of_processes_or_memory_is_wrong_usage(boresight, words):
+    assert boresight("worker", *words).exit_code == 2
+
+
+def test_a_server_whose_files_have_no_place_is_refused_before_it_says_that_it_is_there(
+    boresight, monkeypatch, tmp_path
+):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("BORESIGHT_BLOBS", f"{tmp_path}/file/blobs")
+    done = boresight("serve", "--port", free_port())
+
+    assert_refused(done, f"The folder of files {tmp_path}/file/blobs cannot be written")
+    assert "Boresight on" not in done.output
+
+
+class Demonstration:
+    """A store filled once, and what was said meanwhile."""
+
+    def __init__(self, folder):
+        self.engine = open_engine(url_in(folder))
+        self.blobs = FolderBlobStore(folder / "blobs")
+        self.catalogue = load_catalogue(folder)
+        self.said = []
+        migrate(self.engine)
+
+    def create(self):
+        """Make the demonstration, or what is missing of it."""
+        return create_demonstration(self.engine, self.blobs, self.catalogue, self.said.append)
+
+    def content(self):
+        """Return everything the demonstration makes, as the services list it."""
+        with open_reading(self.engine) as session:
+            return {
+                "people": [(user.name, user.password_hash, user.roles) for user in users.list_users(session)],
+                "sensors": [(row.id, row.name, row.version) for row in sensor_queries.sensors(session)],
+                "sets": [
+                    (row.id, row.original_sha256)
+                    for row in telemetry_sets.list_telemetry_sets(session, archived=True, limit=500)
+                ],
+                "runs": [(row.id, row.state, row.method) for row in runs.list_runs(session)],
+                "audit": audit.head(session),
+            }
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    demonstration = Demonstration(tmp_path_factory.mktemp("demonstration"))
+    started_s = time.perf_counter()
+    demonstration.log_ins = demonstration.create()
+    demonstration.took_s = time.perf_counter() - started_s
+    return demonstration
+
+
+def test_the_demonstration_is_made_in_under_ten_seconds(filled):
+    assert filled.took_s < 10.0
+
+
+def test_every_role_has_a_person_who_can_log_in_with_the_printed_password(filled):
+    assert {role for person in filled.log_ins for role in person.roles} == set(ROLES)
+    for person in filled.log_ins:
+        with open_writing(filled.engine) as session:
+            actor = users.authenticate(session, proved(session, person.name, person.password))
+        assert actor.roles == set(person.roles)
+
+
+def test_six_simulated_sensors_carry_their_truth(filled):
+    with open_reading(filled.engine) as session:
+        fleet = sensor_queries.sensors(session)
+    assert [row.name for row in fleet] == [f"ST16-{number}" for number in range(1, 7)]
+    for number, row in enumerate(fleet, start=1):
+        assert row.simulated
+        names = CAMERA_MODELS[row.document["camera_model"]].parameter_names
+        assert [row.truth[name] for name in names] == st16_truth(number).tolist()
+
+
+def test_every_sensor_has_a_calibration_and_a_shorter_validation_set_that_read_back(filled):
+    with open_reading(filled.engine) as session:
+        for sensor in sensor_queries.sensors(session):
+            found = telemetry_sets.list_telemetry_sets(session, sensor_id=sensor.id)
+            assert {row.purpose: row.frames for row in found} == {"calibration": 200, "validation": 80}
+        assert len(WorkingTable(filled.blobs.path(found[0].table_sha256))) == found[0].stars
+
+
+def test_every_sensor_has_a_batch_and_a_filter_run_queued_with_validation_and_a_label(filled):
+    with open_reading(filled.engine) as session:
+        for sensor in sensor_queries.sensors(session):
+            queued = runs.list_runs(session, sensor_id=sensor.id)
+            assert sorted(run.method for run in queued) == ["batch", "sqrf"]
+            assert all(run.state == "QUEUED" and run.label and run.validation_set_id for run in queued)
+
+
+def test_batch_runs_are_queued_before_the_filters_that_take_longer(filled):
+    with open_reading(filled.engine) as session:
+        methods = [run.method for run in reversed(runs.list_runs(session))]
+    assert methods == ["batch"] * 6 + ["sqrf"] * 6
+
+
+def test_one_filter_runs_for_a_minute_and_the_others_together_no_longer(filled):
+    with open_reading(filled.engine) as session:
+        filters = runs.list_runs(session, method="sqrf")
+    lasts_s = sorted(200 / run.settings["replay_frames_per_s"] for run in filters)
+    assert 40 <= lasts_s[-1] <= 60
+    assert sum(lasts_s[:-1]) <= lasts_s[-1]
+
+
+def test_the_audit_log_tells_who_made_what_and_holds_together(filled):
+    with open_reading(filled.engine) as session:
+        records = audit.list_records(session, limit=500)
+        assert audit.verify(session).ok
+    made = {(record.actor, record.action) for record in records}
+    assert {("Ada Analyst", "registered"), ("Ada Analyst", "uploaded"), ("Ada Analyst", "launched")} <= made
+    assert {record.credential for record in records} == {"command line"}
+
+
+def test_making_it_again_changes_nothing_and_gives_the_same_log_ins(filled):
+    before = filled.content()
+    already = len(filled.said)
+    assert filled.create() == list(LOG_INS)
+    assert filled.content() == before
+    assert not any("queued" in sentence for sentence in filled.said[already:])
+    assert sum("its batch run is there already" in sentence for sentence in filled.said[already:]) == 6
+
+
+def test_archived_sets_and_edited_people_are_left_as_they_are(tmp_path):
+    demonstration = Demonstration(tmp_path)
+    demonstration.create()
+    with open_writing(demonstration.engine) as session:
+        analyst = users.authenticate(session, proved(session, "analyst", LOG_INS[0].password))
+        administrator = users.authenticate(session, proved(session, "administrator", LOG_INS[3].password))
+        for row in telemetry_sets.list_telemetry_sets(session, purpose="calibration"):
+            telemetry_sets.archive_telemetry_set(session, analyst, row.id)
+        viewer = next(user for user in users.list_users(session) if user.name == "viewer")
+        users.disable_user(session, administrator, viewer.id)
+    before = demonstration.content()
+    demonstration.create()
+    assert demonstration.content() == before
+
+
+def test_a_demonstration_that_was_interrupted_is_completed(tmp_path, monkeypatch):
+    demonstration = Demonstration(tmp_path)
+    with monkeypatch.context() as interruption:
+        interruption.setattr(runs, "launch", lambda *_, **__: pytest.fail("interrupted"))
+        with pytest.raises(pytest.fail.Exception):
+            demonstration.create()
+    assert demonstration.content()["runs"] == []
+    demonstration.create()
+    content = demonstration.content()
+    assert (len(content["people"]), len(content["sensors"]), len(content["sets"]), len(content["runs"])) == (
+        5,
+        6,
+        12,
+        12,
+    )
+
+
+def test_each_step_is_reported(filled):
+    assert sum("telemetry" in sentence for sentence in filled.said[:9]) == 6
+    assert sum("its batch run is queued" in sentence for sentence in filled.said[:9]) == 6
+    assert "ready after" in filled.said[8]
+
+
+def test_every_tracker_has_a_table_so_that_its_package_can_be_read_back(filled):
+    with open_reading(filled.engine) as session:
+        tables = [table_definitions.definition_in_force(session, row.id) for row in sensor_queries.sensors(session)]
+    assert len(tables) == 6
+    assert all(table is not None and table.number == 1 for table in tables)

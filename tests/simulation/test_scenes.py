@@ -1,5 +1,6 @@
-"""Simulated telemetry and star fields are the catalogue seen through the true camera, plus exactly the noise that was asked for."""
+"""Simulated telemetry and fields are the catalogue seen through the true camera plus the noise asked for; orbits and scenarios."""
 
+import json
 import time
 from dataclasses import fields, replace
 
@@ -13,12 +14,40 @@ from scipy.spatial.transform import Rotation
 from boresight.calibration.problem import build_problem
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
-from boresight.errors import RefusedInputError
+from boresight.errors import NotFoundError, RefusedInputError
 from boresight.estimation.metrics import rms
+from boresight.simulation import scenes
 from boresight.simulation.fields import GALACTIC_POLE_DEG, _attitudes, _unit_vectors, random_fields
-from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
-from boresight.simulation.sensors import SENSOR_NUMBERS, WU_PIXEL_PITCH_M, WU_START, WU_TRUTH, wu_sensor
+from boresight.simulation.orbits import (
+    EARTH_RADIUS_M,
+    MOTIONS,
+    MU_M3_S2,
+    SLEW_RATE_RAD_S,
+    SUN_EXCLUSION_RAD,
+    Orbit,
+    attitude,
+    state,
+    sun_direction,
+    usable,
+)
+from boresight.simulation.scenes import (
+    calibration_scenario,
+    parse_scenario,
+    scenario_document,
+    simulate,
+    validation_scenario,
+)
+from boresight.simulation.sensors import (
+    SENSOR_NUMBERS,
+    WU_PIXEL_PITCH_M,
+    WU_START,
+    WU_TRUTH,
+    st16_sensor,
+    st16_truth,
+    wu_sensor,
+)
 from boresight.sky.apparent import apparent_directions
+from boresight.telemetry.sensors import sensor_document
 
 numbers = st.sampled_from(SENSOR_NUMBERS)
 with_catalogue = settings(max_examples=15, deadline=None)
@@ -274,3 +303,249 @@ def test_attitudes_are_rotations_with_their_boresights_in_the_band_spread_evenly
     assert np.abs(sine).max() <= np.sin(np.radians(25))
     assert np.mean(sine**2) == pytest.approx(np.sin(np.radians(25)) ** 2 / 3, rel=0.05)
     assert np.abs(C[:, 0].mean(axis=0)).max() < 0.05
+
+
+made = st.builds(
+    lambda make, number, frames, rate, seed: replace(make(number, frames), false_stars=rate, seed=seed),
+    st.sampled_from([calibration_scenario, validation_scenario]),
+    st.sampled_from(SENSOR_NUMBERS),
+    st.integers(1, 1000),
+    st.floats(0.0, 10.0),
+    st.integers(0, 2**63 - 1),
+)
+
+
+def assert_same(first, second):
+    for field in fields(first):
+        ours, theirs = getattr(first, field.name), getattr(second, field.name)
+        if field.name == "sensor":
+            assert sensor_document(ours) == sensor_document(theirs)
+        elif field.name == "orbit":
+            assert ours.start_utc == theirs.start_utc
+            for name in ("altitude_m", "inclination_rad", "node_hour"):
+                assert getattr(ours, name) == pytest.approx(getattr(theirs, name))
+        elif isinstance(ours, str):
+            assert ours == theirs
+        else:
+            np.testing.assert_allclose(ours, theirs)
+
+
+@given(made)
+def test_a_document_reads_back_as_the_scenario_it_was_written_from(scenario):
+    document = json.loads(json.dumps(scenario_document(scenario)))
+    assert_same(parse_scenario(document), scenario)
+
+
+def test_the_example_on_the_modules_page_is_the_first_calibration_set():
+    page = scenes.__doc__
+    example = parse_scenario(json.loads(page[page.index("{") : page.rindex("}") + 1]))
+    assert_same(replace(example, truth=st16_truth(1), seed=100), calibration_scenario(1))
+    np.testing.assert_allclose(example.truth[:2], st16_truth(1)[:2])
+
+
+def test_a_sensor_document_is_its_own_truth_unless_one_is_given():
+    document = sensor_document(st16_sensor(2)) | {"name": "mine", "centroid_sigma_px": 0.2}
+    scenario = parse_scenario({"sensor": document})
+    np.testing.assert_array_equal(scenario.truth, scenario.sensor.initial)
+    assert scenario.centroid_sigma_px == 0.2
+    changed = parse_scenario({"sensor": document, "truth": {"g_y": 1.001}})
+    assert changed.truth[7] == 1.001
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"sensor": 7}, "sensor"),
+        ({"sensor": True}, "sensor"),
+        ({"sensor": "ST16-1"}, "sensor"),
+        ({"colour": 1}, "colour"),
+        ({"truth": {"k1": 0.1}}, "truth"),
+        ({"truth": {"f_m": "long"}}, "f_m"),
+        ({"truth": {"f_m": float("nan")}}, "f_m"),
+        ({"orbit": {"altitude_km": 100}}, "altitude_km"),
+        ({"orbit": {"period_s": 100}}, "orbit"),
+        ({"motion": "tumbling"}, "motion"),
+        ({"motion": ["nadir"]}, "motion"),
+        ({"pointing_deg": 1e4}, "pointing_deg"),
+        ({"start_utc": "tomorrow"}, "start_utc"),
+        ({"start_utc": "NaT"}, "start_utc"),
+        ({"start_utc": "1850-01-01T00:00:00Z"}, "start_utc"),
+        ({"frames": 0}, "frames"),
+        ({"frames": 2.5}, "frames"),
+        ({"frames": True}, "frames"),
+        ({"exposures": 11}, "exposures"),
+        ({"magnitude_limit": float("inf")}, "magnitude_limit"),
+        ({"centroid_sigma_px": 0}, "centroid_sigma_px"),
+        ({"blanked_share": 1.5}, "blanked_share"),
+        ({"false_stars": -1}, "false_stars"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_a_wrong_value_is_refused_by_the_name_of_its_key(change, named):
+    with pytest.raises(RefusedInputError, match=named):
+        parse_scenario({"sensor": 1} | change)
+
+
+@pytest.mark.parametrize("document", [[], "nadir", None, {}])
+def test_a_document_without_a_sensor_is_refused(document):
+    with pytest.raises(RefusedInputError, match="sensor"):
+        parse_scenario(document)
+
+
+def test_the_ground_calibration_and_the_truths_are_those_of_the_published_tables():
+    sensor = st16_sensor(1)
+    assert (sensor.rows, sensor.columns) == (1944, 2592)
+    assert CAMERA_MODELS[sensor.camera_model].principal_point(sensor.initial) == (972.0, 1296.0)
+    sigma_rad = np.sqrt(2.0) * sensor.centroid_sigma_px * sensor.pixel_pitch_m / sensor.initial[0]
+    assert sigma_rad == pytest.approx(84.5e-6, abs=0.1e-6)
+    f_m, _, _, b4_per_m4, b2_per_m2, *_ = st16_truth(2)
+    assert f_m == pytest.approx(16.031e-3, abs=0.5e-6)
+    assert b2_per_m2 == pytest.approx(-2.152e3, abs=0.02e3)
+    assert b4_per_m4 == pytest.approx(1.370e8, abs=0.05e8)
+    assert st16_truth(6)[2] - st16_sensor(6).initial[2] == pytest.approx(-9.81 * 30.0)
+
+
+@pytest.mark.parametrize("number", SENSOR_NUMBERS)
+def test_each_sensor_has_its_own_name_all_eight_parameters_free_and_a_set_by_its_number_alone(number):
+    st16_sensor(number).initial[0] = st16_truth(number)[0] = 0.0  # changing one does not change the next
+    sensor = st16_sensor(number)
+    assert (sensor.name, sensor.initial[0]) == (f"ST16-{number}", pytest.approx(16.095e-3))
+    assert sensor.free == CAMERA_MODELS[sensor.camera_model].parameter_names
+    assert_same(parse_scenario({"sensor": number}), calibration_scenario(number))
+
+
+@pytest.mark.parametrize("number", SENSOR_NUMBERS)
+def test_every_truth_is_plausible_and_maps_the_whole_detector(number):
+    sensor, truth = st16_sensor(number), st16_truth(number)
+    model = CAMERA_MODELS[sensor.camera_model]
+    low, high = np.transpose(model.plausible)
+    assert np.all((truth >= low) & (truth <= high))
+    row_px, col_px = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1943, 25), np.linspace(0, 2591, 25)))
+    s_d = model.directions(truth, row_px, col_px, sensor.pixel_pitch_m)
+    again = model.project(truth, s_d, sensor.pixel_pitch_m)
+    np.testing.assert_allclose(again, (row_px, col_px), atol=1e-6)
+
+
+@pytest.mark.parametrize("number", [0, 7, -1])
+def test_a_sensor_that_table_iii_does_not_have_is_refused_with_the_choice(number):
+    with pytest.raises(NotFoundError, match="choose 1 to 6"):
+        st16_sensor(number)
+    with pytest.raises(NotFoundError, match="choose 1 to 6"):
+        st16_truth(number)
+
+
+START = np.datetime64("2026-10-01T00:00:00", "us")
+
+orbits = st.builds(
+    Orbit,
+    altitude_m=st.floats(400e3, 900e3),
+    inclination_rad=st.floats(1.6, 1.75),
+    node_hour=st.floats(0.0, 24.0),
+    start_utc=st.just(START),
+)
+motions = st.sampled_from(sorted(MOTIONS))
+pointings = st.floats(0.0, 1.2)
+
+
+def sun_synchronous(node_hour=10.5):
+    return Orbit(570e3, np.radians(97.8), node_hour, START)
+
+
+@given(orbits)
+def test_the_orbit_is_a_circle_and_its_velocity_the_derivative_of_position(orbit):
+    t_s = np.linspace(0.0, 20_000.0, 50)
+    position, velocity, normal = state(orbit, t_s)
+    np.testing.assert_allclose(np.linalg.norm(position, axis=1), EARTH_RADIUS_M + orbit.altitude_m, rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(velocity, axis=1) ** 2 * orbit.radius_m, MU_M3_S2, rtol=1e-9)
+    np.testing.assert_allclose(np.einsum("ij,ij->i", position, velocity), 0.0, atol=1.0)
+    np.testing.assert_allclose(np.einsum("ij,ij->i", position, normal), 0.0, atol=1e-6)
+    slope = (state(orbit, t_s + 0.5)[0] - state(orbit, t_s - 0.5)[0]) / 1.0
+    np.testing.assert_allclose(slope, velocity, atol=3.0)  # the node's drift, left out of the velocity, is under 2 m/s
+
+
+@pytest.mark.parametrize(("altitude_km", "inclination_deg"), [(570, 97.8), (620, 98.4), (730, 97.7), (670, 98.0)])
+def test_the_orbits_of_table_i_follow_the_sun_within_a_tenth(altitude_km, inclination_deg):
+    orbit = Orbit(altitude_km * 1e3, np.radians(inclination_deg), 10.5, START)
+    drift_deg_day = np.degrees(orbit.node_drift_rad_s) * 86_400
+    assert drift_deg_day == pytest.approx(360 / 365.2422, rel=0.1)
+
+
+def test_the_ascending_node_has_its_local_hour_at_the_start():
+    for node_hour in (6.0, 12.0, 22.5):
+        node = state(sun_synchronous(node_hour), np.zeros(1))[0][0]
+        sun = sun_direction(np.array([START]))[0]
+        hours = 12.0 + np.degrees(np.arctan2(node[1], node[0]) - np.arctan2(sun[1], sun[0])) / 15.0
+        assert hours % 24.0 == pytest.approx(node_hour)
+
+
+@pytest.mark.parametrize(
+    ("instant", "ra_deg", "dec_deg"),
+    [("2000-03-20T07:35", 0.0, 0.0), ("2000-06-21T01:48", 90.0, 23.44), ("2000-12-21T13:37", 270.0, -23.44)],
+)
+def test_the_sun_stands_where_equinox_and_solstices_put_it(instant, ra_deg, dec_deg):
+    ra, dec = np.radians([ra_deg, dec_deg])
+    expected = [np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)]
+    np.testing.assert_allclose(sun_direction(np.array([np.datetime64(instant, "us")]))[0], expected, atol=5e-4)
+
+
+@given(orbits, motions, pointings)
+def test_every_attitude_is_a_right_handed_rotation(orbit, motion, pointing_rad):
+    C = attitude(motion, orbit, np.linspace(0.0, 10_000.0, 40), pointing_rad)
+    np.testing.assert_allclose(C @ C.transpose(0, 2, 1), np.broadcast_to(np.eye(3), C.shape), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(C), 1.0, atol=1e-12)
+
+
+@given(orbits, motions, pointings)
+def test_no_motion_turns_faster_than_a_star_tracker_follows(orbit, motion, pointing_rad):
+    t_s = np.arange(0.0, 3_000.0, 0.5)
+    z = attitude(motion, orbit, t_s, pointing_rad)[:, 2]
+    step_rad = np.linalg.norm(np.diff(z, axis=0), axis=1)
+    assert np.degrees(step_rad.max()) / 0.5 < 2.0
+
+
+@given(st.floats(0.1, 1.2))
+def test_nadir_pointing_keeps_its_angle_from_the_zenith_leans_away_from_the_sun_and_sweeps_once_an_orbit(pointing_rad):
+    orbit, t_s = sun_synchronous(), np.linspace(0.0, 6_000.0, 100)
+    position, _, normal = state(orbit, t_s)
+    z = attitude("nadir", orbit, t_s, pointing_rad)[:, 2]
+    np.testing.assert_allclose(np.einsum("ij,ij->i", z, position / orbit.radius_m), np.cos(pointing_rad), atol=1e-12)
+    sunward = normal @ sun_direction(orbit.times_utc(np.zeros(1)))[0]
+    assert np.all(np.einsum("ij,ij->i", z, normal) * sunward < 0.0)
+    period_s = 2.0 * np.pi / orbit.mean_motion_rad_s
+    z = attitude("nadir", orbit, np.array([0.0, period_s / 2.0, period_s]), np.radians(45.0))[:, 2]
+    assert z[0] @ z[2] == pytest.approx(1.0, abs=1e-5)
+    assert z[0] @ z[1] == pytest.approx(0.0, abs=1e-3)  # 45 deg to either side of the orbit normal
+
+
+def test_slews_run_at_their_rate_along_a_great_circle_and_holds_stay_near_their_target():
+    t_s = np.arange(0.0, 2_000.0, 10.0)
+    z = attitude("slew", sun_synchronous(), t_s, 0.3)[:, 2]
+    angle = np.arccos(np.einsum("ij,ij->i", z[1:], z[:-1]))
+    np.testing.assert_allclose(angle, 10.0 * SLEW_RATE_RAD_S, rtol=1e-6)
+    assert np.linalg.svd(z, compute_uv=False)[2] < 1e-9
+    z = attitude("hold_and_slew", sun_synchronous(), np.arange(0.0, 900.0, 10.0), 0.0)[:, 2]
+    first, second = z[:30], z[45:75]
+    assert np.degrees(np.arccos(first @ first.mean(axis=0)).max()) < 3.0
+    assert np.degrees(np.arccos(first[0] @ second[0])) > 15.0
+
+
+@given(orbits, motions, pointings)
+def test_kept_instants_are_sunlit_with_sun_and_earth_outside_the_field_of_view(orbit, motion, pointing_rad):
+    t_s = np.arange(0.0, 12_000.0, 60.0)
+    z = attitude(motion, orbit, t_s, pointing_rad)[:, 2]
+    kept = usable(orbit, t_s, z)
+    position, sun = state(orbit, t_s)[0][kept], sun_direction(orbit.times_utc(t_s))[kept]
+    assert np.all(np.einsum("ij,ij->i", z[kept], sun) <= np.cos(SUN_EXCLUSION_RAD))
+    corner_rad = np.radians(15.0)
+    to_limb = np.arccos(np.clip(-np.einsum("ij,ij->i", z[kept], position) / orbit.radius_m, -1.0, 1.0))
+    assert np.all(to_limb - np.arcsin(EARTH_RADIUS_M / orbit.radius_m) > corner_rad)
+    nearest_m = np.linalg.norm(np.cross(position, sun), axis=1)
+    assert np.all((np.einsum("ij,ij->i", position, sun) >= 0.0) | (nearest_m >= EARTH_RADIUS_M))
+
+
+def test_a_third_of_a_noon_orbit_is_lost_to_eclipse():
+    t_s = np.linspace(0.0, 2.0 * np.pi / sun_synchronous().mean_motion_rad_s, 2_000)
+    orbit = sun_synchronous(12.0)
+    away_from_all = state(orbit, t_s)[2]  # the orbit normal: Sun and Earth are both far off
+    lost = 1.0 - usable(orbit, t_s, away_from_all).mean()
+    assert lost == pytest.approx(np.arcsin(EARTH_RADIUS_M / orbit.radius_m) / np.pi, abs=0.01)

@@ -1,7 +1,8 @@
-"""Association on skies made up star by star: one to one, every reason for not matching, doubt where there is doubt."""
+"""Stars matched to the catalogue, recognised without any attitude, and read from the catalogue's file."""
 
 import dataclasses
-from dataclasses import dataclass, replace
+import threading
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pytest
@@ -12,13 +13,32 @@ from scipy.spatial.transform import Rotation
 from benchmarks.stars import star_frames
 from boresight.calibration.matching.rematch import ground_covariance, rematch
 from boresight.calibration.options import CalibrationSettings
+from boresight.cameras import CAMERA_MODELS
+from boresight.errors import RefusedInputError
+from boresight.estimation.attitude import conjugate, product, rotation_vector, to_matrix, wahba
 from boresight.estimation.blocks import computing_on
 from boresight.kernels import matching as loops
+from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor, st16_truth
-from boresight.sky import matching
-from boresight.sky.catalogue import load_catalogue
-from boresight.sky.guide_stars import GuideStars, ObserverMotion
+from boresight.sky import identification, matching
+from boresight.sky.apparent import apparent_directions, days_since_j2000, earth_state
+from boresight.sky.catalogue import SINGLE_STAR, Catalogue, load_catalogue
+from boresight.sky.guide_stars import (
+    DOUBLE,
+    FAINTER_MAG,
+    UNRELIABLE,
+    GuideStars,
+    ObserverMotion,
+    guide_stars,
+    observer_motion,
+    phrases,
+    star_flags,
+)
+from boresight.sky.identification import field_of_view_deg, identify
 from boresight.sky.matching import ROW_REASONS, STARTS, Detections, match
+from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.schema import find_exposures
+from boresight.telemetry.sensors import read_sensor
 from tests.effort import effort
 from tests.exposures import SIGMA, Exposure
 
@@ -238,3 +258,279 @@ def test_blocks_and_threads_change_no_bit_of_the_matches(matched, monkeypatch, t
     for field in dataclasses.fields(whole):
         np.testing.assert_array_equal(getattr(in_parts, field.name), getattr(whole, field.name), strict=True)
     assert (whole.star_id > 0).mean() > 0.9
+
+
+pytest.importorskip("tetra3rs", reason="the lost-in-space extra is not installed")
+
+MOST_OFF_RAD = np.radians(0.2)
+TOWARDS_ORION = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("patterns")
+
+
+def answers(number, parity, frames, catalogue, folder, x=None):
+    scenario = replace(calibration_scenario(number, frames), blanked_share=0.0)
+    sensor = replace(scenario.sensor, parity=parity)
+    telemetry = simulate(replace(scenario, sensor=sensor), np.random.default_rng(number), catalogue)
+    camera = CAMERA_MODELS[sensor.camera_model]
+    x = sensor.initial if x is None else x
+    field = field_of_view_deg(camera, x, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
+    s_d = camera.directions(x, telemetry.row_px, telemetry.col_px, sensor.pixel_pitch_m)
+    star = catalogue.find_index(telemetry.star_id)
+    s_i = apparent_directions(catalogue, star, telemetry.time_utc, telemetry.velocity_m_s)
+    starts = np.append(find_exposures(telemetry).start, len(telemetry))
+    told = []
+    for rows in map(slice, starts[:-1], starts[1:]):
+        true = star[rows] >= 0
+        q = identify(s_d[rows], telemetry.magnitude[rows], parity, field, folder)
+        known = wahba(s_d[rows][true], s_i[rows][true], np.full(true.sum(), 1e-4), parity)
+        off = np.nan if q is None else np.linalg.norm(rotation_vector(product(q, conjugate(known.quaternion))))
+        told.append((true.sum(), q is not None, off))
+    return np.array(told)
+
+
+@pytest.mark.parametrize(("number", "parity"), [*((number, 1) for number in range(1, 7)), (3, -1)])
+def test_under_a_ground_calibration_rich_fields_of_either_parity_are_recognised_and_none_wrongly(
+    number, parity, catalogue, folder
+):
+    stars, solved, off = answers(number, parity, 25, catalogue, folder).T
+    assert (off[solved == 1] < MOST_OFF_RAD).all()
+    assert solved[stars >= 8].mean() > 0.95
+
+
+def test_with_the_true_parameters_the_attitude_is_good_to_minutes_of_arc(catalogue, folder):
+    truth = calibration_scenario(2).truth
+    stars, solved, off = answers(2, 1, 10, catalogue, folder, truth).T
+    assert solved[stars >= 8].all()
+    assert off[solved == 1].max() < np.radians(0.05)
+
+
+def test_five_frames_of_the_real_sky_are_recognised_with_a_nominal_lens(folder, real_sky):
+    sensor, telemetry = read_sensor(real_sky / "esa.sensor.json"), read_telemetry(real_sky / "esa-5-frames.csv")
+    camera, x, pitch = CAMERA_MODELS[sensor.camera_model], sensor.initial, sensor.pixel_pitch_m
+    field = field_of_view_deg(camera, x, sensor.rows, sensor.columns, pitch)
+    s_d = camera.directions(x, telemetry.row_px, telemetry.col_px, pitch)
+    ra, dec = telemetry.ra_rad, telemetry.dec_rad
+    s_i = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    starts = np.append(find_exposures(telemetry).start, len(telemetry))
+    for rows in map(slice, starts[:-1], starts[1:]):
+        named = np.isfinite(ra[rows])
+        known = wahba(s_d[rows][named], s_i[rows][named], np.full(named.sum(), 1e-4), sensor.parity)
+        q = identify(s_d[rows], telemetry.magnitude[rows], sensor.parity, field, folder)
+        assert np.linalg.norm(rotation_vector(product(q, conjugate(known.quaternion)))) < np.radians(0.05)
+
+
+def random_field(seed, n):
+    place = np.random.default_rng(seed).uniform(-0.17, 0.17, (n, 2)) * [0.75, 1.0]
+    s = np.column_stack([place, np.ones(n)])
+    return s / np.linalg.norm(s, axis=1, keepdims=True)
+
+
+def test_neither_chance_nor_fewer_than_four_stars_are_recognised(folder):
+    fields = [*(random_field(seed, 12) for seed in range(30)), *(random_field(1, n) for n in range(4))]
+    assert [identify(field, None, 1, 20.0, folder) for field in fields] == [None] * 34
+
+
+def test_the_mirror_image_of_the_sky_is_not_taken_for_it(catalogue, folder):
+    ra, dec = (angle[catalogue.magnitude < 5.0] for angle in (catalogue.ra_rad, catalogue.dec_rad))
+    s_i = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    orion = (s_i @ TOWARDS_ORION.T)[s_i[:, 1] > np.cos(np.radians(9.0))]
+    mirrored = orion * [1, -1, 1]
+    for parity, right, wrong in ((1, orion, mirrored), (-1, mirrored, orion)):
+        found = to_matrix(identify(right, None, parity, 20.0, folder))
+        np.testing.assert_allclose(found, TOWARDS_ORION, atol=MOST_OFF_RAD)
+        assert identify(wrong, None, parity, 20.0, folder) is None
+
+
+def test_magnitudes_may_be_missing_and_stars_behind_are_passed_over(folder):
+    s = random_field(2, 8)
+    s[0] *= -1
+    s[1] = np.nan
+    assert identify(s, np.full(8, np.nan), 1, 20.0, folder) is None
+
+
+def test_the_table_of_patterns_is_made_once_and_again_when_it_is_damaged(tmp_path, monkeypatch):
+    identification._loaded.cache_clear()
+    identify(random_field(3, 6), None, 1, 30.0, tmp_path)
+    (kept,) = tmp_path.iterdir()
+    good = kept.read_bytes()
+    identification._loaded.cache_clear()
+    kept.write_bytes(good[:1000])
+    identify(random_field(3, 6), None, 1, 30.0, tmp_path)
+    assert kept.stat().st_size == len(good)
+    identification._loaded.cache_clear()
+    monkeypatch.setattr(identification, "_keep", lambda *_: pytest.fail("made again"))
+    identify(random_field(3, 6), None, 1, 30.0, tmp_path)
+
+
+def test_threads_that_ask_at_once_share_one_table(tmp_path, monkeypatch):
+    identification._loaded.cache_clear()
+    made, keep = [], identification._keep
+    monkeypatch.setattr(identification, "_keep", lambda *arguments: (made.append(1), keep(*arguments)))
+    threads = [threading.Thread(target=identify, args=(random_field(4, 6), None, 1, 35.0, tmp_path)) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert made == [1]
+
+
+def test_without_the_extra_one_sentence_says_how_to_install_it(monkeypatch):
+    monkeypatch.setattr(identification.importlib.util, "find_spec", lambda _: None)
+    assert not identification.available()
+    with pytest.raises(RefusedInputError, match=r"pip install 'boresight\[lost-in-space\]'"):
+        identify(random_field(5, 8), None, 1, 20.0, None)
+
+
+RAD_PER_MAS = np.pi / 180 / 3.6e6
+SIRIUS, ALPHA_CENTAURI, VEGA, POLARIS = 32349, 71683, 91262, 11767
+XI_URSAE_MAJORIS = 55203
+
+
+def star(catalogue, hip):
+    return int(catalogue.find_index(np.array([hip]))[0])
+
+
+def same(one, other):
+    return all(np.array_equal(getattr(one, field.name), getattr(other, field.name)) for field in fields(Catalogue))
+
+
+def test_the_catalogue_goes_down_to_the_magnitude_asked_for(catalogue):
+    assert len(catalogue) == 117955
+    assert len(load_catalogue(None, 8.0)) == 37622
+    assert len(load_catalogue(None, 6.0)) == np.count_nonzero(catalogue.magnitude <= 6.0)
+    none = load_catalogue(None, magnitude_limit=-5.0)
+    assert (len(none), none.find_index(np.array([1, 2])).tolist()) == (0, [-1, -1])
+
+
+def test_sirius_has_the_numbers_of_the_published_catalogue_in_which_most_stars_are_single(catalogue):
+    k = star(catalogue, SIRIUS)
+    assert np.degrees(catalogue.ra_rad[k]) == pytest.approx(101.28854105, abs=1e-6)
+    assert np.degrees(catalogue.dec_rad[k]) == pytest.approx(-16.71314306, abs=1e-6)
+    assert catalogue.parallax_rad[k] / RAD_PER_MAS == pytest.approx(379.21, abs=0.01)
+    assert catalogue.pm_ra_cosdec_rad_yr[k] / RAD_PER_MAS == pytest.approx(-546.01, abs=0.01)
+    assert catalogue.pm_dec_rad_yr[k] / RAD_PER_MAS == pytest.approx(-1223.07, abs=0.01)
+    assert catalogue.magnitude[k] == pytest.approx(-1.09, abs=0.01)
+    assert set(np.unique(catalogue.solution_type)) <= {0, 1, 3, 5, 7, 9}
+    assert 0.9 < np.mean(catalogue.solution_type == SINGLE_STAR) < 1.0
+
+
+@pytest.mark.parametrize("hip", [XI_URSAE_MAJORIS, 0, -1, 999_999, 115125])
+def test_numbers_that_are_not_there_answer_minus_one(deep_catalogue, hip):
+    assert star(deep_catalogue, hip) == -1
+
+
+@given(hip=st.lists(st.integers(-5, 130_000), max_size=50))
+def test_index_of_finds_each_star_under_its_own_number(catalogue, hip):
+    hip = np.array(hip, dtype=np.int64)
+    index = catalogue.find_index(hip)
+    assert (catalogue.hip[index[index >= 0]] == hip[index >= 0]).all()
+    assert not np.isin(hip[index < 0], catalogue.hip).any()
+
+
+def test_each_magnitude_has_its_own_cache_of_what_the_package_holds_and_nothing_half_written(tmp_path, monkeypatch):
+    folder = tmp_path / "catalogue"
+    first, second = load_catalogue(folder, 6.0), load_catalogue(folder, 6.0)
+    assert same(first, second)
+    assert [path.suffix for path in folder.iterdir()] == [".npz"]
+    assert len(load_catalogue(folder, 5.0)) < len(first)
+    monkeypatch.setattr("boresight.sky.catalogue._read_package", lambda _: pytest.fail("the package was read again"))
+    assert len(load_catalogue(folder, 6.0)) > 4000
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 half a file", b"\x93NUMPY"])
+def test_a_damaged_cache_is_made_again(tmp_path, content):
+    whole = load_catalogue(tmp_path, 6.0)
+    cache = next(tmp_path.iterdir())
+    cache.write_bytes(content)
+    assert same(load_catalogue(tmp_path, 6.0), whole)
+    assert cache.stat().st_size > 1000
+
+
+def test_a_folder_that_cannot_be_made_means_no_cache(tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_bytes(b"")
+    assert len(load_catalogue(blocked / "catalogue", 6.0)) > 4000
+
+
+ARCSEC = np.pi / 180 / 3600
+
+
+def made(ra_rad, dec_rad, magnitude, **columns):
+    n = len(ra_rad)
+    columns = {"ra_rad": ra_rad, "dec_rad": dec_rad, "magnitude": magnitude, **columns}
+    arrays = {field.name: np.zeros(n) for field in fields(Catalogue)} | {"solution_type": np.full(n, SINGLE_STAR)}
+    return Catalogue(
+        **arrays | {name: np.asarray(cells) for name, cells in columns.items()} | {"hip": np.arange(1, n + 1)}
+    )
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(0, 30), blend_arcsec=st.floats(1.0, 3000.0))
+def test_the_flags_are_those_of_a_search_through_all_pairs(seed, n, blend_arcsec):
+    rng = np.random.default_rng(seed)
+    stars = made(
+        0.02 * rng.random(n), 0.02 * rng.random(n), rng.uniform(0, 10, n), solution_type=rng.choice([1, 5, 7], n)
+    )
+    flags = star_flags(stars, blend_arcsec * ARCSEC)
+    c = np.cos(stars.dec_rad)
+    s = np.column_stack([c * np.cos(stars.ra_rad), c * np.sin(stars.ra_rad), np.sin(stars.dec_rad)])
+    near = np.linalg.norm(s[:, None] - s[None], axis=2) <= 2 * np.sin(blend_arcsec * ARCSEC / 2)
+    matters = stars.magnitude[None] - stars.magnitude[:, None] <= FAINTER_MAG
+    expected = (near & matters & ~np.eye(n, dtype=bool)).any(axis=1)
+    np.testing.assert_array_equal((flags & DOUBLE) > 0, expected)
+    np.testing.assert_array_equal((flags & UNRELIABLE) > 0, stars.solution_type != SINGLE_STAR)
+
+
+def test_a_companion_of_a_much_brighter_star_is_a_double_and_few_bright_ones_are(catalogue):
+    pair = made(np.array([0.0, 20 * ARCSEC]), np.zeros(2), np.array([1.0, 6.0]))
+    assert star_flags(pair, 30 * ARCSEC).tolist() == [0, DOUBLE]
+    assert star_flags(pair, 10 * ARCSEC).tolist() == [0, 0]
+    assert [phrases(flags) for flags in (0, UNRELIABLE | DOUBLE)] == [[], ["unreliable astrometry", "double"]]
+    bright = star_flags(catalogue, 140 * ARCSEC)[catalogue.magnitude < 5.0]
+    assert 0.01 < np.mean(bright & DOUBLE > 0) < 0.1
+    assert 0.02 < np.mean(bright & UNRELIABLE > 0) < 0.3
+
+
+@pytest.mark.parametrize("hip", [71683, 71681, 78820, 78821])  # alpha Centauri A and B, beta Scorpii
+def test_famous_doubles_are_known(hip, catalogue):
+    flags = star_flags(catalogue, 60 * ARCSEC)
+    assert flags[catalogue.find_index(np.array([hip]))[0]] & DOUBLE
+
+
+NOON = np.array(["2026-03-01T12:00", "2026-03-01T12:00", "NaT", "2026-09-01T00:00"], "datetime64[us]")
+
+
+def test_only_the_brighter_of_two_stars_in_one_image_can_be_matched_and_none_too_faint_to_be_detected():
+    catalogue = made([0.0, 1e-4, 0.1, 0.1], [0.0, 0.0, 0.0, 3e-4], [3.0, 4.0, 4.5, 4.2])
+    found = [guide_stars(catalogue, 6.0, apart).hip.tolist() for apart in (2e-4, 5e-4, 5e-5)]
+    assert found == [[1, 3, 4], [1, 4], [1, 2, 3, 4]]
+    faint = made([0.0, 1e-4], [0.0, 0.0], [5.0, 7.0])
+    assert [guide_stars(faint, limit, 1e-3).hip.tolist() for limit in (6.0, 4.0)] == [[1], []]
+
+
+def test_guide_stars_ascend_in_declination_and_their_motion_is_across_the_line_of_sight(catalogue):
+    stars = guide_stars(catalogue, 5.5, 1e-4)
+    assert (np.diff(stars.place[:, 2]) >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(stars.place, axis=1), 1)
+    assert stars.density == pytest.approx(len(stars.hip) / (4 * np.pi))
+    assert (catalogue.magnitude[catalogue.find_index(stars.hip)] <= 5.5).all()
+    stars = guide_stars(made([1.0, 2.0], [0.5, -0.5], [3.0, 3.0], pm_dec_rad_yr=[1e-6] * 2), 6.0, 1e-4)
+    np.testing.assert_allclose(np.sum(stars.place * stars.motion, axis=1), 0, atol=1e-20)
+    np.testing.assert_allclose(np.linalg.norm(stars.motion, axis=1), 1e-6)
+    assert (stars.motion[:, 2] > 0).all()
+
+
+def test_the_observer_moves_with_the_earth_and_the_satellite():
+    velocity = np.array([[7e3, 0.0, 0.0], [np.nan] * 3, [0.0] * 3, [0.0] * 3])
+    motion = observer_motion(NOON, velocity)
+    place, speed = earth_state(days_since_j2000(NOON[[0, 3]]))
+    np.testing.assert_allclose(motion.earth_au[[0, 1, 3]], place[[0, 0, 1]])
+    np.testing.assert_allclose(motion.beta[0] - motion.beta[1], [7e3 / 299792458, 0, 0], atol=1e-18)
+    np.testing.assert_allclose(motion.beta[3], speed[1] / 173.1446326846693)
+    assert 34.9 < motion.years[0] < 35.0
+    assert np.isnan(motion.years).tolist() == [False, False, True, False]  # at an unknown time no star has a place
+    np.testing.assert_array_equal(motion[1:4].years, motion.years[1:4])
+    np.testing.assert_array_equal(motion[1:4].beta, motion.beta[1:4])

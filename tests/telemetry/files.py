@@ -1,10 +1,14 @@
 """Small telemetry files as text, and what a refusal of one must name."""
 
+from dataclasses import fields
+
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as arrow_parquet
 import pytest
 
 from boresight.errors import RefusedInputError
+from boresight.telemetry.schema import Telemetry
 
 HEADER = "frame,exposure,row_px,col_px,star_id"
 ROWS = ["0,0,10.5,20.25,11", "0,0,30.5,40.25,", "0,1,10.5,20.25,11", "1,0,50,60,-1"]
@@ -34,3 +38,22 @@ def parquet_bytes(columns):
 
 
 MINIMAL = {"frame": [0, 0], "exposure": [0, 0], "row_px": [1.0, 2.0], "col_px": [3.0, 4.0]}
+
+
+def texts_of(telemetry: Telemetry) -> dict[str, list[str]]:
+    return {name: cells.to_pylist() for name, cells in telemetry.unknown.items()}
+
+
+CONVERTED = {"ra_rad", "dec_rad", "quaternion", "velocity_m_s"}  # in another unit, or normalised
+
+
+def assert_same(one, other):
+    for name in (item.name for item in fields(Telemetry) if item.name not in {"unknown", "first_row"}):
+        mine, theirs = getattr(one, name), getattr(other, name)
+        assert (mine is None) == (theirs is None), name
+        if mine is not None:
+            if name in CONVERTED:
+                np.testing.assert_allclose(mine, theirs, rtol=1e-15, atol=1e-300, err_msg=name)
+            else:
+                np.testing.assert_array_equal(mine, theirs, err_msg=name)
+    assert texts_of(one) == texts_of(other)
