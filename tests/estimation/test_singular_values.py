@@ -30,6 +30,7 @@ from boresight.estimation.statistics.references import (
     weighted_information,
     whitened_information,
 )
+from tests.effort import effort
 from tests.estimation.fields import (
     FREE,
     GROUND,
@@ -160,7 +161,7 @@ def test_the_sum_of_two_equal_values_has_a_slope_where_neither_has():
 @pytest.mark.parametrize("model", STAR_MODELS)
 def test_the_covariance_of_overlapping_combinations_is_that_of_many_noisy_exposures(model):
     rng = np.random.default_rng(6)
-    s, n, draws = _stars(rng, 7), 7, 4000
+    s, n, draws = _stars(rng, 7), 7, effort(1200, 4000)
     taken = singular_values.exposure(s, np.full(n, SIGMA), Selection(model))
     noisy = s + SIGMA * rng.normal(size=(draws, n, 3))
     noisy /= np.linalg.norm(noisy, axis=-1, keepdims=True)
@@ -195,7 +196,7 @@ def test_the_gain_form_equals_the_information_form(method, linearisations, noise
 def test_every_model_is_consistent_over_many_sets(model):
     errors = []
     nis, dof = 0.0, 0
-    for seed in range(25):
+    for seed in range(effort(12, 25)):
         field = weighed(star_field(np.random.default_rng(700 + seed), frames=60), TRUTH)
         history = _last(field, "svd", Tuning(selection=Selection(model)))
         errors.append(nees((history.last.x - TRUTH) / SCALE, history.last.P))
@@ -206,7 +207,7 @@ def test_every_model_is_consistent_over_many_sets(model):
 
 
 TWO_OR_MORE = [(2, 3), (1, 2), (1, 3), (1, 2, 3)]
-SUBSET_SETS = 40
+SUBSET_SETS = effort(20, 40)
 
 
 @pytest.fixture(scope="module")
@@ -259,7 +260,7 @@ def _in_chunks(field, method):
 
 @pytest.fixture(scope="module")
 def ends():
-    return [_in_chunks(wu_weighed(wu_field(np.random.default_rng(seed))), "svd") for seed in range(40)]
+    return [_in_chunks(wu_weighed(wu_field(np.random.default_rng(seed))), "svd") for seed in range(effort(20, 40))]
 
 
 def test_the_six_parameters_are_found_each_within_four_of_its_sigmas_and_with_an_honest_mean_nees(ends):
