@@ -1,12 +1,4 @@
-"""The one function that calibrates: problem and method in, the contract's JSON out.
-
-The steps, and what is timed: `arcs` (directions, ordering), `fit` (estimator with its weights), `evaluate_result` (statistics,
-views), `validate`.
-
-Progress reports of a calibration, with the partial result, at a limited rate.
-
-The dataset of a calibration: in memory where it fits, else copied piece by piece into a scratch folder.
-"""
+"""The one function that calibrates: problem and method in, the contract's JSON out, with progress on the way."""
 
 from __future__ import annotations
 

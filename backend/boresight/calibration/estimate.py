@@ -1,9 +1,4 @@
-"""Where an estimator ended, in one shape for batch and sequential methods, and how they are run on a problem.
-
-Huber's loss beside least squares: how many arcs it held back, and how far that moved the estimate.
-
-What an estimate by the unweighted cosine error is worth, and what it costs against arclengths.
-"""
+"""Where an estimator ended, in one shape for batch and sequential methods, how they are run, and what their losses cost."""
 
 from __future__ import annotations
 

@@ -1,9 +1,5 @@
 """What a filter did at each of its updates, in constant memory, and thinned on the way out.
 
-An update is one record of fixed size. The records of a short set stay in memory; beyond `IN_MEMORY_BYTES` they go to a temporary
-file that has no name, so nothing is left of it. What the whole history says (mean innovation, aggregate RMS) is summed as the
-records come, one after the other, so that it does not depend on how many come at a time.
-
 A page draws about a thousand points. Between two points that are kept an outlier would be lost, so of each interval that a point
 ends its largest innovation is kept with its frame, and the lowest and highest value of each parameter.
 """

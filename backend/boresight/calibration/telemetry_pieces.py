@@ -1,12 +1,4 @@
-"""A set as it came, in pieces of whole frames: one in memory, or files without compression, read, parsed and checked once.
-
-Where a calibration's telemetry comes from: memory, or a file that may be larger than it.
-
-The part of a large set that fits into memory: whole blocks of its frames, evenly spread, the first and the last among them.
-
-Pictures of residuals, the trust tab, the shadow and the alignment need every star of what they judge at once. Three hundred
-thousand stars tell a residual's mean over a cell of the detector to a hundredth of a pixel; more would change no picture.
-"""
+"""Where a calibration's telemetry comes from: memory, or pieces of whole frames in files; and a sample of a large set."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""The arcs of a set in files, in the place of an `ArcSet`: the same blocks, so the same bits.
-
-Blocks of `estimation.blocks` are cut over the whole sequence of frames, wherever a piece ends; a block that lies in two pieces is
-put together from both. R is not stored: it is four times as large as what it is made from, and making it anew costs about half of
-the evaluation that it is made for (25 ms beside 36 ms for 19,000 frames), which reading it would cost too. Nothing but the state
-of the weights has to travel, so any machine computes any range of blocks at any time.
-"""
+"""The arcs of a set in files, in the place of an `ArcSet`: the same blocks, so the same bits."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""The report: one HTML file that stands alone, on paper as on a screen, years later and without a network.
-
-The drawing library and the figures are inside the file; a content security policy in it forbids every connection.
-Everything that came from outside is escaped: text by the template, data by writing `<` as its JSON escape.
-"""
+"""The report: one HTML file that stands alone, on paper as on a screen, years later and without a network."""
 
 from __future__ import annotations
 

@@ -1,14 +1,7 @@
-"""A calibration's parameters as pages, reports and terminals lay them out: old, new, delta, sigma, and what delta is worth.
+"""The tables of a calibration as pages, reports and terminals print them: parameters, matches, stars.
 
 `delta / sigma` says whether the change can be seen in the noise, `delta / typical` whether it is a change that such a
-sensor is known to make (the typical sigmas are the unit-to-unit spread). Both are needed: a change of forty sigma that is
-three typical sigmas large is a real and ordinary one; one of forty sigma and ninety typical sigmas is not.
-
-The parameter table in words and digits, as the report and the terminal print it.
-
-What matching did, as page and report print it: counts, reasons, and what the flight code would have accepted.
-
-The table of stars, worst first, as page and report print it, and the list of those to flag.
+sensor is known to make: forty sigma and three typical sigmas is a real and ordinary one, forty and ninety is not.
 """
 
 from __future__ import annotations

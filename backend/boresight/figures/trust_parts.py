@@ -1,8 +1,4 @@
-"""How a figure reads its part of `trust`, and what it says where that part is not there.
-
-Every part of a result's `trust` may be null: a filter that was stopped has no halves, a set without temperatures no
-trend over them. The result then says why under `trust.unavailable`, and that sentence is what is drawn.
-"""
+"""How a figure reads its part of `trust`, and what it says where that part is not there."""
 
 from __future__ import annotations
 

@@ -1,23 +1,14 @@
 """Views of a figure: another axis, a band in place of many curves, a window in full.
 
-Runs side by side on one axis: by frame number, by the time since their first frame, or by the count of updates.
-
 Frame numbers are a sensor's own, so two runs of one set share them; runs of sets taken weeks apart do not, and lie over
 each other only by the time since each one's first frame or by the number of updates that its filter has made. A history
 keeps updates evenly spaced with the first and the last, so of n updates in all and m kept the k-th is number
 round(k (n - 1) / (m - 1)) + 1. A batch run has no updates: it stays a level over whatever axis the others have.
 
-Many runs as one band: the lowest and the highest of them at every place, with the reference drawn over it.
-
 Nobody tells twenty curves apart. Here the curves of all runs but the first become the span between the lowest and the
 highest of them, per panel and kind of curve: `tail` and `aggregate` stay two bands. Between its points a curve is the
 straight line that it is drawn as, so on the union of all points the band's edges are exact; beyond its ends a curve says
 nothing, and the band is that of the others. Marks that are no curves (bars, maps, single stars) have no band and stay.
-
-Zoom detail: the points that thinning removed, for the visible part of the axis.
-
-The figure is drawn with every point, so that sums and means over the run stay what they are; then each curve is cut to the
-window, with its neighbours on both sides so that lines run to the edge, and thinned again to what a screen can show.
 """
 
 from __future__ import annotations

@@ -10,20 +10,6 @@ Everything it writes to the database is one short transaction each. What we hold
 to a server that is gone and is queued again, or ended when it has lost too many attempts. Every write is fenced by attempt and
 state (see `boresight.console.runs.queries`), so two servers on one database cannot both end a run, and a result that comes too late
 writes nothing.
-
-How long waiting runs take is predicted from the newest runs of their method. Time is not in proportion to the number of stars:
-judging a small run takes longer than fitting it. So runs of about the same size are asked first, and all of the method only where
-there are none. What the newest runs took is read anew every few seconds.
-
-Finished runs are checked for alarms apart from writing their ends, so no worker waits for it: they are noted, and looked at some at
-a time while others compute. What is still noted when a server stops, its upkeep finds when it starts again.
-
-To hand over a task, fetch its answer and write it costs tens of milliseconds, so short runs are computed several in one task: two
-seconds' worth where few wait, and of a long queue up to a quarter of what waits for each thread, eight seconds at most, for who
-queued a thousand runs waits for the last and not for the next. A run that takes over two seconds, or that was tried before (its
-neighbours shall not die with it), goes alone. A free thread gets a task; a thread that computes short runs may get a second group
-to go on with, but only while more runs wait than there are threads. So the few runs of a person are spread over the threads and
-really run when they are RUNNING, and other servers that share the database find the rest still QUEUED.
 """
 
 from __future__ import annotations

@@ -1,15 +1,4 @@
-"""The thread between a computing run and the server: progress goes up, the wish to stop comes down.
-
-Progress is an event on a topic of the scheduler, at most four a second, its histories thinned; the wish to stop is a
-`distributed.Event` named after run and attempt, looked at twice a second at most, because a look is a round trip. A
-run that is over within a second tells nothing on its way: nobody could see it.
-
-Progress on its way from the workers to the rows and the listeners: only the newest report of an attempt counts.
-
-A report carries the whole course so far, thinned to a few hundred points. Listeners are told what is new in it: the points
-after the last frame that they were told, so a report that was replaced before anybody looked leaves no gap. The rows get
-the report itself, twice a second at most, and the log a line at every tenth of the way.
-"""
+"""The thread between a computing run and the server: progress goes up, the wish to stop comes down."""
 
 from __future__ import annotations
 
@@ -202,12 +191,12 @@ def encoded(partial: dict[str, Any]) -> bytes:
     return orjson.dumps(thin, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
 
 
-def thinned(history: dict[str, Any], points: int = HISTORY_POINTS) -> dict[str, Any]:
-    """Keep at most `points` of every column of a history, evenly spread, the last always among them."""
+def thinned(history: dict[str, Any]) -> dict[str, Any]:
+    """Keep at most `HISTORY_POINTS` of every column of a history, evenly spread, the last always among them."""
     length = len(history.get("frame") or ())
-    if length <= points:
+    if length <= HISTORY_POINTS:
         return history
-    kept = [round(i * (length - 1) / (points - 1)) for i in range(points)]
+    kept = [round(i * (length - 1) / (HISTORY_POINTS - 1)) for i in range(HISTORY_POINTS)]
     return {
         name: [column[k] for k in kept] if column is not None and len(column) == length else column
         for name, column in history.items()

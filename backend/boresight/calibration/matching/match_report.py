@@ -1,15 +1,9 @@
-"""What matching a telemetry set again changed: given stars kept, changed, added, removed, and why; exposures valid or not, and why.
+"""Fit, match again, fit: until the matches rest, or three times (E section II-B), and what matching changed.
 
-Of the rows that the file names a star for, a match is *kept* when the number is the same, *changed* when it is another, *removed*
-when there is none any more; of the others it is *added* when there is one now.
-
-The `matching` object of the calibration JSON: what was given, what was kept, what was found, and why the rest was not.
-
-Fit, match again, fit: until the matches rest, or three times (E section II-B), and what was matched on the way.
-
-Better parameters find more stars, and more stars better parameters. A cycle is one fit; after it the set is matched
-with the result, and when no star changes, the matches rest. A filter that matches with its latest state does the same
-frame by frame, and is judged by the set as its end state matches it.
+A cycle is one fit; after it the set is matched with the result, and when no star changes, the matches rest. A filter that
+matches with its latest state does the same frame by frame, and is judged by the set as its end state matches it. Of the rows
+that the file names a star for, a match is *kept* when the number is the same, *changed* when it is another, *removed* when
+there is none any more; of the others it is *added* when there is one now.
 """
 
 from __future__ import annotations

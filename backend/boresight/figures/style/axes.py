@@ -1,8 +1,4 @@
-"""What a chart's x axis counts, where it goes beyond the data, and the detector as a pair of axes.
-
-`layout.meta.axis` is the name of the quantity: `frame`, `time`, `update`, `iteration` or `radius_px`. Charts with the same
-name show the same place when the pointer is over one of them.
-"""
+"""What a chart's x axis counts (`layout.meta.axis`), where it goes beyond the data, and the detector as a pair of axes."""
 
 from __future__ import annotations
 
@@ -106,14 +102,12 @@ def lay_maps(drawn: Sequence[Part], spacing: float | None = None) -> go.Figure:
     return make_subplots(1, len(drawn), subplot_titles=titles, horizontal_spacing=space)
 
 
-def frame_maps(figure: go.Figure, n_maps: int, nticks: int | None = None) -> None:
+def frame_maps(figure: go.Figure, n_maps: int) -> None:
     """Make the first `n_maps` subplots detectors: square pixels, row 0 on top."""
     for place in range(1, n_maps + 1):
         where = {"row": 1, "col": place}
         anchor = "x" if place == 1 else f"x{place}"
-        figure.update_xaxes(
-            title_text="column (px)", nticks=nticks or max(2, 8 // n_maps), tickangle=0, **QUIET, **where
-        )
+        figure.update_xaxes(title_text="column (px)", nticks=max(2, 8 // n_maps), tickangle=0, **QUIET, **where)
         figure.update_yaxes(autorange="reversed", scaleanchor=anchor, scaleratio=1, **QUIET, **where)
     figure.update_yaxes(title_text="row (px)", row=1, col=1)
 

@@ -5,11 +5,6 @@ a token of the style sheet (`boresight.figures.style.theme`). The dark template'
 shows. A page in another theme replaces `layout.template` by `layout.meta.light` or `layout.meta.contrast`, a white image
 by the light one, and needs to touch nothing more, because the run colours were chosen for at least 3:1 contrast against
 the panels of every theme and stay apart for the common colour-vision deficiencies; a dash style says the same again.
-
-The tokens of the style sheet: one source of colour for pages, plots and reports.
-
-`frontend/static/shared/style.css` declares every colour and letter size as a custom property, in one block a theme. A theme is
-the block `:root`, which is the dark one, overlaid by its own; paper has the block inside `@media print`.
 """
 
 from __future__ import annotations

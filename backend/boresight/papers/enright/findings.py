@@ -1,11 +1,4 @@
-"""Where the paper's text and its numbers, or its numbers and ours, do not say the same: each with the figures.
-
-Every finding is an object: `title`, what the `text` says, and the `sentences` that hold the numbers against it.
-
-Findings on matching: what the paper's text, its tables and our runs say about which stars were taken in, and by what rule.
-
-The five questions of E section III-B, answered with the figures of this run.
-"""
+"""Where the paper's text and its numbers, or its numbers and ours, do not say the same, and its five questions answered."""
 
 from __future__ import annotations
 

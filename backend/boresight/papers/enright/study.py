@@ -1,10 +1,4 @@
-"""The whole study: which sets, on how many processes, and the document that comes out.
-
-Trials are independent, so they run in processes of their own and the document does not depend on their number or order; only what
-stands under `timing` does.
-
-Its document, schema `boresight.reproduction/1`, is written down as one HTML file that stands alone, as JSON, and in CSV.
-"""
+"""The whole study of E: which sets, on how many processes, the document that comes out, and the files that it is written to."""
 
 from __future__ import annotations
 

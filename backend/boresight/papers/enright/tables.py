@@ -1,7 +1,4 @@
-"""E Tables III to VII made again: printed number beside ours, judged row by row.
-
-Each table states the conclusion its rows are judged by, besides their numbers (see `verdicts`).
-"""
+"""E Tables III to VII made again: printed number beside ours, judged row by row."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""Where the paper's text and its numbers, or its numbers and ours, do not say the same: each with the figures.
-
-What is wrong in the paper, and what this study did about it: every erratum that concerns what is made again.
-
-Each was proven by a numeric check or by dimensions before anything was built on it. `concerns` are the tables and figures whose
-numbers or reading it touches; their headings point here.
-"""
+"""Where the paper's text and its numbers, or its numbers and ours, do not say the same, and the errata it needed."""
 
 from __future__ import annotations
 

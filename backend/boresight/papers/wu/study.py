@@ -1,8 +1,4 @@
-"""The whole study: which sets, on how many processes, and the document that comes out; the clock runs when they are done.
-
-Its document, schema `boresight.reproduction/1`, of which all but `timing` is a function of the plan alone, is written down as one
-HTML file that stands alone, as JSON, and in CSV.
-"""
+"""The whole study of W: which sets, on how many processes, the document that comes out, and the files that it is written to."""
 
 from __future__ import annotations
 

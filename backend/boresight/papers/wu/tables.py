@@ -49,9 +49,9 @@ class Pooled:
             if (record["estimator"], record["weights"], record["noise_px"], record["magnitude_limit"]) == wanted
         ]
 
-    def nees(self, estimator: str, weights: str = "full", noise_px: float = 0.2) -> ChiSquare:
+    def nees(self, estimator: str, weights: str = "full") -> ChiSquare:
         """Test the errors of all sets against their claimed covariance; `mean` per parameter."""
-        found = self.of(estimator, weights, noise_px)
+        found = self.of(estimator, weights)
         return chi_square(sum(record["nees"] for record in found), 6 * len(found))
 
 

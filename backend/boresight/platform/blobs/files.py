@@ -30,9 +30,9 @@ class BadFile:
         return f"{self.sha256[:12]} ({', '.join(self.used_by) or 'of no row'}): {self.what}"
 
 
-def registered(session: Session, after: str = "", limit: int = AT_A_TIME) -> Sequence[tuple[str, int]]:
+def registered(session: Session, after: str) -> Sequence[tuple[str, int]]:
     """Return addresses and sizes of stored files in the order of the addresses, from the one after `after`."""
-    query = sa.select(Blob.sha256, Blob.size_bytes).where(Blob.sha256 > after).order_by(Blob.sha256).limit(limit)
+    query = sa.select(Blob.sha256, Blob.size_bytes).where(Blob.sha256 > after).order_by(Blob.sha256).limit(AT_A_TIME)
     return [(sha256, size) for sha256, size in session.execute(query)]
 
 

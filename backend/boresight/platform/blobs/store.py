@@ -1,9 +1,4 @@
-"""Where files are kept under the SHA-256 of their bytes: what every store of them does, in a folder or in a bucket.
-
-The name says what must be inside, so putting the same bytes twice is one file. A file is there complete or not at all, and nobody
-gets it, its bytes or its document without it having been held against its address: what does not fit is refused as corrupt, and
-told to whoever raises alarms. Bytes that no row refers to are harmless, so they are put before the row that names them commits.
-"""
+"""Where files are kept under the SHA-256 of their bytes: what every store of them does, in a folder or in a bucket."""
 
 from __future__ import annotations
 

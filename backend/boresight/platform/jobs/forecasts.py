@@ -19,9 +19,6 @@ from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.read.frames import read_sample
 from boresight.telemetry.sensors import parse_sensor
 
-LABEL_LENGTH = 200
-
-
 KEPT = 500
 
 

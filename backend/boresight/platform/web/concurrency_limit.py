@@ -10,18 +10,8 @@ address has a share; and large bodies, of which each person has a share, for the
 body is read before a place is taken, so that whoever sends half of one holds none. A credential that is forged or has ended is
 none. Who is not known sends no more than a form.
 
-The request queue: few requests run at once, writers apart from readers, and the request that most clients wait for goes first.
-
-An endpoint and each of its dependencies need a thread, one after the other. Were all requests let at the threads together, each
-would wait for one again and again behind all others, and a writer would hold the store's write lock meanwhile: so twenty writers
-among two hundred readers waited seven seconds. Here a request waits once, for its turn, and then finds a thread whenever it
-needs one. More turns at once than `most` only take the interpreter from each other.
-
-The next turn goes to the request for whose answer the longest time was waited, summed up over all who will have it
-(`boresight.platform.web.response_cache`). Among requests of one asker each that is the order of their coming; of an answer that
-two hundred wait for it makes the first. Nobody waits for ever: how long they have waited grows until it is the most.
-
-A turn is lent for `LENT_S`: who works longer, on a figure or a report, keeps the thread but makes room for the next.
+Of those let in few run at once, writers apart from readers, and first what the most have waited for longest; who works longer
+than `LENT_S` keeps the thread but makes room for the next.
 """
 
 from __future__ import annotations

@@ -31,8 +31,8 @@ def figures_version() -> str:
 class FigureCache:
     """The figures that were drawn last, as bytes."""
 
-    def __init__(self, limit_bytes: int = KEPT_BYTES) -> None:
-        self._recent: SizeLimitedCache[bytes] = SizeLimitedCache(limit_bytes)
+    def __init__(self) -> None:
+        self._recent: SizeLimitedCache[bytes] = SizeLimitedCache(KEPT_BYTES)
 
     def answer(self, request: Request, parts: Sequence[str] | None, draw: Callable[[], bytes]) -> Response:
         """Answer with a figure."""

@@ -1,28 +1,10 @@
-"""What holds for every answer: a request id, security headers, a limit on the body, a count, and no bare failure.
-
-Where one person works alone every answer says so in a header, and every file in its name: what is laid away loses its headers,
-and a comment line in a CSV would break whoever reads it.
+"""What holds for every answer: a request id, security headers, a limit on the body, HEAD and `Allow`, and no bare failure.
 
 The policy allows nothing but what this server sends: no inline script, no other host, no framing. Styles have three
 exceptions, all for Plotly and none of which can load anything, for `default-src` is this server. Plotly makes an empty
 `<style>` element that it fills through the CSSOM, and one with the style of its maps: each is admitted by the hash of its
-text. It sets `style` attributes on the SVG that it draws: `style-src-attr` admits them.
-
-Which methods an address takes: all of its routes' together, in the `Allow` of a 405 and in the answer to OPTIONS.
-
-The framework names those of the first route that it meets (RFC 9110, 10.2.1 asks for all).
-
-HEAD for every GET route: the same headers without the body (RFC 9110, 9.3.2).
-
-The endpoints know GET only. A request with HEAD reaches them as GET, so that headers, tags and lengths are those of GET by
-construction, and its body goes nowhere. An answer in several pieces, a long file or the event stream, which would never end, is
-broken off at the first: its headers are all that was asked for.
-
-`Accept-Encoding`, parsed once by the outermost middleware.
-
-RFC 9110, 12.5.3: `Accept-Encoding` lists codings, each with a weight between 0 and 1, which is 1 where none is given. Capitals are
-small letters, a weight of 0 says "not this one", and `*` stands for every coding that is not named. Plain bytes (`identity`) are
-preferred where they are named with the greater weight. A weight that cannot be read counts as 0: plain bytes are always understood.
+text. It sets `style` attributes on the SVG that it draws: `style-src-attr` admits them. HEAD is a GET whose answer is broken
+off at its first piece, for the event stream would never end.
 """
 
 from __future__ import annotations

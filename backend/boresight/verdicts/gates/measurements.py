@@ -378,9 +378,6 @@ def quantisation(evidence: GateInputs) -> Measurement:
     )
 
 
-DIRECTIONS = ("below", "above", "around", "met")
-
-
 @dataclass(frozen=True)
 class Gate:
     """One question that a parameter set is asked, what measures it, and its thresholds in the default profile."""
