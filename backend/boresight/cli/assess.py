@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from boresight.cli.evaluate import read_set
 from boresight.cli.output import aligned, check_writable, json_option, progress, write_json
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings, use_kernel_folder
@@ -57,21 +58,12 @@ def _assess(files: tuple[Path, Path, Path | None, Path | None, Path | None], rep
     result = _read_object(calibration, "a calibration JSON")
     refuse_incomplete(result, calibration.name)
     incumbent = ground_set(sensor) if against is None else as_set(_read_object(against, "parameters"), sensor)
-    frames = None if telemetry is None else _frames(telemetry, sensor, report)
+    frames = None
+    if telemetry is not None:
+        stars, _, catalogue = read_set(telemetry, sensor, report)
+        frames = stars, catalogue
     report("measuring and judging")
     return {**assess(result, sensor, incumbent, profile, frames), "sensor": sensor.name}
-
-
-def _frames(telemetry: Path, sensor: Any, report: Any) -> tuple[Any, Any]:
-    """Read held-out frames and the catalogue for their directions."""
-    from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.quality.detector import check_against_sensor
-    from boresight.telemetry.read.readers import read_telemetry
-
-    stars = read_telemetry(telemetry, limits=read_settings().telemetry_limits)
-    check_against_sensor(stars, sensor)
-    report("loading the star catalogue")
-    return stars, load_catalogue(read_settings().catalogue_folder)
 
 
 def _read_object(path: Path, what: str) -> dict[str, Any]:

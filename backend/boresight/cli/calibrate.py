@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from boresight.calibration.options import GROUPS, OPTIONS, Option
+from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
 from boresight.cli.output import aligned, check_writable, json_option, progress, write_json
 from boresight.errors import RefusedInputError
 from boresight.estimation.blocks import computing_on
@@ -99,7 +99,7 @@ def calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, json_fi
     """
     check_writable(json_file)
     use_kernel_folder(read_settings())
-    settings = _settings(choices)
+    settings = parse_settings(chosen(choices))
     with progress("reading the telemetry") as report, computing_on(read_settings().computing_threads):
         result = _calibrate(telemetry, sensor_file, validate, settings, report)
     write_json(result, json_file)
@@ -109,12 +109,10 @@ def calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, json_fi
         raise RefusedInputError(result["advice"][0])
 
 
-def _settings(choices: dict[str, Any]) -> Any:
+def parse_settings(document: dict[str, Any]) -> CalibrationSettings:
     """Read the choices; one that does not exist is wrong usage."""
-    from boresight.calibration.options import CalibrationSettings
-
     try:
-        return CalibrationSettings.parse(chosen(choices))
+        return CalibrationSettings.parse(document)
     except RefusedInputError as error:
         raise click.UsageError(str(error)) from error
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from boresight.cli.calibrate import parse_settings
 from boresight.cli.output import (
     FORMATS,
     STANDARD_OUTPUT,
@@ -68,6 +69,18 @@ def _check_out(telemetry: Path, out: Path) -> None:
         raise RefusedInputError(f"{out} is the telemetry itself, which is never overwritten: choose another name.")
 
 
+def read_set(telemetry: Path, sensor: Any, report: Any) -> tuple[Any, Any, Any]:
+    """Read a set held against its detector, what of it lies off that, and the catalogue for its directions."""
+    from boresight.sky.catalogue import load_catalogue
+    from boresight.telemetry.quality.detector import check_against_sensor
+    from boresight.telemetry.read.readers import read_telemetry
+
+    stars = read_telemetry(telemetry, limits=read_settings().telemetry_limits)
+    off = check_against_sensor(stars, sensor)
+    report("loading the star catalogue")
+    return stars, off, load_catalogue(read_settings().catalogue_folder)
+
+
 def _match(
     telemetry: Path, sensor_file: Path, parameters: Path | None, out: Path, choices: dict[str, Any], report: Any
 ) -> dict[str, Any]:
@@ -77,18 +90,13 @@ def _match(
     from boresight.calibration.matching.rematch import ground_covariance, rematch
     from boresight.calibration.options import CalibrationSettings
     from boresight.calibration.parameter_file import read_parameters
-    from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.quality.detector import check_against_sensor
-    from boresight.telemetry.read.readers import read_table, read_telemetry, write_with_stars
+    from boresight.telemetry.read.readers import read_table, write_with_stars
     from boresight.telemetry.sensors import read_sensor
 
     settings = CalibrationSettings(match="rematch", leave_out_doubles=choices["leave_out_doubles"])
     sensor, folder = read_sensor(sensor_file), read_settings().catalogue_folder
     x, P = (sensor.initial, None) if parameters is None else read_parameters(parameters, sensor)
-    stars = read_telemetry(telemetry, limits=read_settings().telemetry_limits)
-    off = check_against_sensor(stars, sensor)
-    report("loading the star catalogue")
-    catalogue = load_catalogue(folder)
+    stars, off, catalogue = read_set(telemetry, sensor, report)
     report("matching the stars")
     P = ground_covariance(sensor, settings.initial_sigma_scale) if P is None else P
     matches = rematch(stars, sensor, catalogue, x, P, settings, folder)
@@ -207,16 +215,6 @@ def evaluate(telemetry: Path, sensor_file: Path, json_file: str | None, *, shado
         click.echo("\n".join(_lines(document)))
 
 
-def _settings(choices: dict[str, Any]) -> Any:
-    """Read the choices; one that does not exist is wrong usage."""
-    from boresight.calibration.options import CalibrationSettings
-
-    try:
-        return CalibrationSettings.parse({key: choices[key] for key in ("match", "flight_tolerance_urad")})
-    except RefusedInputError as error:
-        raise click.UsageError(str(error)) from error
-
-
 def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shadow: bool, report: Any) -> dict[str, Any]:
     import numpy as np
 
@@ -224,21 +222,16 @@ def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shado
     from boresight.calibration.evaluation.evaluate import evaluate_matched_frames, shadow_view
     from boresight.calibration.matching.matched_frames import match_under_states
     from boresight.calibration.parameter_file import read_parameters
-    from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.quality.detector import check_against_sensor
-    from boresight.telemetry.read.readers import read_telemetry
     from boresight.telemetry.sensors import read_sensor
 
-    settings, folder = _settings(choices), read_settings().catalogue_folder
+    settings = parse_settings({key: choices[key] for key in ("match", "flight_tolerance_urad")})
+    folder = read_settings().catalogue_folder
     sensor, against = read_sensor(sensor_file), choices["against"]
     states = [
         (sensor.initial, None) if against is None else read_parameters(against, sensor),
         read_parameters(choices["parameters"], sensor),
     ]
-    stars = read_telemetry(telemetry, limits=read_settings().telemetry_limits)
-    off = check_against_sensor(stars, sensor)
-    report("loading the star catalogue")
-    catalogue = load_catalogue(folder)
+    stars, off, catalogue = read_set(telemetry, sensor, report)
     report("matching the stars under both parameter sets")
     initial, final = match_under_states(stars, sensor, catalogue, states, settings, folder)
     rng = np.random.default_rng(bootstrap.SEED)

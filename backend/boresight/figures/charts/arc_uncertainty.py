@@ -14,8 +14,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.figures.chart import Table
-from boresight.figures.style import theme
-from boresight.figures.style.axes import MAX_MAPS, cells, detector_map, frame_maps, lay_maps
+from boresight.figures.style.axes import MAX_MAPS, cells, detector_map, draw_maps
 from boresight.figures.trust_parts import Part, column, part_figure
 
 KEY = "sigma_arcsec"
@@ -24,14 +23,12 @@ KEY = "sigma_arcsec"
 def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw one map a run on one scale from zero; only the last shows it."""
     highest = max(float(np.nanmax(column(part[KEY]))) for _, _, part in drawn)
-    shown = drawn[:MAX_MAPS]
-    figure = lay_maps(shown)
     scale = {"zmin": 0, "zmax": highest or 1, "colorscale": "Cividis"}
-    for place, (_, style, part) in enumerate(shown, start=1):
-        figure.add_trace(detector_map(part, KEY, style.label, showscale=place == len(shown), **scale), row=1, col=place)
-    theme.dress(figure, title=_headline(drawn), height_px=460, legend=False, hovermode="closest")
-    frame_maps(figure, len(shown))
-    return figure
+
+    def draw_map(one: Part, last: bool) -> go.Heatmap:
+        return detector_map(one[2], KEY, one[1].label, showscale=last, **scale)
+
+    return draw_maps(drawn[:MAX_MAPS], draw_map, title=_headline(drawn), height_px=460)
 
 
 def _headline(drawn: Sequence[Part]) -> str:

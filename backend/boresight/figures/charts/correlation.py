@@ -62,25 +62,14 @@ def strongest(names: Sequence[str], rho: FloatArray) -> tuple[str, str, float] |
 def _map(trace: Trace, names: Sequence[str], rho: FloatArray, *, scale: bool) -> go.Heatmap:
     labels = [quantity(name, trace.result).markup for name in names]
     own = np.eye(len(names), dtype=bool)
-    return go.Heatmap(
-        x=labels,
-        y=labels,
-        z=theme.short(np.where(own, np.nan, rho)),
-        zmin=-1,
-        zmax=1,
-        colorscale=theme.DIVERGING,
-        text=[
-            ["" if i == j or not np.isfinite(v) else f"{v:+.2f}" for j, v in enumerate(row)]
-            for i, row in enumerate(rho)
-        ],
-        texttemplate="%{text}",
-        xgap=2,
-        ygap=2,
+    between = np.where(own, np.nan, rho)
+    return theme.signed_map(
+        labels, labels, between, 0.0,
         showscale=scale,
         colorbar={"title": {"text": "ρ"}, "thickness": 10},
         hovertemplate=f"%{{y}} and %{{x}}: ρ = %{{z:+.4f}}<extra>{theme.escape(trace.label)}</extra>",
         hoverongaps=False,
-    )
+    )  # fmt: skip
 
 
 def _headline(one: Part) -> str:

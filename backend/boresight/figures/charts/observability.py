@@ -67,20 +67,11 @@ def _directions(result: Result, seen: Result) -> go.Heatmap:
     V = _vectors(seen)
     if V is None:
         V = np.full((len(names), n_modes), np.nan)
-    return go.Heatmap(
-        x=_modes(n_modes),
-        y=[quantity(name, result).markup for name in names],
-        z=theme.short(V),
-        zmin=-1,
-        zmax=1,
-        colorscale=theme.DIVERGING,
-        text=[["" if abs(v) < 0.1 or not np.isfinite(v) else f"{v:+.2f}" for v in row] for row in V],
-        texttemplate="%{text}",
-        xgap=2,
-        ygap=2,
+    return theme.signed_map(
+        _modes(n_modes), [quantity(name, result).markup for name in names], V, 0.1,
         colorbar={"title": {"text": "share"}, "len": 0.55, "y": 0, "yanchor": "bottom", "thickness": 10},
         hovertemplate="%{y}: %{z:+.3f} of direction %{x}<extra></extra>",
-    )
+    )  # fmt: skip
 
 
 def _vectors(seen: Result) -> FloatArray | None:

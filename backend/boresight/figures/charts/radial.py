@@ -52,7 +52,7 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     radials = [radial for _, _, radial in drawn]
     theme.dress(figure, title=_headline(radials[0]), height_px=460)
     _hatch_extrapolation(figure, radials, compute_window(seen))
-    _scale(figure, compute_window(seen), arcsec_per_px(radials))
+    _scale(figure, compute_window(seen), radials)
     return share_cursor(figure, "radius_px")
 
 
@@ -142,19 +142,24 @@ def arcsec_per_px(radials: Sequence[Result]) -> float | None:
     return scales[0] if max(scales) < 1.02 * min(scales) else None
 
 
-def _scale(figure: go.Figure, window: list[float], arcsec_per_px: float | None) -> None:
-    """Put arcseconds on the right, tied to the pixels on the left, where one plate scale holds."""
+def _scale(figure: go.Figure, window: list[float], radials: Sequence[Result]) -> None:
     figure.update_xaxes(title_text="radius from the principal point (px)", row=2, col=1)
     figure.update_yaxes(title_text="stars", rangemode="tozero", row=2, col=1)
     figure.update_yaxes(title_text="final − initial (px)", range=window, zeroline=True, row=1, col=1, secondary_y=False)
-    if arcsec_per_px is None:
-        figure.update_yaxes(visible=False, row=1, col=1, secondary_y=True)
+    _tie_arcsec(figure, window, radials)
+
+
+def _tie_arcsec(figure: go.Figure, window: list[float], radials: Sequence[Result]) -> None:
+    """Put arcseconds on the right of the first panel, tied to the pixels on the left, where one plate scale holds."""
+    scale, right = arcsec_per_px(radials), {"row": 1, "col": 1, "secondary_y": True}
+    if scale is None:
+        figure.update_yaxes(visible=False, **right)
         return
-    figure.add_trace(
-        go.Scatter(x=[0], y=[0], opacity=0, showlegend=False, hoverinfo="skip"), row=1, col=1, secondary_y=True
+    figure.add_trace(go.Scatter(x=[0], y=[0], opacity=0, showlegend=False, hoverinfo="skip"), **right)
+    span = [edge * scale for edge in window]
+    figure.update_yaxes(
+        title_text="arcsec, on axis", range=span, showgrid=False, tickmode="auto", zeroline=False, **right
     )
-    right = {"title_text": "arcsec, on axis", "range": [edge * arcsec_per_px for edge in window], "showgrid": False}
-    figure.update_yaxes(**right, tickmode="auto", zeroline=False, row=1, col=1, secondary_y=True)
     figure.update_yaxes(fixedrange=True, row=1, col=1)  # zoom along the radius: the two scales stay tied
 
 
@@ -320,13 +325,7 @@ def _tie_scales(figure: go.Figure, radials: Sequence[Result], window: list[float
     figure.update_yaxes(title_text="displacement (px)", range=window, secondary_y=False, fixedrange=True)
     if reached < end:
         hatch(figure, (reached, end), (window[0], window[1]), named=True, row=1, col=1)
-    scale = arcsec_per_px(radials)
-    if scale is None:
-        figure.update_yaxes(visible=False, secondary_y=True)
-        return
-    figure.add_trace(go.Scatter(x=[0], y=[0], opacity=0, showlegend=False, hoverinfo="skip"), 1, 1, secondary_y=True)
-    right = {"title_text": "arcsec, on axis", "range": [edge * scale for edge in window], "showgrid": False}
-    figure.update_yaxes(**right, tickmode="auto", zeroline=False, fixedrange=True, secondary_y=True)
+    _tie_arcsec(figure, window, radials)
 
 
 def _outermost(radial: Result) -> str:

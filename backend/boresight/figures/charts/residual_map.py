@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Result, Table
 from boresight.figures.style import theme
-from boresight.figures.style.axes import MAX_MAPS, QUIET, frame_maps, lay_maps
+from boresight.figures.style.axes import MAX_MAPS, QUIET, draw_maps
 from boresight.figures.trust_parts import Part, column, part_figure
 from boresight.verdicts.numbers import number
 
@@ -167,14 +168,9 @@ RESIDUAL_MAP = part_figure(
 def draw_residual_rms(found: Sequence[Part]) -> go.Figure:
     """Lay the maps of the runs beside each other on one scale."""
     drawn = found[:MAX_MAPS]
-    figure = lay_maps(drawn)
     top = max(float(np.nanmax(_rms(part))) for _, _, part in drawn)
-    for place, one in enumerate(drawn, start=1):
-        figure.add_trace(_map(one, top, last=place == len(drawn)), row=1, col=place)
     title = f"RMS {number(drawn[0][2]['after']['rms_in_all_px'], 3)} px an axis at the best fit"
-    theme.dress(figure, title=title, height_px=440, legend=False, hovermode="closest")
-    frame_maps(figure, len(drawn))
-    return figure
+    return draw_maps(drawn, partial(_map, top), title=title, height_px=440)
 
 
 def _rms(part: Result) -> FloatArray:
@@ -182,7 +178,7 @@ def _rms(part: Result) -> FloatArray:
     return column(part["after"]["rms_px"])
 
 
-def _map(one: Part, top: float, *, last: bool) -> go.Heatmap:
+def _map(top: float, one: Part, last: bool) -> go.Heatmap:
     _, style, part = one
     row, col = (column(part[name]) for name in ("row_edges_px", "col_edges_px"))
     return go.Heatmap(

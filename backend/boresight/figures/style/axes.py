@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import plotly.graph_objects as go
@@ -100,6 +100,18 @@ def lay_maps(drawn: Sequence[Part], spacing: float | None = None) -> go.Figure:
     titles = [style.short for _, style, _ in drawn] if len(drawn) > 1 else None
     space = 0.4 / max(4, len(drawn)) if spacing is None else spacing
     return make_subplots(1, len(drawn), subplot_titles=titles, horizontal_spacing=space)
+
+
+def draw_maps(
+    drawn: Sequence[Part], draw: Callable[[Part, bool], go.Heatmap], *, title: str, height_px: int
+) -> go.Figure:
+    """Draw one map a run, of which only the last shows the scale that all have."""
+    figure = lay_maps(drawn)
+    for place, one in enumerate(drawn, start=1):
+        figure.add_trace(draw(one, place == len(drawn)), row=1, col=place)
+    theme.dress(figure, title=title, height_px=height_px, legend=False, hovermode="closest")
+    frame_maps(figure, len(drawn))
+    return figure
 
 
 def frame_maps(figure: go.Figure, n_maps: int) -> None:

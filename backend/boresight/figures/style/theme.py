@@ -239,6 +239,13 @@ def bars(style: RunStyle, x: Sequence[Any], y: NDArray[np.float64], hover: str, 
     return go.Bar(x=x, y=short(y), hovertemplate=f"{hover}<extra>{style.label}</extra>", **settings)
 
 
+def signed_map(x: Sequence[str], y: Sequence[str], z: NDArray[np.float64], least: float, **options: Any) -> go.Heatmap:
+    """Draw shares between -1 and 1, (n_y, n_x), written where they are no smaller than `least`."""
+    text = [["" if abs(v) < least or not np.isfinite(v) else f"{v:+.2f}" for v in row] for row in z]
+    settings: dict[str, Any] = {"zmin": -1, "zmax": 1, "colorscale": DIVERGING, "xgap": 2, "ygap": 2} | options
+    return go.Heatmap(x=x, y=y, z=short(z), text=text, texttemplate="%{text}", **settings)
+
+
 def band(
     style: RunStyle, x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], **options: Any
 ) -> go.Scatter:
