@@ -62,8 +62,7 @@ def test_an_edit_by_hand_is_found_and_named(store, tmp_path, edit, said):
     accepted(store(*ADD, stdin="correct horse battery\n"))
     accepted(store("audit", "verify"))
     _edit_by_hand(tmp_path, edit)
-    found = store("audit", "verify")
-    assert_refused(found, said)
+    assert_refused(store("audit", "verify"), said)
 
 
 def _edit_by_hand(folder, edit, *, aside=False):
@@ -118,8 +117,7 @@ def test_a_schema_of_another_version_is_refused_and_left_as_it_is(store, tmp_pat
     accepted(store("migrate"))
     accepted(store("migrate", "--down", "0002"))
     before = path.read_bytes()
-    found = store("audit", "verify")
-    assert_refused(found, "has schema 0002", "boresight migrate")
+    assert_refused(store("audit", "verify"), "has schema 0002", "boresight migrate")
     assert path.read_bytes() == before
 
 
@@ -146,8 +144,7 @@ def test_a_stored_file_that_was_altered_or_is_missing_is_named(store, tmp_path, 
     found = store("audit", "verify")
     assert (found.exit_code, "the 1 stored files" in found.stdout) == (0, True)
     spoil(path)
-    found = store("audit", "verify")
-    assert_refused(found, f"The stored file {path.name[:12]} (of no row): {what}")
+    assert_refused(store("audit", "verify"), f"The stored file {path.name[:12]} (of no row): {what}")
     accepted(store("audit", "verify", "--no-blobs"))
 
 

@@ -60,10 +60,8 @@ def test_what_was_backed_up_comes_back_and_its_audit_log_holds(filled, monkeypat
 
 def test_nothing_is_written_over(filled):
     boresight, archive, _ = filled
-    restored = boresight("restore", archive)
-    assert_refused(restored, "already; restore into an empty")
-    saved = boresight("backup", "--out", archive)
-    assert_refused(saved, "a backup is never written over")
+    assert_refused(boresight("restore", archive), "already; restore into an empty")
+    assert_refused(boresight("backup", "--out", archive), "a backup is never written over")
 
 
 @pytest.mark.parametrize("name", ["boresight.sqlite3", "blobs"])
@@ -75,8 +73,7 @@ def test_a_file_that_is_not_as_it_was_backed_up_is_refused_and_no_database_appea
             content = source.read(member)
             target.writestr(member, content[:-1] + b"?" if member.startswith(name) else content)
     folder = _into(monkeypatch, tmp_path / "third")
-    done = boresight("restore", altered)
-    assert_refused(done, "is not as it was backed up")
+    assert_refused(boresight("restore", altered), "is not as it was backed up")
     assert not (folder / "boresight.sqlite3").exists()
     assert boresight(*ADD, stdin=f"{PASSWORD}\n").exit_code == 0  # nobody of the backup is there
 
@@ -87,15 +84,13 @@ def test_another_zip_is_no_backup(boresight, monkeypatch, tmp_path, manifest):
         if manifest is not None:
             archive.writestr("MANIFEST.json", manifest)
     _into(monkeypatch, tmp_path / "fourth")
-    done = boresight("restore", tmp_path / "a.zip")
-    assert_refused(done, "is no backup")
+    assert_refused(boresight("restore", tmp_path / "a.zip"), "is no backup")
 
 
 def test_what_is_no_zip_is_refused_in_one_sentence(boresight, monkeypatch, tmp_path):
     (tmp_path / "a.zip").write_text("no zip")
     _into(monkeypatch, tmp_path / "fifth")
-    done = boresight("restore", tmp_path / "a.zip")
-    assert_refused(done, "cannot be read as a backup")
+    assert_refused(boresight("restore", tmp_path / "a.zip"), "cannot be read as a backup")
 
 
 def test_an_installation_moves_to_postgresql_and_back_with_its_log(filled, monkeypatch, tmp_path, postgresql):

@@ -72,14 +72,12 @@ def test_report_writes_one_file_from_a_calibration_json(boresight, calibration, 
 def test_report_refuses_what_is_no_calibration(boresight, tmp_path, content):
     source = tmp_path / "other.json"
     source.write_text(content)
-    done = boresight("report", source, "--out", tmp_path / "report.html")
-    assert_refused(done, lines=1)
+    assert_refused(boresight("report", source, "--out", tmp_path / "report.html"), lines=1)
     assert not (tmp_path / "report.html").exists()
 
 
 def test_report_of_a_run_that_is_not_stored_is_refused(store, tmp_path):
-    done = store("report", "12", "--out", tmp_path / "report.html")
-    assert_refused(done, "12")
+    assert_refused(store("report", "12", "--out", tmp_path / "report.html"), "12")
 
 
 @pytest.mark.parametrize(("setting", "said"), [("1", False), ("0", True)])
@@ -111,8 +109,7 @@ def test_a_person_is_added_once_and_the_audit_chain_knows(store):
     done = accepted(store(*words, "--password-stdin", stdin=f"{PASSWORD}\n"))
     assert "analyst, approver" in done.stdout
     assert PASSWORD not in done.stdout + done.stderr
-    again = store(*words, "--password-stdin", stdin=f"{PASSWORD}\n")
-    assert_refused(again, "ada")
+    assert_refused(store(*words, "--password-stdin", stdin=f"{PASSWORD}\n"), "ada")
     checked = accepted(store("audit", "verify"))
     assert "head " in checked.stdout
     assert store("audit", "verify", "--head", "f" * 64).exit_code == 1
@@ -370,8 +367,7 @@ def test_a_calibration_without_a_member_it_needs_is_refused_by_the_name_of_that_
     cut = tmp_path / "cut.json"
     cut.write_text(json.dumps(document))
     more = ["--out", tmp_path / "report.html"] if command == "report" else ["--sensor", simulated / "sensor.json"]
-    done = boresight(command, cut, *more)
-    assert_refused(done, f"cut.json is no whole calibration ({member}")
+    assert_refused(boresight(command, cut, *more), f"cut.json is no whole calibration ({member}")
 
 
 INITIAL = {"s": 1.0, "f_m": 0.05, "u0_px": 512.3, "v0_px": 511.2, "k1": 0.01, "k2": -0.02}
@@ -458,8 +454,7 @@ def test_a_damaged_table_is_refused_by_its_crc(boresight, files):
     damaged = bytearray(image.read_bytes())
     damaged[5] ^= 1
     image.write_bytes(damaged)
-    read = _table(boresight, files, "decode", image)
-    assert_refused(read, "CRC of table.bin is not that of its bytes")
+    assert_refused(_table(boresight, files, "decode", image), "CRC of table.bin is not that of its bytes")
 
 
 def test_a_definition_that_is_no_json_is_refused(boresight, files):

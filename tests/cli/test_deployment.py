@@ -186,9 +186,7 @@ def test_docker_itself_accepts_the_compose_file():
 
 def test_a_worker_for_nobody_is_refused(boresight, monkeypatch):
     monkeypatch.setenv("BORESIGHT_SCHEDULER", "")
-    done = boresight("worker")
-
-    assert_refused(done, "There is no scheduler to work for: give --scheduler tcp://host:port.")
+    assert_refused(boresight("worker"), "There is no scheduler to work for: give --scheduler tcp://host:port.")
 
 
 @pytest.mark.parametrize("command", ["worker", "scheduler", "serve"])
@@ -254,8 +252,7 @@ def test_certificates_are_made_for_their_owner_only_and_never_replaced(boresight
     assert all(path.stat().st_mode & 0o077 == 0 for path in (tmp_path / "made", *(tmp_path / "made").iterdir()))
     assert "PRIVATE KEY" in files["boresight.pem"]
     assert "PRIVATE KEY" not in files["authority.pem"] + done.output
-    again = boresight("certificates", tmp_path / "made")
-    assert_refused(again, "is there already")
+    assert_refused(boresight("certificates", tmp_path / "made"), "is there already")
     assert {path.name: path.read_text() for path in (tmp_path / "made").iterdir()} == files
 
 

@@ -114,8 +114,7 @@ def test_parameters_must_be_named(evaluate):
 def test_parameters_that_are_not_this_sensors_are_refused_in_one_line(written, calibration_result, change, sentence):
     values = dict(calibration_result["parameters"])
     change(values)
-    done = written(values)
-    assert_refused(done, sentence, lines=1)
+    assert_refused(written(values), sentence, lines=1)
 
 
 @pytest.mark.parametrize(
@@ -129,8 +128,7 @@ def test_parameters_that_are_not_this_sensors_are_refused_in_one_line(written, c
     ],
 )
 def test_a_file_that_holds_no_parameters_is_refused_in_one_line(written, document, sentence):
-    done = written(document)
-    assert_refused(done, sentence, lines=1)
+    assert_refused(written(document), sentence, lines=1)
 
 
 @pytest.mark.parametrize("covariance", [{"names": ["f_m"], "matrix": [[-1.0]]}, {"names": ["f_m"], "matrix": 3}, 7])
@@ -140,8 +138,7 @@ def test_a_covariance_that_is_none_is_refused(written, calibration_result, covar
 
 
 def test_a_missing_file_is_refused_in_one_line(evaluate, tmp_path):
-    done = evaluate("--parameters", tmp_path / "absent.json")
-    assert_refused(done, "absent.json does not exist")
+    assert_refused(evaluate("--parameters", tmp_path / "absent.json"), "absent.json does not exist")
 
 
 @pytest.fixture

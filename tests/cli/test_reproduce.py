@@ -110,5 +110,4 @@ def test_the_same_command_gives_the_same_document_but_for_the_clock(wu, data_fol
     ],
 )
 def test_a_study_that_cannot_be_is_refused_in_one_line(boresight, tmp_path, study, words, said):
-    done = boresight("reproduce", study, "--quick", "--out", tmp_path / "out", *words)
-    assert_refused(done, said, lines=1)
+    assert_refused(boresight("reproduce", study, "--quick", "--out", tmp_path / "out", *words), said, lines=1)
