@@ -30,8 +30,9 @@ class StoredFile(FileResponse):
 
     media_type = "application/octet-stream"
 
-    def __init__(self, path: Path, *, filename: str, headers: Mapping[str, str]) -> None:
-        super().__init__(path, filename=filename, headers=headers, media_type=self.media_type)
+    # the framework reads the status of an operation from this signature
+    def __init__(self, path: Path, status_code: int = 200, *, filename: str, headers: Mapping[str, str]) -> None:
+        super().__init__(path, status_code, filename=filename, headers=headers, media_type=self.media_type)
 
 
 class PythonFile(Response):
