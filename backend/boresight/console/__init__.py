@@ -1,8 +1,4 @@
-"""The console: one folder a noun, each with its tables, queries, services, routes, schemas and pages.
-
-Every table is known before any is used: seals, migrations and foreign keys are about all of them. The definitions are the same for
-SQLite (STRICT), the default, and PostgreSQL by URL.
-"""
+"""The console: one folder a noun. Every table is declared here, for seals, migrations and foreign keys are about all of them."""
 
 from boresight.console.access import tables as access_tables
 from boresight.console.alarms import tables as alarm_tables

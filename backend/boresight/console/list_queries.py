@@ -69,7 +69,6 @@ def _holds(*columns: Any) -> Condition:
 
 
 def _of_sensor_named(column: Any) -> Condition:
-    """Keep to the rows of sensors whose name holds the text."""
     holds = _holds(Sensor.name)
     return lambda text: column.in_(sa.select(Sensor.id).where(holds(text)))
 

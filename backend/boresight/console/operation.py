@@ -1,17 +1,13 @@
-"""The one route class of the API: what every operation has besides its own work.
+"""The one route class of the API.
 
-An operation reads its request, calls one service, and returns the row. From the route this class makes
+An operation reads its request, calls one service, and returns the row; this class gives
 
 - who acts: nobody unknown gets in, unless the router is `open_to_all`; unsafe requests repeat the CSRF token;
-- the answer: the row in the shape of `response_model`, with the `ETag` and the `Location` that the shape declares;
-- idempotency of every POST that writes: with `Idempotency-Key` the answer is stored under (key, actor) in the transaction of the
-  effect, together with the SHA-256 of the request: method, address and body. The same request again within a day is answered from
-  the store, with `Idempotent-Replayed: true`; another request under the same key is refused. A refusal is not stored, for it had no
-  effect. What is older than a day is deleted in the transaction that stores a new answer;
+- the answer in the shape of `response_model`, with the `ETag` and the `Location` that the shape declares;
+- idempotency of every POST that writes: with `Idempotency-Key` the answer is stored for a day under (key, actor), in
+  the transaction of the effect, with the SHA-256 of the request; another request under the same key is refused;
 - dry runs: with `validate_only` the transaction is a trial, and the answer says so;
 - the refusals that its dependencies can make, in the documentation (`boresight.platform.web.openapi.refuses`).
-
-All of it happens in the thread and in the transaction of the operation.
 """
 
 from __future__ import annotations
@@ -137,7 +133,6 @@ class Idempotency:
         return json_response(made.body, made.status, made.headers)
 
     def _replay(self, known: IdempotentResponse) -> Response:
-        """Give the remembered answer to the same request."""
         if known.request_sha256 != self.request_sha256:
             raise RefusedInputError(
                 "This Idempotency-Key was used for another request; use a new key for a new request."

@@ -110,5 +110,4 @@ def revoke_key(session: Session, actor: Actor, key_id: int) -> ApiKey:
 
 
 def _subject(key: ApiKey) -> str:
-    """Name a key as the audit log does."""
     return f"api-keys/{key.id}"

@@ -1,17 +1,9 @@
-"""Authentication: who asks, by the credential that the request carries, looked up in the store.
+"""Authentication: who asks, by the API key or the log-in cookie that a request carries, looked up in the store.
 
-Every request is authenticated once, by the layer `Authentication` in front of cache, queue and endpoints; a request that waited for
-its turn or for another's answer is authenticated again. What was found is remembered under exactly these credentials (the headers
-`Authorization` and `Cookie`, byte for byte), and holds while the data version that it was found under is that of now, or else while
-the rows behind say the same, and until its end by the clock. Keys revoked, log-ins ended, people disabled, roles changed are all
-commits, so they act with the next request.
-
-The log-in cookie: a signed value that holds the secret of a session and its CSRF token.
-
-The value is `[token, csrf]` signed with the installation's secret key, so it can be read by its holder and altered by nobody.
-Whether the session still holds is the store's to say (`boresight.console.access.sessions`), with every request. HttpOnly keeps the
-cookie from scripts, SameSite=Lax from other sites' forms; the CSRF token must come back in every unsafe request that it
-authenticates.
+The layer `Authentication` stands in front of cache, queue and endpoints. What it found is remembered under exactly
+these credentials until its end by the clock, as long as nothing was committed or the rows behind it say the same: a key
+that is revoked or a person who is disabled is out with the next request. The cookie is the signed pair `[token, csrf]`;
+the CSRF token must come back in every unsafe request that the cookie authenticates.
 """
 
 from __future__ import annotations
@@ -283,7 +275,6 @@ def _note(request: Request, known: Identity) -> Actor:
 
 
 def _look_up(request: Request) -> Identity:
-    """Look up the credential of a request in the store, and remember what holds for every address."""
     known = _of_key(request) or _of_log_in(request)
     known = replace(known, mark=request.scope["state"].get(DATA_VERSION))
     if known.sharing is not None:
@@ -292,7 +283,6 @@ def _look_up(request: Request) -> Identity:
 
 
 def _of_key(request: Request) -> Identity | None:
-    """Look up an API key; None where none is given."""
     secret = bearer(request.headers)
     if secret is None:
         return None
@@ -307,7 +297,6 @@ def _of_key(request: Request) -> Identity | None:
 
 
 def _of_log_in(request: Request) -> Identity:
-    """Look up a log-in by its cookie."""
     cookie: LogInCookie = request.app.state.log_in_cookie
     if cookie.name not in request.cookies:
         raise UnauthenticatedError("You are not logged in; log in, or send an API key as a Bearer token.")

@@ -1,8 +1,7 @@
 """Dependencies of the endpoints: the actor, a transaction, the CSRF check.
 
-One request is one transaction. It ends before the answer is sent (`scope="function"`), so an answer that says "done"
-tells of something that is committed. Writers of this process queue on a lock of the event loop and not in the thread
-pool: were they to wait for the database inside it, they could take every thread from the one who holds the database.
+One request is one transaction, which ends before the answer is sent (`scope="function"`). Writers queue on a lock of
+the event loop: in the thread pool they could take every thread from the one who holds the database.
 """
 
 from __future__ import annotations

@@ -1,25 +1,13 @@
-"""How fast passwords may be tried: after some failures each further attempt waits, longer each time.
+"""How fast passwords may be tried, and how few audit records a crowd of wrong ones makes.
 
 With f failures counted under a key and n of them free, an attempt begins no earlier than::
 
     d(f) = 0 for f < n,  min(2^(f - n), longest) [s] for f >= n
 
-after the one before; attempts that come at once are counted as if they had failed. A short wait is waited out, of a longer one
-the person is told. An attempt is counted under each of these keys:
-
-- its name at its place (an address, or the session of somebody who signs with their own password);
-- its name at the console of one person, where it is typed at somebody else's console;
-- unless the place is one that the name logged in from before: its name at all such places together, and its place (or the person
-  at the console), whatever the names.
-
-So strangers share some 50 tries an hour at an account, wherever they come from, and a place that the person logged in from has
-some 50 of its own: together under 100 (OWASP ASVS 4.0, 2.2.1). What strangers do keeps nobody waiting where they logged in
-before. Counts are each server's own and are forgotten `FORGET_S` after the last failure.
-
-Wrong passwords in the audit log: one record for each name and address a minute, however many there were, and few records in all.
-
-Whoever knows no password must not be able to make the log grow: what is more than `MOST_RECORDS` names and addresses in a minute
-is told in one record, by its numbers. The name stands as it was typed, cut and cleaned of what cannot be seen.
+after the one before. It is counted under its name at its place, under its name at the console where another one is
+logged in, and, unless the name logged in from that place before, under its name at all such places and under the place
+alone. So strangers share some 50 tries an hour at an account and a known place has 50 of its own (OWASP ASVS 4.0,
+2.2.1).
 """
 
 from __future__ import annotations

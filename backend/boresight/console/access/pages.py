@@ -1,9 +1,4 @@
-"""People, API keys and log-ins: administrators manage people; everyone manages their own keys, log-ins and password.
-
-Logging in and out. The way back (`?next=`) is followed only inside this server.
-
-Setting one's own password: what a person must do first to whom somebody else gave one.
-"""
+"""Pages of people, API keys and log-ins, of logging in and out, and of setting one's own password."""
 
 from __future__ import annotations
 
@@ -69,7 +64,6 @@ class UsersContext:
 
 
 def _page(request: Request, actor: Actor, shown: UsersContext, session: Session) -> HTMLResponse:
-    """Render people and keys."""
     administrator = "administrator" in actor.roles
     people = users.list_users(session)
     return render(
@@ -195,7 +189,6 @@ async def end_sessions(request: Request, actor: Who, user_id: int) -> Response:
 
 
 def _end_sessions(actor: Actor, user_id: int, session: Session) -> str:
-    """End every log-in of a person and return the name."""
     users.end_sessions(session, actor, user_id)
     return users.get_user(session, user_id).printed_name
 
@@ -216,7 +209,6 @@ def _sessions_page(
     refusal: ShownRefusal | None,
     session: Session,
 ) -> HTMLResponse:
-    """Render the log-ins of a person, those that are open first."""
     opened = sessions.list_sessions(session, actor, user_id, is_open=True)
     ended = sessions.list_sessions(session, actor, user_id, is_open=False, limit=SESSIONS_SHOWN)
     person = users.get_user(session, user_id or require_person(actor, "see log-ins"))
@@ -276,7 +268,6 @@ async def create_key(
 
 
 def _make_key(actor: Actor, label: str, days: str, scopes: list[str], session: Session) -> str:
-    """Return the secret of a new key."""
     expires_days = parse_row_id(days)
     if expires_days is None:
         raise RefusedInputError(f"{days.strip()[:20]!r} is not a number of days; type one, such as 90.")
@@ -366,7 +357,6 @@ def password_page(request: Request, actor: Who) -> HTMLResponse:  # noqa: ARG001
 
 
 def _password_page(request: Request, refusal: ShownRefusal | None) -> HTMLResponse:
-    """Render the form, with why it was refused."""
     sentence = refusal.sentence if refusal else ""
     return render(
         request, "access/password.html", refused=refusal, refusal=sentence, minimum_length=MINIMUM_PASSWORD_LENGTH

@@ -1,9 +1,7 @@
 """Checking and hashing passwords for requests: outside every transaction and lock, in threads of their own, in bounded queues.
 
-An argon2 hash takes 64 MiB and all cores for a moment. Those for people who are logged in, those for names that logged in from the
-same place before and those for anybody have a thread each, so that a flood of log-ins holds up neither a signature nor a return;
-the thread of anybody's yields the processors to the rest of the server. A wait that the limiter orders is an `asyncio.sleep`: it
-holds no thread, no lock and no connection to the store, and few may wait at once.
+An argon2 hash takes 64 MiB and all cores for a moment, so people who are logged in, names that logged in from the same
+place before, and anybody have a thread each: a flood of log-ins holds up neither a signature nor a return.
 """
 
 from __future__ import annotations
@@ -164,8 +162,6 @@ class PasswordWorker:
         return (await self.prepare(password, *names) if proof.fits else NewPassword()), proof
 
     async def _read(self, read: Callable[[Session], T]) -> T:
-        """Read something in a transaction of its own, which is over before any work begins."""
-
         def in_transaction() -> T:
             with open_reading(self._database) as session:
                 return read(session)

@@ -1,19 +1,9 @@
-"""Passwords: which may be used, how they are kept, and how one is checked.
+"""Passwords: which may be used, how they are kept, how one is checked, and who else knew one.
 
-They are kept as argon2id hashes, which are slow on purpose: no transaction may wait for one. So whoever needs a password checked
-does it in three steps: read what is stored, work outside any transaction, and bring the value of that work into the transaction,
-which holds it against what is stored then. A name that does not exist costs the same hash as one that does.
-
-A password proves a person only if nobody else chose it. Administrators create people and reset passwords, and one could
-then sign as somebody else; that cannot be told from the person doing it, so `password_by` says of every signature what
-the audit log knows, and it stays with the signature.
-
-Password strength: refuses common passwords, those made of common parts, and those made of the person's own names.
-
-zxcvbn estimates in how many guesses a password falls, from its lists (the 30,000 commonest passwords, names, words), from
-keyboard patterns, dates, repeats and sequences; all of it offline. OWASP ASVS 4.0, 2.1.7, asks to refuse the commonest that
-satisfy the length rule. The time that an estimate takes grows faster than the length, so of a long password its ends are judged:
-it is as good as the better of them.
+They are kept as argon2id hashes, slow on purpose, so a check reads what is stored, works outside any transaction, and
+holds the result against what is stored then; a name that does not exist costs the same. zxcvbn refuses what is guessed
+easily (OWASP ASVS 4.0, 2.1.7); of a long password its ends are judged, for its time grows faster than the length.
+`password_by` says of every signature who else gave the password, for an administrator could sign with it.
 """
 
 from __future__ import annotations
@@ -64,7 +54,6 @@ def describe_weakness(password: str, names: tuple[str, ...] = ()) -> str | None:
 
 
 def _words(text: str) -> set[str]:
-    """Return the words of a text, whatever stands between them."""
     return set("".join(letter if letter.isalnum() else " " for letter in text).split())
 
 

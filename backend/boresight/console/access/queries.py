@@ -1,13 +1,4 @@
-"""Queries on people.
-
-Queries on API keys.
-
-Queries on log-ins.
-
-The rows on which a credential depends, so that a cached identity is checked again with one query.
-
-Identifying somebody makes objects of rows and rules on them: some milliseconds. While the rows say what they said, so does that.
-"""
+"""Queries on people, API keys and log-ins, and on the rows that a cached identity depends on."""
 
 from __future__ import annotations
 

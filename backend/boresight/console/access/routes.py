@@ -1,9 +1,4 @@
-"""People: add, give roles, keep out, let in, set passwords, end log-ins.
-
-API keys: make, list, revoke. The secret is shown once.
-
-Logging in and out, who one is, and the log-ins that one has.
-"""
+"""Operations on people, API keys and log-ins, and logging in and out."""
 
 from __future__ import annotations
 
@@ -223,7 +218,6 @@ async def proven(credentials: Credentials, passwords: PasswordChecks, request: R
 
 
 def _who(session: Session, actor: Actor, csrf_token: str | None) -> Answer:
-    """Say who acts."""
     body = {
         "user_id": actor.user_id,
         "name": actor.name,

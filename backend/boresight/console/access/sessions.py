@@ -1,8 +1,8 @@
-"""Log-ins: each is a row of the store, so that a person sees their own and ends any of them, and a copied cookie ends with it.
+"""Log-ins: each is a row, so that a person sees their own and ends any of them, and a copied cookie ends with it.
 
-The cookie holds a random secret and the row its SHA-256 alone: 256 random bits need no slow hash. A log-in ends when its person
-says so, by log-out or from the list, with a changed password or changed roles, when the person is disabled, when it was not used
-for `session_idle_minutes`, and at the latest after `session_hours`. What ended is kept for `KEPT_FOR_S`, to look back at.
+The row keeps the SHA-256 of the cookie's random secret. A log-in ends by log-out, from the list, with a changed
+password or roles, when the person is disabled, unused for `session_idle_minutes`, and at the latest after
+`session_hours`.
 """
 
 from __future__ import annotations

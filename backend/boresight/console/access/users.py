@@ -1,9 +1,6 @@
-"""People: who they are, how they log in, what they may do.
+"""People: who they are, how they log in, which roles they may hold together.
 
-Who was given a password by somebody else must set their own before anything else, and cannot sign until then: an
-administrator gives roles and passwords, and must not come to sign with them.
-
-Which roles one person may hold together.
+Who was given a password by somebody else must set their own before anything else, and cannot sign until then.
 """
 
 from __future__ import annotations
@@ -101,7 +98,6 @@ def authenticate(session: Session, proof: PasswordProof, request_id: str | None 
 
 
 def _actor(user: User, request_id: str | None = None, session_id: int | None = None) -> Actor:
-    """Let a person act under a log-in."""
     roles = frozenset(user.roles)
     return Actor(user.id, user.name, user.printed_name, roles, "session", None, request_id, session_id=session_id)
 
@@ -242,5 +238,4 @@ def _keep_an_administrator(session: Session, leaving: User) -> None:
 
 
 def _subject(user: User) -> str:
-    """Name a person as the audit log does."""
     return f"users/{user.id}"

@@ -1,9 +1,7 @@
-"""What keeps an installation going, on one page: people, keys, workers, the audit's light, settings, backup.
+"""What keeps an installation going, on one page, and the gallery: every figure and element of the pages in all their states.
 
-The gallery: every figure of the registry and every element of the pages, in all their states, on a specimen.
-
-It is where a person learns what a figure looks like before there is a run, and what the screenshot tests look at. Nothing
-here reads the store: the figures draw `boresight.figures.example_calibration`.
+The gallery reads nothing from the store: its figures draw `boresight.figures.example_calibration`, and the screenshot
+tests look at it.
 """
 
 from __future__ import annotations
@@ -124,7 +122,6 @@ gallery_router = APIRouter(dependencies=[Depends(get_actor)])
 
 
 def _find_traces(name: str, of: str) -> tuple[str, ...]:
-    """Find a figure and a state, or say which there are."""
     if name not in FIGURES:
         raise NotFoundError(f"There is no figure {name}; choose from {', '.join(FIGURES)}.")
     return _state(of)[1]

@@ -1,12 +1,8 @@
-"""Is it alive, is it ready, how is it doing: for load balancers and monitoring.
+"""Health, readiness, metrics and the documentation of the API.
 
-Whether it is alive and ready is told to anybody. Details and metrics say how the server is built and used: they are told
-on this machine where the server listens to nobody else, and otherwise to who is logged in or sends an API key.
-
-They answer under any load: the first needs no thread, and the others have one of their own, so that a crowd which waits for the
-threads of the endpoints does not look like a server that is dead.
-
-The documentation of the API is a page of this server too.
+Anybody is told whether the server is alive and ready; details only on this machine where the server listens to nobody
+else, or to who is known. They have a thread of their own, so that a crowd which waits for an endpoint does not look
+like a dead server.
 """
 
 from __future__ import annotations
@@ -138,7 +134,6 @@ def _newest_revision() -> str | None:
 
 
 def _files(files: CachedCheck) -> dict[str, Any]:
-    """Look at the place of the files."""
     fault = files.fault()
     return {"ready": False, "detail": fault} if fault else {"ready": True}
 

@@ -50,7 +50,6 @@ DONE = {
 
 
 def _sought(state: str = "", sensor: str = "", sensor_name: str = "", kind: str = "") -> alarms.AlarmFilter:
-    """Read the filters; one that does not exist is none."""
     return alarms.AlarmFilter(
         sensor_id=parse_row_id(sensor),
         sensor_name=sensor_name.strip()[:LONGEST_FILTER] if is_text(sensor_name) else "",
@@ -60,7 +59,6 @@ def _sought(state: str = "", sensor: str = "", sensor_name: str = "", kind: str 
 
 
 def _query(sought: alarms.AlarmFilter) -> str:
-    """Write the filters as an address's query."""
     named = {"state": sought.state or "", "sensor": sought.sensor_id or "", "kind": sought.kind or ""}
     return urlencode(named | ({"sensor_name": sought.sensor_name} if sought.sensor_name else {}))
 
@@ -99,7 +97,6 @@ def alarms_csv(session: Reading, actor: Who, sought: Seeking) -> Response:  # no
 
 
 def _csv_row(row: Alarm, names: RunNames) -> dict[str, Any]:
-    """Lay out an alarm for a program."""
     return {
         "alarm": row.id,
         "kind": row.kind,
@@ -127,7 +124,6 @@ def _page(
     refusal: ShownRefusal | None,
     session: Session,
 ) -> HTMLResponse:
-    """Render an alarm, with what a refused form left behind."""
     row = alarms.get_alarm(session, alarm_id)
     return render(
         request,
@@ -160,7 +156,6 @@ async def handle(request: Request, actor: Who, alarm_id: int, step: str) -> Resp
 
 
 def _handle(actor: Actor, alarm_id: int, step: str, typed: Mapping[str, str], session: Session) -> Alarm:
-    """Hand a form to the service of its step."""
     seen, text = seen_version(typed), typed.get("text", "")
     if step == "acknowledge":
         return alarms.acknowledge(session, actor, alarm_id, text, seen)

@@ -1,4 +1,4 @@
-"""Queries on alarms, what became of them, and notes."""
+"""Queries on alarms and what became of them."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""The watch: it raises alarms and returns them to normal, and leaves the rest of them to people (`console.alarms.service`).
-
-It compares the conditions of now with the alarms that are open and writes only what differs, so it may be called as often as
-one likes, in any transaction: after a run ends, a promotion, a record on board, and every round of the server's upkeep.
-Two servers that watch one store agree, for there is one writer at a time and one open alarm of a source.
-
-Alarm rules: each is evaluated on the store as it is now.
+"""What raises alarms and returns them to normal: rules on the store as it is now; only what differs is written.
 
 ========== ======== ==========================================================================================
 `DRIFT`    serious  the parameters do not hold any more (`console.fleet.trend`), 0.1 % false alarms for each look;
@@ -12,19 +6,12 @@ Alarm rules: each is evaluated on the store as it is now.
 `AGE`      caution  the baseline is older than `fleet.OLD_DAYS`
 `MISMATCH` critical a read-back of one of the sensor's sets did not match what was sent
 `CHAIN`    critical the audit log, or a row that it seals, is not as it was written
-`CLOCK`    serious  the clock jumped (`console.alarms.rules`): nothing expires until somebody acknowledges it
+`CLOCK`    serious  the clock jumped by `JUMP_S`, or nobody ran for `AWAY_S`: nothing expires until somebody acknowledges it
 `HEAD`     serious  the head of the audit log cannot be written to where it is kept
 `FILES`    critical a stored file that rows name was altered on the disk, or is missing
 ========== ======== ==========================================================================================
 
 A sentence says nothing that changes by the passing of time alone, so that looking again changes nothing.
-
-Detecting jumps of the machine's clock: no request expires after one until a person has seen it.
-
-The wall clock is held against one that nobody can set. Where the two drift apart by more than `JUMP_S` since they were last
-found to agree, the wall clock was set. Across a restart nothing runs on, so a server that finds itself more than `AWAY_S` after
-it was last seen to run asks too: it was away for long, or the clock is wrong. Both raise an alarm of kind CLOCK, and
-acknowledging it is to say that the clock is right now.
 """
 
 from __future__ import annotations
@@ -109,14 +96,12 @@ def check_files(bad: Sequence[BadFile]) -> AlarmCondition | None:
 
 
 def _check_drift(sensor: Any, found: DriftVerdict) -> Iterator[AlarmCondition]:
-    """Ask whether the parameters hold."""
     if found.verdict == "DRIFT":
         sentence = f"{sensor.name} drifts. {found.sentence}"
         yield AlarmCondition(name_source(sensor.id, "DRIFT"), sensor.id, "DRIFT", "serious", sentence, found.document)
 
 
 def _check_age(sensor: Any, baseline: Any) -> Iterator[AlarmCondition]:
-    """Ask whether the baseline is too old."""
     age_d = count_days_since(baseline)
     if baseline is None or baseline.baseline_from_utc is None or age_d is None or age_d <= OLD_DAYS:
         return
@@ -127,7 +112,6 @@ def _check_age(sensor: Any, baseline: Any) -> Iterator[AlarmCondition]:
 
 
 def _check_mismatches(sensor: Any, onboard: Sequence[Any]) -> Iterator[AlarmCondition]:
-    """Ask whether a read-back failed."""
     bad = [row for row in onboard if row.onboard_state == "MISMATCH"]
     if bad:
         names = ", ".join(row.name for row in bad)
@@ -224,7 +208,6 @@ def _is_news(row: Alarm, found: AlarmCondition) -> bool:
 
 
 def _raise(session: Session, found: AlarmCondition) -> bool:
-    """Open an alarm."""
     row = Alarm(
         source=found.source,
         sensor_id=found.sensor_id,
@@ -256,7 +239,6 @@ def _renew(session: Session, row: Alarm, found: AlarmCondition) -> bool:
 
 
 def _return(session: Session, row: Alarm) -> bool:
-    """Say that it is over."""
     if not row.active:
         return False
     row.active, row.returned_utc = 0, utc_now()
@@ -266,7 +248,6 @@ def _return(session: Session, row: Alarm) -> bool:
 
 
 def _unshelve_overdue(session: Session) -> int:
-    """Take from the shelf what was there until now."""
     overdue = queries.overdue_shelves(session)
     for row in overdue:
         row.shelved_until_utc = None

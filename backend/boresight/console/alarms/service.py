@@ -1,14 +1,11 @@
-"""Alarms: what needs a person, until a person has seen it and it is over. States and words are those of ISA-18.2.
+"""Alarms: what people do about what needs a person. States and words are those of ISA-18.2.
 
     active, unacknowledged  --acknowledge-->  active, acknowledged  --it is over-->  closed
             |                                                                          ^
             it is over --> returned to normal, unacknowledged  --acknowledge-----------+
 
-An alarm returns to normal by itself and stays in the list until somebody acknowledges it: what came and went at night is
-seen in the morning. If the condition comes back, or becomes graver, it is unacknowledged again. A shelved alarm counts for
-nobody until its time is over, `MOST_DAYS` at most. Every step is an event that is never edited, and an audit record.
-
-What raises an alarm and returns it to normal is in `watch`; here is what people do about it.
+If the condition comes back, or becomes graver, it is unacknowledged again. A shelved alarm counts for nobody until its
+time is over, `MOST_DAYS` at most. Every step is an event that is never edited, and an audit record.
 """
 
 from __future__ import annotations
@@ -109,7 +106,6 @@ def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: st
 
 
 def _end_of_shelf(until: str) -> str:
-    """Read until when an alarm is shelved."""
     until_utc = read_time(until)
     if not utc_now() < until_utc <= utc_after(MOST_DAYS * DAY_S):
         raise RefusedInputError(f"An alarm is shelved until a time to come, {MOST_DAYS:.0f} days from now at most.")
@@ -145,7 +141,6 @@ def comment(session: Session, actor: Actor, alarm_id: int, text: str, seen_versi
 
 
 def _to_handle(session: Session, actor: Actor, alarm_id: int, seen_version: int | None, what: str) -> Alarm:
-    """Return an open alarm that this person may handle."""
     require_person(actor, what)
     require_role(actor, *HANDLERS)
     row = get_alarm(session, alarm_id)
@@ -156,7 +151,6 @@ def _to_handle(session: Session, actor: Actor, alarm_id: int, seen_version: int 
 
 
 def _said(text: str, needed: str = "") -> str:
-    """Return what a person said with a step."""
     refuse_control_characters(comment=text)
     if (needed and not text.strip()) or len(text) > LONGEST_TEXT:
         raise RefusedInputError(f"Give a {needed or 'comment'} of {int(bool(needed))} to {LONGEST_TEXT} characters.")

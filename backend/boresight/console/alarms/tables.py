@@ -1,4 +1,4 @@
-"""Alarms of the fleet and what became of them, and the notes that people leave on runs, sensors and parameter sets."""
+"""Alarms of the fleet and what became of them."""
 
 from __future__ import annotations
 

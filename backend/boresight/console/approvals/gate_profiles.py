@@ -1,8 +1,7 @@
 """Gate profiles: the limits that a sensor's sets are held to. Every version is kept; the newest is in force.
 
-Until somebody sets another, the default of `verdicts.gates` is version 0; its row is written when first needed. Who sets
-limits neither runs nor signs: only an administrator does. Other limits are another verdict, so setting a profile makes the
-sensor's undecided requests stale. A profile can be tried first on what was measured of past runs.
+Until somebody sets another, the default of `verdicts.gates` is version 0; its row is written when first needed. Only an
+administrator, who neither runs nor signs, sets limits, and the sensor's undecided requests become stale by it.
 """
 
 from __future__ import annotations
@@ -57,7 +56,6 @@ def profile_in_force(session: Session, sensor_id: int) -> GateProfile:
 
 
 def _default(sensor: Sensor) -> GateProfile:
-    """Return version 0 of a sensor's profile."""
     return GateProfile(
         sensor_id=sensor.id,
         number=0,
@@ -191,7 +189,6 @@ def _tried(
 
 
 def _measured(blobs: BlobStore, run: Run) -> dict[str, Measurement]:
-    """Measure a run by its own result, against the parameters that it started from."""
     try:
         result = read_result(blobs, str(run.result_sha256), run.id)
         sensor = parse_sensor(run.sensor_document)

@@ -1,25 +1,14 @@
-"""Gate reports: a set held against its sensor's limits and against the incumbent.
+"""Gate reports and waivers: a set held against its sensor's limits and against the incumbent.
 
 A report is made in three steps, because seeing validation frames under two sets takes seconds and there is one writer::
 
-    gather   reading transaction    what the verdict rests on, with its hashes     (`gate_evidence`)
+    gather   reading transaction    what the verdict rests on, with its hashes     (`StoredGateInputs`)
     examine  no transaction         measure and judge
     record   writing transaction    stored if none of the hashes moved meanwhile
 
-A report holds for the hashes it is bound to; when set, run, profile, incumbent or table definition moved it holds no longer,
-and `latest_report` does not know it. A set that is submitted without one gets a light report: what its own run says. Waivers
-are no part of a report: they are laid over it whenever it is read, so one that expires blocks again.
-
-What the gates of a stored set look at, gathered in one reading transaction; nothing is computed here.
-
-Held-out frames are the run's validation set, else the sensor's newest validation set that neither the set nor the incumbent was
-calibrated on: whoever was fitted to the frames would be flattered by them.
-
-Waivers: a person lets a set pass in spite of a gate, with a reason, until a time.
-
-A waiver is never taken back and never removed. While it holds the gate does not block; when it expires the gate blocks again;
-and the verdict of the set says for ever how many gates were waived. It changes the evidence, so an open request of the set
-becomes STALE, and the next one needs one approval more.
+It holds while what it is bound to stands. Validation frames are those that neither the set nor the incumbent was fitted
+to. A waiver is never taken back; it is laid over the report until it expires, and makes an open request of the set
+STALE.
 """
 
 from __future__ import annotations
@@ -391,7 +380,6 @@ def _checked(gate: str, code: str, reason: str, expires_utc: str) -> str:
 
 
 def _blocking_report(session: Session, parameter_set_id: int, name: str, gate: str) -> GateReport:
-    """Return the report that holds, if this gate blocks in it and may be waived."""
     report = latest_report(session, parameter_set_id)
     if report is None:
         raise ConflictError(f"{name} has no gate report that holds now: assess it, then waive what blocks it.")

@@ -1,10 +1,4 @@
-"""Requests for approval: read, sign, refuse. Only people sign, each with the password given again.
-
-The discussion of a request for approval: assignment, remarks, opened evidence.
-
-Gate profiles of a sensor: the limits in force and before, setting others, trying some on past runs. Gate reports of a
-parameter set: assess it, read what was found, waive a gate.
-"""
+"""Operations on requests for approval and their discussion, on gate profiles, gate reports and waivers."""
 
 from __future__ import annotations
 

@@ -1,24 +1,9 @@
-"""Requests for approval, and the signatures that decide them.
+"""Requests for approval: opened and taken back, discussed, signed by two pairs of eyes, and met by a promotion.
 
-Four eyes, in the server's transaction: `signers` says who may sign, the password is given again, and what was shown is
-bound by its hashes; if one moved, the request is STALE. As many approvals as the request needs approve it, one refusal
-blocks, also after an approval, until the set is promoted. A request that its gates stop can be refused, not approved.
-
-Who else gave the password of who signs stands in the signature, as `passwords.password_by` tells it from the audit log.
-
-Over the shoulder a second person signs at the console of another, with name and password: the signature is theirs, the
-console's owner stands beside it, and the log-in of the console stays whose it was.
-
-Promotion: an approved set becomes its sensor's baseline, the one before is superseded, all in one transaction. Rolling back is
-the same move with an older set. The signatures are counted again there, by the policy that holds now, so that what was signed
-while four-eyes was off does not pass once it is on.
-
-Nothing of the discussion decides. Remarks and openings are only ever added. Which evidence a person opened is shown beside
-their signature and not enforced: a click proves no reading.
-
-A request is opened for a set that should become baseline, and taken back. One for a set that was baseline once is a roll-back: it
-goes the same way, has its own shorter time, and may be opened by an operator too, who sees what flies. A waiver in force asks
-for two approvals at least.
+The password is given again, and what was shown is bound by its hashes; if one moved, the request is STALE. One refusal
+blocks until the set is promoted. A promotion counts the signatures again, by the policy that holds now, so that what
+was signed while four-eyes was off does not pass once it is on. A request for a set that was baseline once is a
+roll-back.
 """
 
 from __future__ import annotations
@@ -226,7 +211,6 @@ def _sign(
     policy: Policy,
     console: str | None,
 ) -> Signature:
-    """Keep the signature of a person who proved to be one, if the evidence still stands, and decide by it."""
     parameter_set = session.get_one(ParameterSet, approval.parameter_set_id)
     refuse_expired(session, approval, parameter_set)
     refuse_changed_evidence(session, actor, approval, parameter_set)
@@ -474,7 +458,6 @@ def _submittable(
 
 
 def _open(session: Session, actor: Actor, row: ParameterSet, reason: str, policy: Policy) -> Approval:
-    """Open the request, with its time and the approvals that it needs."""
     bound = bind_evidence(session, row)
     is_rollback = row.baseline_from_utc is not None
     days = policy.rollback_days if is_rollback else policy.approval_days

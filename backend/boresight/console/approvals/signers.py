@@ -1,9 +1,7 @@
-"""Who may sign a request: a second person, in person.
+"""Who may sign a request: an approver who is no administrator and had no part in the set, whichever session or key they used.
 
-An approver signs, and is no administrator: who gives roles and passwords must not be able to sign with them. The second
-pair of eyes belongs to nobody who had a part in the set, whichever session or key they used: not to who submitted it,
-not to who launched the run that it comes from, alone or in a campaign, and not to who created it. Where the policy says
-that four-eyes is off, those may sign, and are still told apart: they are never counted as second persons once it is on.
+Where the policy says that four-eyes is off, those with a part in it may sign, and are still told apart: they are never
+counted as second persons once it is on.
 """
 
 from __future__ import annotations

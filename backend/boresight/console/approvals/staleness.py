@@ -1,16 +1,7 @@
-"""Approval staleness: a request becomes STALE when what it binds changes, and EXPIRED when its time is over.
+"""What a request binds: it becomes STALE when that changes, and EXPIRED when its time is over; its gates may block it.
 
-Promoting a set, a new gate profile and a new table definition make the sensor's other requests STALE at once, a waiver
-those of its set. `refuse_changed_evidence` asks again at every signature and promotion, for whatever else may have happened to
-the rows. A request that nobody decided on in time is EXPIRED by the server's heartbeat, or by whoever comes too late.
-
-The approval binding: the hashes of the evidence that an approver is shown, and the gates that block a set.
-
-A request binds the hashes of the set, of its run's result, of the gate report with its profile, of the table on board
-and of the baseline that would be replaced, and which waivers were in force. `find_changed_evidence` compares them with the rows as
-they are now. A request of before there were gates binds no report and no profile: it is held to what it binds.
-
-A report says which gates block. A waiver in force lifts one that may be waived; a critical gate is lifted by nothing.
+Another baseline, gate profile or table definition makes the sensor's requests STALE at once, a waiver those of its set;
+every signature and promotion asks again. A request of before there were gates is held to what it binds.
 """
 
 from __future__ import annotations

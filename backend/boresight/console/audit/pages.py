@@ -1,12 +1,7 @@
-"""The audit log: who did what to what, with what changed, and whether the chain of hashes holds.
+"""The audit log: who did what to what, what it changed in words, units and days, and whether the chain of hashes holds.
 
-The address holds the view: `?object=parameter-sets/3&actor=Ana+Lima&action=promoted&since=2026-11-01&before=812`. A
-short chain is verified at every visit; of a long one the page shows what the server's own walk found last, and verifies
-it when asked (`?verify=1`), for every record and every sealed row must be read.
-
-What an audit record changed, as people read it: names instead of members, units instead of SI, times with their day.
-
-A record keeps two documents, before and after. Shown is each member that differs, nested ones by the names on the way.
+A short chain is verified at every visit; of a long one the page shows what the server's own walk found last, and
+verifies it when asked (`?verify=1`).
 """
 
 from __future__ import annotations
@@ -156,7 +151,6 @@ def _number(value: float) -> str:
 
 
 def _text(text: str) -> str:
-    """Print a text: a time with its day of year, a hash by its first digits."""
     if HASH.fullmatch(text):
         return text[:HASH_DIGITS]
     if TIME.fullmatch(text):
@@ -225,7 +219,6 @@ class AuditLine:
 
 
 def _sought(view: TableView) -> dict[str, Any]:
-    """Say what a view is narrowed to, as the list takes it."""
     return {"since": None, "until": None, **audit.sought(**{name: view.where.get(name) for name in FILTERS})}
 
 
@@ -277,7 +270,6 @@ def audit_csv(request: Request, session: Reading, actor: Who) -> Response:  # no
 
 
 def _csv_row(record: AuditRecord) -> dict[str, Any]:
-    """Lay out a record for a program."""
     told = {"roles": ", ".join(record.roles or ()), "changed": make_audit_line(record).gist}
     names = (name for column in RECORDS.columns for name in column.csv if name not in told)
     return {name: getattr(record, name) for name in names} | told

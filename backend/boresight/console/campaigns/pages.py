@@ -1,10 +1,8 @@
-"""Campaigns: the list, one as it goes, its results over sensors, and what people do to it.
+"""Campaigns: the list, one as it goes, its results over sensors, launching one.
 
-Launching a campaign: a setting, the sensors with their sets, and what it would be before it is queued.
-
-Of a small fleet every sensor has a row, and those with telemetry are ticked. Of a larger one those have rows that are ticked
-and those that are found by name; nothing is ticked until somebody does. Finding others sends the form (`intent=find`), so that
-every tick and its sets stay; `intent=all` ticks what is found besides.
+Of a small fleet every sensor has a row, and those with telemetry are ticked; of a larger one those that are ticked or
+found. Finding others sends the form (`intent=find`), so that every tick and its sets stay; `intent=all` ticks what is
+found besides.
 """
 
 from __future__ import annotations
@@ -197,14 +195,12 @@ def _offer(session: Session, given: FormData | QueryParams) -> OfferedSensors:
 
 
 def _chosen(form: FormData | QueryParams) -> list[MemberRequest]:
-    """Read the sensors that are ticked, and their sets."""
     texts = map(str, form.getlist("sensors"))
     numbers = [int(text) for text in texts if text.isdecimal() and len(text) <= LONGEST_NUMBER]
     return [_member(form, number) for number in numbers[: MOST_SENSORS + 1]]  # one too many, to be refused
 
 
 def _member(form: FormData | QueryParams, number: int) -> MemberRequest:
-    """Read the sets of a sensor, ticked or not."""
     return MemberRequest(number, _set(form, f"calibration-{number}") or "newest", _set(form, f"validation-{number}"))
 
 
@@ -231,7 +227,6 @@ def _begun(origin: LaunchOrigin) -> TypedForm:
 
 
 def _beginning(origin: LaunchOrigin, offered: OfferedSensors) -> str:
-    """Write the form as it begins, as an address's query."""
     newest = [
         (f"{purpose}-{number}", "newest")
         for number, of_sensor in offered.sets.items()
@@ -278,7 +273,6 @@ def _launch(
     *,
     validate_only: bool = False,
 ) -> Any:
-    """Hand the form to the service; a preset's own free parameters go with it."""
     preset = origin.preset
     free = preset.settings.get("free") if preset else None
     settings = {**typed.settings_of_any(), "free": free}

@@ -1,15 +1,7 @@
 """Campaigns: one setting over many sensors, launched, followed and stopped as one.
 
-Each sensor gets a run of its own, or the cause why it has none; what failed can be launched again, and the newest run of each
-sensor counts. However many sensors, a launch is one transaction and reads and writes them many at a time; its audit records, one
-a run, are written in portions, so that none carries the seals of more than `PORTION` runs.
-
-Campaign members: the run request of each sensor, on its newest sets unless others are named, or why there is none.
-
-A sensor that cannot have a run, for want of telemetry say, is part of the campaign all the same, with the cause. Sensors
-and sets are read at once, however many there are.
-
-A campaign as one thing: how many of its runs are where, how far it is, and what its sensors came to.
+Each sensor gets a run of its own, or the cause why it has none; the newest run of each counts. A launch is one
+transaction that reads and writes many sensors at a time; its audit records are written in portions of `PORTION` runs.
 """
 
 from __future__ import annotations

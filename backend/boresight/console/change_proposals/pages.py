@@ -58,7 +58,6 @@ def change_proposal_page(request: Request, actor: Who, proposal_id: int) -> HTML
 
 
 def _page(request: Request, actor: Actor, proposal_id: int, refusal: ShownRefusal | None, comment: str) -> HTMLResponse:
-    """Render a proposal, with what a refused form left behind."""
     with open_reading(get_server(request).engine) as session:
         row = proposals.get_proposal(session, proposal_id)
         own = row.proposed_by == actor.user_id

@@ -1,8 +1,6 @@
 """A second person for gate limits and table layouts, where the policy asks for one.
 
-A change is then proposed, and takes effect when somebody else who may make such changes confirms it in person. Until then
-nothing moves: requests for approval stay bound to the limits and the layout in force, and become STALE when a confirmed
-change replaces them. A proposal was checked like a change, and is checked again when it is confirmed.
+A change is checked and proposed, and checked again when somebody else confirms it in person; until then nothing moves.
 """
 
 from __future__ import annotations

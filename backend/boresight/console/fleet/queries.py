@@ -142,7 +142,6 @@ def _but(whole: bool, *documents: Any) -> list[Any]:
 
 
 def _by_sensor(found: Iterable[Any]) -> dict[int, list[Any]]:
-    """Put rows under their sensors."""
     by_sensor: dict[int, list[Any]] = {}
     for row in found:
         by_sensor.setdefault(row.sensor_id, []).append(row)
@@ -202,7 +201,6 @@ def records(session: Session, sensor_ids: Collection[int]) -> dict[int, list[tup
 def _trend_by_sensor(
     sensor_ids: Collection[int], rows: Iterable[Any], part: Callable[[Any], Any]
 ) -> dict[int, list[Any]]:
-    """Sort rows, whose first column is a sensor, under their sensors."""
     found: dict[int, list[Any]] = {sensor_id: [] for sensor_id in sensor_ids}
     for row in rows:
         found[row[0]].append(part(row))

@@ -1,9 +1,4 @@
-"""Sensors: register, read, edit; what was baseline and what was on board at a time.
-
-A sensor's history: what held at a time and who said so, and every event in order.
-
-A sensor over the mission: every calibration at the time of its data, the drift test and the advice; figure and CSV.
-"""
+"""Operations on sensors: register, read, edit, what held at a time, every event, and the trend over the mission."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Sensors: registering star trackers, choosing among them, and the state of the fleet at a glance.
-
-A chooser names every sensor of a fleet that one can look over; of a larger one, the first by name that hold what is
-sought. However large the fleet, it costs a few short queries of at most `MOST_CHOICES` names.
-"""
+"""Sensors: registering star trackers, and choosing among them with a few queries of at most `MOST_CHOICES` names."""
 
 from __future__ import annotations
 

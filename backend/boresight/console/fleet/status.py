@@ -1,13 +1,7 @@
 """The state of the fleet: for every sensor the worst thing that is known, and why it is said.
 
-Status words, from worst to best: critical, serious, caution, normal, standby, off. Each finding below is a word with
-its sentence; a sensor shows the worst of its findings.
-
-Cached drift verdicts of the sensors: they are asked for often, and each takes reading a whole trend.
-
-A trend changes when a run succeeds, when another set becomes the baseline, or when the sensor's document does, and by nothing
-else: telemetry and finished runs are never rewritten. So a judgement rests on three values that cost one query for the whole
-fleet, and is made anew when one of them is another. What is remembered is small and belongs to one store.
+From worst to best: critical, serious, caution, normal, standby, off. Verdicts on drift take a whole trend and are
+remembered until a run succeeds, another set becomes the baseline or the sensor's document changes.
 """
 
 from __future__ import annotations

@@ -1,19 +1,7 @@
-"""What was in force at a time, and who said so; and everything that ever happened to a sensor, in order.
+"""What was in force at a time, and who said so; and everything that ever happened to a sensor, in order and in words.
 
-History is rows that are only ever added, so the state at a time T needs no replay: it is, of each kind, the newest row
-that is not after T,
-
-    baseline(T) = the newest promotion,      on board(T) = of every set the newest record,
-    limits(T) = the newest gate profile,     table(T) = the newest table definition.
-
-`get_state_at` asks for these rows; `events` lists all of them. That the first is the fold of the second is a test.
-
-T is the time at which a thing was recorded here: what people could know at T, and acted upon. Where a record says that
-its event happened earlier (`happened_utc`), an answer for a time between the two also names it under `learned_later`.
-
-Timeline events in words: what happened, to which set, and who did it.
-
-One reader a kind of `boresight.console.fleet.queries.KINDS`; a row is told in the same way wherever it is listed.
+The state at T is, of each kind, the newest row that is not after T: rows are only ever added, so nothing is replayed. T
+is when a thing was recorded here; `learned_later` names what happened before T and was recorded after it.
 """
 
 from __future__ import annotations

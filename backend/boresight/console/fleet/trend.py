@@ -1,24 +1,15 @@
-"""A sensor over the mission: what each calibration found, at the time of its data; baselines and records on board.
-
-A calibration stands at the middle of its telemetry, not at the time of its run: data of March that are calibrated in May
-tell of March. Where the telemetry has no times, it stands at its upload and says so, and no slope is fitted through it.
+"""A sensor over the mission: what each calibration found, at the time of its data, and whether the sensor drifts.
 
 What may be tested against what is decided here, a reason for each that is left out:
 
 - the camera model is the baseline's; parameters of another model have another meaning;
 - the parameters that were held fixed have the values that the baseline has, or the others would be of another problem;
-- only one of several calibrations of the same data counts, because two looks at the same stars are one measurement: of those
-  whose data overlap in time the newest data, then the batch, then the newest run.
+- only one of several calibrations of the same data counts: the newest data, then the batch, then the newest run.
 
-Whether a sensor drifts: the tests of `estimation.statistics.drift` on its trend, in words. Asked is what matters now, so only
-data since the baseline's own take part: once a new baseline is promoted, the drift that led to it is history and the alarm
-returns to normal. Two tests share the false-alarm rate of 0.1 % for each look:
-
-- does the newest calibration, of data that the baseline has not seen, agree with the baseline?
-- do all calibrations since the baseline, its own among them, move with time, once temperature has its part?
-
-A ground calibration is declared and not measured: its sigmas are the spread from unit to unit, and it is on no line. A shift
-against it tells of the launch and of what was declared, not of time: it is a `GROUND SHIFT`, and drift is only what moves.
+Only data since the baseline's own take part in the tests of `estimation.statistics.drift`, which share a false-alarm
+rate of 0.1 % for each look: does the newest calibration agree with the baseline, and do all of them move with time,
+once temperature has its part? A shift against a ground calibration, which is declared and not measured, is a `GROUND
+SHIFT` and no drift.
 """
 
 from __future__ import annotations
@@ -362,7 +353,6 @@ def _verdict(held: tests.ChiSquareTest, slope: tests.ChiSquareTest | None, basel
 
 
 def _is_since(point: TrendPoint, own: TrendPoint | None, baseline: ParameterSet) -> bool:
-    """Whether a calibration is of the baseline's own data or of later ones."""
     if baseline.run_id is None:
         return True
     if own is None:

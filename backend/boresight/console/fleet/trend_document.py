@@ -1,18 +1,11 @@
-"""A sensor's trend as one JSON document, SI: what the REST interface gives and `figures.charts.trend` draws.
+"""A sensor's trend as one JSON document, SI, and one answer to "recalibrate now?".
 
-Recalibrate now? One answer for a sensor, from what drifts and from the data at hand.
-
-Answers, the first that fits:
-
-- `YES`: the sensor drifts, or its ground calibration does not hold; or its baseline is a ground calibration and there is
-  telemetry to replace it; or the baseline is over its age and newer telemetry is there; or newer telemetry would at least halve
-  the sigmas.
-- `MORE DATA NEEDED`: nothing is newer than the baseline's own data, or what is there would be too coarse to see a change of
-  three of the baseline's sigmas.
+- `YES`: it drifts, its ground calibration does not hold or can be replaced, its baseline is over its age and there is
+  newer telemetry, or newer telemetry would at least halve the sigmas.
+- `MORE DATA NEEDED`: nothing is newer than the baseline's data, or too coarse to see a change of three of its sigmas.
 - `NOT YET`: the newest calibration agrees with the baseline.
 
-Sigmas of a calibration with further data are foretold from the newest one by its number of stars S_0,
-sigma = sigma_0 sqrt(S_0 / S): exact where stars and field are of the same kind, as those of one sensor are.
+Sigmas with further data are foretold by the number of stars, sigma = sigma_0 sqrt(S_0 / S).
 """
 
 from __future__ import annotations

@@ -1,22 +1,9 @@
-"""Broadcasting the event feed of one server to every subscriber: no event is lost and a slow subscriber delays nobody.
+"""Broadcasting the event feed of one server: no event is lost and a slow subscriber delays nobody.
 
-One thread follows the rows, at once when it is nudged and every half second otherwise, so changes made by other processes
-(the command line, another server on the same store) are told too, after half a second at most. Progress comes from the worker
-engine; the last few hundred events of it are kept, so that who comes back after a break of seconds misses none.
-
-Hundreds of listeners cost one task each and nothing else: no thread, no query, and no work for an event but handing it on. Every
-event is written once, with the place in the feed after it, and what happened since the last telling goes out to all as one piece
-of bytes. Between two tellings lies a pause that grows with the number of listeners, 0.1 ms for each, so that a burst of events
-costs many listeners more patience instead of the server more than part of one processor. What waits for a listener is bounded;
-who reads too slowly is told so and let go, and comes back with their place.
-
-The events of the feed, and the event cursor: how far a subscriber has read.
-
-What is told of runs and of the audit log are rows: `run_events` and `audit`, both numbered in the order of their
-commits. Progress is not a row; its events are numbered as they pass, from the milliseconds of the server's start on, so
-that a number of an earlier server lies below all of this one. A place in the feed is therefore three numbers, written
-`<run event>.<audit record>.<progress>`, and is the id of every event; whoever comes back with a place is told all the
-rows after it, and the progress after it as far as it is still kept.
+One thread follows the rows of `run_events` and `audit`, so changes by other processes are told too; progress comes from
+the worker engine, numbered from the server's start on. A place in the feed is `<run event>.<audit record>.<progress>`,
+the id of every event: who comes back with it misses nothing. Events are written once and go out together, after a pause
+of 0.1 ms for each listener; who reads too slowly is let go.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""The heartbeat: what becomes due by time alone, such as expiry and overdue alarms.
-
-Every few seconds it looks for requests for approval and proposed changes whose time is over, in a reading transaction
-that holds nobody up, and writes only when there are any.
-"""
+"""The heartbeat: what becomes due by time alone, such as expiry and overdue alarms; it writes only when there is any."""
 
 from __future__ import annotations
 

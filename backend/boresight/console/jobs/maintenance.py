@@ -1,17 +1,8 @@
-"""What a server does beside its requests: it holds the store against its audit log, watches the fleet, tends keys and log-ins.
+"""What a server does beside its requests: it walks the audit chain, watches the fleet, reads files again, tends keys and log-ins.
 
-A page shows the light of the chain and must not wait for it, for a long chain takes seconds to walk. So a thread walks
-it over and over, and a page reads what the last walk found. Between two walks it rests a minute, and at least `REST`
-times as long as the walk took, so that a chain of any length costs a fixed small part of one processor.
-
-After each look the alarms are brought in line with what is so now (`console.alarms.rules`); a round that finds nothing new writes
-nothing.
-
-Stored files are read again, one after the other, for `READ_S` a round: a disk loses bits of files that nobody asks for. What a
-reader found corrupt, here or in a worker, is looked at now. While any file that rows name is bad, there is an alarm.
-
-Keys and log-ins are used more often than is worth writing: the newest time of each is kept in memory and written once a round.
-A log-in that was not used for too long is refused at once, and its end is written in a round.
+Between two walks of the chain it rests a minute, and at least `REST` times as long as the walk took. Files are read for
+`READ_S` a round; what a reader found corrupt is looked at now. The newest use of each key and log-in is kept in memory
+and written once a round.
 """
 
 from __future__ import annotations

@@ -1,11 +1,7 @@
-"""The webhook sender: one thread looks for due messages, one thread per webhook sends them.
+"""The webhook sender: one thread looks for due messages, one thread per webhook sends them, in their order.
 
-A webhook's messages go out in their order. One that gives no answer is asked once and its other messages wait as long as
-that one, so that a dead receiver delays nobody: the look ends after its one deadline, the others have long been served.
-
-Where a name leads is looked up before every attempt and judged by `platform.web.targets`, and the connection goes to
-an address that was judged, not to one looked up again. Redirects are not followed, for the same reason. A webhook whose
-secret cannot be read here waits for a server that has its key.
+Where a name leads is looked up and judged by `platform.web.targets` before every attempt, and the connection goes to
+the address that was judged; for the same reason redirects are not followed.
 """
 
 from __future__ import annotations

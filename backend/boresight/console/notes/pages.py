@@ -39,7 +39,6 @@ def notes_page(request: Request, actor: Who, kind: str, subject_id: int) -> HTML
 def _page(
     request: Request, actor: Actor, kind: str, subject_id: int, typed: str = "", refusal: ShownRefusal | None = None
 ) -> HTMLResponse:
-    """Render the notes, with what a refused form left behind."""
     with open_reading(get_server(request).engine) as session:
         return render(
             request,

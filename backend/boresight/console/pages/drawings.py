@@ -1,13 +1,7 @@
-"""Small drawings that the server makes: histograms and a map of the detector, as coordinates for an SVG template.
+"""Small drawings that the server makes, as coordinates for an SVG template: histograms, a map of the detector, sparklines.
 
-Coordinates are those of the view box, x to the right and y down. A bar's height and a cell's opacity are proportional
-to its count over the largest count, so one look shows what is thin; an empty cell is marked, for it is where a
-calibration extrapolates.
-
-A sparkline that the server draws: the last values of a quantity as one small SVG path, the newest marked.
-
-The range of the values is the height of the box, and at least a twentieth of the value, so that scatter does not pass for a
-change; a flat series is a line in its middle. x is the order, not the time.
+x is to the right and y down. An empty cell of the map is marked, for there a calibration extrapolates. The height of a
+sparkline is the range of its values, and at least a twentieth of the value, so that scatter does not pass for a change.
 """
 
 from __future__ import annotations

@@ -1,9 +1,6 @@
-"""Times, hashes and symbols as the pages print them; numbers are written by `verdicts.numbers`.
+"""Times, hashes and state words as the pages print them, each state with its level of the Astro UX status system.
 
-Every state word the pages show, with its level: the colour and shape it is drawn in.
-
-The levels are the six of the Astro UX status system, worst last. Red is kept for what needs a person now, so
-a cancelled run or a refused request is never red. A consolidated indicator takes the worst of its children.
+Red is kept for what needs a person now, so a cancelled run or a refused request is never red.
 """
 
 from __future__ import annotations

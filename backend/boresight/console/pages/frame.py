@@ -1,17 +1,9 @@
 """What every page shows around its content: mode, fleet, approvals, the audit's light, person, navigation, flash line.
 
-The values come from `request.state` (who is logged in), the settings, and one short read of the store, made by
-`know_fleet` before a page opens its own transaction: a page that held one connection while it waited for a second could
-take the last of them from another that does the same. A page that reports a failure must not fail for the same cause:
-where the store cannot be read, the frame says so and goes on.
-
-The fleet status in the top bar of every page: that of its worst sensor, which is named.
-
-It takes a look at every sensor, so it is remembered while nothing is committed (`platform.db.data_version`), and no longer than
-`HELD_S`, for
-baselines age by the clock; who asked before the look began is given it too, whatever was committed since. Of a fleet of more than
-`LARGE` sensors it is remembered `REST` times as long as the look took, whatever is committed: so the top bar of thousands of
-sensors takes a fixed share of one processor, and most pages wait for none of it. One page looks for all that ask meanwhile.
+The values come from one short read of the store, made by `know_fleet` before a page opens its own transaction, so that
+no page holds one connection while it waits for a second. Where the store cannot be read the frame says so and goes on.
+The fleet's worst sensor is remembered while nothing is committed, at most `HELD_S`; of more than `LARGE` sensors `REST`
+times as long as the look took.
 """
 
 from __future__ import annotations

@@ -1,17 +1,8 @@
 """Turning a template and its values into a page; answering a form.
 
-`render(request, "runs/run.html", run=row)` is all a page file needs: the frame around the content fills itself. After a POST
-a page answers with `redirect(location, flash="...")`; the line travels in a short-lived cookie and is shown once on the
-next page. Undefined names are errors, and everything is escaped.
-
-Form actions: a refusal comes back as a value and is shown on the same page.
-
-The transaction is the request's own (`boresight.console.access.dependencies.open_write_session`): a refusal passes through it
-first, so nothing of a refused change is kept, and only then becomes words on the page.
-
-What a form sent: its texts, and the version that its page showed.
-
-Row numbers in page addresses: a number too large for the store's keys is answered 404 without a query.
+After a POST a page answers with `redirect(location, flash="...")`. A refusal passes through the request's transaction
+first, so nothing of a refused change is kept, and is then shown on the same page. Undefined names are errors, and
+everything is escaped.
 """
 
 from __future__ import annotations
@@ -149,7 +140,6 @@ MOST_WRITTEN = 8  # pages
 
 
 def _environment() -> Environment:
-    """Build the template environment with every filter of `formats`."""
     environment = Environment(
         loader=FileSystemLoader(folder("frontend") / "templates"),
         autoescape=True,

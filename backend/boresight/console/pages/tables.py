@@ -1,9 +1,7 @@
-"""One table for every long list: its columns, its order, its page and what is chosen, all in the address.
+"""One table for every long list: its columns, order, page and what is chosen, all in the address; works without scripts.
 
-`?state=FAILED&sort=-rms&columns=run,state,rms&before=812&runs=7,9` is a whole view: the runs that failed, the greatest
-RMS first, three columns, the page after run 812, two of them chosen. A page declares a `Table`; `read_view` reads the
-address against it, nonsense being left out as an empty choice of the form is; `list_table.html` draws it; `write_csv` gives
-the same view, every page of it, as a file in SI. It all works without scripts.
+A page declares a `Table`; `read_view` reads the address against it, `list_table.html` draws it, `write_csv` gives every
+page of it in SI.
 """
 
 from __future__ import annotations

@@ -1,11 +1,6 @@
-"""The list of parameter sets: what each is on the ground and on board, its gates and where it comes from.
+"""The list of parameter sets; one set with its two states, its values against the baseline, its lineage and other camera models.
 
-A parameter set with its two states, its values against the baseline, its lineage and what may be done.
-
-The ground state and the on-board state are two symbols side by side and never one word: a set that is baseline on the
-ground says nothing about what the sensor uses.
-
-A parameter set in every other camera model, as its page shows it: values and misfit, or the reason why there are none.
+The ground state and the on-board state are two symbols side by side and never one word.
 """
 
 from __future__ import annotations
@@ -269,7 +264,6 @@ def _page(
     refusal: ShownRefusal | None = None,
     reason: str = "",
 ) -> HTMLResponse:
-    """Render a set, with the refusal of a transition and the reason that was typed."""
     row = transitions.get_parameter_set(session, set_id)
     requests = approvals.list_approvals(session, parameter_set_id=set_id)
     sensor = sensors.get_sensor(session, row.sensor_id)

@@ -1,24 +1,10 @@
 """Parameter sets: immutable, identified by the SHA-256 of their canonical JSON, one of them a sensor's baseline.
 
-Ground states and who moves them::
-
     CANDIDATE, WITHDRAWN, EXPIRED, SUPERSEDED --submit--> SUBMITTED --sign--> APPROVED --promote--> BASELINE --> SUPERSEDED
     SUBMITTED, APPROVED --withdraw--> WITHDRAWN     SUBMITTED, APPROVED --one refusal--> REJECTED
     SUBMITTED, APPROVED --time is over--> EXPIRED   SUBMITTED, APPROVED --what is bound moved--> CANDIDATE
 
-A set that was baseline once goes back to SUPERSEDED instead of WITHDRAWN, REJECTED, EXPIRED or CANDIDATE. Rolling back is
-a new request for such a set, signed and promoted like any other. What is on board is another state, in `uplinks`. Sets are
-made in `candidates`; requests for them are opened and taken back in `submissions`, and met in `promotions`.
-
-Making a parameter set: the ground calibration of a new sensor, and a candidate of a run's result.
-
-A set is immutable and identified by the SHA-256 of its canonical JSON; its name and units stand inside that document.
-
-Promotion: an approved set becomes its sensor's baseline, the one before is superseded, all in one transaction.
-
-A parameter set in another camera model: computed when asked for, kept nowhere.
-
-The incumbent's parameters, drawn beside the result of a run.
+A set that was baseline once goes back to SUPERSEDED instead. What is on board is another state, in `uplinks`.
 """
 
 from __future__ import annotations
@@ -150,7 +136,6 @@ def _add(
     ground_state: str,
     run_id: int | None = None,
 ) -> ParameterSet:
-    """Store a set under the sensor's next number, its name and units inside the hashed document."""
     number = rows.next_number(session, sensor.id)
     model = CAMERA_MODELS[document["camera_model"]]
     units = dict(zip(model.parameter_names, model.units, strict=True))

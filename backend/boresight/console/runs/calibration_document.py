@@ -1,8 +1,4 @@
-"""The calibration JSON, `boresight.calibration/1`, as a typed document: what REST documents, and what a stored result must be.
-
-The members of the contract are typed; further evidence (`trust`, `shadow`, `matching` and so on) is passed on as it is. While a
-run computes, members are missing: whoever reads a run's result looks at `status` first.
-"""
+"""The calibration JSON, `boresight.calibration/1`, as a typed document; while a run computes, members are missing."""
 
 from __future__ import annotations
 

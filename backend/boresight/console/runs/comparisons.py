@@ -1,8 +1,4 @@
-"""Runs set against a reference run: what differs, by how many sigmas of the difference, and on what assumption.
-
-Only runs of one camera model can be compared: the parameters of two models are not the same quantities. The reference need not
-have a result yet, nor any other run: what is missing stays empty.
-"""
+"""Runs of one camera model set against a reference run: what differs, by how many sigmas, and on what assumption."""
 
 from __future__ import annotations
 

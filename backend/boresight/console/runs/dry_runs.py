@@ -1,9 +1,7 @@
 """What a run would be, before it is queued: its request, checked, its size, its time, and what to beware of.
 
-An exposure of N stars gives 2N-3 arcs, so S stars in X exposures give 2S - 3X. The time is that of the newest runs of
-the same method, scaled by the number of stars: every estimator here is linear in it. Where no run has been made yet, a
-careful guess is used, and its spread is as wide as machines differ. A replayed run lasts as long as its frames take to come
-down; what it computes meanwhile is not seen, so its pace is used only where no other run has been made, less that wait.
+An exposure of N stars gives 2N-3 arcs. The time is that of the newest runs of the same method by the number of stars,
+else a careful guess; a replayed run tells the pace only where there is no other.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Figures of runs: as Plotly JSON to draw, and as the numbers behind them; of one run, or of several together.
-
-A figure shows at most a few thousand points, thinned so that no peak is lost. Whoever zooms in asks for the window,
-`x_from` and `x_to`, and gets the points that were left out there; `layout.meta.detail` says whether any were.
-"""
+"""Figures of one run or several, as Plotly JSON and as the numbers behind them, thinned so that no peak is lost."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""The frames of a run, one at a time: computed when asked for, from the stored telemetry and what the run estimated.
-
-A run keeps no residuals of single frames but the worst ones' chi-square. The telemetry table stays under its address, the sensor
-document is the one of the launch and the parameters are the result's, so a frame that is shown is the frame that was used. Only
-that frame is read (`telemetry.read.frames`): it takes tens of milliseconds in a set of 100,000.
-"""
+"""The frames of a run, one at a time: computed when asked for, from the stored telemetry and what the run estimated."""
 
 from __future__ import annotations
 

@@ -8,16 +8,9 @@ A run is held by one owner at a time, for the time of a lease, under an attempt 
       v                  v
     CANCELLED       CANCELLING --finish--> CANCELLED
 
-Fencing: whoever computes writes back `WHERE id AND attempt AND state IN (RUNNING, CANCELLING)`, and claiming adds one
-to `attempt`. So a late result of an old attempt matches no row, and a terminal state is written once. A run that was
-asked to stop never ends as anything but CANCELLED. An event of kind `lost` is written for every attempt that died; as
-many of them as allowed end the run: FAILED when its worker processes died, LOST when only its servers were seen to go.
-The end is put on record in the transaction that writes it; what passes before it is not.
-
-The log has one line an event, in the order they happened, a sentence for people with the same as fields beside it. Kinds: `state`
-for every change of state, `log` for what the computation says, `lost` for every attempt that died with its worker or its
-server. Writers are one at a time, so numbers ascend in the order of commits and whoever follows the log from a number on
-misses nothing.
+Whoever computes writes back `WHERE id AND attempt AND state IN (RUNNING, CANCELLING)`, so a late result of an old
+attempt matches no row, and a terminal state is written once, with its audit record. The log has one line an event:
+`state`, `log`, `lost` for every attempt that died; their numbers ascend in the order of commits.
 """
 
 from __future__ import annotations

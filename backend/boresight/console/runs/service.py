@@ -1,10 +1,4 @@
-"""Launching, stopping and reading runs.
-
-What a run needs is fixed when it is launched: the sensor as it is then, the telemetry by content address, every setting
-by value. So a run can be computed again anywhere and gives the same result, whatever is edited meanwhile.
-
-The runs before and after a run.
-"""
+"""Launching, stopping and reading runs. What a run needs is fixed at launch, so it can be computed again with the same result."""
 
 from __future__ import annotations
 

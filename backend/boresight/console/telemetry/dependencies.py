@@ -1,9 +1,4 @@
-"""Taking in a telemetry file: streamed to the disk as it comes, never whole in memory.
-
-The border (`middleware`) counts the bytes and ends the request with 413 at the limit, wherever the reading stands. The
-file lives in a folder of its own inside the data folder for the time of the request, then it is gone: what is kept is
-kept by the service, in the blob folder.
-"""
+"""Taking in a telemetry file: streamed to a folder of its own, never whole in memory, and gone with the request."""
 
 from __future__ import annotations
 
@@ -115,7 +110,6 @@ async def uploaded(
 
 
 async def _receive(request: Request, place: Path) -> Upload:
-    """Stream the body to a place."""
     content_type, options = parse_options_header(request.headers.get("content-type"))
     if content_type != b"multipart/form-data" or not options.get(b"boundary"):
         sent = content_type.decode(errors="replace") or "nothing"

@@ -1,11 +1,4 @@
-"""Telemetry sets: the list, and uploading one.
-
-The form works without scripts. With them the same form is sent with its progress shown (`upload.js`): then a refusal
-replaces only the place for refusals, so that the chosen file stays chosen. The file is streamed to the disk and checked
-before the transaction; a refused one leaves nothing behind.
-
-One telemetry set: the quality report before any run, and the runs that used it.
-"""
+"""Telemetry sets: the list, uploading one, and the quality report of one with the runs that used it."""
 
 from __future__ import annotations
 
@@ -123,7 +116,6 @@ def _in_use(view: TableView) -> dict[str, Any]:
 def _page(
     request: Request, roles: frozenset[str], limit_mb: float, shown: TelemetryContext, session: Session
 ) -> HTMLResponse:
-    """Render the list and the form."""
     view = read_view(request, SETS)
     found = read_page(session, view, **_in_use(view))
     return render(
@@ -159,7 +151,6 @@ def telemetry_csv(request: Request, session: Reading, actor: Who) -> Response:  
 
 
 def _csv_row(row: TelemetrySet, names: RunNames) -> dict[str, Any]:
-    """Lay out a set for a program."""
     time, temperature = (row.quality.get(name) or {} for name in ("time", "temperature_c"))
     return {
         "set": row.id,
@@ -212,7 +203,6 @@ async def _attempt(
     blobs: BlobStore,
     checking: AbstractContextManager[PreparedUpload],
 ) -> AttemptResult[TelemetrySet]:
-    """Read and check the file, then store it in a transaction."""
     try:
         async with contextmanager_in_threadpool(checking) as ready:
             return await attempt(request, partial(_store, actor, blobs, upload, ready))
@@ -224,7 +214,6 @@ async def _attempt(
 def _prepared(
     actor: Actor, upload: Upload, settings: Settings, sight: ForecastSources, engine: Engine
 ) -> Iterator[PreparedUpload]:
-    """Read and check the file without the database."""
     require_role(actor, "analyst")
     if parse_row_id(upload.fields.get("sensor_id", "")) is None:
         raise RefusedInputError("Choose the sensor that the telemetry is of.")
@@ -239,13 +228,11 @@ def _prepared(
 
 
 def _store(actor: Actor, blobs: BlobStore, upload: Upload, ready: PreparedUpload, session: Session) -> TelemetrySet:
-    """Store the checked file."""
     purpose = upload.fields.get("purpose", PURPOSES[0])
     return telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), ready, purpose)
 
 
 def _refused(upload: Upload, refusal: ShownRefusal | None) -> TelemetryContext:
-    """Return what a refused form leaves behind: what was chosen."""
     sensor, purpose = upload.fields.get("sensor_id", ""), upload.fields.get("purpose", "")
     known = purpose if purpose in PURPOSES else PURPOSES[0]
     return TelemetryContext(parse_row_id(sensor), purpose=known, refusal=refusal)

@@ -1,8 +1,7 @@
 """Telemetry sets: what was downlinked, kept as it came and as the table that is worked on.
 
-A file is read and checked whole before anything of it is stored, so a refusal leaves nothing behind. Reading a large
-file takes seconds, and there is one writer at a time: a door that has others waiting calls `prepared` before it opens
-the transaction and `store_prepared` inside; `add_telemetry_set` does both.
+A file is checked whole before anything is stored. That takes seconds and there is one writer, so `prepared` comes
+before the transaction and `store_prepared` inside it.
 """
 
 from __future__ import annotations
@@ -235,5 +234,4 @@ def archive_telemetry_set(session: Session, actor: Actor, set_id: int) -> Teleme
 
 
 def _subject(row: TelemetrySet) -> str:
-    """Name a set as the audit log does."""
     return f"telemetry-sets/{row.id}"

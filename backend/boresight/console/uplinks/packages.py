@@ -1,13 +1,7 @@
 """Uplink packages: what an approved set, or the baseline, goes to the spacecraft as.
 
-`inputs` gathers everything that the bytes follow from into one document, which is kept in the row; the bytes are built of it
-alone. So the same set under the same definition, signatures and way back is the package that exists already, byte for byte,
-with the audit head of the moment when it was first built.
-
-What an uplink package says of a set: its document, its run, its gates and waivers, its request with the signatures.
-
-Only what lasts is in it. What goes on changing (the version, what is recorded on board) would make another package of the
-same set tomorrow.
+`inputs` gathers everything that the bytes follow from, and only what lasts, into one document; so the same set under
+the same definition, signatures and way back is the package that exists already, byte for byte.
 """
 
 from __future__ import annotations
@@ -94,7 +88,6 @@ def _run(session: Session, row: ParameterSet) -> dict[str, Any] | None:
 
 
 def _telemetry(session: Session, telemetry_set_id: int | None) -> dict[str, Any] | None:
-    """Say which telemetry it was: its hash, when it was taken and how warm it was."""
     if telemetry_set_id is None:
         return None
     row = session.get_one(TelemetrySet, telemetry_set_id)
@@ -157,7 +150,6 @@ def _signed(signature: Signature) -> dict[str, Any]:
 
 
 def _printed(session: Session, user_id: int | None) -> str:
-    """Return a person's printed name."""
     user = None if user_id is None else session.get(User, user_id)
     return "Boresight" if user is None else user.printed_name
 
@@ -228,7 +220,6 @@ def _refuse_other_versions(
 
 
 def _listed(versions: Mapping[str, str]) -> str:
-    """Name versions in a sentence."""
     return " and ".join(f"{key.replace('_', ' ')} {value}" for key, value in versions.items())
 
 
@@ -255,7 +246,6 @@ def _inputs(session: Session, row: ParameterSet, definition: TableDefinition | N
 
 
 def _existing(session: Session, row: ParameterSet, inputs: Mapping[str, Any]) -> Package | None:
-    """Return the package that was built from the same inputs."""
     for package in lists.newest(session, Package, set=row.id):
         if {key: value for key, value in package.inputs.items() if key != "first_built"} == inputs:
             return package

@@ -1,9 +1,4 @@
-"""Queries on what was recorded about the sets on board.
-
-Queries on uplink packages and on what is said of a set inside one.
-
-Queries on the definitions of the tables on board.
-"""
+"""Queries on what was recorded about the sets on board, on uplink packages and on table definitions."""
 
 from __future__ import annotations
 

@@ -1,12 +1,7 @@
 """Read-backs: the dump of a table, or the CRC that the spacecraft tells of it, held against what was sent.
 
-A dump that is the same in every byte makes a set VERIFIED by bytes; a CRC that is the same makes it VERIFIED by CRC, which
-is weaker: of w bits it passes one wrong table in 2^w. Anything else is MISMATCH, with the differing bytes and fields kept
-as evidence beside the dump itself. A mismatch that bytes showed is taken back by bytes only, or by sending again, whatever
-was recorded in between.
-
-What was sent is the table in the package that the SENT record names; without one, the set in the definition in force when
-it was sent, or where there was none yet, in the one in force now.
+Equal bytes make a set VERIFIED; so does an equal CRC, which is weaker: of w bits it passes one wrong table in 2^w.
+Anything else is MISMATCH, and one that bytes showed is taken back by bytes only, or by sending again.
 """
 
 from __future__ import annotations

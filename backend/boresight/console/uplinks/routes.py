@@ -1,15 +1,4 @@
-"""Uplinks: what people recorded of a parameter set on board.
-
-By statement, or signed where the body carries a password and a meaning: then it is the entry that `:activate` makes.
-
-Transitions of a set on board that no statement makes: a read-back, and the signed entry that it is active.
-
-A dump is small, so its form is read whole, under the limit that the border sets for every body.
-
-Uplink packages: build one of an approved set or the baseline, list them, read the ZIP.
-
-Table definitions of a sensor: how its camera lies in the table on board, in force and before.
-"""
+"""Operations on sets on board, uplink packages and table definitions."""
 
 from __future__ import annotations
 

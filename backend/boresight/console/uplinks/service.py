@@ -1,19 +1,12 @@
 """What is on board, as people recorded it; Boresight commands no spacecraft.
 
     NOT SENT --> SENT --> LOADED --> VERIFIED --> ACTIVE
-
-One step at a time, each with its source, and each by its own door:
-
     SENT, LOADED, MISMATCH, UNKNOWN     somebody's statement          `record`
     VERIFIED, MISMATCH                  a comparison of what was read `read_backs.read_back`
     ACTIVE                              a signature in person         `activate`
 
-ACTIVE therefore always follows a read-back that agreed. MISMATCH and UNKNOWN can be recorded for anything that was sent, and
-are left by sending again or by a read-back; what `onboard.shown_mismatch` says stands, no statement takes back. One set is
-active: when another is signed as ACTIVE, the one before becomes UNKNOWN. Nothing on the ground moves these states: a set
-that is promoted or rolled back says nothing about what the sensor runs with.
-
-An entry about a set on board: who may make one, and what it rests on. Entries are only ever added.
+ACTIVE always follows a read-back that agreed. MISMATCH and UNKNOWN are left by sending again or by a read-back. One set
+is active: the one before becomes UNKNOWN. Nothing on the ground moves these states.
 """
 
 from __future__ import annotations

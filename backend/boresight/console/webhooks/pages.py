@@ -43,7 +43,6 @@ def webhooks_page(request: Request, session: Reading, actor: Who, box: SecretKee
 
 
 def _page(request: Request, actor: Actor, box: SecretBox, shown: WebhooksContext, session: Session) -> HTMLResponse:
-    """Render the list, or to whom it is not shown who may see it."""
     may = "administrator" in actor.roles
     return render(
         request,
@@ -100,7 +99,6 @@ def _webhook_page(
     before: str = "",
     secret: str = "",
 ) -> HTMLResponse:
-    """Render a webhook, with a secret that was made just now."""
     before_id = parse_row_id(before)
     hook = webhooks.get_webhook(session, actor, webhook_id)
     found = webhooks.list_deliveries(session, actor, webhook_id, before_id=before_id, limit=ROWS_A_PAGE + 1)
@@ -158,7 +156,6 @@ async def redeliver(request: Request, actor: Who, webhook_id: int, delivery_id: 
 
 
 async def _done(request: Request, webhook_id: int, change: Callable[..., Any], words: str) -> Response:
-    """Make a change and go back to the webhook with what came of it."""
     outcome = await attempt(request, change)
     if outcome.refusal is not None:
         return redirect_refused(f"/webhooks/{webhook_id}", outcome.refusal)

@@ -52,12 +52,10 @@ def _judge(wanted: WantedWebhook, actor: Who, deliveries: Deliveries) -> None:
 
 
 def _shown(row: Webhook, box: SecretBox, **more: str) -> Beside:
-    """Return a webhook without its secret."""
     return Beside(row, state=get_state(row, box), former_secret_until_utc=row.previous_until_utc, **more)
 
 
 def _with_secret(row: Webhook, secret: str, box: SecretBox) -> Answer:
-    """Show a secret this once."""
     headers = {"Cache-Control": "no-store", "Location": f"/api/v1/webhooks/{row.id}"}
     return Answer(_shown(row, box, secret=secret), headers=headers, shown_once=("secret",))
 

@@ -1,8 +1,6 @@
 """Secrets of webhooks at rest: encrypted with a key of the installation, which no backup holds.
 
-A secret of before there was encryption is encrypted when a server starts, by `boresight migrate` and before a backup. A
-secret whose key is not here, as after a restore on another machine, pauses its webhook on this server: its messages wait
-until the key is here again or the webhook has a new secret.
+A secret whose key is not here, as after a restore on another machine, pauses its webhook on this server.
 """
 
 from __future__ import annotations

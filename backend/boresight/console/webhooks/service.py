@@ -1,24 +1,12 @@
 """Webhooks: telling other programs what happened, at least once, signed, with a log of every message.
 
-Every audit record is told to the webhooks that asked for its kind, `<noun>.<action>` such as `parameter-sets.promoted`.
-A message is a row before it is sent, so nothing is lost when the server dies; whoever receives the same id twice knows it
-by its `webhook-id`. `webhook_messages` says how a message is signed, `webhook_secrets` how secrets are kept, and
-`webhook_targets` where messages may go.
-
-Failed attempts are repeated after 5 s, and then after four times as long each time; the eighth that fails is the last,
-some two hours after the first. A person can have any message sent again. What is sent goes out at the server's own
-door (`boresight.console.jobs.webhook_sender`); here is only what is to be sent and what came of it.
-
-What a webhook's message says and how it is signed.
-
-With the key k, the bytes whose base64 stands behind `whsec_` in a secret, the message's id, the second t at which it is
-sent and its body::
+A message is a row before it is sent; whoever receives the same `webhook-id` twice knows it by that. Failed attempts are
+repeated after 5 s, and then four times as long each time; the eighth is the last. The headers are those of Standard
+Webhooks::
 
     webhook-signature: v1,base64(HMAC-SHA256(k, id "." t "." body))
 
-These are the headers and the scheme of Standard Webhooks, so receivers have libraries that check it; they refuse a t
-more than five minutes off, so each attempt is signed anew. While a former secret still holds there is one signature by
-each, with a space between them.
+with the key k behind `whsec_`, signed anew for every attempt, and by each secret while a former one still holds.
 """
 
 from __future__ import annotations
@@ -304,7 +292,6 @@ def settle(session: Session, delivery_id: int, *, status: int | None, outcome: s
 
 
 def _wants(webhook: Webhook, kind: str) -> bool:
-    """Whether a webhook asked for a kind of event."""
     return not webhook.actions or kind in webhook.actions or f"{kind.partition('.')[0]}.*" in webhook.actions
 
 
@@ -336,5 +323,4 @@ def _require_administrator(actor: Actor) -> None:
 
 
 def _subject(row: Webhook) -> str:
-    """Name a webhook as the audit log does."""
     return f"webhooks/{row.id}"

@@ -1,14 +1,6 @@
-"""A request on one page, in the order in which it should be read.
+"""The inbox of requests, and one request on one page, in the order in which it should be read, the signature last.
 
-First why the requester wants it, then what changes, the gates against the incumbent, the warnings and waivers, the
-evidence and who opened it, what people said, who has signed, and only then the signature. A refused form comes back in
-its place with everything typed but the password. The buttons name their effect.
-
-Approvals: the inbox, and signing: a decision, what it means, a comment and the password once more.
-
-A second person may sign at another's console, with name and password.
-
-The discussion of a request: opening evidence, remarks, assignment.
+A refused form comes back in its place with everything typed but the password.
 """
 
 from __future__ import annotations

@@ -1,14 +1,6 @@
-"""The gates of a set: the report that holds, assessing it anew, waiving what blocks it.
+"""The gates of a set and the limits of a sensor: what was found, assessing anew, waiving, trying and setting limits.
 
-Assessing sees frames under two sets, which takes seconds: it is done before the writing transaction, as over REST.
-
-The panel of gates that the pages of a set, of a request and of the gates themselves share.
-
-`make_gates_panel` fills it, the macro `gates_panel` of `approvals/gates_panel.html` prints it. Its forms post to `gate_report`.
-
-The limits of a sensor: the form that edits them, what they would have blocked, and every version there was. Everybody may try
-limits on past runs; only an administrator puts them into force. What was typed stays in the form, whether it was tried, refused
-or lost the race with another's change.
+What was typed stays in the form, whether it was tried, refused or lost the race with another's change.
 """
 
 from __future__ import annotations
@@ -144,7 +136,6 @@ def gate_report_page(request: Request, actor: Who, set_id: int) -> HTMLResponse:
 def _page(
     request: Request, actor: Actor, set_id: int, refusal: ShownRefusal | None = None, typed: TypedWaiver | None = None
 ) -> HTMLResponse:
-    """Render the gates of a set, with a refusal and what was typed."""
     with open_reading(get_server(request).engine) as session:
         row = transitions.get_parameter_set(session, set_id)
         return render(
@@ -171,7 +162,6 @@ async def assess(request: Request, actor: Who, set_id: int) -> Response:
 
 
 def _examine(request: Request, actor: Actor, set_id: int) -> gates.GateAssessment:
-    """Measure and judge a set outside any transaction."""
     require_role(actor, *gates.ASSESSORS)
     state = get_server(request)
     with open_reading(state.engine) as session:
@@ -239,7 +229,6 @@ def gate_profile_page(request: Request, actor: Who, sensor_id: int) -> HTMLRespo
 
 
 def _profile_page(request: Request, actor: Actor, sensor_id: int, shown: GateProfileContext) -> HTMLResponse:
-    """Render the limits, with what a form left behind."""
     with open_reading(get_server(request).engine) as session:
         versions = gate_profiles.list_profiles(session, sensor_id)
         return render(
@@ -314,7 +303,6 @@ def _number(gate: Gate, key: str, text: str) -> float | None:
 
 
 def _with_earlier(versions: Sequence[GateProfile]) -> list[tuple[GateProfile, GateProfile | None]]:
-    """Pair each version, newest first, with the one before it."""
     return list(zip(versions, [*versions[1:], None], strict=True))
 
 
@@ -372,7 +360,6 @@ async def change(request: Request, actor: Who, sensor_id: int) -> Response:
 def _set(
     actor: Actor, sensor_id: int, typed: Mapping[str, str], policy: Policy, session: Session
 ) -> GateProfile | TableDefinition | ChangeProposal:
-    """Put what was typed into force, or propose it."""
     seen = parse_row_id(typed.get("number", ""))
     asked = ("gate-profile", sensor_id, read_profile_form(typed), typed.get("reason", ""), seen)
     return second_person.change(session, actor, *asked, policy=policy)

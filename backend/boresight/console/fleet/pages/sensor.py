@@ -1,19 +1,6 @@
-"""One sensor: what it is, what its baseline says, what was baseline when, its telemetry and its runs.
+"""One sensor: its baseline and what a newer calibration would change, its trend over the mission, its timeline.
 
-The field of view follows from the baseline's focal length f and the detector, 2 atan(half a side / f), and one pixel
-at the centre sees pitch / f. The sketch shows the detector with the principal point where the baseline has it.
-
-What the newest calibration of a sensor would change: availability, matched stars and RMS, before and after, with intervals.
-
-The validation set is quoted where the run had one, for it took no part in the estimate; else the calibration set.
-
-A sensor over the mission: whether to recalibrate, whether it drifts, every parameter over time, and why what counts.
-
-One figure for the baseline's camera model, and one for each other model that was calibrated: they are not to be compared.
-
-A sensor's timeline: what held at a time and who said so, and under it everything that happened.
-
-The address holds the view: `?at=2026-11-21T03:04:05Z` asks, `&before=712` turns the page of the list.
+The field of view is 2 atan(half a side / f), and one pixel at the centre sees pitch / f.
 """
 
 from __future__ import annotations
@@ -126,7 +113,6 @@ def scores(evaluation: Mapping[str, Any]) -> list[ScoreRow]:
 def _score(
     name: str, unit: str, values: Mapping[str, Any], reach: Mapping[str, Any], factor: float, decimals: int
 ) -> ScoreRow:
-    """Print one score, `factor` from SI to its unit."""
     printed = [
         text
         for side in ("initial", "final")
@@ -270,7 +256,6 @@ class AsOf:
 
 
 def _read_as_of(session: Session, sensor_id: int, time: str) -> AsOf | None:
-    """Answer the question of the form; None when nothing was asked."""
     if not time.strip():
         return None
     try:
@@ -387,7 +372,6 @@ def timeline_page(
 
 
 def _answer(session: Session, sensor_id: int, at: str) -> tuple[timeline.AsOf | None, str | None]:
-    """Answer the question of the form, or say why it cannot be."""
     try:
         return timeline.get_state_at(session, sensor_id, at or None), None
     except RefusedInputError as error:

@@ -1,15 +1,7 @@
-"""Comparing runs: what differs from a reference run, in sigmas of the difference, and their figures over one another.
+"""Comparing runs: what differs from a reference run, in sigmas of the difference, their figures, and methods on one data set.
 
-`?runs=1,2,3&reference=2&all=1&align=time&overlay=band` is the whole view, so whoever opens the address sees the same. Only what
-differs is shown unless `all=1`; `align` is what the figures' axis of frames counts; `overlay` draws each run, the band of the
-lowest and the highest, or no figures but the tables. Runs of unlike camera models are refused with the way out.
-
-The tables of a comparison as the page prints them: parameters, correlations, and all parameters together.
-
-The comparison of methods on one data set: error, cost, convergence and consistency, and when to use which.
-
-Methods can be told apart only where all else is alike. Runs on different sets are refused; what else differs between the runs
-is named above the table, so that nobody takes its effect for the method's.
+`?runs=1,2,3&reference=2&all=1&align=time&overlay=band` is the whole view. Methods can be told apart only where all else
+is alike: runs on different sets are refused, and what else differs is named above the table.
 """
 
 from __future__ import annotations

@@ -1,13 +1,7 @@
 """The frames of a run: one on the detector with its residuals at a stated scale, as tables too, and the worst ones to go to.
 
-All of the view is in the address: `frame`, `exposure`, `scale` (how many times longer than life residuals are drawn) and `show`
-(`new`, `old` or `both` parameters). Without `frame` it is the one that the result explains worst.
-
-A frame on the detector as coordinates for an SVG: every detection by its fate, residuals so many times longer than life.
-
-The view box is the detector in pixels, columns to the right and rows down. A residual starts at the measured centroid and points
-from the predicted place to it, as in the figures; around it stands a circle of three of its sigmas, drawn to the same scale, so
-that what ends inside is noise.
+All of the view is in the address: `frame`, `exposure`, `scale`, `show`. A residual points from the measured centroid to
+the predicted place; the circle is three of its sigmas, drawn to the same scale.
 """
 
 from __future__ import annotations
@@ -236,7 +230,6 @@ def _chosen(exposures: Sequence[Mapping[str, Any]], asked: str | None) -> Mappin
 
 
 def _read_scale(text: str | None) -> int | None:
-    """Read the scale; None where none is asked for that there is."""
     return int(text) if text and text.isdecimal() and int(text) in SCALES else None
 
 

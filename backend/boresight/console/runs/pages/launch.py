@@ -1,20 +1,8 @@
 """Launching a run, in steps on one page: where to begin, data, method, parameters, the dry run, the queue.
 
-The dry run is the service's own (`validate_only`), so that what it accepts is what queueing accepts. On a refusal the form
-comes back with everything that was typed. The address holds where the form begins: `?sensor=`, `?set=`, `?method=`,
-`?preset=`, and `?clone=` a run, whose settings the page then compares with what is chosen; what was sought of a large fleet
-(`?find=`); and every field that was changed since.
-
-The data that the launch form offers: which sensors to choose from, and of which of them it holds the sets and parameters.
-
-Of a small fleet the form holds them all, and a script shows those of the sensor that is chosen. Of a fleet with more sensors
-or sets than fit a page it holds those of the one sensor: another is found by name and chosen, and the form is asked for again.
-
-The launch form as text: what was typed, what is usual, and the settings document that both make.
-
-Only the choices that the method has go into the document, so that a form without scripts, which sends them all, is read alike.
-
-What a run would be, laid out to be read before it is queued: facts, predicted sigmas, and what differs from where one began.
+The dry run is the service's own (`validate_only`). The address holds where the form begins: `?sensor=`, `?set=`,
+`?method=`, `?preset=`, `?clone=` a run, what was sought of a large fleet (`?find=`), and every field that was changed
+since.
 """
 
 from __future__ import annotations
@@ -230,7 +218,6 @@ def _older(session: Session, set_ids: Sequence[str], sensor_id: int, known: set[
 
 
 def _number(text: str) -> list[int]:
-    """Read a row's number where there is one."""
     return [int(text)] if text.isdecimal() and len(text) <= LONGEST_NUMBER else []
 
 
@@ -387,7 +374,6 @@ def _expected(summary: Mapping[str, Any]) -> str:
 
 
 def _other_choices(settings: Mapping[str, Any]) -> str:
-    """List the settings that differ from the usual, apart from those with a line of their own."""
     usual = CalibrationSettings().document()
     named = {"method", "match", "free"}
     return ", ".join(
@@ -420,7 +406,6 @@ router = APIRouter(dependencies=[Depends(csrf)])
 
 
 def _launch(session: Session, actor: Actor, typed: TypedForm, sight: ForecastSources | None = None) -> Any:
-    """Hand the typed form to the service; with something to look at, only to ask what the run would be."""
     return runs.launch(
         session,
         actor,

@@ -1,9 +1,4 @@
-"""The list of runs: what ran on which data, with what result; chosen rows go to the comparison.
-
-The address holds the whole view (`boresight.console.pages.tables`): filters, order, columns, page and what is chosen.
-
-Presets: Boresight's own and the mission's, with every version and who saved it.
-"""
+"""The list of runs, whose chosen rows go to the comparison, and the presets with every version and who saved it."""
 
 from __future__ import annotations
 
@@ -194,7 +189,6 @@ def _from_to(before: float | None, after: float | None) -> str:
 
 
 def _change(before: float | None, after: float | None) -> str:
-    """Print how the RMS changed against the sensor's parameters at launch, in percent."""
     if not before or after is None:
         return MISSING
     percent = 100.0 * (after / before - 1.0)

@@ -1,18 +1,6 @@
-"""The live part of the run page: what state the run is in, what that means, how far it is; and stopping it.
+"""The live part of the run page: its state and what that means, how far it is, its log, stopping it, files to take along.
 
-A filter comes to its fraction frame by frame, so its pace and what is left can be told from the time so far. A batch does
-not: its iterations end when the estimate rests, and only the time so far is told.
-
-What a run's state means for whoever looks at it now: what it waits for, what ended it, what to do next.
-
-Nothing is said that the rows do not hold: who asked for a stop and when is a line of the log, when the worker was last
-heard of is the time of its last report, and the workers of this server are what its engine saw at its last turn.
-
-The log of a run on its page: every line with how grave it is, filtered by that in the address, and what follows a line.
-
-A run that failed or was lost and an attempt that died are errors, a stop and an attempt that is computed again are warnings.
-
-What a run gives to take along: its log as text, the sensor file as it was at launch.
+A filter comes to its fraction frame by frame, so what is left can be told; of a batch only the time so far is.
 """
 
 from __future__ import annotations

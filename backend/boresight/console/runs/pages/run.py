@@ -1,19 +1,7 @@
-"""The run page, the review desk: head and verdict always, below them one of its parts.
+"""The run page, the review desk: head and verdict always, below them one of its parts, of which only that is loaded.
 
-While a run computes the page shows what there is so far, marked PARTIAL, and follows the event stream. It never shows a
-parameter without its sigma, and a result that is not to be trusted says so above everything else. A tab loads only what it
-shows; the whole view is in the address.
-
-What each part of the run page shows, gathered only for the part that is open.
-
-How a reader looks at a part's charts, all of it in the address: axis, scale, tail; and the facts that stand beside them.
-
-The tabs of the run page: an address each, and a word where something is to be judged.
-
-A word is the worst that the part shows, so that nobody has to open a tab to learn that it is as it should be. The keys 1
-to 9 open the first nine.
-
-Where a run's numbers come from: addresses, versions, and the command that computes them again.
+While a run computes the page is marked PARTIAL and follows the event stream. It never shows a parameter without its
+sigma. The word of a tab is the worst that its part shows; the keys 1 to 9 open the first nine.
 """
 
 from __future__ import annotations

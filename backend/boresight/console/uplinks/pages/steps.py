@@ -1,11 +1,7 @@
-"""A set's way to the spacecraft: exported, sent, loaded, verified, active, each with its time, person and source.
+"""Ground and board of every sensor, the worst first, and a set's way to the spacecraft: exported, sent, loaded, verified, active.
 
-What is shown is the present climb: what was recorded since the set was last sent. Everything recorded before stands in the
-list below it. The page offers the steps that the state allows, and says why it offers no other.
-
-Uplink: what every sensor's baseline is and what is known to be on board, side by side, the worst first. Ground and board are two
-facts and never one word. MISMATCH is critical: the sensor runs with something that nobody sent. Another set active on board than is
-baseline is a caution, for it may be meant, on the day after a promotion or a roll-back.
+Ground and board are two facts and never one word. Shown is what was recorded since the set was last sent; everything
+before stands in the list below.
 """
 
 from __future__ import annotations
@@ -201,7 +197,6 @@ def find_exported_package(packages: Sequence[Package], records: Sequence[Uplink]
 
 
 def _exported(package: Package | None, names: RunNames) -> UplinkStep | None:
-    """Return the first rung, where there is a package."""
     if package is None:
         return None
     return UplinkStep(
@@ -210,7 +205,6 @@ def _exported(package: Package | None, names: RunNames) -> UplinkStep | None:
 
 
 def _taken(progress: Sequence[Uplink], state: str, names: RunNames) -> UplinkStep | None:
-    """Return a rung that was taken, or at which the read-back failed."""
     wanted = {"VERIFIED", "MISMATCH"} if state == "VERIFIED" else {state}
     row = next((row for row in progress if row.onboard_state in wanted), None)
     if row is None:
@@ -265,7 +259,6 @@ def steps_page(request: Request, session: Reading, actor: Who, blobs: Blobs, set
 def _page(
     request: Request, actor: Actor, blobs: BlobStore, set_id: int, shown: UplinkStepsContext, session: Session
 ) -> HTMLResponse:
-    """Render the page, with the refusal of a step and what was typed."""
     row = transitions.get_parameter_set(session, set_id)
     records = uplinks.list_uplinks(session, parameter_set_id=set_id)
     built = packages.list_packages(session, parameter_set_id=set_id)
@@ -298,14 +291,12 @@ def _page(
 
 
 def _why_not_sent(row: ParameterSet) -> str | None:
-    """Say why a set cannot be sent."""
     if row.ground_state == "BASELINE" or row.onboard_state != "NOT SENT":
         return None
     return f"{row.name} is {row.ground_state}: only the baseline is sent. Have it approved and promote it."
 
 
 def _members(session: Session, blobs: BlobStore, exported: Package | None) -> list[PackageMember]:
-    """List what a package holds; nothing where its bytes cannot be read."""
     if exported is None:
         return []
     try:
@@ -323,7 +314,6 @@ def _reference(session: Session, blobs: BlobStore, row: ParameterSet) -> tuple[r
 
 
 async def _form(request: Request) -> tuple[dict[str, str], bytes | None]:
-    """Read the form's texts, and the dump if one was chosen."""
     form, dump = await request.form(), None
     file = form.get("file")
     if isinstance(file, UploadFile):

@@ -1,8 +1,4 @@
-"""How a sensor's camera lies in the table on board: the definition as text, the bytes it makes, and every version there was.
-
-Everybody may look and try; analysts and administrators put a definition into force. What was typed stays in the form, whether
-it was tried, refused or lost the race with another's change.
-"""
+"""How a sensor's camera lies in the table on board: the definition as text, the bytes it makes, and every version there was."""
 
 from __future__ import annotations
 
@@ -98,7 +94,6 @@ def list_layout_lines(layout: Layout) -> Sequence[LayoutLine]:
 
 
 def _make_layout_line(one: DecodedField) -> LayoutLine:
-    """Write one field."""
     field = one.field
     byte = f"{field.bit // 8}" if field.bit % 8 == 0 else f"{field.bit // 8} bit {field.bit % 8}"
     raw = "" if field.plain else f"raw {one.raw:.9g}" if field.floating else f"raw {one.raw}"
@@ -107,7 +102,6 @@ def _make_layout_line(one: DecodedField) -> LayoutLine:
 
 
 def _kind(field: Field) -> str:
-    """Write a type with its byte order."""
     return f"{field.kind}, {'little' if field.little else 'big'}"
 
 
@@ -122,7 +116,6 @@ def table_definition_page(
 def _page(
     request: Request, actor: Actor, policy: Policy, sensor_id: int, shown: TableDefinitionContext, session: Session
 ) -> HTMLResponse:
-    """Render the definition, with what a form left behind."""
     sensor = sensors.get_sensor(session, sensor_id)
     versions = table_definitions.list_definitions(session, sensor_id)
     current = versions[0] if versions else None
@@ -190,7 +183,6 @@ async def change(request: Request, actor: Who, policy: ServerPolicy, sensor_id: 
 def _set(
     actor: Actor, sensor_id: int, text: str, reason: str, seen: int | None, policy: Policy, session: Session
 ) -> GateProfile | TableDefinition | ChangeProposal:
-    """Hand the typed definition to the service."""
     if not text.strip():
         raise RefusedInputError("There is no table definition: type its JSON, or begin with the example.")
     asked = ("table-definition", sensor_id, read_document(text), reason, seen)
