@@ -43,6 +43,6 @@ def add_person(session: Session, name: str, *roles: str, printed_name: str | Non
 
 
 def approve(session: Session, actor: Actor, approval: Approval, *, password: str = PASSWORD, **given: Any) -> Signature:
-    given = {"meaning": "I approve", "comment": "", "seen_version": approval.version} | given
+    decided = approvals.Decision("APPROVE", given.pop("meaning", "I approve"), given.pop("comment", ""))
     proof = proved(session, actor, password)
-    return approvals.sign(session, actor, approval.id, "APPROVE", proof=proof, **given)
+    return approvals.sign(session, actor, approval.id, decided, proof, **{"seen_version": approval.version} | given)

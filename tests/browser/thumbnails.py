@@ -1,6 +1,6 @@
 """What a drawing looks like from afar: so few cells that another font makes little difference, and a lost line much.
 
-A specimen is cut out of a screenshot and its pixels are averaged over CELLS; kept is how far each cell is from the
+An example is cut out of a screenshot and its pixels are averaged over CELLS; kept is how far each cell is from the
 surface it stands on, (cells_y, cells_x, 3), in levels of 255. Two such looks a (seen) and b (kept before) differ by
 
     ink    = sum |a - b| / sum |b|,                  what is drawn, and where,
@@ -23,10 +23,10 @@ SCALE = 0.25  # of the screenshot: the cells are coarser yet
 LEAST_COLOUR = 0.5  # levels of 255, the mean of a cell
 Look = np.ndarray[Any, np.dtype[np.float16]]
 
-BOXES = """() => [...document.querySelectorAll("[data-specimen]")].map(element => {
+BOXES = """() => [...document.querySelectorAll("[data-example]")].map(element => {
     const drawn = element.querySelector(":scope > .figure-canvas:not([hidden])") ?? element;
     const { x, y, width, height } = drawn.getBoundingClientRect();
-    return [element.dataset.specimen, [x + scrollX, y + scrollY, width, height]];
+    return [element.dataset.example, [x + scrollX, y + scrollY, width, height]];
 })"""
 MEANS = """async ({ image, boxes, across, down }) => {
     const picture = await createImageBitmap(await (await fetch(image)).blob());
@@ -55,7 +55,7 @@ class Seen:
 
 
 def looks(page: Page, canvas: Page, surface: str) -> dict[str, Seen]:
-    """Look at every specimen of a page.
+    """Look at every example of a page.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def looks(page: Page, canvas: Page, surface: str) -> dict[str, Seen]:
     canvas
         An empty page, whose policy lets a screenshot be measured in it.
     surface
-        `#rrggbb`, what the specimens stand on.
+        `#rrggbb`, what the examples stand on.
     """
     boxes = dict(page.evaluate(BOXES))
     places = [[round(side * SCALE) for side in box] for box in boxes.values()]

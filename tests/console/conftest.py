@@ -7,9 +7,11 @@ from typing import Any
 import orjson
 import pytest
 
+from boresight.console import list_queries as lists
 from boresight.console import transitions
 from boresight.console.access import users
 from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import service as parameter_sets
@@ -157,7 +159,7 @@ def approved(engine, people, submitted) -> Callable[[], ParameterSet]:
     def make() -> ParameterSet:
         row = submitted()
         with open_writing(engine) as session:
-            approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
+            approval = lists.newest(session, Approval, set=row.id)[0]
             approve(session, people["cy"], approval)
             return transitions.get_parameter_set(session, row.id)
 

@@ -12,6 +12,7 @@ from typing import Any
 import httpx
 import pytest
 
+from boresight.console import list_queries as lists
 from boresight.console.access import users
 from boresight.console.access.tables import ROLES, User
 from boresight.console.approvals import service as approvals
@@ -68,7 +69,7 @@ class Board:
 
     def request_of(self, place: str) -> Approval | None:
         with open_reading(self.installation.engine) as session:
-            return next(iter(approvals.list_approvals(session, parameter_set_id=self.sets[place])), None)
+            return next(iter(lists.newest(session, Approval, set=self.sets[place])), None)
 
     @cache  # noqa: B019 - no move of this file is made, and one board is made
     def seen(self, place: str, kind: str) -> tuple[str, int]:
@@ -130,7 +131,7 @@ def _sign(board: Board, place: str, decision: str = "APPROVE") -> None:
     assert request is not None
     with open_writing(board.installation.engine) as session:
         proof = proved(session, board.actor("signer"), PASSWORD)
-        words = (decision, WORDS["meaning"], WORDS["comment"], proof, request.version)
+        words = (approvals.Decision(decision, WORDS["meaning"], WORDS["comment"]), proof, request.version)
         approvals.sign(session, board.actor("signer"), request.id, *words)
 
 

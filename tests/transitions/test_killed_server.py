@@ -18,9 +18,8 @@ import pytest
 import sqlalchemy as sa
 
 from benchmarks.servers import Server, variables, wait_until
-from boresight.console.approvals import service as approvals
+from boresight.console import list_queries as lists
 from boresight.console.approvals.tables import Approval, Signature
-from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
@@ -123,12 +122,12 @@ class Traffic:
     def _aim(self, rng: np.random.Generator) -> tuple[str, str, int, dict[str, str] | None]:
         """Choose a set, and a transition that its state has."""
         with open_reading(self.house.engine) as session:
-            rows = [row for row in parameter_sets.list_parameter_sets(session) if row.ground_state in CHOICES]
+            rows = [row for row in lists.newest(session, ParameterSet) if row.ground_state in CHOICES]
             row = rows[int(rng.integers(len(rows)))]
             choices = CHOICES[row.ground_state]
             person, name, _ = choices[int(rng.choice(len(choices), p=[choice[2] for choice in choices]))]
             if name in {"approve", "refuse"}:
-                request = approvals.list_approvals(session, parameter_set_id=row.id)[0]
+                request = lists.newest(session, Approval, set=row.id)[0]
                 return person, f"/api/v1/approvals/{request.id}:{name}", request.version, WORDS
         return person, f"/api/v1/parameter-sets/{row.id}:{name}", row.version, None if name == "promote" else REASON
 
@@ -184,7 +183,7 @@ def _is_whole(house: Installation, traffic: Traffic) -> None:
     with open_reading(house.engine) as session:
         assert audit.verify(session).ok
         for row in session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)):
-            sets = parameter_sets.list_parameter_sets(session, sensor_id=row.sensor_id)
+            sets = lists.newest(session, ParameterSet, sensor=row.sensor_id)
             baselines = [found.id for found in sets if found.ground_state == "BASELINE"]
             newest = session.scalar(
                 sa.select(Promotion.parameter_set_id)

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
+from boresight.console import list_queries as lists
 from boresight.console import transitions
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals.tables import Signature
-from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
@@ -70,8 +70,12 @@ def _submit(house: Installation, row: ParameterSet) -> None:
 
 def _sign(house: Installation, row: ParameterSet) -> None:
     with open_writing(house.engine) as session:
-        request = approvals.list_approvals(session, parameter_set_id=row.id)[0]
-        words = ("APPROVE", "I approve.", "", proved(session, house.actor("cy"), PASSWORD), request.version)
+        request = lists.newest(session, Approval, set=row.id)[0]
+        words = (
+            approvals.Decision("APPROVE", "I approve."),
+            proved(session, house.actor("cy"), PASSWORD),
+            request.version,
+        )
         approvals.sign(session, house.actor("cy"), request.id, *words)
 
 
@@ -85,12 +89,12 @@ def _readied(house: Installation, sensor_id: int, signed: int) -> None:
 
 def _sets(house: Installation, sensor_id: int, state: str) -> Sequence[ParameterSet]:
     with open_reading(house.engine) as session:
-        return parameter_sets.list_parameter_sets(session, sensor_id=sensor_id, ground_state=state)
+        return lists.newest(session, ParameterSet, sensor=sensor_id, state=state)
 
 
 def _shots(house: Installation, sensor_id: int, rng: np.random.Generator) -> list[Shot]:
     with open_reading(house.engine) as session:
-        waiting = approvals.list_approvals(session, state="OPEN")
+        waiting = lists.newest(session, Approval, state="OPEN")
     signed = [
         Shot(person, f"/api/v1/approvals/{request.id}:approve", request.version, WORDS)
         for request in waiting
@@ -185,7 +189,7 @@ def test_fifty_at_once_leave_one_baseline_and_one_chain(
 def _is_on_record(house: Installation, sensor_id: int, accepted: list[tuple[Shot, httpx.Response]]) -> None:
     with open_reading(house.engine) as session:
         assert audit.verify(session).ok
-        sets = parameter_sets.list_parameter_sets(session, sensor_id=sensor_id)
+        sets = lists.newest(session, ParameterSet, sensor=sensor_id)
         assert [row.ground_state for row in sets].count("BASELINE") == 1
         records = session.execute(sa.select(AuditRecord.request_id, AuditRecord.action, AuditRecord.object)).all()
         signatures, promotions = (

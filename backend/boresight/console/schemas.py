@@ -49,7 +49,7 @@ Values = dict[str, float | None]
 Numbers = list[float | None]
 
 
-class _Shape(BaseModel):
+class Shape(BaseModel):
     """A document of which every member is listed."""
 
     model_config = ConfigDict(extra="forbid", populate_by_name=True)

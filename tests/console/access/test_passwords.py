@@ -8,11 +8,12 @@ from unittest.mock import Mock
 import pytest
 from zxcvbn.matching import RANKED_DICTIONARIES
 
+from boresight.console import list_queries as lists
 from boresight.console.access import passwords, users
 from boresight.console.access.log_in_attempts import FORGET_S, HELD_S, LoginAttempt, LoginLimiter, place_of_address
 from boresight.console.access.passwords import describe_weakness, password_by
 from boresight.console.approvals import queries as approval_queries
-from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval
 from boresight.errors import ForbiddenError, PasswordDueError, RefusedInputError, TooManyAttemptsError
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
@@ -53,7 +54,7 @@ def test_whoever_comes_with_a_given_password_may_only_set_their_own(engine, cy):
 def test_a_given_password_signs_nothing_and_ones_own_does(engine, cy, submitted):
     row = submitted()
     with open_reading(engine) as session:
-        approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
+        approval = lists.newest(session, Approval, set=row.id)[0]
 
     def sign(password: str) -> None:
         with open_writing(engine) as session:
@@ -126,7 +127,7 @@ def test_a_signature_through_a_puppet_says_so_in_its_row_and_on_record(engine, s
         puppet = users.get_actor(session, cy.user_id, sets_password=True)
         users.change_password(session, puppet, cy.user_id, new_password(OWN), proved(session, puppet, GIVEN))
     with open_writing(engine) as session:
-        approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
+        approval = lists.newest(session, Approval, set=row.id)[0]
         signature = approve(session, puppet, approval, password=OWN)
         record = audit.last_change(session, f"approvals/{approval.id}")
     assert re.fullmatch(r"reset by Root at \S+ \S+ UTC, set anew \d+ s later", str(signature.password_by))

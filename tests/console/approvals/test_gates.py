@@ -6,10 +6,12 @@ from typing import Any
 
 import pytest
 
+from boresight.console import list_queries as lists
 from boresight.console import transitions
 from boresight.console.approvals import gate_profiles, gates
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
+from boresight.console.approvals.tables import Approval
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.uplinks import packages
@@ -190,7 +192,7 @@ def test_other_limits_make_undecided_requests_stale(set_profile, submitted, engi
     row = submitted()
     set_profile()
     with open_reading(engine) as session:
-        request = approvals.list_approvals(session, parameter_set_id=row.id)[0]
+        request = lists.newest(session, Approval, set=row.id)[0]
         assert request.state == "STALE"
         assert transitions.get_parameter_set(session, row.id).ground_state == "CANDIDATE"
 
@@ -205,7 +207,7 @@ def test_a_dry_run_says_of_every_past_run_what_would_have_been_blocked_and_store
         finished_run(session, state="FAILED")
     with open_reading(engine) as session:
         tried = gate_profiles.dry_run(session, blobs, 1, SHIFT)
-    assert [(one.run.id, one.set_name) for one in tried] == [(never_made, None), (assessed.run_id, assessed.name)]
+    assert [(one.run.id, one.parameter_set) for one in tried] == [(never_made, None), (assessed.run_id, assessed.name)]
     assert [one.blocking for one in tried] == [[], ["parameter-shift"]]  # the first is where the sensor started
     assert [one.blocking_now for one in tried] == [[], []]
     assert [one.basis for one in tried] == ["the run's own result", "the set's gate report"]

@@ -7,6 +7,7 @@ from datetime import datetime
 import pytest
 import sqlalchemy as sa
 
+from boresight.console import list_queries as lists
 from boresight.console import transitions
 from boresight.console.access import api_keys, users
 from boresight.console.approvals import queries as approval_queries
@@ -14,7 +15,6 @@ from boresight.console.approvals import service as approvals
 from boresight.console.approvals import staleness
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.jobs.heartbeat import Heartbeat
-from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import (
@@ -65,7 +65,8 @@ def _sign(engine: Engine, actor: Actor, approval: Approval, decision: str = "APP
     } | changes
     with open_writing(engine) as session:
         values["proof"] = proved(session, actor, str(values.pop("password")))
-        return approvals.sign(session, actor, approval.id, decision, **values)
+        decided = approvals.Decision(decision, values.pop("meaning"), values.pop("comment"))
+        return approvals.sign(session, actor, approval.id, decided, **values)
 
 
 def _states(engine: Engine, approval: Approval) -> tuple[str, str]:
@@ -230,9 +231,9 @@ def test_requests_are_listed_by_state_newest_first(engine, people, request_of):
     first, second = request_of(), request_of()
     _sign(engine, people["cy"], first)
     with open_reading(engine) as session:
-        assert [row.id for row in approvals.list_approvals(session)] == [second.id, first.id]
-        assert [row.id for row in approvals.list_approvals(session, state="OPEN")] == [second.id]
-        assert [row.id for row in approvals.list_approvals(session, before_id=second.id)] == [first.id]
+        assert [row.id for row in lists.newest(session, Approval)] == [second.id, first.id]
+        assert [row.id for row in lists.newest(session, Approval, state="OPEN")] == [second.id]
+        assert [row.id for row in lists.newest(session, Approval, before_id=second.id)] == [first.id]
         with pytest.raises(NotFoundError, match="no request"):
             transitions.get_approval(session, 99)
 
@@ -245,7 +246,7 @@ def _promote(engine: Engine, actor: Actor, set_id: int, seen: int | None = None)
 
 def _ground_states(engine: Engine) -> dict[str, str]:
     with open_reading(engine) as session:
-        return {row.name: row.ground_state for row in parameter_sets.list_parameter_sets(session)}
+        return {row.name: row.ground_state for row in lists.newest(session, ParameterSet)}
 
 
 @pytest.mark.parametrize("name", ["ana", "bo", "cy", "eve", "root"])
@@ -306,7 +307,7 @@ def test_another_promotion_makes_every_request_of_the_sensor_stale(engine, peopl
     waiting, signed, winner = submitted(), approved(), approved()
     _promote(engine, people["dee"], winner.id)
     with open_reading(engine) as session:
-        states = {row.parameter_set_id: row.state for row in approvals.list_approvals(session)}
+        states = {row.parameter_set_id: row.state for row in lists.newest(session, Approval)}
     assert states == {waiting.id: "STALE", signed.id: "STALE", winner.id: "APPROVED"}
     assert _ground_states(engine)[signed.name] == "CANDIDATE"
 
@@ -320,7 +321,7 @@ def test_an_incumbent_that_moved_unseen_makes_the_approval_stale_for_good(engine
     with pytest.raises(StaleError, match=r"incumbent moved .* The baseline is PS-ST16-1-2: Root exchanged it .* again"):
         _promote(engine, people["dee"], row.id)
     with open_reading(engine) as session:
-        assert approvals.list_approvals(session)[0].state == "STALE"
+        assert lists.newest(session, Approval)[0].state == "STALE"
     assert _ground_states(engine) == {"PS-ST16-1-0": "SUPERSEDED", row.name: "CANDIDATE", other.name: "BASELINE"}
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from boresight.console import list_queries as lists
 from boresight.console import transitions
 from boresight.console.access import api_keys, users
 from boresight.console.approvals import gate_profiles, gates, staleness
@@ -58,7 +59,7 @@ def ask(engine, people, blobs) -> Callable[..., Approval]:
 def _decide(engine, actor, approval, decision="APPROVE", policy=POLICY) -> Approval:
     with open_writing(engine) as session:
         seen = transitions.get_approval(session, approval.id).version
-        words = (decision, "I decide", "seen", proved(session, actor, PASSWORD), seen)
+        words = (approvals.Decision(decision, "I decide", "seen"), proved(session, actor, PASSWORD), seen)
         approvals.sign(session, actor, approval.id, *words, policy=policy)
         return transitions.get_approval(session, approval.id)
 
@@ -104,7 +105,7 @@ def test_a_set_created_with_a_key_is_its_owners(engine, people, created, ask):
 def test_over_the_shoulder_the_creator_does_not_sign_either(engine, people, created, ask):
     approval = ask(created("bo"))
     with open_reading(engine) as session:
-        words = ("APPROVE", "I approve", "", proved(session, "bo", PASSWORD), approval.version)
+        words = (approvals.Decision("APPROVE", "I approve"), proved(session, "bo", PASSWORD), approval.version)
     with open_writing(engine) as session, pytest.raises(ForbiddenError, match="You created this set"):
         approvals.sign_over_the_shoulder(session, people["ana"], approval.id, *words)
 
@@ -285,12 +286,12 @@ def test_the_policy_says_how_many_must_sign(policy, waived, needed):
 def request_id(engine, submitted) -> int:
     row = submitted()
     with open_reading(engine) as session:
-        return approvals.list_approvals(session, parameter_set_id=row.id)[0].id
+        return lists.newest(session, Approval, set=row.id)[0].id
 
 
 def _beside(engine: Engine, console: Actor, request_id: int, name: str, password: str = PASSWORD) -> Signature:
     with open_writing(engine) as session:
-        words = ("APPROVE", "I approve", "", proved(session, name, password), 1)
+        words = (approvals.Decision("APPROVE", "I approve"), proved(session, name, password), 1)
         return approvals.sign_over_the_shoulder(session, console, request_id, *words)
 
 

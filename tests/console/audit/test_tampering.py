@@ -14,11 +14,12 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
+from boresight.console import list_queries as lists
 from boresight.console.access import api_keys, users
 from boresight.console.alarms import rules
 from boresight.console.alarms.rules import check_chain
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals.tables import ChangeProposal, GateProfile, GateReport, Waiver
+from boresight.console.approvals.tables import Approval, ChangeProposal, GateProfile, GateReport, Waiver
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.notes import service as notes
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -67,7 +68,7 @@ def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: Paramete
         approvals.promote(session, people["dee"], row.id, row.version)
         for state in ("SENT", "LOADED"):
             uplinks.record(session, people["dee"], row.id, state, "pass 4711")
-        approval = approvals.list_approvals(session, parameter_set_id=row.id)[0]
+        approval = lists.newest(session, Approval, set=row.id)[0]
         approvals.remark(session, people["ana"], approval.id, "The focus moved.")
         api_keys.create_key(session, people["ana"], label="passes", scopes=["runs"])
         users.change_roles(session, people["root"], people["eve"].user_id or 0, ["viewer", "operator"])

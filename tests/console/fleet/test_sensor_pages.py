@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.console import list_queries as lists
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensor import baseline_values, compute_optics
@@ -235,7 +236,7 @@ def test_a_bad_document_leaves_no_sensor_and_no_set(engine, people):
         sensors.register_sensor(session, people["ana"], bad)
     with open_writing(engine) as session:
         assert [row.name for row in sensor_queries.sensors(session)] == ["ST16-1"]
-        assert len(parameter_sets.list_parameter_sets(session)) == 1
+        assert len(lists.newest(session, ParameterSet)) == 1
 
 
 @pytest.mark.parametrize("name", ["../../etc", "a/b", "<b>", "x" * 65, "-x"])

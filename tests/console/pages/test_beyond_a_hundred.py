@@ -22,7 +22,6 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.notes import queries as note_queries
 from boresight.console.notes import service as notes
 from boresight.console.notes.tables import Note
-from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
@@ -111,7 +110,7 @@ def test_every_open_request_is_counted_in_the_top_bar(full):
 def test_the_requests_open_to_somebody_are_those_that_they_may_sign_one_by_one(full, name, four_eyes):
     policy, actor = type(POLICY)(**{**vars(POLICY), "four_eyes": four_eyes}), full.actor(name)
     with open_reading(full.engine) as session:
-        requests = approvals.list_approvals(session, state="OPEN")
+        requests = lists.newest(session, Approval, state="OPEN")
         may = {one.id for one in requests if approvals.why_not_sign(session, actor, one.id, policy=policy) is None}
         who = approvals.signatory(session, actor, policy=policy)
         found = set() if who is None else {
@@ -220,7 +219,7 @@ def test_no_note_proposal_log_in_or_version_is_left_out_beyond_a_hundred(site, r
 def test_a_run_finds_its_set_however_many_are_newer(full):
     with open_reading(full.engine) as session:
         oldest = session.scalar(sa.select(sa.func.min(ParameterSet.run_id)))
-        newer = parameter_sets.list_parameter_sets(session, sensor_id=1, limit=100)
+        newer = lists.newest(session, ParameterSet, sensor=1, limit=100)
         made = find_parameter_set(session, runs.get_run(session, oldest))
         assert made.run_id == oldest
         assert made.id not in {row.id for row in newer}

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from boresight.console import list_queries as lists
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks import table_definitions
@@ -68,7 +69,7 @@ def sent_table(engine: Engine, set_id: int = 1) -> SentTable:
 
 def newest(engine: Engine, set_id: int = 1) -> Uplink:
     with open_reading(engine) as session:
-        return uplinks.list_uplinks(session, parameter_set_id=set_id, limit=1)[0]
+        return lists.newest(session, Uplink, set=set_id, limit=1)[0]
 
 
 def onboard(engine: Engine, set_id: int = 1) -> str:

@@ -184,7 +184,8 @@ def test_what_was_signed_with_fewer_eyes_is_said_for_ever(engine, people, build,
     row = candidate("bo")
     with open_writing(engine) as session:
         request = approvals.submit(session, people["bo"], blobs, row.id, "better", row.version, policy=alone)
-        words = (request.id, "APPROVE", "I approve", "", proved(session, people["bo"], PASSWORD), request.version)
+        decided = approvals.Decision("APPROVE", "I approve")
+        words = (request.id, decided, proved(session, people["bo"], PASSWORD), request.version)
         approvals.sign(session, people["bo"], *words, policy=alone)
     four_eyes = json.loads(build(row)[1]["MANIFEST.json"])["four_eyes"]
     assert (four_eyes["enforced"], four_eyes["kept"]) == (True, False)

@@ -8,6 +8,7 @@ from html import unescape
 import pytest
 from sqlalchemy import select
 
+from boresight.console import list_queries as lists
 from boresight.console.fleet import timeline
 from boresight.console.fleet.pages.sensors import EXAMPLE
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -221,7 +222,7 @@ def test_the_package_is_built_once_and_listed_with_hashes_and_the_way_back(site,
     assert "Way back PS-ST16-1-0" in words
     assert "SHA256SUMS" in words
     with open_reading(site.engine) as session:
-        (package,) = packages.list_packages(session)
+        (package,) = lists.newest(session, Package)
         members = list_package_members(packages.read(session, site.blobs, package.id))
     assert {"MANIFEST.json", "parameters.json"} <= {member.name.rpartition("/")[2] for member in members}
 

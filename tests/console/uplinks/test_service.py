@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.console import list_queries as lists
 from boresight.console.access import users
 from boresight.console.parameter_sets.tables import ONBOARD_STATES, ParameterSet, Promotion
 from boresight.console.uplinks import service as uplinks
@@ -45,7 +46,7 @@ def test_the_ladder_is_climbed_step_by_step_with_a_record_each(engine, people):
     climb(engine, people["dee"], *LADDER)
     assert onboard(engine) == "ACTIVE"
     with open_reading(engine) as session:
-        records = uplinks.list_uplinks(session, parameter_set_id=1)
+        records = lists.newest(session, Uplink, set=1)
         assert [row.onboard_state for row in reversed(records)] == list(LADDER)
         assert {row.recorded_by for row in records} == {people["dee"].user_id}
         change = audit.last_change(session, "parameter-sets/1")
@@ -75,7 +76,7 @@ def test_a_step_off_the_ladder_leaves_no_record(engine, people, state, source, e
         _record(engine, people["dee"], state, source)
     assert onboard(engine) == "NOT SENT"
     with open_reading(engine) as session:
-        assert not uplinks.list_uplinks(session)
+        assert not lists.newest(session, Uplink)
 
 
 @pytest.mark.parametrize("climbed", [(), ("SENT", "LOADED"), ("SENT", "LOADED", "VERIFIED"), ("SENT", "UNKNOWN")])
@@ -115,9 +116,9 @@ def test_only_the_baseline_is_sent_one_set_is_active_and_the_one_before_becomes_
     climb(engine, people["dee"], *LADDER, set_id=row.id)
     assert (onboard(engine, 1), onboard(engine, row.id)) == ("UNKNOWN", "ACTIVE")
     with open_reading(engine) as session:
-        newest = uplinks.list_uplinks(session, parameter_set_id=1)[0]
+        newest = lists.newest(session, Uplink, set=1)[0]
         assert newest.source == f"{row.name} was read back as active: pass 4711"
-        assert len(uplinks.list_uplinks(session, sensor_id=row.sensor_id)) == 9
+        assert len(lists.newest(session, Uplink, sensor=row.sensor_id)) == 9
 
 
 def test_what_was_baseline_is_answered_for_any_time_and_what_is_none_is_refused_with_an_example(engine, candidate):
@@ -340,7 +341,7 @@ def test_a_move_succeeds_where_person_and_state_allow_it_and_nowhere_else(engine
                 _make(session, actor, blobs, move, table)
             assert session.get_one(ParameterSet, 1).onboard_state == state, (state, move)
     with open_reading(engine) as session:
-        assert not uplinks.list_uplinks(session)
+        assert not lists.newest(session, Uplink)
 
 
 def test_the_list_of_moves_leaves_no_state_and_no_service_out():

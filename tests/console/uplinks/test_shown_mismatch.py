@@ -7,10 +7,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from boresight.console import list_queries as lists
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.read_backs import read_back
 from boresight.console.uplinks.service import has_shown_mismatch
+from boresight.console.uplinks.tables import Uplink
 from boresight.errors import ConflictError
 from boresight.platform.actors import Actor
 from boresight.platform.blobs.store import BlobStore
@@ -57,7 +59,7 @@ class Board:
         self.hold_each_claim_to_its_basis()
 
     def hold_each_claim_to_its_basis(self) -> None:
-        for record in uplinks.list_uplinks(self.session, parameter_set_id=1):
+        for record in lists.newest(self.session, Uplink, set=1):
             assert record.onboard_state != "VERIFIED" or record.method is not None
             assert record.onboard_state != "ACTIVE" or record.method is not None or record.printed_name == "Dee"
 

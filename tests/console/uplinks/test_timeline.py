@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from boresight.console import list_queries as lists
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import GateProfile
 from boresight.console.fleet import timeline
@@ -304,8 +305,8 @@ def test_a_source_that_is_markup_is_shown_as_text(site):
 def test_every_state_of_the_store_is_left_as_it_was_by_looking(site):
     board.climb(site, "SENT")
     with open_reading(site.engine) as session:
-        before = [row.id for row in uplinks.list_uplinks(session)]
+        before = [row.id for row in lists.newest(session, Uplink)]
     for address in (PAGE, "/uplink", "/parameter-sets/1/uplink"):
         site.visitor("olga").get(address)
     with open_reading(site.engine) as session:
-        assert [row.id for row in uplinks.list_uplinks(session)] == before
+        assert [row.id for row in lists.newest(session, Uplink)] == before

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
+from boresight.console import list_queries as lists
 from boresight.console import transitions
 from boresight.console.access import users
 from boresight.console.approvals import service as approvals
@@ -264,7 +265,7 @@ def test_promotions_at_once_leave_one_baseline_and_one_chain(
         outcomes = sorted(pool.map(promote, range(3)))
     assert outcomes[1:] == ["stale", "stale"]
     with open_reading(postgresql) as session:
-        listed = parameter_sets.list_parameter_sets(session)
+        listed = lists.newest(session, ParameterSet)
         assert [row.name for row in listed if row.ground_state == "BASELINE"] == outcomes[:1]
         assert audit.verify(session).ok
 

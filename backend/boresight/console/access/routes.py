@@ -29,6 +29,7 @@ from boresight.console.access.dependencies import (
 from boresight.console.access.passwords import NewPassword, PasswordProof
 from boresight.console.access.tables import ApiKey, LoginSession, User
 from boresight.console.operation import Answer, Beside, operations
+from boresight.console.schemas import Shape
 from boresight.platform.actors import SCOPES, Actor
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.openapi import refuses
@@ -38,10 +39,9 @@ from boresight.settings import Settings
 router = operations("/users", tags=["users"])
 
 
-class NewUser(BaseModel):
+class NewUser(Shape):
     """A person to be added."""
 
-    model_config = ConfigDict(extra="forbid")
     name: str = Field(description="Log-in name.", examples=["ana"])
     printed_name: str = Field(description="As signatures and the audit log show it.", examples=["Ana Lima"])
     password: SecretStr
@@ -51,17 +51,15 @@ class NewUser(BaseModel):
     )
 
 
-class Roles(BaseModel):
+class Roles(Shape):
     """The roles that a person has from now on."""
 
-    model_config = ConfigDict(extra="forbid")
     roles: list[str]
 
 
-class Password(BaseModel):
+class Password(Shape):
     """A new password, and for one's own the current one."""
 
-    model_config = ConfigDict(extra="forbid")
     password: SecretStr
     current: SecretStr = SecretStr("")
 
@@ -202,10 +200,9 @@ entrance = operations("/sessions", tags=["sessions"], open_to_all=True)
 NO_DRY_RUN = [Depends(refuse_dry_run)]
 
 
-class Credentials(BaseModel):
+class Credentials(Shape):
     """A log-in name and its password."""
 
-    model_config = ConfigDict(extra="forbid")
     name: str = Field(examples=["ana"])
     password: SecretStr
 
@@ -264,7 +261,7 @@ def list_sessions(
     open: Annotated[bool | None, Query(description="Only those that are open, or only those that ended.")] = None,  # noqa: A002 - the name in the address
 ) -> Listing[LoginSession]:
     """List one's log-ins, newest first, with where they were made and why they ended."""
-    found = sessions.list_sessions(session, actor, user_id, is_open=open, before_id=page.last_id, limit=page.limit + 1)
+    found = sessions.list_sessions(session, actor, user_id, is_open=open, **page.rows)
     return page.cut(found, lambda row: _shown(row, actor, settings))
 
 

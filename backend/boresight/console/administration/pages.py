@@ -6,12 +6,9 @@ tests look at it.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
@@ -28,7 +25,8 @@ from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import CHAPTERS, FIGURES, WIDE, figure_json
 from boresight.figures.example_calibration import get_example_calibrations, make_example_traces
 from boresight.figures.tables import parameter_rows
-from boresight.platform.db.sessions import Session, utc_after, utc_now
+from boresight.platform.db.sessions import utc_after, utc_now
+from boresight.platform.web.media import CsvFile, csv_text
 from boresight.verdicts.verdict import LEVELS, make_verdict_marks
 
 SOON_S = 14 * 86400.0
@@ -94,7 +92,7 @@ def administration_page(
         due=[person.printed_name for person in people if person.must_change_password and not person.disabled_utc],
         roles=roles_held(people),
         warnings=warnings(people, four_eyes=policy.four_eyes),
-        keys=keys_at(_keys(session), utc_now(), utc_after(SOON_S)),
+        keys=keys_at(api_keys.list_keys(session), utc_now(), utc_after(SOON_S)),
         workers=workers.state() if workers else None,
         counts=runs.count_by_state(session),
         policy=policy,
@@ -104,10 +102,6 @@ def administration_page(
         light=upkeep.light(),
         administrator="administrator" in actor.roles,
     )
-
-
-def _keys(session: Session) -> Sequence[ApiKey]:
-    return api_keys.list_keys(session)
 
 
 PARTS = {"figures": "Figures", "elements": "Elements"}
@@ -170,8 +164,4 @@ def gallery_data(name: str, of: str = "one") -> Response:
     """Send the numbers of a figure of the example as CSV."""
     shown = _find_traces(name, of)
     table = FIGURES[name].table(get_example_calibrations()[shown[0]])
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table)
-    writer.writerows(zip_longest(*table.values()))
-    return Response(text.getvalue(), media_type="text/csv; charset=utf-8")
+    return CsvFile(csv_text(table))

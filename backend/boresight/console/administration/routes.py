@@ -22,7 +22,7 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 from boresight.console.access.credentials import current_actor
 from boresight.console.access.dependencies import Database, ServerSettings, WorkerControl, Workers, of_server
 from boresight.console.operation import json_response
-from boresight.console.schemas import _Shape
+from boresight.console.schemas import Shape
 from boresight.errors import BoresightError
 from boresight.platform.db.engines import refuse_unwritable_store
 from boresight.platform.db.sessions import Engine, current_revision, head_revision
@@ -36,7 +36,7 @@ from boresight.settings import Settings
 FilesCheck = Annotated[CachedCheck, of_server("blobs_watched")]
 
 
-class Health(_Shape):
+class Health(Shape):
     """That the process answers."""
 
     status: Literal["ok"]
@@ -50,7 +50,7 @@ class Check(BaseModel):
     detail: str | None = None
 
 
-class Readiness(_Shape):
+class Readiness(Shape):
     """Whether store, files and workers are there."""
 
     status: Literal["ready", "not ready"]

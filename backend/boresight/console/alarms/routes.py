@@ -5,37 +5,35 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from boresight.console.access.dependencies import Reading, SeenVersion, Who, Writing
 from boresight.console.alarms import schemas
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm, AlarmEvent
 from boresight.console.operation import Beside, operations
+from boresight.console.schemas import Shape
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 
 router = operations("/alarms", tags=["alarms"])
 
 
-class Comment(BaseModel):
+class Comment(Shape):
     """What is said with it."""
 
-    model_config = ConfigDict(extra="forbid")
     text: str = Field("", examples=["Seen; a pass for calibration is asked for."])
 
 
-class Shelf(BaseModel):
+class Shelf(Shape):
     """Until when an alarm may wait, and why."""
 
-    model_config = ConfigDict(extra="forbid")
     until_utc: str = Field(examples=["2026-12-01T08:00:00Z"], description="30 days from now at most.")
     reason: str
 
 
-class Assignee(BaseModel):
+class Assignee(Shape):
     """Who is asked to take care of it."""
 
-    model_config = ConfigDict(extra="forbid")
     user_id: Id | None = Field(description="Null: nobody in particular.")
 
 
@@ -55,7 +53,7 @@ def list_alarms(
 ) -> Listing[Alarm]:
     """List the alarms that are open, newest first, or those of a state."""
     sought = alarms.AlarmFilter(sensor_id=sensor_id, kind=kind, state=state)
-    return page.cut(alarms.list_alarms(session, sought, before_id=page.last_id, limit=page.limit + 1), _shown)
+    return page.cut(alarms.list_alarms(session, sought, **page.rows), _shown)
 
 
 @router.get("/{alarm_id}", summary="Read an alarm", response_model=schemas.Alarm)

@@ -27,7 +27,7 @@ from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts import gates
-from boresight.verdicts.gates import Measurement, Profile
+from boresight.verdicts.gates import Measurement
 from boresight.verdicts.gates.assessment import ground_set, of_result
 
 DEFAULT = gates.parse_profile({}).document()
@@ -41,12 +41,17 @@ class TriedProfile:
     """What a profile would have said of a past run."""
 
     run: Run
-    set_name: str | None
+    parameter_set: str | None
     verdict: str
     blocking: list[str]
     verdict_now: str
     blocking_now: list[str]
     basis: str
+
+    @property
+    def run_id(self) -> int:
+        """The number of the run."""
+        return self.run.id
 
 
 def profile_in_force(session: Session, sensor_id: int) -> GateProfile:
@@ -173,19 +178,10 @@ def dry_run(session: Session, blobs: BlobStore, sensor_id: int, document: Mappin
         report = None if row is None else rows.newest_reports(session, [row.id]).get(row.id)
         basis = "the set's gate report" if report else "the run's own result"
         measured = gates.read_measurements(report.document) if report else _measured(blobs, run)
-        found.append(_tried(run, row.name if row else None, measured, (tried, current), basis))
+        new, now = gates.judge(tried, measured), gates.judge(current, measured)
+        judged = (new["verdict"], new["blocking"], now["verdict"], now["blocking"])
+        found.append(TriedProfile(run, row.name if row else None, *judged, basis))
     return found
-
-
-def _tried(
-    run: Run,
-    set_name: str | None,
-    measured: Mapping[str, Measurement],
-    profiles: tuple[Profile, Profile],
-    basis: str,
-) -> TriedProfile:
-    new, now = (gates.judge(profile, measured) for profile in profiles)
-    return TriedProfile(run, set_name, new["verdict"], new["blocking"], now["verdict"], now["blocking"], basis)
 
 
 def _measured(blobs: BlobStore, run: Run) -> dict[str, Measurement]:

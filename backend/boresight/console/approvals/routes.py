@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from fastapi import Depends, Query
-from pydantic import BaseModel, ConfigDict, Field, SecretStr
+from pydantic import Field, SecretStr
 from starlette.requests import Request
 
+from boresight.console import list_queries as lists
 from boresight.console import transitions
 from boresight.console.access.dependencies import (
     Blobs,
@@ -28,10 +29,12 @@ from boresight.console.approvals import gate_profiles, gates, schemas
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.gates import read_gate_inputs
+from boresight.console.approvals.service import Decision
 from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Opening, Remark, Waiver
 from boresight.console.change_proposals import service as second_person
 from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
 from boresight.console.operation import Answer, Beside, operations
+from boresight.console.schemas import Shape
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.platform.actors import require_role, require_scope
 from boresight.platform.db.sessions import Session, open_reading
@@ -46,10 +49,9 @@ GATES = Field(
 )
 
 
-class Limits(BaseModel):
+class Limits(Shape):
     """A profile to try."""
 
-    model_config = ConfigDict(extra="forbid")
     gates: list[dict[str, Any]] = GATES
 
 
@@ -67,8 +69,7 @@ class NewProfile(Limits):
 def list_gate_profiles(sensor_id: Id, session: Reading, page: Paged) -> Answer:
     """List every version of a sensor's limits, newest first; the first is in force, and its ETag is for setting another."""
     found = gate_profiles.list_profiles(session, sensor_id)
-    older = [row for row in found if page.last_id is None or row.id < page.last_id]  # ids grow with the numbers
-    return Answer(page.cut(older[: page.limit + 1]), headers={"ETag": schemas.GateProfile.etag(found[0])})
+    return Answer(page.cut_whole(found), headers={"ETag": schemas.GateProfile.etag(found[0])})
 
 
 @gate_profile_router.post(
@@ -99,19 +100,7 @@ def set_gate_profile(
 def try_gate_profile(sensor_id: Id, profile: Limits, asked: IsDryRun, session: Reading, blobs: Blobs) -> Answer:
     """Say of each of the sensor's newest runs what these limits would have blocked; nothing is stored in any case."""
     found = gate_profiles.dry_run(session, blobs, sensor_id, {"gates": profile.gates})
-    items = [
-        {
-            "run_id": tried.run.id,
-            "parameter_set": tried.set_name,
-            "verdict": tried.verdict,
-            "blocking": tried.blocking,
-            "verdict_now": tried.verdict_now,
-            "blocking_now": tried.blocking_now,
-            "basis": tried.basis,
-        }
-        for tried in found
-    ]
-    return Answer({"items": items}, headers={"X-Validate-Only": "true"} if asked else {})
+    return Answer(Listing(found), headers={"X-Validate-Only": "true"} if asked else {})
 
 
 gate_report_router = operations("/parameter-sets", tags=["gates"])
@@ -127,10 +116,9 @@ Hash = Annotated[
 ]
 
 
-class Waiving(BaseModel):
+class Waiving(Shape):
     """Which gate a set passes in spite of, why, and until when."""
 
-    model_config = ConfigDict(extra="forbid")
     gate: str = Field(examples=["coverage"])
     code: str = Field(description=f"One of {', '.join(gates.CODES)}.", examples=["data-limited"])
     reason: str = Field(
@@ -211,13 +199,16 @@ def waive_gate(
 router = operations("/approvals", tags=["approvals"])
 
 
-class Signing(BaseModel):
+class Signing(Shape):
     """A signature: what it means, and the password again."""
 
-    model_config = ConfigDict(extra="forbid")
     meaning: str = Field(examples=["I reviewed the evidence and approve this set for baseline."])
     password: SecretStr = Field(description="The signer's own, given again.")
     comment: str = Field("", description="Needed to refuse.")
+
+    def decided(self, decision: str) -> Decision:
+        """Return it as a decision."""
+        return Decision(decision, self.meaning, self.comment)
 
 
 class SigningByName(Signing):
@@ -242,7 +233,7 @@ async def proven_beside(
     """Check name and password of a second person before any transaction begins, where a password can help."""
 
     def refuse(session: Session) -> None:
-        approvals.refuse_beside(session, actor, approval_id, signed.decision, signed.meaning, signed.comment, seen)
+        approvals.refuse_beside(session, actor, approval_id, signed.decided(signed.decision), seen)
 
     password = signed.password.get_secret_value()
     return await passwords.check_beside(actor, signed.name, password, get_client(request), refuse)
@@ -256,9 +247,7 @@ def list_approvals(
     parameter_set_id: Id | None = None,
 ) -> Listing[Approval]:
     """List requests for approval, newest first."""
-    found = approvals.list_approvals(
-        session, state=state, parameter_set_id=parameter_set_id, before_id=page.last_id, limit=page.limit + 1
-    )
+    found = lists.newest(session, Approval, **page.rows, state=state, set=parameter_set_id)
     return page.cut(found, lambda row: with_signatures(session, row))
 
 
@@ -269,18 +258,14 @@ def get_approval(approval_id: Id, session: Reading) -> Beside:
 
 
 @router.get("/{approval_id}/signers", summary="List who may sign", response_model=Page[schemas.Signer])
-def list_signers(approval_id: Id, policy: ServerPolicy, session: Reading) -> Listing[dict[str, Any]]:
+def list_signers(approval_id: Id, policy: ServerPolicy, session: Reading) -> Listing[Beside]:
     """List every approver with whether they may sign this request, and if not, which part in the set excludes them."""
     found = approvals.who_may_sign(session, approval_id, policy=policy)
     return Listing(
         [
-            {
-                "user_id": one.user.id,
-                "printed_name": one.user.printed_name,
-                "may_sign": one.refusal is None,
-                "excluded_as": list(dict.fromkeys(one.roles)),
-                "refusal": one.refusal,
-            }
+            Beside(
+                one.user, user_id=one.user.id, may_sign=one.refusal is None, excluded_as=one.roles, refusal=one.refusal
+            )
             for one in found
         ]
     )
@@ -297,7 +282,7 @@ def approve(
     session: Writing,
 ) -> Beside:
     """Approve, as a second person: neither who submitted or created the set nor who launched its run; no administrator, no key."""
-    approvals.sign(session, actor, approval_id, "APPROVE", signed.meaning, signed.comment, proof, seen, policy=policy)
+    approvals.sign(session, actor, approval_id, signed.decided("APPROVE"), proof, seen, policy=policy)
     return with_signatures(session, transitions.get_approval(session, approval_id))
 
 
@@ -312,7 +297,7 @@ def refuse(
     session: Writing,
 ) -> Beside:
     """Refuse with a comment; one refusal blocks, also after an approval, until the set is promoted."""
-    approvals.sign(session, actor, approval_id, "REFUSE", signed.meaning, signed.comment, proof, seen, policy=policy)
+    approvals.sign(session, actor, approval_id, signed.decided("REFUSE"), proof, seen, policy=policy)
     return with_signatures(session, transitions.get_approval(session, approval_id))
 
 
@@ -329,33 +314,29 @@ def sign_over_the_shoulder(
     session: Writing,
 ) -> Beside:
     """Approve or refuse as a second person who gives name and password where another is logged in."""
-    approvals.sign_over_the_shoulder(
-        session, actor, approval_id, signed.decision, signed.meaning, signed.comment, proof, seen, policy=policy
-    )
+    decided = signed.decided(signed.decision)
+    approvals.sign_over_the_shoulder(session, actor, approval_id, decided, proof, seen, policy=policy)
     return with_signatures(session, transitions.get_approval(session, approval_id))
 
 
 discussion_router = operations("/approvals/{approval_id}", tags=["approvals"])
 
 
-class Assignment(BaseModel):
+class Assignment(Shape):
     """Who is asked to decide."""
 
-    model_config = ConfigDict(extra="forbid")
     user_id: Id | None = Field(description="Null: nobody in particular.")
 
 
-class NewRemark(BaseModel):
+class NewRemark(Shape):
     """What is to be said."""
 
-    model_config = ConfigDict(extra="forbid")
     text: str = Field(examples=["Was the focus heater on during this pass?"])
 
 
-class NewOpening(BaseModel):
+class NewOpening(Shape):
     """Which evidence was opened."""
 
-    model_config = ConfigDict(extra="forbid")
     evidence: str = Field(examples=["gate-report"])
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
-from boresight.console.schemas import Document, Row
+from boresight.console.schemas import Document, Row, Shape
 
 
 class Signature(Row):
@@ -52,10 +52,9 @@ class Approval(Row):
     signatures: list[Signature] = Field(default_factory=list)
 
 
-class Signer(BaseModel):
+class Signer(Shape):
     """An approver, and whether they may sign a request now."""
 
-    model_config = ConfigDict(extra="forbid")
     user_id: int
     printed_name: str
     may_sign: bool

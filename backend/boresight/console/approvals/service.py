@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 
-from boresight.console import list_queries as lists
 from boresight.console.access import users
 from boresight.console.access.passwords import PasswordProof, password_by
 from boresight.console.access.tables import User
@@ -69,16 +70,22 @@ from boresight.platform.web.text_validation import refuse_control_characters
 DECISIONS = ("APPROVE", "REFUSE")
 
 
-def list_approvals(
-    session: Session,
-    *,
-    state: str | None = None,
-    parameter_set_id: int | None = None,
-    before_id: int | None = None,
-    limit: int | None = None,
-) -> Sequence[Approval]:
-    """Return a page of requests, newest first; the next page starts before the last one's id."""
-    return lists.newest(session, Approval, before_id=before_id, limit=limit, state=state, set=parameter_set_id)
+@dataclass(frozen=True)
+class Decision:
+    """What a person signs: for or against, what the signature means, and why."""
+
+    decision: str
+    meaning: str
+    comment: str = ""
+
+    def check(self) -> None:
+        """Refuse what is no decision."""
+        if self.decision not in DECISIONS:
+            raise RefusedInputError(f"The decision is APPROVE or REFUSE, not {self.decision!r}.")
+        if not self.meaning.strip():
+            raise RefusedInputError("Say what your signature means, such as: I approve this set for baseline.")
+        if self.decision == "REFUSE" and not self.comment.strip():
+            raise RefusedInputError("Say why you refuse: the comment is what the submitter learns from.")
 
 
 def signatory(session: Session, actor: Actor, *, policy: Policy = POLICY) -> Signatory | None:
@@ -109,13 +116,11 @@ def who_may_sign(session: Session, approval_id: int, *, policy: Policy = POLICY)
     return list_signers(session, get_approval(session, approval_id), policy)
 
 
-def sign(  # noqa: PLR0913 - a signature has that many parts
+def sign(
     session: Session,
     actor: Actor,
     approval_id: int,
-    decision: str,
-    meaning: str,
-    comment: str,
+    decided: Decision,
     proof: PasswordProof,
     seen_version: int | None,
     *,
@@ -124,42 +129,34 @@ def sign(  # noqa: PLR0913 - a signature has that many parts
     """Approve or refuse a request, as a person who gives the password again."""
     approval = get_approval(session, approval_id)
     refuse_signer(session, actor, approval, policy)
-    _refuse_undecidable(session, approval, decision, meaning, comment, seen_version)
+    _refuse_undecidable(session, approval, decided, seen_version)
     users.require_password(session, actor, proof)
-    return _sign(session, actor, approval, decision, meaning.strip(), comment.strip(), policy, None)
+    return _sign(session, actor, approval, decided, policy)
 
 
-def sign_over_the_shoulder(  # noqa: PLR0913 - a signature has that many parts, and two persons
+def sign_over_the_shoulder(
     session: Session,
     console: Actor,
     approval_id: int,
-    decision: str,
-    meaning: str,
-    comment: str,
+    decided: Decision,
     proof: PasswordProof,
     seen_version: int | None,
     *,
     policy: Policy = POLICY,
 ) -> Signature:
     """Approve or refuse a request as a second person, at the console where another one is logged in."""
-    refuse_beside(session, console, approval_id, decision, meaning, comment, seen_version)
+    refuse_beside(session, console, approval_id, decided, seen_version)
     owner_id = require_person(console, "lend a console")
     approval = get_approval(session, approval_id)
     actor = users.authenticate(session, proof, console.request_id)
     if actor.user_id == owner_id:
         raise ForbiddenError("This is your own console; sign without a name, or have another approver give theirs.")
     refuse_signer(session, actor, approval, policy)
-    return _sign(session, actor, approval, decision, meaning.strip(), comment.strip(), policy, console.printed_name)
+    return _sign(session, actor, approval, decided, policy, console.printed_name)
 
 
 def refuse_beside(
-    session: Session,
-    console: Actor,
-    approval_id: int,
-    decision: str,
-    meaning: str,
-    comment: str,
-    seen_version: int | None,
+    session: Session, console: Actor, approval_id: int, decided: Decision, seen_version: int | None
 ) -> None:
     """Refuse a signature over the shoulder that nobody's password can make; raises as `sign_over_the_shoulder`.
 
@@ -167,26 +164,15 @@ def refuse_beside(
     """
     require_person(console, "lend a console")
     approval = get_approval(session, approval_id)
-    _refuse_undecidable(session, approval, decision, meaning, comment, seen_version)
+    _refuse_undecidable(session, approval, decided, seen_version)
 
 
-def _refuse_undecidable(
-    session: Session, approval: Approval, decision: str, meaning: str, comment: str, seen_version: int | None
-) -> None:
+def _refuse_undecidable(session: Session, approval: Approval, decided: Decision, seen_version: int | None) -> None:
     """Refuse a decision on what was not seen as it is, without its words, or on what is decided."""
     require_seen(session, approval, seen_version)
-    _refuse_words(decision, meaning, comment)
-    _refuse_decided(session, approval, decision)
-    refuse_control_characters(meaning=meaning, comment=comment)
-
-
-def _refuse_words(decision: str, meaning: str, comment: str) -> None:
-    if decision not in DECISIONS:
-        raise RefusedInputError(f"The decision is APPROVE or REFUSE, not {decision!r}.")
-    if not meaning.strip():
-        raise RefusedInputError("Say what your signature means, such as: I approve this set for baseline.")
-    if decision == "REFUSE" and not comment.strip():
-        raise RefusedInputError("Say why you refuse: the comment is what the submitter learns from.")
+    decided.check()
+    _refuse_decided(session, approval, decided.decision)
+    refuse_control_characters(meaning=decided.meaning, comment=decided.comment)
 
 
 def _refuse_decided(session: Session, approval: Approval, decision: str) -> None:
@@ -205,25 +191,23 @@ def _sign(
     session: Session,
     actor: Actor,
     approval: Approval,
-    decision: str,
-    meaning: str,
-    comment: str,
+    decided: Decision,
     policy: Policy,
-    console: str | None,
+    console: str | None = None,
 ) -> Signature:
     parameter_set = session.get_one(ParameterSet, approval.parameter_set_id)
     refuse_expired(session, approval, parameter_set)
     refuse_changed_evidence(session, actor, approval, parameter_set)
-    if decision == "APPROVE":
+    if decided.decision == "APPROVE":
         refuse_blocked(session, parameter_set)
     user_id = require_person(actor, "sign")
     signature = Signature(
         approval_id=approval.id,
         user_id=user_id,
         printed_name=actor.printed_name,
-        decision=decision,
-        meaning=meaning,
-        comment=comment,
+        decision=decided.decision,
+        meaning=decided.meaning.strip(),
+        comment=decided.comment.strip(),
         shown_sha256=compute_binding_sha256(approval),
         signed_utc=utc_now(),
         console=console,
@@ -394,7 +378,7 @@ def _refuse_lone(session: Session, approval: Approval, policy: Policy) -> None:
 SUBMITTABLE = ("CANDIDATE", "WITHDRAWN", "EXPIRED", "SUPERSEDED")
 
 
-def submit(
+def submit(  # noqa: PLR0913 - who asks for what and why, with the evidence
     session: Session,
     actor: Actor,
     blobs: BlobStore,
@@ -403,37 +387,22 @@ def submit(
     seen_version: int | None,
     assessment: GateAssessment | None = None,
     *,
+    back: bool = False,
     policy: Policy = POLICY,
 ) -> Approval:
-    """Ask that a set become baseline, binding the hashes of what an approver will be shown."""
-    require_role(actor, "analyst")
+    """Ask that a set become baseline, or a former one again, binding the hashes of what an approver will be shown."""
+    require_role(actor, "analyst", *(["operator"] if back else []))
     row = _submittable(session, actor, parameter_set_id, reason, seen_version)
-    if not reason.strip():
-        raise RefusedInputError("Give the reason why this set should become the baseline.")
-    gates.report_for_submission(session, actor, blobs, row.id, assessment)
-    return _open(session, actor, row, reason.strip(), policy)
-
-
-def roll_back(
-    session: Session,
-    actor: Actor,
-    blobs: BlobStore,
-    parameter_set_id: int,
-    reason: str,
-    seen_version: int | None,
-    assessment: GateAssessment | None = None,
-    *,
-    policy: Policy = POLICY,
-) -> Approval:
-    """Ask that a former baseline become baseline again."""
-    require_role(actor, "analyst", "operator")
-    row = _submittable(session, actor, parameter_set_id, reason, seen_version)
-    if row.baseline_from_utc is None:
+    if back and row.baseline_from_utc is None:
         raise ConflictError(f"{row.name} was never baseline, so there is nothing to roll back to; submit it instead.")
     if not reason.strip():
-        raise RefusedInputError("Give the reason why the sensor should go back to this set.")
+        what = "the sensor should go back to this set" if back else "this set should become the baseline"
+        raise RefusedInputError(f"Give the reason why {what}.")
     gates.report_for_submission(session, actor, blobs, row.id, assessment)
     return _open(session, actor, row, reason.strip(), policy)
+
+
+roll_back = partial(submit, back=True)
 
 
 def is_submittable(session: Session, actor: Actor, parameter_set_id: int) -> bool:

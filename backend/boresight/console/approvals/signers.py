@@ -96,7 +96,7 @@ def list_signers(session: Session, approval: Approval, policy: Policy) -> list[S
 
 def _signer(user: User, own: Sequence[SetPart], signed_utc: str | None) -> Signer:
     """Say of an approver what keeps them from signing; in the order in which `refuse_signer` asks."""
-    roles, name = tuple(part.role for part in own), user.printed_name
+    roles, name = tuple(dict.fromkeys(part.role for part in own)), user.printed_name
     if "administrator" in user.roles:
         return Signer(user, roles, f"{name} is an administrator, who cannot sign.")
     if user.must_change_password:

@@ -12,7 +12,7 @@ from boresight.console.campaigns import service as campaigns
 from boresight.console.campaigns.queries import MemberStatus
 from boresight.console.campaigns.service import MOST_SENSORS, CampaignView, MemberRequest, make_result_line
 from boresight.console.operation import Answer, Beside, operations
-from boresight.console.schemas import Document, Row
+from boresight.console.schemas import Document, Row, Shape
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 
@@ -85,10 +85,9 @@ router = operations("/campaigns", tags=["runs"])
 Newest = Literal["newest"]
 
 
-class CampaignMember(BaseModel):
+class CampaignMember(Shape):
     """A sensor, and its sets where they are not its newest."""
 
-    model_config = ConfigDict(extra="forbid")
     sensor_id: Id
     telemetry_set_id: Id | Newest = "newest"
     validation_set_id: Id | Newest | None = Field("newest", description="Null leaves the runs without a held-out set.")
@@ -120,10 +119,9 @@ class CampaignLaunch(BaseModel):
         return None if self.sensors is None else [MemberRequest(**one.model_dump()) for one in self.sensors]
 
 
-class CampaignCancellation(BaseModel):
+class CampaignCancellation(Shape):
     """Why a campaign is stopped."""
 
-    model_config = ConfigDict(extra="forbid")
     reason: str = ""
 
 
@@ -139,7 +137,7 @@ def _require_seen(session: Session, campaign_id: int, seen: Seen) -> None:
 @router.get("", summary="List campaigns", response_model=Page[Campaign])
 def list_campaigns(session: Reading, page: Paged) -> Listing[CampaignView]:
     """List campaigns with the counts of their runs, newest first."""
-    return page.cut(campaigns.list_campaigns(session, before_id=page.last_id, limit=page.limit + 1), _shown)
+    return page.cut(campaigns.list_campaigns(session, **page.rows), _shown)
 
 
 @router.post(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from fastapi import Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from boresight.console.access.dependencies import Reading, SeenVersion, Who, Writing
 from boresight.console.approvals import proposals
@@ -13,6 +13,7 @@ from boresight.console.approvals import schemas as approval_schemas
 from boresight.console.approvals.tables import ChangeProposal, GateProfile
 from boresight.console.change_proposals import service as second_person
 from boresight.console.operation import Answer, Beside, operations
+from boresight.console.schemas import Shape
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import Id, Listing, Page, Paged
@@ -27,10 +28,9 @@ PROPOSED: dict[int | str, dict[str, Any]] = {
 }
 
 
-class ProposalComment(BaseModel):
+class ProposalComment(Shape):
     """A word to who proposed the change."""
 
-    model_config = ConfigDict(extra="forbid")
     comment: str = Field("", max_length=4000, description="Needed to refuse.")
 
 
@@ -58,9 +58,7 @@ def list_change_proposals(
     ] = None,
 ) -> Listing[ChangeProposal]:
     """List changes of gate limits and table layouts that were proposed, newest first."""
-    found = proposals.list_proposals(
-        session, sensor_id=sensor_id, kind=kind, state=state, before_id=page.last_id, limit=page.limit + 1
-    )
+    found = proposals.list_proposals(session, sensor_id=sensor_id, kind=kind, state=state, **page.rows)
     return page.cut(found, lambda row: _shown(session, row))
 
 

@@ -130,7 +130,7 @@ def list_sensor_timeline(
     Promotions and roll-backs, requests and signatures, waivers, packages, records on board and read-backs, gate profiles and
     table definitions.
     """
-    return page.cut(timeline.events(session, sensor_id, until=until, before_id=page.last_id, limit=page.limit + 1))
+    return page.cut(timeline.events(session, sensor_id, until=until, **page.rows))
 
 
 trend_router = operations("/sensors/{sensor_id}/trend", tags=["sensors"])

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from boresight.console.parameter_sets.schemas import ParameterSet
-from boresight.console.schemas import Document, Row, Values, _Shape
+from boresight.console.schemas import Document, Row, Shape, Values
 from boresight.console.uplinks.schemas import OnBoard
 
 
@@ -27,7 +27,7 @@ class Sensor(Row):
     created_by: int | None
 
 
-class SensorAt(_Shape):
+class SensorAt(Shape):
     """What held for a sensor at a time."""
 
     at: str
@@ -35,7 +35,7 @@ class SensorAt(_Shape):
     onboard: list[OnBoard]
 
 
-class DriftTest(_Shape):
+class DriftTest(Shape):
     """A test at the false-alarm rate of the document."""
 
     statistic: float
@@ -45,7 +45,7 @@ class DriftTest(_Shape):
     rejects: bool
 
 
-class Drift(_Shape):
+class Drift(Shape):
     """Whether the baseline still holds, and whether the parameters move with time."""
 
     verdict: str
@@ -63,7 +63,7 @@ class Drift(_Shape):
     change_per_c: Values | None
 
 
-class TrendPoint(_Shape):
+class TrendPoint(Shape):
     """A calibration at the time of its data."""
 
     run_id: int
@@ -86,7 +86,7 @@ class TrendPoint(_Shape):
     said: str | None
 
 
-class TrendBaseline(_Shape):
+class TrendBaseline(Shape):
     """A baseline's time."""
 
     parameter_set_id: int
@@ -98,7 +98,7 @@ class TrendBaseline(_Shape):
     sigma: Values
 
 
-class SetName(_Shape):
+class SetName(Shape):
     """A parameter set by number and name."""
 
     parameter_set_id: int
@@ -112,7 +112,7 @@ class OnBoardMark(SetName):
     state: str
 
 
-class Advice(_Shape):
+class Advice(Shape):
     """Whether to recalibrate now."""
 
     answer: Literal["YES", "NOT YET", "MORE DATA NEEDED"]
@@ -120,7 +120,7 @@ class Advice(_Shape):
     reasons: list[str]
 
 
-class Trend(_Shape):
+class Trend(Shape):
     """A sensor over the mission."""
 
     document_schema: Literal["boresight.trend/1"] = Field(alias="schema")

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from boresight.console.access.dependencies import Reading, Who, Writing
 from boresight.console.notes import schemas
 from boresight.console.notes import service as notes
 from boresight.console.notes.tables import Note
 from boresight.console.operation import operations
+from boresight.console.schemas import Shape
 from boresight.platform.web.paging import Id, Listing, Page
 
 router = operations(tags=["notes"])
 
 
-class NewNote(BaseModel):
+class NewNote(Shape):
     """What is to be kept."""
 
-    model_config = ConfigDict(extra="forbid")
     text: str = Field(examples=["Taken through the South Atlantic Anomaly; expect more spurious centroids."])
 
 

@@ -16,6 +16,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.cameras import CAMERA_MODELS
+from boresight.console import list_queries as lists
 from boresight.console import transitions
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server, same_for_roles
@@ -46,7 +47,7 @@ from boresight.console.parameter_sets.tables import GROUND_STATES, ONBOARD_STATE
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import RunNames, read_names
 from boresight.console.telemetry import service as telemetry_sets
-from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.tables import Uplink
 from boresight.errors import RefusedInputError
 from boresight.figures.tables import set_rows
 from boresight.platform.actors import Actor
@@ -265,7 +266,7 @@ def _page(
     reason: str = "",
 ) -> HTMLResponse:
     row = transitions.get_parameter_set(session, set_id)
-    requests = approvals.list_approvals(session, parameter_set_id=set_id)
+    requests = lists.newest(session, Approval, set=set_id)
     sensor = sensors.get_sensor(session, row.sensor_id)
     incumbent = find_incumbent(session, row, requests)
     return render(
@@ -279,7 +280,7 @@ def _page(
         rows=set_rows(row.document, incumbent.document if incumbent else None, sensor.document),
         requests=requests,
         signatures=[signature for known in requests for signature in approval_queries.signatures(session, known.id)],
-        uplinks=uplinks.list_uplinks(session, parameter_set_id=set_id),
+        uplinks=lists.newest(session, Uplink, set=set_id),
         conversions=list_conversions(session, row),
         panel=make_gates_panel(session, actor, row),
         lineage=list_lineage(session, row, requests),

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from starlette.responses import Response
 
+from boresight.console import list_queries as lists
 from boresight.console import transitions
 from boresight.console.access.dependencies import SAME_FOR_ALL, Blobs, Reading, SeenVersion, ServerPolicy, Who, Writing
 from boresight.console.approvals import schemas as approval_schemas
@@ -18,36 +19,33 @@ from boresight.console.operation import Beside, json_response, operations
 from boresight.console.parameter_sets import schemas, service
 from boresight.console.parameter_sets import service as conversions
 from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.schemas import Shape
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 
 router = operations("/parameter-sets", tags=["parameter sets"])
 
 
-class FromRun(BaseModel):
+class FromRun(Shape):
     """Which run's result becomes a candidate."""
 
-    model_config = ConfigDict(extra="forbid")
     run_id: Id
 
 
-class Submission(BaseModel):
+class Submission(Shape):
     """Why this set should become the baseline."""
 
-    model_config = ConfigDict(extra="forbid")
     reason: str = Field(examples=["Focal length moved by 4 sigma since launch; held-out RMS is 12 % lower."])
 
 
-class RollBack(BaseModel):
+class RollBack(Shape):
     """Why the sensor should go back to this set."""
 
-    model_config = ConfigDict(extra="forbid")
     reason: str = Field(examples=["PS-ST-1-4 loses stars at the rim since the pass of this morning."])
 
 
-class Withdrawal(BaseModel):
+class Withdrawal(Shape):
     """Why a request is taken back."""
 
-    model_config = ConfigDict(extra="forbid")
     reason: str = ""
 
 
@@ -59,10 +57,7 @@ def list_parameter_sets(
     ground_state: Annotated[str | None, Query(examples=["BASELINE"])] = None,
 ) -> Listing[ParameterSet]:
     """List parameter sets, newest first."""
-    found = service.list_parameter_sets(
-        session, sensor_id=sensor_id, ground_state=ground_state, before_id=page.last_id, limit=page.limit + 1
-    )
-    return page.cut(found)
+    return page.cut(lists.newest(session, ParameterSet, **page.rows, sensor=sensor_id, state=ground_state))
 
 
 @router.post("", summary="Make a candidate of a run", status_code=201, response_model=schemas.ParameterSet)

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from boresight.console.runs.calibration_document import Covariance
-from boresight.console.schemas import Document, Row, Values, _Shape
+from boresight.console.schemas import Document, Row, Shape, Values
 
 
 class ParameterSet(Row):
@@ -32,7 +32,7 @@ class ParameterSet(Row):
     baseline_to_utc: str | None
 
 
-class Conversion(_Shape):
+class Conversion(Shape):
     """A parameter set in another camera model."""
 
     document_schema: Literal["boresight.parameters/1"] = Field(alias="schema")

@@ -10,12 +10,11 @@ A set that was baseline once goes back to SUPERSEDED instead. What is on board i
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from boresight.calibration.conversion import converted
 from boresight.cameras import CAMERA_MODELS
-from boresight.console import list_queries as lists
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as rows
@@ -156,18 +155,6 @@ def _add(
     after = {"name": row.name, "ground_state": ground_state, "sha256": row.sha256, "run_id": run_id}
     audit.append(session, actor, "created", name_subject(row), None, after)
     return row
-
-
-def list_parameter_sets(
-    session: Session,
-    *,
-    sensor_id: int | None = None,
-    ground_state: str | None = None,
-    before_id: int | None = None,
-    limit: int | None = None,
-) -> Sequence[ParameterSet]:
-    """Return a page of sets, newest first; the next page starts before the last one's id."""
-    return lists.newest(session, ParameterSet, before_id=before_id, limit=limit, sensor=sensor_id, state=ground_state)
 
 
 def convert_parameter_set(

@@ -31,6 +31,7 @@ from boresight.console.runs.calibration_document import Calibration
 from boresight.console.runs.frames import FrameLine
 from boresight.console.runs.presets import BUILT_IN, OfferedPreset
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Preset, Run, RunEvent
+from boresight.console.schemas import Shape
 from boresight.figures.report import render_report
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
@@ -63,10 +64,9 @@ class Launch(BaseModel):
     )
 
 
-class Cancellation(BaseModel):
+class Cancellation(Shape):
     """Why a run is stopped."""
 
-    model_config = ConfigDict(extra="forbid")
     reason: str = ""
 
 
@@ -86,8 +86,7 @@ def list_runs(
         telemetry_set_id=telemetry_set_id,
         method=method,
         state=state,
-        before_id=page.last_id,
-        limit=page.limit + 1,
+        **page.rows,
     )
     return page.cut(found)
 
@@ -166,10 +165,9 @@ def _nothing_yet(state: str) -> dict[str, Any]:
 preset_router = operations("/presets", tags=["runs"])
 
 
-class NewPreset(BaseModel):
+class NewPreset(Shape):
     """Settings to keep under a name."""
 
-    model_config = ConfigDict(extra="forbid")
     name: str = Field(examples=["Thermal season"])
     sentence: str = Field(description="When to use it.", examples=["While the radiator faces the Sun."])
     settings: console_schemas.Settings = Field(default_factory=dict)
@@ -186,7 +184,7 @@ def _saved(row: Preset) -> Beside:
 @preset_router.get("", summary="List presets", response_model=Page[schemas.Preset])
 def list_presets(session: Reading, page: Paged, archived: bool = False) -> Listing[Beside]:
     """List saved versions, newest first, with the archived ones where asked; the first page begins with Boresight's own."""
-    found = presets.list_presets(session, archived=archived, before_id=page.last_id, limit=page.limit + 1)
+    found = presets.list_presets(session, archived=archived, **page.rows)
     saved = page.cut(found, _saved)
     own = [_own(offer) for offer in BUILT_IN] if page.last_id is None else []
     return Listing([*own, *saved.items], saved.next)

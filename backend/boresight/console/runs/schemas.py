@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from boresight.console.schemas import Document, Numbers, Row, _Shape
+from boresight.console.schemas import Document, Numbers, Row, Shape
 
 RunState = Literal["QUEUED", "RUNNING", "CANCELLING", "SUCCEEDED", "FAILED", "CANCELLED", "LOST"]
 
@@ -108,10 +108,9 @@ class FrameLine(Row):
     deviation: float | None = Field(description="The same as a normal deviate: above 3 is bad.")
 
 
-class StarUnder(BaseModel):
+class StarUnder(Shape):
     """Where a parameter set puts a star, and what is left over; pairs are row, column."""
 
-    model_config = ConfigDict(extra="forbid")
     row_px: float
     col_px: float
     d_px: list[float] = Field(description="Measured minus predicted.")
@@ -122,10 +121,9 @@ class StarUnder(BaseModel):
     normalised: list[float] = Field(description="Residual over its sigma.")
 
 
-class FrameStar(BaseModel):
+class FrameStar(Shape):
     """A detection and what became of it."""
 
-    model_config = ConfigDict(extra="forbid")
     row: int = Field(description="Its row in the frame, from 0.")
     row_px: float
     col_px: float
@@ -142,10 +140,9 @@ class FrameStar(BaseModel):
     new: StarUnder | None
 
 
-class FrameAttitude(BaseModel):
+class FrameAttitude(Shape):
     """An exposure's attitude at one parameter set. Triad: x = increasing rows, z = boresight, right-handed."""
 
-    model_config = ConfigDict(extra="forbid")
     quaternion: list[float] = Field(description="x y z w, Hamilton, ICRS to the detector triad.")
     ra_deg: float
     dec_deg: float
@@ -162,28 +159,25 @@ class FrameAttitude(BaseModel):
     )
 
 
-class BothAttitudes(BaseModel):
+class BothAttitudes(Shape):
     """Under the old and the new parameters; null where there is none."""
 
-    model_config = ConfigDict(extra="forbid")
     old: FrameAttitude | None
     new: FrameAttitude | None
 
 
-class UndetectedStar(BaseModel):
+class UndetectedStar(Shape):
     """A catalogue star that lies on the detector and was not detected."""
 
-    model_config = ConfigDict(extra="forbid")
     star_id: int
     magnitude: float
     row_px: float
     col_px: float
 
 
-class FrameExposure(BaseModel):
+class FrameExposure(Shape):
     """One image of a frame."""
 
-    model_config = ConfigDict(extra="forbid")
     exposure: int
     time_utc: str | None
     detections: int
@@ -197,10 +191,9 @@ class FrameExposure(BaseModel):
     undetected: list[UndetectedStar]
 
 
-class RunFrame(BaseModel):
+class RunFrame(Shape):
     """One frame of a run under its old and new parameters, computed for this answer."""
 
-    model_config = ConfigDict(extra="forbid")
     run: int
     sensor: str
     method: str
@@ -237,7 +230,7 @@ class Preset(Row):
     archived_utc: str | None
 
 
-class FigureEntry(_Shape):
+class FigureEntry(Shape):
     """A figure that a run has."""
 
     name: str
@@ -246,15 +239,14 @@ class FigureEntry(_Shape):
     href: str
 
 
-class PlotlyFigure(BaseModel):
+class PlotlyFigure(Shape):
     """A figure for `Plotly.react`; `layout.meta.detail` says whether a closer look shows more."""
 
-    model_config = ConfigDict(extra="forbid")
     data: list[dict[str, Any]]
     layout: dict[str, Any]
 
 
-class SharedData(_Shape):
+class SharedData(Shape):
     """What a run's data have in common with the reference's."""
 
     kind: Literal["same", "inside", "around", "partly", "disjoint"]
@@ -262,7 +254,7 @@ class SharedData(_Shape):
     share_of_reference: float
 
 
-class JointTest(_Shape):
+class JointTest(Shape):
     """The test of all parameters together."""
 
     chi2: float | None
@@ -270,7 +262,7 @@ class JointTest(_Shape):
     p: float | None
 
 
-class ComparedRun(_Shape):
+class ComparedRun(Shape):
     """A run of a comparison."""
 
     id: int
@@ -282,7 +274,7 @@ class ComparedRun(_Shape):
     joint: JointTest | None
 
 
-class ComparedParameter(_Shape):
+class ComparedParameter(Shape):
     """A parameter, a number a run."""
 
     name: str
@@ -293,14 +285,14 @@ class ComparedParameter(_Shape):
     separations: Numbers
 
 
-class ComparedCorrelation(_Shape):
+class ComparedCorrelation(Shape):
     """A strong correlation, a number a run."""
 
     names: list[str]
     values: Numbers
 
 
-class RadialDifference(_Shape):
+class RadialDifference(Shape):
     """How far a run places stars along the radius from where the reference places them."""
 
     radius_px: Numbers
@@ -311,7 +303,7 @@ class RadialDifference(_Shape):
     data_radius_px: float | None
 
 
-class Comparison(_Shape):
+class Comparison(Shape):
     """Runs against a reference run."""
 
     document_schema: Literal["boresight.comparison/1"] = Field(alias="schema")

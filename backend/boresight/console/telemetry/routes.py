@@ -82,8 +82,7 @@ def list_telemetry_sets(
         sensor_id=sensor_id,
         purpose=purpose,
         archived=archived,
-        before_id=page.last_id,
-        limit=page.limit + 1,
+        **page.rows,
     )
     return page.cut(found)
 

@@ -6,7 +6,7 @@ the same definition, signatures and way back is the package that exists already,
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from boresight import __version__
@@ -317,18 +317,6 @@ def file_name(session: Session, package: Package) -> str:
     """Return a name for the file: the set, and the first digits of the hash."""
     row = session.get_one(ParameterSet, package.parameter_set_id)
     return f"{row.name.replace(' ', '_')}-{package.sha256[:12]}.zip"
-
-
-def list_packages(
-    session: Session,
-    *,
-    parameter_set_id: int | None = None,
-    sensor_id: int | None = None,
-    before_id: int | None = None,
-    limit: int | None = None,
-) -> Sequence[Package]:
-    """Return a page of packages, newest first; the next page starts before the last one's id."""
-    return lists.newest(session, Package, before_id=before_id, limit=limit, set=parameter_set_id, sensor=sensor_id)
 
 
 def set_named(session: Session, name: str) -> ParameterSet:

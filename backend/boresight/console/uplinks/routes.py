@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import Depends
-from pydantic import BaseModel, ConfigDict, Field, SecretStr
+from pydantic import Field, SecretStr
 from starlette.datastructures import UploadFile
 from starlette.requests import Request
 
+from boresight.console import list_queries as lists
 from boresight.console import schemas as console_schemas
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import (
@@ -27,6 +28,7 @@ from boresight.console.approvals.tables import GateProfile
 from boresight.console.change_proposals import service as second_person
 from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
 from boresight.console.operation import FORM_CONTENT, Answer, operations
+from boresight.console.schemas import Shape
 from boresight.console.uplinks import packages, read_backs, schemas, table_definitions
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
@@ -40,10 +42,9 @@ from boresight.platform.web.paging import Id, Listing, Page, Paged
 router = operations("/uplinks", tags=["uplinks"])
 
 
-class Record(BaseModel):
+class Record(Shape):
     """A step on board, and where it is known from."""
 
-    model_config = ConfigDict(extra="forbid")
     parameter_set_id: Id
     onboard_state: str = Field(examples=["SENT"])
     source: str = Field(
@@ -86,10 +87,7 @@ def list_uplinks(
     session: Reading, page: Paged, parameter_set_id: Id | None = None, sensor_id: Id | None = None
 ) -> Listing[Uplink]:
     """List what was recorded, newest first."""
-    found = uplinks.list_uplinks(
-        session, parameter_set_id=parameter_set_id, sensor_id=sensor_id, before_id=page.last_id, limit=page.limit + 1
-    )
-    return page.cut(found)
+    return page.cut(lists.newest(session, Uplink, **page.rows, set=parameter_set_id, sensor=sensor_id))
 
 
 @router.post("", summary="Record a step on board", status_code=201, response_model=schemas.Uplink)
@@ -194,10 +192,9 @@ def read_back(
     return read_backs.read_back(session, actor, blobs, parameter_set_id, read, came.source, seen, came.happened)
 
 
-class Activation(BaseModel):
+class Activation(Shape):
     """The signed entry that a set is what the sensor runs with."""
 
-    model_config = ConfigDict(extra="forbid")
     source: str = Field(description="Where it is known from.", examples=["TM page STR-2, pass 4711"])
     meaning: str = Field(description="What the signature means.", examples=["I saw this table active in telemetry."])
     password: SecretStr = Field(description="Once more: the signature is of the person, not of the log-in.")
@@ -231,10 +228,9 @@ def activate_parameter_set(
 package_router = operations(tags=["uplinks"])
 
 
-class Export(BaseModel):
+class Export(Shape):
     """What the spacecraft has; said, the package is refused for anything else."""
 
-    model_config = ConfigDict(extra="forbid")
     flight_software_version: str | None = Field(None, examples=["4.2.1"])
     table_id: str | None = Field(None, examples=["STR_CAM"])
 
@@ -264,10 +260,7 @@ def list_packages(
     session: Reading, page: Paged, parameter_set_id: Id | None = None, sensor_id: Id | None = None
 ) -> Listing[Package]:
     """List the packages that were built, newest first."""
-    found = packages.list_packages(
-        session, parameter_set_id=parameter_set_id, sensor_id=sensor_id, before_id=page.last_id, limit=page.limit + 1
-    )
-    return page.cut(found)
+    return page.cut(lists.newest(session, Package, **page.rows, set=parameter_set_id, sensor=sensor_id))
 
 
 @package_router.get("/packages/{package_id}", summary="Read a package's entry", response_model=schemas.Package)
@@ -299,10 +292,9 @@ EXAMPLE = {
 }
 
 
-class NewTableDefinition(BaseModel):
+class NewTableDefinition(Shape):
     """A definition to put into force, and why."""
 
-    model_config = ConfigDict(extra="forbid")
     document: console_schemas.Document = Field(
         description="Every parameter of the camera model lies in one field.", examples=[EXAMPLE]
     )

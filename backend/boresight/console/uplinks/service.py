@@ -260,18 +260,6 @@ def get_dump_digest(session: Session, uplink_id: int) -> str:
     return str(dump["sha256"])
 
 
-def list_uplinks(
-    session: Session,
-    *,
-    parameter_set_id: int | None = None,
-    sensor_id: int | None = None,
-    before_id: int | None = None,
-    limit: int | None = None,
-) -> Sequence[Uplink]:
-    """Return a page of records, newest first; the next page starts before the last one's id."""
-    return lists.newest(session, Uplink, before_id=before_id, limit=limit, set=parameter_set_id, sensor=sensor_id)
-
-
 def baseline_at(session: Session, sensor_id: int, time: str) -> ParameterSet | None:
     """Return what was the sensor's baseline at a time; None before there was one."""
     return set_rows.baseline_at(session, sensor_id, read_time(time))

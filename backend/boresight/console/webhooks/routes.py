@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from boresight.console.access.dependencies import Reading, SecretKeeper, Who, Writing
 from boresight.console.jobs.webhook_sender import Deliveries
 from boresight.console.operation import Answer, Beside, operations
+from boresight.console.schemas import Shape
 from boresight.console.webhooks import schemas
 from boresight.console.webhooks import service as webhooks
 from boresight.console.webhooks.secrets import get_state
@@ -37,10 +38,9 @@ class WantedWebhook(BaseModel):
     ] = []
 
 
-class Renewal(BaseModel):
+class Renewal(Shape):
     """How long the former secret signs beside the new one."""
 
-    model_config = ConfigDict(extra="forbid")
     overlap_hours: float = Field(
         OVERLAP_HOURS, ge=0.0, le=webhooks.LONGEST_OVERLAP_HOURS, description="0: it ends at once."
     )
@@ -119,7 +119,7 @@ def try_webhook(webhook_id: Id, actor: Who, session: Writing) -> WebhookDelivery
 @router.get("/{webhook_id}/deliveries", summary="List messages", response_model=Page[schemas.WebhookDelivery])
 def list_webhook_deliveries(webhook_id: Id, actor: Who, session: Reading, page: Paged) -> Listing[WebhookDelivery]:
     """List what was sent and what is to be sent, newest first."""
-    return page.cut(webhooks.list_deliveries(session, actor, webhook_id, before_id=page.last_id, limit=page.limit + 1))
+    return page.cut(webhooks.list_deliveries(session, actor, webhook_id, **page.rows))
 
 
 @router.post(

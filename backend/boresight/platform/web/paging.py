@@ -62,6 +62,11 @@ class Paging:
     limit: int
     filters: str
 
+    @property
+    def rows(self) -> dict[str, int | None]:
+        """What a list is asked for: one row more than the page holds, to know whether there is another."""
+        return {"before_id": self.last_id, "limit": self.limit + 1}
+
     def cut(self, rows: Sequence[T], show: Callable[[T], Any] = lambda row: row) -> Listing[Any]:
         """Make a page of `limit + 1` or fewer rows; the one too many only says that there is a next page."""
         kept = rows[: self.limit]

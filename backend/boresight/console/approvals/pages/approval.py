@@ -315,12 +315,13 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
     """Sign as the form says, and show the request, or why it was refused."""
     form = await read_texts(request)
     typed = TypedText(kind, *(form.get(name, "") for name in ("decision", "meaning", "comment", "name")))
-    words = (typed.decision, typed.meaning.strip() or MEANINGS.get(typed.decision, ""), typed.comment)
+    meaning = typed.meaning.strip() or MEANINGS.get(typed.decision, "")
+    decided = approvals.Decision(typed.decision, meaning, typed.comment)
     policy = get_server(request).policy
     checks: PasswordWorker = get_server(request).passwords
 
     def refuse(session: Session) -> None:
-        approvals.refuse_beside(session, actor, approval_id, *words, seen_version(form))
+        approvals.refuse_beside(session, actor, approval_id, decided, seen_version(form))
 
     async def prove() -> tuple[PasswordProof]:
         password, client = form.get("password", ""), get_client(request)
@@ -330,7 +331,7 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
 
     def change(session: Session, proof: PasswordProof) -> tuple[Signature, str]:
         sign = approvals.sign if kind == "sign" else approvals.sign_over_the_shoulder
-        made = sign(session, actor, approval_id, *words, proof, seen_version(form), policy=policy)
+        made = sign(session, actor, approval_id, decided, proof, seen_version(form), policy=policy)
         return made, transitions.get_approval(session, approval_id).state
 
     outcome = await attempt(request, change, prove)

@@ -330,8 +330,8 @@ def describe_effect(tried: Sequence[TriedProfile]) -> str:
     """Say in a sentence what limits would have done."""
     if not tried:
         return "There is no finished run to try them on."
-    newly = [f"#{one.run.id}" for one in tried if one.blocking and not one.blocking_now]
-    freed = [f"#{one.run.id}" for one in tried if one.blocking_now and not one.blocking]
+    newly = [f"#{one.run_id}" for one in tried if one.blocking and not one.blocking_now]
+    freed = [f"#{one.run_id}" for one in tried if one.blocking_now and not one.blocking]
     blocked = sum(bool(one.blocking) for one in tried)
     parts = [f"These limits would have blocked {blocked} of the newest {len(tried)} runs."]
     parts += [f"Blocked that are not now: {', '.join(newly)}."] if newly else []

@@ -30,7 +30,6 @@ from boresight.console.fleet.trend_document import advise, trend_document
 from boresight.console.notes import service as notes
 from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, render
 from boresight.console.parameter_sets import queries as set_queries
-from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
@@ -278,7 +277,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Sensor
         sensor, baseline = sensors.get_sensor(session, sensor_id), set_queries.baseline(session, sensor_id)
         newest = runs.list_runs(session, sensor_id=sensor_id, limit=RUNS_SHOWN)
         names = read_names(session, newest)
-        sets = parameter_sets.list_parameter_sets(session, sensor_id=sensor_id, limit=SETS_SHOWN)
+        sets = lists.newest(session, ParameterSet, sensor=sensor_id, limit=SETS_SHOWN)
         promotions = uplinks.list_promotions(session, sensor_id)
         promoted = set_queries.heads(session, {one.parameter_set_id for one in promotions})
         values = baseline_values(sensor, baseline)

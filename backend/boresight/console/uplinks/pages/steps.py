@@ -19,6 +19,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import UploadFile
 
+from boresight.console import list_queries as lists
 from boresight.console import transitions
 from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy, Who, csrf
 from boresight.console.access.passwords import PasswordProof
@@ -166,7 +167,7 @@ class UplinkStep:
 
 
 def list_steps(exported: Package | None, records: Sequence[Uplink], names: RunNames) -> list[UplinkStep]:
-    """Lay out the present climb."""
+    """Lay out how far the set has come since it was last sent."""
     progress = find_uplink_progress(records)
     taken = [_exported(exported, names), *(_taken(progress, state, names) for state in LADDER)]
     following = next((place for place, step in enumerate(taken) if step is None), len(taken))
@@ -187,7 +188,7 @@ def find_uplink_progress(records: Sequence[Uplink]) -> Sequence[Uplink]:
 
 
 def find_exported_package(packages: Sequence[Package], records: Sequence[Uplink]) -> Package | None:
-    """Return the package that the present climb carries: the one that was sent, before that the newest; None where none is."""
+    """Return the package that was sent, before that the newest; None where none is."""
     named = [
         (row.evidence or {}).get("package") for row in find_uplink_progress(records) if row.onboard_state == "SENT"
     ]
@@ -260,8 +261,8 @@ def _page(
     request: Request, actor: Actor, blobs: BlobStore, set_id: int, shown: UplinkStepsContext, session: Session
 ) -> HTMLResponse:
     row = transitions.get_parameter_set(session, set_id)
-    records = uplinks.list_uplinks(session, parameter_set_id=set_id)
-    built = packages.list_packages(session, parameter_set_id=set_id)
+    records = lists.newest(session, Uplink, set=set_id)
+    built = lists.newest(session, Package, set=set_id)
     exported = find_exported_package(built, records)
     names = read_names(session)
     reference, why = _reference(session, blobs, row)
