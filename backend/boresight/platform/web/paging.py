@@ -76,7 +76,7 @@ class Paging:
     def cut_whole(self, rows: Sequence[T], show: Callable[[T], Any] = lambda row: row) -> Listing[Any]:
         """Make a page of a list that is read whole, which only short lists are."""
         ids = [row.id for row in rows]  # type: ignore[attr-defined]  # every row has a number
-        begin = ids.index(self.last_id) + 1 if self.last_id in ids else 0
+        begin = ids.index(self.last_id) + 1 if self.last_id is not None and self.last_id in ids else 0
         return self.cut(rows[begin : begin + self.limit + 1], show)
 
 
