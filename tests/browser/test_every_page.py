@@ -3,7 +3,7 @@
 import pytest
 from playwright.sync_api import expect
 
-from boresight.console.runs.pages.run import TITLES
+from boresight.console.runs.pages.run import PARTS
 from boresight.figures import CHAPTERS
 from tests.browser.window import NARROW
 
@@ -23,7 +23,7 @@ ADDRESSES = {
     "campaign-launch": "/campaigns/new",
     "presets": "/presets",
     "run-batch": "/runs/{batch}",
-    **{f"run-{part}": f"/runs/{{filter}}?part={part}" for part in TITLES},
+    **{f"run-{part}": f"/runs/{{filter}}?part={part}" for part in PARTS},
     "compare": "/compare?runs={batch},{filter}",
     "parameter-sets": "/parameter-sets",
     "parameter-set": "/parameter-sets/{parameters}",
@@ -63,7 +63,7 @@ def visit(window, name, numbers):
 
 
 def stands_under_the_verdict(window, part):
-    expect(window.page.locator("#parts [aria-current]")).to_contain_text(TITLES[part])
+    expect(window.page.locator("#parts [aria-current]")).to_contain_text(PARTS[part].title)
     expect(window.page.locator("#verdict")).to_contain_text("converged")
     drawn = window.page.locator("plot-figure").evaluate_all("all => all.map(one => one.closest('section').id)")
     assert drawn == [f"figure-{figure.name}" for figure in CHAPTERS.get(part, ())]
@@ -77,7 +77,7 @@ def test_a_page_keeps_nobody_out_fits_its_window_and_sends_nothing_by_keys(peopl
         if name in LISTS:
             window.page.set_viewport_size(NARROW)
             assert window.page.evaluate(CUT) == [], "what can be done with the rows is not in sight"
-        if (part := name.removeprefix("run-")) in TITLES:
+        if (part := name.removeprefix("run-")) in PARTS:
             stands_under_the_verdict(window, part)
         window.holds_in_themes_and_widths(name)
         window.sends_nothing_by_keys()

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from boresight.console.runs.pages.run import TITLES
+from boresight.console.runs.pages.run import PARTS
 from boresight.console.runs.queries import Line, write_event
 from boresight.console.runs.tables import RUN_STATES, RunEvent
 from boresight.figures import CHAPTERS, FIGURES
@@ -179,7 +179,7 @@ def figures_of(page):
     return set(re.findall(r'<plot-figure src="/api/v1/runs/\d+/figures/([\w-]+)"', page))
 
 
-@pytest.mark.parametrize("part", TITLES)
+@pytest.mark.parametrize("part", PARTS)
 def test_a_part_draws_its_own_figures_with_guide_and_numbers_and_no_others(site, read, examined, part):
     page = site.visitor("victor").get(f"/runs/{examined[1]}?part={part}")
     assert figures_of(page) == {figure.name for figure in CHAPTERS.get(part, ())}
@@ -187,7 +187,7 @@ def test_a_part_draws_its_own_figures_with_guide_and_numbers_and_no_others(site,
         assert f'href="/api/v1/runs/{examined[1]}/figures/{figure.name}/data' in page
         assert figure.guide.split(".")[0][:40] in read(page)
     assert re.findall('data-tab="([a-z]+)" aria-current="page"', page) == [part]
-    assert set(CHAPTERS) <= set(TITLES)
+    assert set(CHAPTERS) <= set(PARTS)
     assert sum(map(len, CHAPTERS.values())) == len(FIGURES)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Annotated, Any
@@ -25,7 +25,7 @@ from boresight.console.access.dependencies import (
 )
 from boresight.console.access.passwords import MINIMUM_PASSWORD_LENGTH, NewPassword, PasswordProof
 from boresight.console.access.tables import User
-from boresight.console.pages.rendering import ShownRefusal, attempt, read_again, redirect, render
+from boresight.console.pages.rendering import ShownRefusal, attempt, make_change, read_again, redirect, render
 from boresight.errors import RefusedInputError, SessionEndedError, UnauthenticatedError
 from boresight.platform.actors import SCOPES, Actor, SessionLimits, require_person, require_role
 from boresight.platform.db.sessions import Session, utc_now
@@ -83,6 +83,23 @@ def _page(request: Request, actor: Actor, shown: UsersContext, session: Session)
     )
 
 
+async def _change(
+    request: Request,
+    actor: Actor,
+    change: Callable[..., Any],
+    said: str,
+    form: str = "people",
+    prepare: Callable[[], Awaitable[Sequence[object]]] | None = None,
+    **typed: Any,
+) -> Response:
+    """Make a change of people or keys, and show them, or why it was refused beside what was typed."""
+
+    def again(refusal: ShownRefusal, session: Session) -> HTMLResponse:
+        return _page(request, actor, UsersContext(form, refusal, typed), session)
+
+    return await make_change(request, change, "/users", said, prepare=prepare, again=again)
+
+
 @router.get("/users", response_class=HTMLResponse)
 def users_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show people and keys."""
@@ -118,11 +135,8 @@ async def create(
             must_change_password=bool(own_password),
         )
 
-    outcome = await attempt(request, change, prepare)
-    if outcome.value is not None:
-        return redirect("/users", flash=f"{outcome.value.printed_name} may log in as {outcome.value.name}.")
     typed = {"name": name, "printed_name": printed_name, "roles": chosen}
-    return await read_again(request, partial(_page, request, actor, UsersContext("person", outcome.refusal, typed)))
+    return await _change(request, actor, change, "{0.printed_name} may log in as {0.name}.", "person", prepare, **typed)
 
 
 @router.post("/users/{user_id}/roles", response_class=HTMLResponse)
@@ -130,30 +144,26 @@ async def change_roles(
     request: Request, actor: Who, user_id: int, roles: Annotated[list[str] | None, Form()] = None
 ) -> Response:
     """Give a person other roles."""
-    change = partial(users.change_roles, actor=actor, user_id=user_id, roles=roles or [])
-    outcome = await attempt(request, change)
-    if outcome.value is not None:
-        held = ", ".join(outcome.value.roles) or "no role"
-        return redirect("/users", flash=f"{outcome.value.printed_name} now has: {held}.")
-    return await read_again(request, partial(_page, request, actor, UsersContext("people", outcome.refusal)))
+
+    def change(session: Session) -> str:
+        person = users.change_roles(session, actor, user_id, roles or [])
+        return f"{person.printed_name} now has: {', '.join(person.roles) or 'no role'}."
+
+    return await _change(request, actor, change, "{}")
 
 
 @router.post("/users/{user_id}/disable", response_class=HTMLResponse)
 async def disable(request: Request, actor: Who, user_id: int) -> Response:
     """Keep a person out."""
-    outcome = await attempt(request, partial(users.disable_user, actor=actor, user_id=user_id))
-    if outcome.value is not None:
-        return redirect("/users", flash=f"{outcome.value.printed_name} can no longer log in.")
-    return await read_again(request, partial(_page, request, actor, UsersContext("people", outcome.refusal)))
+    change = partial(users.disable_user, actor=actor, user_id=user_id)
+    return await _change(request, actor, change, "{.printed_name} can no longer log in.")
 
 
 @router.post("/users/{user_id}/enable", response_class=HTMLResponse)
 async def enable(request: Request, actor: Who, user_id: int) -> Response:
     """Let a disabled person in again."""
-    outcome = await attempt(request, partial(users.enable_user, actor=actor, user_id=user_id))
-    if outcome.value is not None:
-        return redirect("/users", flash=f"{outcome.value.printed_name} can log in again.")
-    return await read_again(request, partial(_page, request, actor, UsersContext("people", outcome.refusal)))
+    change = partial(users.enable_user, actor=actor, user_id=user_id)
+    return await _change(request, actor, change, "{.printed_name} can log in again.")
 
 
 @router.post("/users/{user_id}/password", response_class=HTMLResponse)
@@ -170,22 +180,14 @@ async def reset_password(
     def change(session: Session, prepared: NewPassword, current: PasswordProof) -> User:
         return users.change_password(session, actor, user_id, prepared, current)
 
-    outcome = await attempt(request, change, prepare)
-    if outcome.value is not None:
-        return redirect(
-            "/users",
-            flash=f"{outcome.value.printed_name} is logged out and must set a password of their own at the next log-in.",
-        )
-    return await read_again(request, partial(_page, request, actor, UsersContext("people", outcome.refusal)))
+    said = "{.printed_name} is logged out and must set a password of their own at the next log-in."
+    return await _change(request, actor, change, said, prepare=prepare)
 
 
 @router.post("/users/{user_id}/end-sessions", response_class=HTMLResponse)
 async def end_sessions(request: Request, actor: Who, user_id: int) -> Response:
     """End every log-in of a person."""
-    outcome = await attempt(request, partial(_end_sessions, actor, user_id))
-    if outcome.value is not None:
-        return redirect("/users", flash=f"{outcome.value} is logged out everywhere.")
-    return await read_again(request, partial(_page, request, actor, UsersContext("people", outcome.refusal)))
+    return await _change(request, actor, partial(_end_sessions, actor, user_id), "{} is logged out everywhere.")
 
 
 def _end_sessions(actor: Actor, user_id: int, session: Session) -> str:
@@ -278,10 +280,8 @@ def _make_key(actor: Actor, label: str, days: str, scopes: list[str], session: S
 @router.post("/users/keys/{key_id}/revoke", response_class=HTMLResponse)
 async def revoke_key(request: Request, actor: Who, key_id: int) -> Response:
     """End a key."""
-    outcome = await attempt(request, partial(api_keys.revoke_key, actor=actor, key_id=key_id))
-    if outcome.value is not None:
-        return redirect("/users", flash=f"The key {outcome.value.label!r} is revoked.")
-    return await read_again(request, partial(_page, request, actor, UsersContext("keys", outcome.refusal)))
+    change = partial(api_keys.revoke_key, actor=actor, key_id=key_id)
+    return await _change(request, actor, change, "The key {0.label!r} is revoked.", "keys")
 
 
 login_router = APIRouter()

@@ -20,10 +20,8 @@ from boresight.console.alarms.tables import ALARM_KINDS, Alarm
 from boresight.console.fleet import service as sensors
 from boresight.console.pages.rendering import (
     ShownRefusal,
-    attempt,
-    read_again,
+    make_change,
     read_texts,
-    redirect,
     render,
     seen_version,
 )
@@ -149,10 +147,8 @@ async def handle(request: Request, actor: Who, alarm_id: int, step: str) -> Resp
     if step not in DONE:
         raise NotFoundError(f"There is no step {step} of an alarm; choose from {', '.join(DONE)}.")
     typed = await read_texts(request)
-    outcome = await attempt(request, partial(_handle, actor, alarm_id, step, typed))
-    if outcome.value is not None:
-        return redirect(f"/alarms/{alarm_id}", flash=f"Alarm {alarm_id} {DONE[step]}.")
-    return await read_again(request, partial(_page, request, actor, alarm_id, typed, outcome.refusal))
+    change, again = partial(_handle, actor, alarm_id, step, typed), partial(_page, request, actor, alarm_id, typed)
+    return await make_change(request, change, f"/alarms/{alarm_id}", f"Alarm {alarm_id} {DONE[step]}.", again=again)
 
 
 def _handle(actor: Actor, alarm_id: int, step: str, typed: Mapping[str, str], session: Session) -> Alarm:

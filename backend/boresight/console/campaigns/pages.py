@@ -7,7 +7,7 @@ found besides.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -29,9 +29,9 @@ from boresight.console.pages.rendering import (
     AttemptResult,
     ask,
     attempt,
+    make_change,
     read_texts,
     redirect,
-    redirect_refused,
     render,
 )
 from boresight.console.pages.tables import csv_file
@@ -129,21 +129,16 @@ async def cancel(request: Request, actor: Who, campaign_id: int) -> Response:
     """Stop all of it."""
     reason = (await read_texts(request)).get("reason", "")
     change = partial(campaigns.cancel_campaign, actor=actor, campaign_id=campaign_id, reason=reason)
-    return await _done(request, campaign_id, change, "Every run that had not ended was asked to stop.")
+    return await make_change(
+        request, change, f"/campaigns/{campaign_id}", "Every run that had not ended was asked to stop."
+    )
 
 
 @router.post("/campaigns/{campaign_id:int}/launch-failed", response_class=HTMLResponse)
 async def launch_failed(request: Request, actor: Who, campaign_id: int) -> Response:
     """Launch again what failed."""
     change = partial(campaigns.relaunch_failed, actor=actor, campaign_id=campaign_id)
-    return await _done(request, campaign_id, change, "What failed is queued again.")
-
-
-async def _done(request: Request, campaign_id: int, change: Callable[..., Any], words: str) -> Response:
-    outcome = await attempt(request, change)
-    if outcome.refusal is not None:
-        return redirect_refused(f"/campaigns/{campaign_id}", outcome.refusal)
-    return redirect(f"/campaigns/{campaign_id}", flash=words)
+    return await make_change(request, change, f"/campaigns/{campaign_id}", "What failed is queued again.")
 
 
 MOST_SETS = 5000

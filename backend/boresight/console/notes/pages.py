@@ -9,15 +9,13 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Form, Request
-from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console.access.dependencies import Who, csrf, get_server
+from boresight.console.access.dependencies import Reading, Who, csrf
 from boresight.console.notes import service as notes
-from boresight.console.notes.tables import Note
-from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, render
+from boresight.console.pages.rendering import ShownRefusal, make_change, render
 from boresight.platform.actors import Actor
-from boresight.platform.db.sessions import Session, open_reading
+from boresight.platform.db.sessions import Session
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
@@ -31,37 +29,37 @@ def get_notes_address(kind: str, subject_id: int) -> str:
 
 
 @router.get("/notes/{kind}/{subject_id:int}", response_class=HTMLResponse)
-def notes_page(request: Request, actor: Who, kind: str, subject_id: int) -> HTMLResponse:
+def notes_page(request: Request, session: Reading, actor: Who, kind: str, subject_id: int) -> HTMLResponse:
     """Show the notes on a thing."""
-    return _page(request, actor, kind, subject_id)
+    return _page(request, actor, kind, subject_id, "", None, session)
 
 
 def _page(
-    request: Request, actor: Actor, kind: str, subject_id: int, typed: str = "", refusal: ShownRefusal | None = None
+    request: Request,
+    actor: Actor,
+    kind: str,
+    subject_id: int,
+    typed: str,
+    refusal: ShownRefusal | None,
+    session: Session,
 ) -> HTMLResponse:
-    with open_reading(get_server(request).engine) as session:
-        return render(
-            request,
-            "notes/notes.html",
-            refused=refusal,
-            notes=notes.list_notes(session, actor, kind, subject_id),
-            kind=kind,
-            subject_id=subject_id,
-            subject=f"{WORDS.get(kind, kind)} {subject_id}",
-            address=get_notes_address(kind, subject_id),
-            typed=typed,
-            refusal=refusal.sentence if refusal else "",
-        )
+    return render(
+        request,
+        "notes/notes.html",
+        refused=refusal,
+        notes=notes.list_notes(session, actor, kind, subject_id),
+        kind=kind,
+        subject_id=subject_id,
+        subject=f"{WORDS.get(kind, kind)} {subject_id}",
+        address=get_notes_address(kind, subject_id),
+        typed=typed,
+        refusal=refusal.sentence if refusal else "",
+    )
 
 
 @router.post("/notes/{kind}/{subject_id:int}", response_class=HTMLResponse)
 async def add(request: Request, actor: Who, kind: str, subject_id: int, text: Annotated[str, Form()] = "") -> Response:
     """Add a note."""
-    outcome = await attempt(request, partial(_add, actor, kind, subject_id, text))
-    if outcome.value is not None:
-        return redirect(get_notes_address(kind, subject_id), flash="Your note is kept.")
-    return await run_in_threadpool(_page, request, actor, kind, subject_id, text, outcome.refusal)
-
-
-def _add(actor: Actor, kind: str, subject_id: int, text: str, session: Session) -> Note:
-    return notes.add_note(session, actor, kind, subject_id, text)
+    change = partial(notes.add_note, actor=actor, kind=kind, subject_id=subject_id, text=text)
+    again = partial(_page, request, actor, kind, subject_id, text)
+    return await make_change(request, change, get_notes_address(kind, subject_id), "Your note is kept.", again=again)

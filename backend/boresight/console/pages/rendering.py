@@ -13,6 +13,7 @@ from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from http import HTTPStatus
 from typing import Any, Generic, TypeVar
 from urllib.parse import quote
@@ -114,6 +115,24 @@ async def attempt(
         raise
     except BoresightError as error:
         return AttemptResult(None, ShownRefusal.of(error))
+
+
+async def make_change(
+    request: Request,
+    change: Callable[..., Any],
+    address: str,
+    said: str,
+    *,
+    prepare: Callable[[], Awaitable[Sequence[object]]] | None = None,
+    again: Callable[[ShownRefusal, Session], HTMLResponse] | None = None,
+) -> Response:
+    """Make a change and go to an address with a line that may name what was made; a refusal is a line there, or a page."""
+    outcome = await attempt(request, change, prepare)
+    if outcome.refusal is None:
+        return redirect(address, flash=said.format(outcome.value))
+    if again is None:
+        return redirect_refused(address, outcome.refusal)
+    return await read_again(request, partial(again, outcome.refusal))
 
 
 async def read_again(request: Request, render_page: Callable[[Session], HTMLResponse]) -> HTMLResponse:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
@@ -13,7 +13,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import Reading, SecretKeeper, Who, csrf
 from boresight.console.jobs.webhook_sender import Deliveries
-from boresight.console.pages.rendering import ShownRefusal, attempt, read_again, redirect, redirect_refused, render
+from boresight.console.pages.rendering import ShownRefusal, attempt, make_change, read_again, redirect_refused, render
 from boresight.console.webhooks import service as webhooks
 from boresight.console.webhooks.secrets import get_state
 from boresight.errors import BoresightError
@@ -117,7 +117,9 @@ def _webhook_page(
 async def try_webhook(request: Request, actor: Who, webhook_id: int) -> Response:
     """Queue a trial."""
     change = partial(webhooks.try_webhook, actor=actor, webhook_id=webhook_id)
-    return await _done(request, webhook_id, change, "A trial is on its way: reload to see what came of it.")
+    return await make_change(
+        request, change, f"/webhooks/{webhook_id}", "A trial is on its way: reload to see what came of it."
+    )
 
 
 @router.post("/webhooks/{webhook_id:int}/renew-secret", response_class=HTMLResponse)
@@ -138,25 +140,20 @@ async def renew_secret(
 async def disable(request: Request, actor: Who, webhook_id: int) -> Response:
     """Tell an address nothing more."""
     change = partial(webhooks.disable_webhook, actor=actor, webhook_id=webhook_id)
-    return await _done(request, webhook_id, change, "Disabled: it is told nothing more.")
+    return await make_change(request, change, f"/webhooks/{webhook_id}", "Disabled: it is told nothing more.")
 
 
 @router.post("/webhooks/{webhook_id:int}/enable", response_class=HTMLResponse)
 async def enable(request: Request, actor: Who, webhook_id: int) -> Response:
     """Tell an address again."""
     change = partial(webhooks.enable_webhook, actor=actor, webhook_id=webhook_id)
-    return await _done(request, webhook_id, change, "Enabled: it is told what happens from now on.")
+    return await make_change(
+        request, change, f"/webhooks/{webhook_id}", "Enabled: it is told what happens from now on."
+    )
 
 
 @router.post("/webhooks/{webhook_id:int}/deliveries/{delivery_id:int}/redeliver", response_class=HTMLResponse)
 async def redeliver(request: Request, actor: Who, webhook_id: int, delivery_id: int) -> Response:
     """Queue a message once more."""
     change = partial(webhooks.redeliver, actor=actor, delivery_id=delivery_id)
-    return await _done(request, webhook_id, change, "The message is on its way once more.")
-
-
-async def _done(request: Request, webhook_id: int, change: Callable[..., Any], words: str) -> Response:
-    outcome = await attempt(request, change)
-    if outcome.refusal is not None:
-        return redirect_refused(f"/webhooks/{webhook_id}", outcome.refusal)
-    return redirect(f"/webhooks/{webhook_id}", flash=words)
+    return await make_change(request, change, f"/webhooks/{webhook_id}", "The message is on its way once more.")

@@ -18,7 +18,7 @@ from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.status import judge_result
 from boresight.console.pages.formats import instant, seconds_since
-from boresight.console.pages.rendering import attempt, redirect, redirect_refused, render
+from boresight.console.pages.rendering import make_change, render
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
@@ -275,7 +275,6 @@ def presets_page(request: Request, session: Reading, actor: Who) -> HTMLResponse
 @preset_router.post("/presets/{preset_id:int}/archive", response_class=HTMLResponse)
 async def archive(request: Request, actor: Who, preset_id: int) -> Response:
     """Take a version out of the choice."""
-    outcome = await attempt(request, partial(presets.archive_preset, actor=actor, preset_id=preset_id))
-    if outcome.refusal is not None:
-        return redirect_refused("/presets", outcome.refusal)
-    return redirect("/presets", flash="Archived: it is not offered any more. Runs that used it still name it.")
+    change = partial(presets.archive_preset, actor=actor, preset_id=preset_id)
+    said = "Archived: it is not offered any more. Runs that used it still name it."
+    return await make_change(request, change, "/presets", said)

@@ -17,7 +17,7 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.pages.formats import seconds_since
-from boresight.console.pages.rendering import attempt, read_texts, redirect, redirect_refused, render
+from boresight.console.pages.rendering import make_change, read_texts, render
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import Run, RunEvent
@@ -199,10 +199,8 @@ def describe_progress(session: Session, run: Run) -> str:
 async def cancel(request: Request, actor: Who, run_id: int) -> Response:
     """Ask a run to stop."""
     reason = (await read_texts(request)).get("reason", "")
-    outcome = await attempt(request, partial(runs.cancel, actor=actor, run_id=run_id, reason=reason))
-    if outcome.refusal:
-        return redirect_refused(f"/runs/{run_id}", outcome.refusal)
-    return redirect(f"/runs/{run_id}", flash=f"Run #{run_id} was asked to stop.")
+    change = partial(runs.cancel, actor=actor, run_id=run_id, reason=reason)
+    return await make_change(request, change, f"/runs/{run_id}", f"Run #{run_id} was asked to stop.")
 
 
 run_log_router = APIRouter()

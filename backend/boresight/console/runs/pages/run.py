@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Request
@@ -40,7 +40,7 @@ from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import NotFoundError
-from boresight.figures import CHAPTERS, WIDE, Figure
+from boresight.figures import CHAPTERS, WIDE
 from boresight.figures.charts.matching import MATCHING, why_no_matching
 from boresight.figures.charts.observability import helpful_data, weakest_words
 from boresight.figures.charts.shadow import SHADOW
@@ -269,11 +269,6 @@ class RunReview:
         }.get(self.run.state, f"the run ended as {self.run.state} before it had a result.")
 
 
-def part_of_page(desk: RunReview, part: str) -> dict[str, Any]:
-    """Gather what the template of a part names."""
-    return GATHERED[part](desk)
-
-
 def make_summary_part(desk: RunReview) -> dict[str, Any]:
     """Gather old and new values; while the run computes its course stands beside them."""
     live = () if desk.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
@@ -284,43 +279,28 @@ def make_summary_part(desk: RunReview) -> dict[str, Any]:
     }
 
 
-def get_charts_part(name: str) -> Callable[[RunReview], dict[str, Any]]:
-    """Return what gathers the figures of a chapter."""
-
-    def gather(desk: RunReview) -> dict[str, Any]:
-        figures: tuple[Figure, ...] = () if desk.is_void else CHAPTERS[name]
-        return {"figures": figures}
-
-    return gather
+def make_charts_part(desk: RunReview, name: str) -> dict[str, Any]:
+    """Gather the figures of a chapter."""
+    return {"figures": () if desk.is_void else CHAPTERS[name]}
 
 
 def make_convergence_part(desk: RunReview) -> dict[str, Any]:
     """Gather the history of the estimate."""
     view = read_run_view(desk.request.query_params, desk.result)
-    return {**get_charts_part("convergence")(desk), "view": view, "facts": list_history_facts(desk.result)}
+    return {**make_charts_part(desk, "convergence"), "view": view, "facts": list_history_facts(desk.result)}
 
 
 def make_rms_part(desk: RunReview) -> dict[str, Any]:
     """Gather tail, aggregate and held-out errors."""
     view = read_run_view(desk.request.query_params, desk.result)
     tail, facts = tail_facts(desk.result, view)
-    return {**get_charts_part("rms")(desk), "view": view, "facts": facts, "tail": tail}
+    return {**make_charts_part(desk, "rms"), "view": view, "facts": facts, "tail": tail}
 
 
 def make_observability_part(desk: RunReview) -> dict[str, Any]:
     """Gather what the data see, and which would help."""
     facts, helpful = sight_facts(desk.result)
-    return {**get_charts_part("observability")(desk), "facts": facts, "helpful": helpful}
-
-
-def make_notes_part(desk: RunReview) -> dict[str, Any]:
-    """Gather the notes on the run."""
-    return {"notes": notes.list_notes(desk.session, desk.actor, "runs", desk.run.id)}
-
-
-def make_log_context(desk: RunReview) -> dict[str, Any]:
-    """Gather the log."""
-    return make_log_part(desk.request, desk.session, desk.run)
+    return {**make_charts_part(desk, "observability"), "facts": facts, "helpful": helpful}
 
 
 def make_provenance_part(desk: RunReview) -> dict[str, Any]:
@@ -372,38 +352,8 @@ def list_verdict_marks(result: Result | None) -> list[Any]:
     return make_verdict_marks(result) if result and result.get("parameters") else []
 
 
-GATHERED: dict[str, Callable[[RunReview], dict[str, Any]]] = {
-    "summary": make_summary_part,
-    "convergence": make_convergence_part,
-    "rms": make_rms_part,
-    "distortion": get_charts_part("distortion"),
-    "observability": make_observability_part,
-    "residuals": get_charts_part("residuals"),
-    "trust": lambda desk: {"trust": make_trust_part(desk.result, desk.why_nothing)},
-    "matching": lambda desk: {"matching": make_matching_part(desk.result, desk.why_nothing)},
-    "frames": lambda desk: make_frames_part(desk.session, desk.request, desk.run),
-    "log": make_log_context,
-    "provenance": make_provenance_part,
-    "notes": make_notes_part,
-}
-
-
 Standing = tuple[str, str]
 
-TITLES = {
-    "summary": "Summary",
-    "convergence": "Convergence",
-    "rms": "RMS",
-    "distortion": "Distortion",
-    "observability": "Observability",
-    "residuals": "Residuals",
-    "trust": "Trust",
-    "matching": "Matching",
-    "frames": "Frames",
-    "log": "Log",
-    "provenance": "Provenance",
-    "notes": "Notes",
-}
 FORMER = {"estimate": "summary"}  # what a part was called in older links
 NOTHING: Standing = ("off", "")
 
@@ -422,22 +372,14 @@ class RunTab:
 
 def list_tabs(run_id: int, chosen: str, result: Result | None, notes: int = 0) -> list[RunTab]:
     """Lay out the tabs of a run; `notes` is how many there are."""
-    return [
-        RunTab(part, title, get_part_address(run_id, part), part == chosen, *_standing(part, result or {}, notes))
-        for part, title in TITLES.items()
-    ]
-
-
-def get_part_address(run_id: int, part: str) -> str:
-    """Return the address of a part."""
-    return f"/runs/{run_id}" if part == "summary" else f"/runs/{run_id}?part={part}"
-
-
-def _standing(part: str, result: Result, notes: int) -> Standing:
-    if part == "notes" and notes:
-        return "standby", count(notes)
-    judge = JUDGES.get(part)
-    return judge(result) if judge and result.get("parameters") else NOTHING
+    tabs = []
+    for name, part in PARTS.items():
+        standing = part.judge(result) if result and result.get("parameters") else NOTHING
+        if name == "notes" and notes:
+            standing = "standby", count(notes)
+        address = f"/runs/{run_id}" if name == "summary" else f"/runs/{run_id}?part={name}"
+        tabs.append(RunTab(name, part.title, address, name == chosen, *standing))
+    return tabs
 
 
 def _fit(result: Result) -> Standing:
@@ -485,14 +427,29 @@ def _matching(result: Result) -> Standing:
     return ("normal", "rested") if result["matching"].get("rested") else ("caution", "not at rest")
 
 
-JUDGES: dict[str, Callable[[Result], Standing]] = {
-    "summary": _fit,
-    "convergence": _judge_history,
-    "rms": _rms,
-    "observability": _observability,
-    "residuals": _residuals,
-    "trust": _trust,
-    "matching": _matching,
+class RunPart(NamedTuple):
+    """A part of the page: its tab, what gathers what its template names, and what judges how things stand there."""
+
+    title: str
+    gather: Callable[[RunReview], dict[str, Any]]
+    judge: Callable[[Result], Standing] = lambda _: NOTHING
+
+
+PARTS = {
+    "summary": RunPart("Summary", make_summary_part, _fit),
+    "convergence": RunPart("Convergence", make_convergence_part, _judge_history),
+    "rms": RunPart("RMS", make_rms_part, _rms),
+    "distortion": RunPart("Distortion", partial(make_charts_part, name="distortion")),
+    "observability": RunPart("Observability", make_observability_part, _observability),
+    "residuals": RunPart("Residuals", partial(make_charts_part, name="residuals"), _residuals),
+    "trust": RunPart("Trust", lambda desk: {"trust": make_trust_part(desk.result, desk.why_nothing)}, _trust),
+    "matching": RunPart(
+        "Matching", lambda desk: {"matching": make_matching_part(desk.result, desk.why_nothing)}, _matching
+    ),
+    "frames": RunPart("Frames", lambda desk: make_frames_part(desk.session, desk.request, desk.run)),
+    "log": RunPart("Log", lambda desk: make_log_part(desk.request, desk.session, desk.run)),
+    "provenance": RunPart("Provenance", make_provenance_part),
+    "notes": RunPart("Notes", lambda desk: {"notes": notes.list_notes(desk.session, desk.actor, "runs", desk.run.id)}),
 }
 
 
@@ -548,8 +505,8 @@ def _set_link(data: TelemetrySet) -> Markup:
 def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: str = "summary") -> HTMLResponse:
     """Show a run: its head and verdict, and one of its parts."""
     part = FORMER.get(part, part)
-    if part not in TITLES:
-        raise NotFoundError(f"A run has no part {part[:40]}; choose from {', '.join(TITLES)}.")
+    if part not in PARTS:
+        raise NotFoundError(f"A run has no part {part[:40]}; choose from {', '.join(PARTS)}.")
     desk = get_run_review(request, session, actor, run_id)
     run, result = desk.run, desk.result
     return render(
@@ -570,13 +527,14 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         advice=list((result or {}).get("advice") or ()),
         no_result=desk.why_nothing,
         wide=WIDE,
-        **part_of_page(desk, part),
+        **PARTS[part].gather(desk),
     )
 
 
 def get_run_review(request: Request, session: Session, actor: Actor, run_id: int) -> RunReview:
     """Fetch a run with its sensor, its data and what it has found so far."""
     run = runs.get_run(session, run_id)
+    validation = run.validation_set_id
     is_void = run.state in TERMINAL_RUN_STATES and run.result_sha256 is None  # what was computed does not count
     return RunReview(
         request=request,
@@ -585,14 +543,9 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
         run=run,
         sensor=sensors.get_sensor(session, run.sensor_id),
         data=telemetry_sets.get_telemetry_set(session, run.telemetry_set_id),
-        validation=_find_validation_set(session, run),
+        validation=None if validation is None else telemetry_sets.get_telemetry_set(session, validation),
         result=None if is_void else runs.result(session, get_server(request).blobs, run_id),
     )
-
-
-def _find_validation_set(session: Session, run: Run) -> TelemetrySet | None:
-    number = run.validation_set_id
-    return None if number is None else telemetry_sets.get_telemetry_set(session, number)
 
 
 def make_run_head(desk: RunReview) -> dict[str, Any]:
