@@ -80,7 +80,9 @@ def test_a_form_of_an_older_version_or_by_a_viewer_is_refused_in_words(drifting)
 
 def test_an_alarm_of_the_installation_has_no_sensor_and_leads_to_the_audit_log(site, read):
     with open_writing(site.engine) as session:
-        rules.update_chain_alarm(session, check_chain("broken", "Record 7 is not as it was written."))
+        rules.update_installation_alarms(
+            session, {rules.CHAIN: check_chain("broken", "Record 7 is not as it was written.")}
+        )
     visitor = site.visitor("adele")
     assert 'class="empty"' in visitor.get("/alarms?kind=DRIFT")
     assert "Record 7" in read(visitor.get("/alarms"))

@@ -39,7 +39,7 @@ BROKEN = check_chain("broken", "Record 7 is not as it was written.")
 
 @pytest.fixture
 def alarm(session) -> Alarm:
-    assert rules.update_chain_alarm(session, BROKEN) == 1
+    assert rules.update_installation_alarms(session, {rules.CHAIN: BROKEN}) == 1
     (row,) = alarms.list_alarms(session)
     return row
 
@@ -51,21 +51,21 @@ def _events(session: Session, row: Alarm) -> list[str]:
 def test_a_condition_raises_one_alarm_and_looking_again_writes_nothing(session, alarm):
     assert alarms.get_alarm_state(alarm) == "unacknowledged, active"
     before = session.scalar(sa.select(sa.func.count()).select_from(AuditRecord))
-    assert not rules.has_chain_changed(session, BROKEN)
-    assert rules.update_chain_alarm(session, BROKEN) + rules.update_alarms(session) == 0
+    assert not rules.has_installation_changed(session, {rules.CHAIN: BROKEN})
+    assert rules.update_installation_alarms(session, {rules.CHAIN: BROKEN}) + rules.update_alarms(session) == 0
     assert session.scalar(sa.select(sa.func.count()).select_from(AuditRecord)) == before
     assert alarms.unacknowledged(session) == 1
 
 
 def test_it_returns_by_itself_and_stays_until_a_person_has_seen_it(session, alarm, people):
-    assert rules.has_chain_changed(session, None)
-    rules.update_chain_alarm(session, None)
+    assert rules.has_installation_changed(session, {rules.CHAIN: None})
+    rules.update_installation_alarms(session, {rules.CHAIN: None})
     assert alarms.get_alarm_state(alarm) == "unacknowledged, returned to normal"
     assert alarms.unacknowledged(session) == 1
     alarms.acknowledge(session, people["dee"], alarm.id, "Seen.", alarm.version)
     assert alarms.get_alarm_state(alarm) == "closed"
     assert _events(session, alarm) == ["RAISED", "RETURNED", "ACKNOWLEDGED", "CLOSED"]
-    rules.update_chain_alarm(session, BROKEN)
+    rules.update_installation_alarms(session, {rules.CHAIN: BROKEN})
     assert [row.id for row in alarms.list_alarms(session)] == [alarm.id + 1]
 
 
@@ -73,15 +73,15 @@ def test_acknowledged_first_it_closes_when_it_is_over_and_its_return_wants_to_be
     alarms.acknowledge(session, people["ana"], alarm.id, "", alarm.version)
     assert (alarms.get_alarm_state(alarm), alarms.unacknowledged(session)) == ("acknowledged, active", 0)
     worse = check_chain("broken", "Record 5 is not as it was written.")
-    rules.update_chain_alarm(session, worse)
+    rules.update_installation_alarms(session, {rules.CHAIN: worse})
     assert (alarm.sentence, alarm.acknowledged) == ("Record 5 is not as it was written.", 1)
-    rules.update_chain_alarm(session, None)
+    rules.update_installation_alarms(session, {rules.CHAIN: None})
     assert alarms.get_alarm_state(alarm) == "closed"
 
 
 def test_one_that_comes_back_before_it_was_seen_is_the_same_alarm_again(session, alarm):
-    rules.update_chain_alarm(session, None)
-    rules.update_chain_alarm(session, BROKEN)
+    rules.update_installation_alarms(session, {rules.CHAIN: None})
+    rules.update_installation_alarms(session, {rules.CHAIN: BROKEN})
     assert alarms.get_alarm_state(alarm) == "unacknowledged, active"
     assert _events(session, alarm) == ["RAISED", "RETURNED", "RAISED AGAIN"]
 
@@ -146,7 +146,7 @@ def test_every_step_asks_who_acts_what_was_seen_and_whether_it_is_open(session, 
         act(session, people["ana"], alarm.id, seen - 1)
     with pytest.raises(NotFoundError):
         act(session, people["ana"], 99, seen)
-    rules.update_chain_alarm(session, None)
+    rules.update_installation_alarms(session, {rules.CHAIN: None})
     alarms.acknowledge(session, people["dee"], alarm.id, "", alarm.version)
     with pytest.raises(ConflictError, match="closed"):
         act(session, people["ana"], alarm.id, alarm.version)

@@ -10,6 +10,7 @@ from boresight.console import transitions
 from boresight.console.access import api_keys, users
 from boresight.console.approvals import gate_profiles, gates, staleness
 from boresight.console.approvals import queries as approval_queries
+from boresight.console.approvals import queries as gate_rows
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.campaigns import service as campaigns
@@ -236,7 +237,7 @@ def test_a_waiver_asks_for_a_new_request_with_a_second_approval(engine, people, 
     assert _decide(engine, people["bo"], again).state == "APPROVED"
     assert _promote(engine, people["dee"], again.parameter_set_id) == "BASELINE"
     with open_reading(engine) as session:
-        report = gates.with_waivers(session, gates.newest_report(session, row.id))
+        report = gates.with_waivers(session, gate_rows.newest_report(session, row.id))
     assert "waived" in report["words"]
 
 

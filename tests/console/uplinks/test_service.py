@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from boresight.console import list_queries as lists
 from boresight.console.access import users
+from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ONBOARD_STATES, ParameterSet, Promotion
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.read_backs import READABLE, read_back
@@ -129,7 +130,7 @@ def test_what_was_baseline_is_answered_for_any_time_and_what_is_none_is_refused_
     with open_reading(engine) as session:
         times = ("2000-01-01", utc_after(60.0), utc_after(7200.0), "2100-01-01T00:00:00+02:00")
         answers = [getattr(uplinks.baseline_at(session, 1, time), "name", None) for time in times]
-        assert [row.parameter_set_id for row in uplinks.list_promotions(session, 1)] == [second.id, 1]
+        assert [row.parameter_set_id for row in set_rows.promotions(session, 1)] == [second.id, 1]
         with pytest.raises(RefusedInputError, match="2026-11-21T03:04:05Z"):
             uplinks.baseline_at(session, 1, "yesterday")
     assert answers == [None, "PS-ST16-1-0", second.name, second.name]

@@ -13,7 +13,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 from boresight.console.access import queries as rows
 from boresight.console.access.tables import ApiKey, User
-from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError, UnauthenticatedError
+from boresight.errors import ForbiddenError, RefusedInputError, UnauthenticatedError
 from boresight.platform.actors import SCOPES, Actor, refuse_key, require_person
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, utc_after, utc_now
@@ -46,8 +46,7 @@ def create_key(
         created_utc=utc_now(),
         expires_utc=None if expires_days is None else utc_after(expires_days * SECONDS_PER_DAY),
     )
-    session.add(key)
-    session.flush()
+    session.put(key)
     audit.append(session, actor, "created", _subject(key), None, {"label": key.label, "scopes": key.scopes})
     return key, secret
 
@@ -81,10 +80,7 @@ def list_keys(session: Session, user_id: int | None = None) -> Sequence[ApiKey]:
 
 def get_key(session: Session, key_id: int) -> ApiKey:
     """Return a key."""
-    key = session.get(ApiKey, key_id)
-    if key is None:
-        raise NotFoundError(f"There is no API key {key_id}.")
-    return key
+    return session.get_known(ApiKey, key_id, f"There is no API key {key_id}.")
 
 
 def record_uses(session: Session, used_utc: Mapping[str, str]) -> None:

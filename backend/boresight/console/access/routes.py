@@ -215,16 +215,13 @@ async def proven(credentials: Credentials, passwords: PasswordChecks, request: R
 
 
 def _who(session: Session, actor: Actor, csrf_token: str | None) -> Answer:
-    body = {
-        "user_id": actor.user_id,
-        "name": actor.name,
-        "printed_name": actor.printed_name,
-        "roles": sorted(actor.roles),
-        "credential": actor.credential,
-        "scopes": None if actor.scopes is None else sorted(actor.scopes),
-        "must_change_password": not actor.is_key and users.must_change_password(session, actor),
-        "csrf_token": csrf_token,
-    }
+    body = Beside(
+        actor,
+        roles=sorted(actor.roles),
+        scopes=None if actor.scopes is None else sorted(actor.scopes),
+        must_change_password=not actor.is_key and users.must_change_password(session, actor),
+        csrf_token=csrf_token,
+    )
     return Answer(body, headers={"Cache-Control": "no-store"})
 
 

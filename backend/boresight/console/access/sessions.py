@@ -53,8 +53,7 @@ def begin(session: Session, user_id: int, client: ClientAddress) -> tuple[LoginS
         address=client.address,
         user_agent=client.user_agent,
     )
-    session.add(row)
-    session.flush()
+    session.put(row)
     return row, token
 
 

@@ -20,7 +20,7 @@ from boresight.console.access.passwords import (
     require_proof,
 )
 from boresight.console.access.tables import ROLES, User
-from boresight.errors import ConflictError, NotFoundError, PasswordDueError, RefusedInputError, SessionEndedError
+from boresight.errors import ConflictError, PasswordDueError, RefusedInputError, SessionEndedError
 from boresight.platform.actors import COMMAND_LINE, SYSTEM, Actor, refuse_key, require_person, require_role
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, utc_now
@@ -68,8 +68,7 @@ def create_user(
         name_key=comparison_key(name),
         printed_key=comparison_key(printed_name),
     )
-    session.add(user)
-    session.flush()
+    session.put(user)
     after = {"name": name, "printed_name": user.printed_name, "roles": user.roles}
     audit.append(session, actor, CREATED, _subject(user), None, after)
     return user
@@ -207,10 +206,7 @@ def enable_user(session: Session, actor: Actor, user_id: int) -> User:
 
 def get_user(session: Session, user_id: int) -> User:
     """Return a person."""
-    user = session.get(User, user_id)
-    if user is None:
-        raise NotFoundError(f"There is no user {user_id}.")
-    return user
+    return session.get_known(User, user_id, f"There is no user {user_id}.")
 
 
 def list_users(session: Session) -> Sequence[User]:

@@ -128,13 +128,8 @@ def update_alarms(session: Session, sensor_ids: Sequence[int] | None = None) -> 
     return _settle(session, *_compare_sensors(session, sensor_ids)) + _unshelve_overdue(session)
 
 
-def update_chain_alarm(session: Session, broken: AlarmCondition | None) -> int:
-    """Evaluate the rule on the audit log from its last verification."""
-    return update_installation_alarms(session, {CHAIN: broken})
-
-
 def update_installation_alarms(session: Session, found: Mapping[str, AlarmCondition | None]) -> int:
-    """Do the same for what is of no sensor, and was looked at just now: what is wrong by its source, None where nothing is."""
+    """Evaluate the rules on what is of no sensor: what was found wrong just now by its source, None where nothing is."""
     return _settle(session, *_compare_installation(session, found))
 
 
@@ -144,11 +139,6 @@ def find_changed_sensors(session: Session, sensor_ids: Sequence[int] | None = No
     shelved = {row.sensor_id for row in queries.overdue_shelves(session)}
     moved = {(found.get(source) or known[source]).sensor_id for source in _find_differences(found, known)}
     return sorted(sensor_id for sensor_id in shelved | moved if sensor_id is not None)
-
-
-def has_chain_changed(session: Session, broken: AlarmCondition | None) -> bool:
-    """Whether `update_chain_alarm` would change an alarm; reads only."""
-    return has_installation_changed(session, {CHAIN: broken})
 
 
 def has_installation_changed(session: Session, found: Mapping[str, AlarmCondition | None]) -> bool:
@@ -220,8 +210,7 @@ def _raise(session: Session, found: AlarmCondition) -> bool:
         raised_utc=utc_now(),
         version=0,
     )
-    session.add(row)
-    session.flush()
+    session.put(row)
     step(session, SYSTEM, row, "RAISED", found.sentence)
     return True
 

@@ -159,10 +159,7 @@ def _said(text: str, needed: str = "") -> str:
 
 def get_alarm(session: Session, alarm_id: int) -> Alarm:
     """Return an alarm."""
-    row = session.get(Alarm, alarm_id)
-    if row is None:
-        raise NotFoundError(f"There is no alarm {alarm_id}.")
-    return row
+    return session.get_known(Alarm, alarm_id, f"There is no alarm {alarm_id}.")
 
 
 def list_alarms(

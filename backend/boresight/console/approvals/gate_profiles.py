@@ -72,13 +72,10 @@ def _default(sensor: Sensor) -> GateProfile:
     )
 
 
-def list_profiles(
-    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int | None = None
-) -> Sequence[GateProfile]:
-    """Return a page of a sensor's profiles, newest first; the next page starts before the last one's number."""
+def list_profiles(session: Session, sensor_id: int) -> Sequence[GateProfile]:
+    """Return a sensor's profiles, newest first."""
     sensor = get_sensor(session, sensor_id)
-    found = rows.profiles(session, sensor_id, before_number=before_number, limit=limit)
-    return found if found or before_number is not None else [_default(sensor)]
+    return rows.profiles(session, sensor_id) or [_default(sensor)]
 
 
 def ensure_profile(session: Session, actor: Actor, sensor_id: int) -> GateProfile:
@@ -154,8 +151,7 @@ def _add(
     proposal: ChangeProposal | None = None,
 ) -> GateProfile:
     """Store a profile; the audit record holds the thresholds that changed, before and after."""
-    session.add(row)
-    session.flush()
+    session.put(row)
     told: dict[str, Any] = {"version": row.number, "sha256": row.sha256}
     told |= {} if proposal is None else {"proposal": proposal.id}
     earlier: dict[str, Any] | None = None
@@ -175,7 +171,7 @@ def dry_run(session: Session, blobs: BlobStore, sensor_id: int, document: Mappin
     found = []
     for run in rows.runs_with_results(session, sensor_id, RUNS_TRIED):
         row = set_rows.set_of_run(session, run.id)
-        report = None if row is None else rows.newest_reports(session, [row.id]).get(row.id)
+        report = None if row is None else rows.newest_report(session, row.id)
         basis = "the set's gate report" if report else "the run's own result"
         measured = gates.read_measurements(report.document) if report else _measured(blobs, run)
         new, now = gates.judge(tried, measured), gates.judge(current, measured)

@@ -13,7 +13,7 @@ STALE.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -225,7 +225,7 @@ def _record(session: Session, actor: Actor, assessment: GateAssessment) -> GateR
         since = whose_baseline(session, row.sensor_id)
         raise StaleError(f"The {' and the '.join(moved)} moved while {row.name} was assessed.{since} Do it again.")
     sha256 = compute_sha256(assessment.document)
-    newest = rows.newest_reports(session, [row.id]).get(row.id)
+    newest = rows.newest_report(session, row.id)
     if newest is not None and newest.sha256 == sha256:
         return newest
     report = GateReport(
@@ -237,8 +237,7 @@ def _record(session: Session, actor: Actor, assessment: GateAssessment) -> GateR
         created_utc=utc_now(),
         created_by=actor.user_id,
     )
-    session.add(report)
-    session.flush()
+    session.put(report)
     told = {"set": row.name, "verdict": report.verdict, "blocking": report.document["blocking"], "sha256": sha256}
     audit.append(session, actor, "assessed", f"parameter-sets/{row.id}/gate-report", None, told)
     return report
@@ -250,21 +249,14 @@ def _word(name: str) -> str:
 
 def latest_report(session: Session, parameter_set_id: int) -> GateReport | None:
     """Return a set's newest report if what it rests on is as it was; None otherwise."""
-    report = newest_report(session, parameter_set_id)
+    report = rows.newest_report(session, parameter_set_id)
     return None if report is None or moved_since(session, report) else report
-
-
-def newest_report(session: Session, parameter_set_id: int, sha256: str | None = None) -> GateReport | None:
-    """Return a set's newest report, or the one with a hash, whether or not it still holds."""
-    if sha256 is not None:
-        return rows.report_with(session, parameter_set_id, sha256)
-    return rows.newest_reports(session, [parameter_set_id]).get(parameter_set_id)
 
 
 def get_report(session: Session, parameter_set_id: int, sha256: str | None = None) -> GateReport:
     """Return a set's newest report, or the one with a hash; refuse where there is none."""
     row = get_parameter_set(session, parameter_set_id)
-    report = newest_report(session, parameter_set_id, sha256)
+    report = rows.newest_report(session, parameter_set_id, sha256)
     if report is None and sha256 is not None:
         raise NotFoundError(
             f"{row.name} (parameter set {row.id}) has no gate report {sha256}; leave sha256 out for the newest."
@@ -356,8 +348,7 @@ def waive(  # noqa: PLR0913, PLR0917 - a waiver has all of these, and a form giv
         made_by=user_id,
         printed_name=actor.printed_name,
     )
-    session.add(waiver)
-    session.flush()
+    session.put(waiver)
     told: dict[str, Any] = {"set": row.name, "gate": gate, "code": code, "expires_utc": until, "report": report.sha256}
     audit.append(session, actor, "waived a gate of", f"parameter-sets/{row.id}/waivers", None, told, waiver.reason)
     staleness.make_stale_of_set(session, actor, row.id, f"its gate {gate} was waived")
@@ -392,8 +383,3 @@ def _blocking_report(session: Session, parameter_set_id: int, name: str, gate: s
         why = "it is critical" if answer["critical"] else "the gate profile does not let it be waived"
         raise ForbiddenError(f"Nobody can waive the gate {gate}: {why}. Calibrate again.")
     return report
-
-
-def all_waivers(session: Session, parameter_set_id: int) -> Sequence[Waiver]:
-    """Return every waiver that a set was ever given, in order."""
-    return rows.waivers(session, [parameter_set_id])

@@ -89,13 +89,9 @@ def find_opening(session: Session, approval_id: int, user_id: int, evidence: str
     return session.scalar(query.where(Opening.evidence == evidence))
 
 
-def profiles(
-    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int | None
-) -> Sequence[GateProfile]:
-    """Return a page of a sensor's profiles, newest first."""
+def profiles(session: Session, sensor_id: int, limit: int | None = None) -> Sequence[GateProfile]:
+    """Return a sensor's profiles, newest first; at most `limit`."""
     query = sa.select(GateProfile).where(GateProfile.sensor_id == sensor_id)
-    if before_number is not None:
-        query = query.where(GateProfile.number < before_number)
     return session.scalars(query.order_by(GateProfile.number.desc()).limit(limit)).all()
 
 
@@ -104,9 +100,11 @@ def newest_profile(session: Session, sensor_id: int) -> GateProfile | None:
     return next(iter(profiles(session, sensor_id, limit=1)), None)
 
 
-def newest_report(session: Session, parameter_set_id: int) -> GateReport | None:
-    """Return a set's newest gate report, whether or not what it judged has moved since."""
+def newest_report(session: Session, parameter_set_id: int, sha256: str | None = None) -> GateReport | None:
+    """Return a set's newest gate report, of all or of those with a hash, whether or not what it judged has moved since."""
     query = sa.select(GateReport).where(GateReport.parameter_set_id == parameter_set_id)
+    if sha256 is not None:
+        query = query.where(GateReport.sha256 == sha256)
     return session.scalar(query.order_by(GateReport.id.desc()).limit(1))
 
 
@@ -115,12 +113,6 @@ def newest_reports(session: Session, parameter_set_ids: Collection[int]) -> dict
     newest = sa.select(sa.func.max(GateReport.id)).where(GateReport.parameter_set_id.in_(parameter_set_ids))
     query = sa.select(GateReport).where(GateReport.id.in_(newest.group_by(GateReport.parameter_set_id)))
     return {row.parameter_set_id: row for row in session.scalars(query)}
-
-
-def report_with(session: Session, parameter_set_id: int, sha256: str) -> GateReport | None:
-    """Return a set's newest report with a hash."""
-    query = sa.select(GateReport).where(GateReport.parameter_set_id == parameter_set_id, GateReport.sha256 == sha256)
-    return session.scalar(query.order_by(GateReport.id.desc()).limit(1))
 
 
 def waivers(session: Session, parameter_set_ids: Collection[int]) -> Sequence[Waiver]:

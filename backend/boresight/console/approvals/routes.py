@@ -151,7 +151,7 @@ def _shown(session: Session, row: GateReport) -> Beside:
     """Return a report with the waivers laid over it, and whether what it rests on is as it was."""
     document = gates.with_waivers(session, row)
     laid_over = {name: document[name] for name in LAID_OVER}
-    given = gates.all_waivers(session, row.parameter_set_id)
+    given = approval_queries.waivers(session, [row.parameter_set_id])
     return Beside(row, **laid_over, holds=not gates.moved_since(session, row), waivers=given)
 
 

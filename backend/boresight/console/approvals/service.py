@@ -51,7 +51,7 @@ from boresight.console.transitions import (
     resting_state,
     who_changed,
 )
-from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError, StaleError
+from boresight.errors import ConflictError, ForbiddenError, RefusedInputError, StaleError
 from boresight.platform.actors import (
     DAY_S,
     POLICY,
@@ -213,8 +213,7 @@ def _sign(
         console=console,
         password_by=password_by(session, user_id),
     )
-    session.add(signature)
-    session.flush()
+    session.put(signature)
     _decide(session, actor, approval, parameter_set, signature, policy)
     return signature
 
@@ -277,9 +276,7 @@ def assign(
 
 
 def _signer(session: Session, approval: Approval, user_id: int, policy: Policy) -> User:
-    user = session.get(User, user_id)
-    if user is None:
-        raise NotFoundError(f"There is no user {user_id}.")
+    user = session.get_known(User, user_id, f"There is no user {user_id}.")
     if user.disabled_utc is not None:
         raise ConflictError(f"{user.printed_name} is disabled; ask another approver.")
     found = next((one for one in list_signers(session, approval, policy) if one.user.id == user_id), None)
@@ -307,8 +304,7 @@ def remark(session: Session, actor: Actor, approval_id: int, text: str) -> Remar
         text=text.strip(),
         made_utc=utc_now(),
     )
-    session.add(row)
-    session.flush()
+    session.put(row)
     audit.append(session, actor, "remarked", f"{name_subject(approval)}/remarks/{row.id}", None, {"text": row.text})
     return row
 
@@ -327,9 +323,7 @@ def record_opening(session: Session, actor: Actor, approval_id: int, evidence: s
     if (known := rows.find_opening(session, approval.id, user_id, evidence)) is not None:
         return known
     row = Opening(approval_id=approval.id, user_id=user_id, evidence=evidence, opened_utc=utc_now())
-    session.add(row)
-    session.flush()
-    return row
+    return session.put(row)
 
 
 def list_openings(session: Session, approval_id: int) -> Sequence[Opening]:
@@ -441,8 +435,7 @@ def _open(session: Session, actor: Actor, row: ParameterSet, reason: str, policy
         needed=policy.needed(waived=bool(bound["waivers"])),
         expires_utc=utc_after(days * DAY_S),
     )
-    session.add(approval)
-    session.flush()
+    session.put(approval)
     told = {"set": row.name, "bound": bound, "kind": approval.kind, "needed": approval.needed}
     told |= {"expires_utc": approval.expires_utc, "four_eyes": policy.four_eyes}
     audit.append(session, actor, "opened", name_subject(approval), None, told, reason)

@@ -17,6 +17,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import Blobs, Reading, Who
 from boresight.console.jobs.maintenance import Upkeep
+from boresight.console.operation import Beside
 from boresight.console.pages.formats import day_of_year, instant
 from boresight.console.pages.rendering import render
 from boresight.console.pages.tables import (
@@ -269,10 +270,8 @@ def audit_csv(request: Request, session: Reading, actor: Who) -> Response:  # no
     return write_csv(view, (_csv_row(record) for record in read_all(session, view, **_sought(view))))
 
 
-def _csv_row(record: AuditRecord) -> dict[str, Any]:
-    told = {"roles": ", ".join(record.roles or ()), "changed": make_audit_line(record).gist}
-    names = (name for column in RECORDS.columns for name in column.csv if name not in told)
-    return {name: getattr(record, name) for name in names} | told
+def _csv_row(record: AuditRecord) -> Beside:
+    return Beside(record, roles=", ".join(record.roles or ()), changed=make_audit_line(record).gist)
 
 
 @router.get("/audit/{record_id}", response_class=HTMLResponse)

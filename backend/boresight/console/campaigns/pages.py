@@ -38,6 +38,7 @@ from boresight.console.pages.tables import csv_file
 from boresight.console.runs import presets
 from boresight.console.runs.pages.launch import LONGEST_NUMBER, LaunchOrigin, TypedForm, read_origin, typed_form
 from boresight.console.runs.pages.list import read_names
+from boresight.console.telemetry import queries as telemetry_rows
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
@@ -183,7 +184,7 @@ def _offer(session: Session, given: FormData | QueryParams) -> OfferedSensors:
     for row in (
         telemetry_sets.list_telemetry_sets(session)
         if every
-        else telemetry_sets.list_set_heads(session, choices.names, newest=NEWEST_SETS, keep=keep)
+        else telemetry_rows.read_heads(session, choices.names, NEWEST_SETS, keep)
     ):
         getattr(found.setdefault(row.sensor_id, SensorSets()), row.purpose).append(row)
     return OfferedSensors(choices, found, {member.sensor_id for member in members})

@@ -76,11 +76,6 @@ def _inserted(session: Session, model: type[Base], values: Sequence[Mapping[str,
     return rows
 
 
-def find_campaign(session: Session, campaign_id: int) -> Campaign | None:
-    """Return a campaign's row, or None."""
-    return session.get(Campaign, campaign_id)
-
-
 def campaigns_of_run(session: Session, run_id: int) -> Sequence[Campaign]:
     """Return the campaigns that a run belongs to."""
     query = sa.select(Campaign).join(CampaignRun, CampaignRun.campaign_id == Campaign.id)

@@ -215,8 +215,7 @@ def launch_campaign(
         return _dry_run(session, plans, label.strip(), named, chosen)
     whole = next(planned.request.settings.document() for planned in plans if planned.request is not None)
     row = Campaign(label=label.strip(), preset=named, settings=whole, launched_utc=utc_now(), launched_by=actor.user_id)
-    session.add(row)
-    session.flush()
+    session.put(row)
     after = {"label": row.label, "preset": named, "settings": row.settings, "sensors": len(plans)}
     audit.append(session, actor, "launched", _subject(row), None, after)
     _queue(session, actor, row, plans)
@@ -303,10 +302,7 @@ def relaunch_failed(session: Session, actor: Actor, campaign_id: int) -> Campaig
 
 def get_campaign(session: Session, campaign_id: int) -> Campaign:
     """Return a campaign."""
-    row = rows.find_campaign(session, campaign_id)
-    if row is None:
-        raise NotFoundError(f"There is no campaign {campaign_id}; choose one of the list.")
-    return row
+    return session.get_known(Campaign, campaign_id, f"There is no campaign {campaign_id}; choose one of the list.")
 
 
 def read_campaign(session: Session, campaign_id: int) -> CampaignView:

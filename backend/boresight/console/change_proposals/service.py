@@ -70,8 +70,7 @@ def change(
         expires_utc=utc_after(policy.approval_days * DAY_S),
         state="OPEN",
     )
-    session.add(row)
-    session.flush()
+    session.put(row)
     told = {"kind": kind, "sensor": f"sensors/{sensor_id}", "against": row.base_number, "sha256": row.sha256}
     told |= {"document": complete, "expires_utc": row.expires_utc}
     audit.append(session, actor, "proposed", name_subject(row), None, told, row.reason)

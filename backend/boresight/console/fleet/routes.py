@@ -81,8 +81,7 @@ def get_sensor_at(
     """Say what was the sensor's baseline at a time, and what was recorded on board."""
     sensors.get_sensor(session, sensor_id)
     baseline, onboard = uplinks.baseline_at(session, sensor_id, at), uplinks.onboard_at(session, sensor_id, at)
-    records = [{"parameter_set": row.name, "sha256": row.sha256, "record": record} for row, record in onboard]
-    return {"at": at, "baseline": baseline, "onboard": records}
+    return {"at": at, "baseline": baseline, "onboard": _on_board(onboard)}
 
 
 Time = Annotated[str | None, Query(description="ISO 8601, UTC; now when left out.", examples=["2026-11-21T03:04:05Z"])]
@@ -93,25 +92,21 @@ Time = Annotated[str | None, Query(description="ISO 8601, UTC; now when left out
     summary="What held at a time, and who said so",
     response_model=uplink_schemas.AsOf,
 )
-def get_sensor_as_of(sensor_id: Id, session: Reading, time: Time = None) -> dict[str, Any]:
+def get_sensor_as_of(sensor_id: Id, session: Reading, time: Time = None) -> Beside:
     """Say what was baseline, what was on board, and the gate profile and table definition in force, as recorded by then.
 
     With the promotion, its request and signatures, and the records on board with their sources.
     """
     known = timeline.get_state_at(session, sensor_id, time)
-    return {
-        "sensor_id": known.sensor.id,
-        "time_utc": known.time_utc,
-        "sentence": known.sentence,
-        "differs": known.differs,
-        "baseline": known.baseline,
-        "promotion": known.promotion,
-        "approval": known.approval and Beside(known.approval, signatures=known.signatures),
-        "on_board": _on_board(known.on_board),
-        "learned_later": _on_board(known.learned_later),
-        "gate_profile": known.profile,
-        "table_definition": known.definition,
-    }
+    return Beside(
+        known,
+        sensor_id=known.sensor.id,
+        approval=known.approval and Beside(known.approval, signatures=known.signatures),
+        on_board=_on_board(known.on_board),
+        learned_later=_on_board(known.learned_later),
+        gate_profile=known.profile,
+        table_definition=known.definition,
+    )
 
 
 def _on_board(records: timeline.Records) -> list[dict[str, Any]]:

@@ -64,8 +64,7 @@ def register_sensor(
         simulated=int(simulated),
         truth=None if truth is None else dict(truth),
     )
-    session.add(row)
-    session.flush()
+    session.put(row)
     audit.append(session, actor, "registered", name_subject(row), None, row.document)
     create_ground_calibration(session, actor, row, description)
     return row

@@ -47,8 +47,7 @@ def add_note(session: Session, actor: Actor, kind: str, subject_id: int, text: s
         text=said,
         made_utc=utc_now(),
     )
-    session.add(row)
-    session.flush()
+    session.put(row)
     audit.append(session, actor, "noted", f"{kind}/{subject_id}/notes/{row.id}", None, {"text": said})
     return row
 

@@ -181,9 +181,10 @@ def read_all(session: Session, view: TableView, **where: Any) -> Iterable[Any]:
     return lists.read_all(session, view.table.name, narrowed, view.sort)
 
 
-def write_csv(view: TableView, rows: Iterable[Mapping[str, Any]]) -> Response:
-    """Give a view as CSV."""
-    return csv_file(view.table.name, [name for column in view.columns for name in column.csv], rows)
+def write_csv(view: TableView, rows: Iterable[Any]) -> Response:
+    """Give a view as CSV, its columns read from the rows."""
+    names = [name for column in view.columns for name in column.csv]
+    return csv_file(view.table.name, names, ({name: getattr(row, name) for name in names} for row in rows))
 
 
 def csv_file(title: str, names: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Response:

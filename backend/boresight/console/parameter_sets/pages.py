@@ -28,6 +28,7 @@ from boresight.console.approvals.pages.gates import make_gates_panel
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import list_sensor_choices
+from boresight.console.operation import Beside
 from boresight.console.pages.rendering import ShownRefusal, attempt, read_texts, redirect, render, seen_version
 from boresight.console.pages.tables import (
     Table,
@@ -107,28 +108,17 @@ def parameter_sets_csv(request: Request, session: Reading) -> Response:
     return write_csv(view, _csv_rows(session, view, read_names(session, sensors_of=None)))
 
 
-def _csv_rows(session: Session, view: TableView, names: RunNames) -> Iterator[dict[str, Any]]:
+def _csv_rows(session: Session, view: TableView, names: RunNames) -> Iterator[Beside]:
     """Lay out the sets of a view for a program; the verdicts of many are read at once."""
     rows = iter(read_all(session, view))
     while some := list(islice(rows, READ_AT_ONCE)):
         verdicts = gates.verdicts(session, {row.id for row in some})
-        yield from (_csv_row(row, names) | {"verdict": verdicts.get(row.id)} for row in some)
+        yield from (_csv_row(row, names, verdicts.get(row.id)) for row in some)
 
 
-def _csv_row(row: ParameterSet, names: RunNames) -> dict[str, Any]:
-    return {
-        "number": row.id,
-        "set": row.name,
-        "sensor": names.sensors[row.sensor_id],
-        "ground_state": row.ground_state,
-        "onboard_state": row.onboard_state,
-        "run": row.run_id,
-        "sha256": row.sha256,
-        "created_by": names.person(row.created_by),
-        "created_utc": row.created_utc,
-        "baseline_from_utc": row.baseline_from_utc,
-        "baseline_to_utc": row.baseline_to_utc,
-    }
+def _csv_row(row: ParameterSet, names: RunNames, verdict: str | None) -> Beside:
+    sensor, by = names.sensors[row.sensor_id], names.person(row.created_by)
+    return Beside(row, number=row.id, set=row.name, sensor=sensor, run=row.run_id, created_by=by, verdict=verdict)
 
 
 @dataclass(frozen=True)

@@ -150,8 +150,7 @@ def _add(
         created_utc=utc_now(),
         created_by=actor.user_id,
     )
-    session.add(row)
-    session.flush()
+    session.put(row)
     after = {"name": row.name, "ground_state": ground_state, "sha256": row.sha256, "run_id": run_id}
     audit.append(session, actor, "created", name_subject(row), None, after)
     return row

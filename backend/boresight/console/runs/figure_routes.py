@@ -13,7 +13,7 @@ from starlette.responses import Response
 
 from boresight.console.access.dependencies import Blobs, Drawings, Reading
 from boresight.console.fleet import service as sensors
-from boresight.console.operation import json_response, operations
+from boresight.console.operation import Beside, json_response, operations
 from boresight.console.parameter_sets.service import get_incumbent_parameters
 from boresight.console.runs import comparisons, schemas
 from boresight.console.runs import service as runs
@@ -76,19 +76,10 @@ Seen = Annotated[View, Depends()]
 
 
 @router.get("/{run_id}/figures", summary="List the figures", response_model=Page[schemas.FigureEntry])
-def list_figures(run_id: Id, session: Reading) -> Listing[dict[str, str]]:
+def list_figures(run_id: Id, session: Reading) -> Listing[Beside]:
     """List the figures of a run with how to read each."""
     runs.get_run(session, run_id)
-    entries = [
-        {
-            "name": figure.name,
-            "title": figure.title,
-            "guide": figure.guide,
-            "href": f"/api/v1/runs/{run_id}/figures/{name}",
-        }
-        for name, figure in FIGURES.items()
-    ]
-    return Listing(entries)
+    return Listing([Beside(one, href=f"/api/v1/runs/{run_id}/figures/{name}") for name, one in FIGURES.items()])
 
 
 @router.get("/{run_id}/figures/{name}", summary="Read a figure", response_model=schemas.PlotlyFigure)

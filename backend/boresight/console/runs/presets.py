@@ -140,8 +140,7 @@ def save_preset(session: Session, actor: Actor, name: str, sentence: str, settin
         created_utc=utc_now(),
         created_by=actor.user_id,
     )
-    session.add(row)
-    session.flush()
+    session.put(row)
     after = {"name": name, "number": row.number, "sentence": sentence, "settings": document}
     audit.append(session, actor, "saved", f"presets/{row.id}", None if before is None else before.document, after)
     return row

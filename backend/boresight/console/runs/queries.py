@@ -165,8 +165,7 @@ HeldRun = tuple[int, int]  # (run id, attempt)
 def add_run(session: Session, **values: Any) -> Run:
     """Insert a run as QUEUED and return its row."""
     run = Run(state="QUEUED", attempt=0, cancel_requested=0, launched_utc=utc_now(), **values)
-    session.add(run)
-    session.flush()
+    session.put(run)
     write_event(session, run.id, 0, Line.moved("QUEUED"))
     return run
 

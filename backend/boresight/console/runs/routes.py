@@ -81,12 +81,7 @@ def list_runs(
 ) -> Listing[Run]:
     """List runs, newest first."""
     found = runs.list_runs(
-        session,
-        sensor_id=sensor_id,
-        telemetry_set_id=telemetry_set_id,
-        method=method,
-        state=state,
-        **page.rows,
+        session, sensor_id=sensor_id, telemetry_set_id=telemetry_set_id, method=method, state=state, **page.rows
     )
     return page.cut(found)
 

@@ -27,6 +27,7 @@ from boresight.console.access.dependencies import (
 )
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import list_sensor_choices
+from boresight.console.operation import Beside
 from boresight.console.pages.drawings import Drawing, detector_map, histogram, number_bars
 from boresight.console.pages.rendering import AttemptResult, ShownRefusal, attempt, read_again, redirect, render
 from boresight.console.pages.tables import (
@@ -150,25 +151,20 @@ def telemetry_csv(request: Request, session: Reading, actor: Who) -> Response:  
     return write_csv(view, rows)
 
 
-def _csv_row(row: TelemetrySet, names: RunNames) -> dict[str, Any]:
+def _csv_row(row: TelemetrySet, names: RunNames) -> Beside:
     time, temperature = (row.quality.get(name) or {} for name in ("time", "temperature_c"))
-    return {
-        "set": row.id,
-        "name": row.name,
-        "purpose": row.purpose,
-        "archived_utc": row.archived_utc,
-        "verdict": row.quality.get("verdict"),
-        "sensor": names.sensors[row.sensor_id],
-        "frames": row.frames,
-        "stars": row.stars,
-        "unmatched_share": row.quality.get("unmatched_share"),
-        "start_utc": time.get("start_utc"),
-        "span_s": time.get("span_s"),
-        "smallest_temperature_c": temperature.get("smallest"),
-        "largest_temperature_c": temperature.get("largest"),
-        "uploaded_utc": row.uploaded_utc,
-        "uploaded_by": names.person(row.uploaded_by),
-    }
+    return Beside(
+        row,
+        set=row.id,
+        verdict=row.quality.get("verdict"),
+        sensor=names.sensors[row.sensor_id],
+        unmatched_share=row.quality.get("unmatched_share"),
+        start_utc=time.get("start_utc"),
+        span_s=time.get("span_s"),
+        smallest_temperature_c=temperature.get("smallest"),
+        largest_temperature_c=temperature.get("largest"),
+        uploaded_by=names.person(row.uploaded_by),
+    )
 
 
 @router.post("/telemetry", response_class=HTMLResponse)

@@ -78,11 +78,7 @@ def list_telemetry_sets(
 ) -> Listing[TelemetrySet]:
     """List telemetry sets, newest first."""
     found = telemetry_sets.list_telemetry_sets(
-        session,
-        sensor_id=sensor_id,
-        purpose=purpose,
-        archived=archived,
-        **page.rows,
+        session, sensor_id=sensor_id, purpose=purpose, archived=archived, **page.rows
     )
     return page.cut(found)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -18,7 +18,7 @@ from boresight.console import list_queries as lists
 from boresight.console.telemetry import queries as rows
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.transitions import get_sensor
-from boresight.errors import NotFoundError, RefusedInputError, UnavailableError
+from boresight.errors import RefusedInputError, UnavailableError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs import files
@@ -147,8 +147,7 @@ def store_prepared(
         uploaded_utc=utc_now(),
         uploaded_by=actor.user_id,
     )
-    session.add(row)
-    session.flush()
+    session.put(row)
     after = {"name": row.name, "sensor_id": sensor_id, "purpose": purpose, "original_sha256": original}
     audit.append(session, actor, "uploaded", _subject(row), None, after)
     return row
@@ -188,22 +187,7 @@ def _without_folders(path: str) -> str:
 
 def get_telemetry_set(session: Session, set_id: int) -> TelemetrySet:
     """Return a set."""
-    row = session.get(TelemetrySet, set_id)
-    if row is None:
-        raise NotFoundError(f"There is no telemetry set {set_id}.")
-    return row
-
-
-def get_set_names(session: Session, set_ids: Collection[int] | None = None) -> dict[int, str]:
-    """Return the names of these sets by their numbers; of all sets where None is given."""
-    return rows.names(session, set_ids)
-
-
-def list_set_heads(
-    session: Session, sensor_ids: Collection[int], *, newest: int, keep: Collection[int] = ()
-) -> Sequence[Any]:
-    """Return id, sensor_id, purpose, name and frames of the sets in use of some sensors, newest first."""
-    return rows.read_heads(session, sensor_ids, newest, keep)
+    return session.get_known(TelemetrySet, set_id, f"There is no telemetry set {set_id}.")
 
 
 def list_telemetry_sets(

@@ -14,7 +14,7 @@ from boresight.console import list_queries as lists
 from boresight.console.access.tables import User
 from boresight.console.approvals import queries as approval_rows
 from boresight.console.approvals import staleness
-from boresight.console.approvals.gates import newest_report, with_waivers
+from boresight.console.approvals.gates import with_waivers
 from boresight.console.approvals.signers import second_persons
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.fleet.tables import Sensor
@@ -110,7 +110,7 @@ def _gates(session: Session, row: ParameterSet) -> dict[str, Any] | None:
     """
     approval = approval_rows.find_latest(session, row.id, "APPROVED")
     bound = {} if approval is None else approval.bound
-    report = newest_report(session, row.id, bound.get("gate_report_sha256"))
+    report = approval_rows.newest_report(session, row.id, bound.get("gate_report_sha256"))
     if report is None:
         return None
     laid_over = with_waivers(session, report, bound.get("waivers"))
@@ -281,8 +281,7 @@ def _store(
         created_utc=inputs["first_built"]["at_utc"],
         created_by=actor.user_id,
     )
-    session.add(package)
-    session.flush()
+    session.put(package)
     after = {
         "parameter_set": row.name,
         "parameter_set_sha256": row.sha256,
@@ -302,10 +301,7 @@ def rebuild(inputs: Mapping[str, Any]) -> bytes:
 
 def get_package(session: Session, package_id: int) -> Package:
     """Return a package."""
-    package = session.get(Package, package_id)
-    if package is None:
-        raise NotFoundError(f"There is no package {package_id}.")
-    return package
+    return session.get_known(Package, package_id, f"There is no package {package_id}.")
 
 
 def read(session: Session, blobs: BlobStore, package_id: int) -> bytes:

@@ -72,11 +72,7 @@ def definition_in_force(session: Session, sensor_id: int) -> TableDefinition | N
     return next(iter(definitions(session, sensor_id, limit=1)), None)
 
 
-def definitions(
-    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int | None
-) -> Sequence[TableDefinition]:
-    """Return a page of a sensor's definitions, newest first."""
+def definitions(session: Session, sensor_id: int, limit: int | None = None) -> Sequence[TableDefinition]:
+    """Return a sensor's definitions, newest first; at most `limit`."""
     query = sa.select(TableDefinition).where(TableDefinition.sensor_id == sensor_id)
-    if before_number is not None:
-        query = query.where(TableDefinition.number < before_number)
     return session.scalars(query.order_by(TableDefinition.number.desc()).limit(limit)).all()

@@ -21,7 +21,7 @@ from boresight.console.access.passwords import PasswordProof
 from boresight.console.alarms.rules import update_alarms
 from boresight.console.fleet.timeline import happened_on
 from boresight.console.parameter_sets import queries as set_rows
-from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.transitions import get_parameter_set, name_subject, require_seen
 from boresight.console.uplinks import queries as rows
 from boresight.console.uplinks.table_definitions import definition_in_force
@@ -101,8 +101,7 @@ def add_entry(
     before = {"onboard_state": row.onboard_state, "version": row.version}
     row.onboard_state = onboard_state
     row.version += 1
-    session.add(uplink)
-    session.flush()
+    session.put(uplink)
     told = {"method": basis.method, "meaning": basis.meaning, "found": basis.evidence.get("sentence")}
     after = {"onboard_state": onboard_state, "version": row.version, "record": f"uplinks/{uplink.id}"}
     after |= {name: value for name, value in told.items() if value is not None}
@@ -246,10 +245,7 @@ def _retire_active(session: Session, actor: Actor, row: ParameterSet, source: st
 
 def get_uplink(session: Session, uplink_id: int) -> Uplink:
     """Return a record."""
-    row = session.get(Uplink, uplink_id)
-    if row is None:
-        raise NotFoundError(f"There is no uplink record {uplink_id}.")
-    return row
+    return session.get_known(Uplink, uplink_id, f"There is no uplink record {uplink_id}.")
 
 
 def get_dump_digest(session: Session, uplink_id: int) -> str:
@@ -268,8 +264,3 @@ def baseline_at(session: Session, sensor_id: int, time: str) -> ParameterSet | N
 def onboard_at(session: Session, sensor_id: int, time: str) -> Sequence[tuple[ParameterSet, Uplink]]:
     """Return each set that was on its way or on board at a time, with the record that says so."""
     return rows.records_until(session, sensor_id, read_time(time))
-
-
-def list_promotions(session: Session, sensor_id: int) -> Sequence[Promotion]:
-    """Return every promotion of a sensor, newest first."""
-    return set_rows.promotions(session, sensor_id)

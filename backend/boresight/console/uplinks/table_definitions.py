@@ -34,12 +34,10 @@ def definition_in_force(session: Session, sensor_id: int) -> TableDefinition | N
     return rows.definition_in_force(session, sensor_id)
 
 
-def list_definitions(
-    session: Session, sensor_id: int, *, before_number: int | None = None, limit: int | None = None
-) -> Sequence[TableDefinition]:
-    """Return a page of a sensor's definitions, newest first; the next page starts before the last one's number."""
+def list_definitions(session: Session, sensor_id: int) -> Sequence[TableDefinition]:
+    """Return a sensor's definitions, newest first."""
     get_sensor(session, sensor_id)
-    return rows.definitions(session, sensor_id, before_number=before_number, limit=limit)
+    return rows.definitions(session, sensor_id)
 
 
 def parsed(session: Session, row: TableDefinition) -> table_definition.TableDefinition:
@@ -142,8 +140,7 @@ def put_into_force(
         created_utc=utc_now(),
         created_by=actor.user_id if proposal is None else proposal.proposed_by,
     )
-    session.add(row)
-    session.flush()
+    session.put(row)
     before = None if current is None else {"number": current.number, "sha256": current.sha256}
     after = {"sensor": sensor.name, "number": row.number, "sha256": row.sha256, "document": row.document}
     after |= {} if proposal is None else {"proposal": proposal.id}

@@ -22,7 +22,7 @@ from boresight.console import list_queries as lists
 from boresight.console.webhooks import queries as rows
 from boresight.console.webhooks.secrets import decode_key, new_secret, readable_ids
 from boresight.console.webhooks.tables import Webhook, WebhookDelivery
-from boresight.errors import ConflictError, NotFoundError, RefusedInputError
+from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.actors import Actor, refuse_key, require_role
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.external_head import ExternalHead
@@ -111,8 +111,7 @@ def create_webhook(
         created_utc=utc_now(),
         created_by=actor.user_id,
     )
-    session.add(row)
-    session.flush()
+    session.put(row)
     audit.append(session, actor, "created", _subject(row), None, _described(row))
     row.told_audit_id = rows.newest_audit_id(session)
     return row, secret
@@ -149,10 +148,7 @@ def _known_kind(action: str) -> str:
 def get_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
     """Return a webhook."""
     _require_administrator(actor)
-    row = session.get(Webhook, webhook_id)
-    if row is None:
-        raise NotFoundError(f"There is no webhook {webhook_id}.")
-    return row
+    return session.get_known(Webhook, webhook_id, f"There is no webhook {webhook_id}.")
 
 
 def list_webhooks(session: Session, actor: Actor) -> Sequence[Webhook]:
@@ -201,9 +197,7 @@ def try_webhook(session: Session, actor: Actor, webhook_id: int) -> WebhookDeliv
 def redeliver(session: Session, actor: Actor, delivery_id: int) -> WebhookDelivery:
     """Queue a message once more, as if it had never been tried; its id and its words stay."""
     _require_administrator(actor)
-    delivery = session.get(WebhookDelivery, delivery_id)
-    if delivery is None:
-        raise NotFoundError(f"There is no delivery {delivery_id}.")
+    delivery = session.get_known(WebhookDelivery, delivery_id, f"There is no delivery {delivery_id}.")
     webhook = session.get_one(Webhook, delivery.webhook_id)
     _refuse_disabled(webhook)
     last = {name: getattr(delivery, name) for name in ("state", "attempts", "attempted_utc", "status", "outcome")}
@@ -301,9 +295,7 @@ def _queue(session: Session, webhook: Webhook, audit_id: int | None, content: di
     delivery = WebhookDelivery(
         webhook_id=webhook.id, audit_id=audit_id, body=body, state="PENDING", due_utc=utc_now(), created_utc=utc_now()
     )
-    session.add(delivery)
-    session.flush()
-    return delivery
+    return session.put(delivery)
 
 
 def _described(row: Webhook) -> dict[str, object]:

@@ -66,6 +66,12 @@ class Session(OrmSession):
             raise NotFoundError(refusal)
         return row
 
+    def put(self, row: T) -> T:
+        """Write a new row now, which gives it its number."""
+        self.add(row)
+        self.flush()
+        return row
+
 
 sa.event.listen(Session, "before_flush", chain_new)
 sa.event.listen(Session, "after_flush", note_flushed)

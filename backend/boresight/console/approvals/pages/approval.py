@@ -24,6 +24,7 @@ from boresight.console.approvals import service as approvals
 from boresight.console.approvals.pages.gates import make_gates_panel
 from boresight.console.approvals.tables import Approval, Opening, Signature
 from boresight.console.fleet import service as sensors
+from boresight.console.operation import Beside
 from boresight.console.pages.rendering import ShownRefusal, attempt, read_texts, redirect, render, seen_version
 from boresight.console.pages.tables import (
     Table,
@@ -260,21 +261,15 @@ def _narrowed(show: str, actor: Actor) -> dict[str, Any]:
     }
 
 
-def _csv_row(entry: InboxRow) -> dict[str, Any]:
-    known = entry.approval
-    return {
-        "request": known.id,
-        "kind": known.kind,
-        "state": known.state,
-        "set": entry.parameter_set.name,
-        "verdict": entry.verdict,
-        "reason": known.reason,
-        "submitted_by": entry.submitter,
-        "submitted_utc": known.submitted_utc,
-        "signed": entry.signed,
-        "needed": known.needed,
-        "expires_utc": known.expires_utc,
-    }
+def _csv_row(entry: InboxRow) -> Beside:
+    return Beside(
+        entry.approval,
+        request=entry.approval.id,
+        set=entry.parameter_set.name,
+        verdict=entry.verdict,
+        submitted_by=entry.submitter,
+        signed=entry.signed,
+    )
 
 
 def _entries(request: Request, session: Session, actor: Actor, found: Sequence[Approval]) -> list[InboxRow]:

@@ -20,6 +20,7 @@ from boresight.console.access import users
 from boresight.console.access.dependencies import Who, csrf, get_server
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import gate_profiles, gates, proposals
+from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals.gate_profiles import TriedProfile
 from boresight.console.approvals.gates import read_gate_inputs
 from boresight.console.approvals.tables import ChangeProposal, GateProfile, GateReport, Waiver
@@ -96,7 +97,7 @@ def make_gates_panel(
     report_sha256: str | None = None,
 ) -> GatesPanel:
     """Fill the panel of a set, as an actor sees it."""
-    report = gates.newest_report(session, row.id, report_sha256)
+    report = approval_queries.newest_report(session, row.id, report_sha256)
     moved = [] if report is None else gates.moved_since(session, report)
     document = None if report is None else gates.with_waivers(session, report)
     rows = [] if document is None else gate_rows(document)
@@ -110,7 +111,7 @@ def make_gates_panel(
         rows=rows,
         assessed_by=_name(session, report),
         profile_number=gate_profiles.profile_in_force(session, row.sensor_id).number,
-        given=[(waiver, waiver.expires_utc > now) for waiver in gates.all_waivers(session, row.id)],
+        given=[(waiver, waiver.expires_utc > now) for waiver in approval_queries.waivers(session, [row.id])],
         may_assess=None if actor.roles.intersection(gates.ASSESSORS) else ONLY_ASSESSORS,
         may_waive=None if actor.roles.intersection({"analyst", "approver"}) else ONLY_WAIVERS,
         waivable=[one for one in rows if one.blocking and one.waivable and not moved],

@@ -278,7 +278,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Sensor
         newest = runs.list_runs(session, sensor_id=sensor_id, limit=RUNS_SHOWN)
         names = read_names(session, newest)
         sets = lists.newest(session, ParameterSet, sensor=sensor_id, limit=SETS_SHOWN)
-        promotions = uplinks.list_promotions(session, sensor_id)
+        promotions = set_queries.promotions(session, sensor_id)
         promoted = set_queries.heads(session, {one.parameter_set_id for one in promotions})
         values = baseline_values(sensor, baseline)
         advice = advise(read_trend(session, sensor_id))

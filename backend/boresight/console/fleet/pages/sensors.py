@@ -24,6 +24,7 @@ from boresight.console.fleet import status as fleet
 from boresight.console.fleet.service import SensorChoices
 from boresight.console.fleet.status import SensorStatus, SensorTile
 from boresight.console.fleet.tables import Sensor
+from boresight.console.operation import Beside
 from boresight.console.pages.formats import LEVELS
 from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, render
 from boresight.console.pages.tables import (
@@ -167,22 +168,20 @@ def _every_tile(session: Session, view: TableView) -> Iterator[SensorTile]:
         yield from _tiles(session, some, chosen)
 
 
-def _csv_row(tile: SensorTile) -> dict[str, Any]:
+def _csv_row(tile: SensorTile) -> Beside:
     sensor, baseline = tile.sensor, tile.baseline
     document = sensor.document
-    return {
-        "number": sensor.id,
-        "sensor": sensor.name,
-        "simulated": bool(sensor.simulated),
-        "status": tile.status,
-        "sentence": tile.sentence,
-        "camera_model": document["camera_model"],
-        "rows": document["detector"]["rows"],
-        "columns": document["detector"]["columns"],
-        "f_m": (baseline.document["parameters"] if baseline else document["initial"])["f_m"],
-        "baseline": baseline.name if baseline else None,
-        "telemetry_sets": tile.telemetry_sets,
-    }
+    return Beside(
+        tile,
+        number=sensor.id,
+        sensor=sensor.name,
+        simulated=bool(sensor.simulated),
+        camera_model=document["camera_model"],
+        rows=document["detector"]["rows"],
+        columns=document["detector"]["columns"],
+        f_m=(baseline.document["parameters"] if baseline else document["initial"])["f_m"],
+        baseline=baseline.name if baseline else None,
+    )
 
 
 def _page(request: Request, roles: frozenset[str], shown: SensorsContext) -> HTMLResponse:

@@ -29,6 +29,7 @@ from boresight.console.pages.rendering import AttemptResult, ShownRefusal, ask, 
 from boresight.console.runs import presets
 from boresight.console.runs import service as runs
 from boresight.console.runs.presets import OfferedPreset
+from boresight.console.telemetry import queries as telemetry_rows
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import NotFoundError, RefusedInputError
@@ -288,7 +289,7 @@ def newest_sets(session: Session, sensor_id: int | None) -> dict[str, Any]:
     """Choose the newest set of either purpose for a sensor."""
     if sensor_id is None:
         return {}
-    newest = {known.purpose: str(known.id) for known in telemetry_sets.list_set_heads(session, [sensor_id], newest=1)}
+    newest = {known.purpose: str(known.id) for known in telemetry_rows.read_heads(session, [sensor_id], 1, ())}
     return {
         "sensor_id": str(sensor_id),
         "telemetry_set_id": newest.get("calibration", ""),

@@ -17,6 +17,7 @@ from boresight.console.access.dependencies import Reading, Who, csrf, same_for_r
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.status import judge_result
+from boresight.console.operation import Beside
 from boresight.console.pages.formats import instant, seconds_since
 from boresight.console.pages.rendering import make_change, render
 from boresight.console.pages.tables import (
@@ -33,7 +34,7 @@ from boresight.console.pages.tables import (
 from boresight.console.runs import presets
 from boresight.console.runs.pages.launch import differences
 from boresight.console.runs.tables import RUN_STATES, Run
-from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.telemetry import queries as telemetry_rows
 from boresight.platform.db.sessions import Session
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, number, urad
 from boresight.verdicts.verdict import WORD_OF_LEVEL
@@ -129,7 +130,7 @@ def _names(session: Session, sensor_ids: Collection[int] | None, set_ids: Collec
     """Read the names of every person, and of these sensors and telemetry sets; of all where None is given."""
     return RunNames(
         {} if sensor_ids == set() else sensor_queries.names(session, sensor_ids),
-        {} if set_ids == set() else telemetry_sets.get_set_names(session, set_ids),
+        {} if set_ids == set() else telemetry_rows.names(session, set_ids),
         {person.id: person.printed_name for person in users.list_users(session)},
     )
 
@@ -232,21 +233,10 @@ def runs_csv(request: Request, session: Reading) -> Response:
     return write_csv(view, (_csv_row(run, names) for run in read_all(session, view)))
 
 
-def _csv_row(run: Run, names: RunNames) -> dict[str, Any]:
+def _csv_row(run: Run, names: RunNames) -> Beside:
     line, summary = make_run_line(run, names), run.summary or {}
-    return {
-        "run": run.id,
-        "label": run.label,
-        "sensor": line.sensor,
-        "method": run.method,
-        "telemetry_set": line.data,
-        "state": run.state,
-        "launched_by": line.by,
-        "launched_utc": run.launched_utc,
-        "started_utc": run.started_utc,
-        "ended_utc": run.ended_utc,
-        "duration_s": line.seconds,
-    } | {name: summary.get(name) for name in OF_SUMMARY}
+    told = {"run": run.id, "sensor": line.sensor, "telemetry_set": line.data, "launched_by": line.by}
+    return Beside(run, duration_s=line.seconds, **told, **{name: summary.get(name) for name in OF_SUMMARY})
 
 
 preset_router = APIRouter(dependencies=[Depends(csrf)])

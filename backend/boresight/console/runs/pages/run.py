@@ -22,6 +22,7 @@ from starlette.datastructures import QueryParams
 from boresight.calibration.options import get_method_title
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.approvals import gates
+from boresight.console.approvals import queries as approval_queries
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
 from boresight.console.notes import queries as note_queries
@@ -566,7 +567,7 @@ def list_run_gates(session: Session, made: ParameterSet | None) -> dict[str, Any
     """Read the newest gate report of a run's set, a row a gate; None where the run has no set, no rows before it is assessed."""
     if made is None:
         return None
-    report = gates.newest_report(session, made.id)
+    report = approval_queries.newest_report(session, made.id)
     if report is None:
         return {"words": "", "rows": []}
     document = gates.with_waivers(session, report)

@@ -325,7 +325,8 @@ async def _form(request: Request) -> tuple[dict[str, str], bytes | None]:
 
 async def _taken_step(
     request: Request,
-    show: Callable[[UplinkStepsContext, Session], HTMLResponse],
+    actor: Actor,
+    blobs: BlobStore,
     form: str,
     typed: dict[str, str],
     change: Callable[..., Any],
@@ -333,12 +334,14 @@ async def _taken_step(
     prepare: Callable[[], Awaitable[Sequence[object]]] | None = None,
 ) -> Response:
     """Take a step and show where the set is now, or show why it was refused with what was typed."""
+    set_id = request.path_params["set_id"]
     outcome = await attempt(request, change, prepare)
     if outcome.value is None:
         kept = {name: value for name, value in typed.items() if name != "password"}
-        return await read_again(request, partial(show, UplinkStepsContext(form, kept, outcome.refusal)))
+        shown = UplinkStepsContext(form, kept, outcome.refusal)
+        return await read_again(request, partial(_page, request, actor, blobs, set_id, shown))
     matched = getattr(outcome.value, "onboard_state", "") != "MISMATCH"  # the page itself says of a mismatch what it is
-    return redirect(f"/parameter-sets/{request.path_params['set_id']}/uplink", flash=said if matched else "")
+    return redirect(f"/parameter-sets/{set_id}/uplink", flash=said if matched else "")
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/package")
@@ -350,12 +353,7 @@ async def export(request: Request, actor: Who, blobs: Blobs, policy: ServerPolic
         return packages.build(session, actor, blobs, set_id, policy=policy)
 
     return await _taken_step(
-        request,
-        partial(_page, request, actor, blobs, set_id),
-        "package",
-        typed,
-        change,
-        "The package is built; download it below.",
+        request, actor, blobs, "package", typed, change, "The package is built; download it below."
     )
 
 
@@ -373,9 +371,7 @@ async def record(request: Request, actor: Who, blobs: Blobs, set_id: int) -> Res
             session, actor, set_id, state, source, seen_version(typed), package_id=package_id, happened=happened
         )
 
-    return await _taken_step(
-        request, partial(_page, request, actor, blobs, set_id), "record", typed, change, "Recorded."
-    )
+    return await _taken_step(request, actor, blobs, "record", typed, change, "Recorded.")
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/read-back")
@@ -389,14 +385,7 @@ async def read_back(request: Request, actor: Who, blobs: Blobs, set_id: int) -> 
         return read_backs.read_back(session, actor, blobs, set_id, read, source, seen_version(typed), happened)
 
     by = "by CRC" if dump is None else "byte for byte"
-    return await _taken_step(
-        request,
-        partial(_page, request, actor, blobs, set_id),
-        "read-back",
-        typed,
-        change,
-        f"What was read back matches, {by}.",
-    )
+    return await _taken_step(request, actor, blobs, "read-back", typed, change, f"What was read back matches, {by}.")
 
 
 @router.post("/parameter-sets/{set_id:int}/uplink/activate")
@@ -411,6 +400,4 @@ async def activate(request: Request, actor: Who, blobs: Blobs, set_id: int) -> R
 
     prove = proof_of_own(request, actor, typed.get("password", ""))
     said = "Signed: the set is ACTIVE on board."
-    return await _taken_step(
-        request, partial(_page, request, actor, blobs, set_id), "activate", typed, change, said, prove
-    )
+    return await _taken_step(request, actor, blobs, "activate", typed, change, said, prove)
