@@ -64,10 +64,7 @@ async def open_read_session(request: Request) -> AsyncIterator[Session]:
 
 
 async def open_write_session(request: Request) -> AsyncIterator[Session]:
-    """Open the request's transaction for writing; commits when the endpoint returns, before the answer is sent.
-
-    Whoever follows the store is then told to look at once: the event feed, and the engine that waits for runs.
-    """
+    """Open the request's transaction for writing, committed before the answer is sent; who follows the store is told to look."""
     state = request.app.state
     async with state.write_lock, contextmanager_in_threadpool(open_writing(state.engine)) as session:
         yield session
@@ -77,10 +74,7 @@ async def open_write_session(request: Request) -> AsyncIterator[Session]:
 
 
 async def same_for_all(request: Request, _actor: Who) -> None:
-    """Let whoever is known read what is the same for all: the answer follows from address and store alone.
-
-    It takes the place of `Who`: the endpoint is not told who it is.
-    """
+    """Let whoever is known read what follows from address and store alone; in place of `Who`, so who it is is not told."""
     share(request, FOR_ALL)
 
 
@@ -113,10 +107,7 @@ async def refuse_dry_run(request: Request) -> None:
 
 
 async def open_write_or_dry_run(request: Request, asked: IsDryRun) -> AsyncIterator[Session]:
-    """Open the request's transaction for writing, or with `validate_only` for a trial that is rolled back at its end.
-
-    A trial holds the same lock and makes the same checks; files that it stored stay, referred to by nothing.
-    """
+    """Open the request's transaction for writing, or with `validate_only` for a trial that is rolled back at its end."""
     state = request.app.state
     if not asked:
         async with asynccontextmanager(open_write_session)(request) as session:
@@ -228,10 +219,7 @@ def get_server(request: Request) -> Server:
 
 
 def of_server(name: str) -> Any:
-    """Return a dependency on a part of the server, by its name in the state of the application.
-
-    A part of a noun over this one is declared where its class is.
-    """
+    """Return a dependency on a part of the server, by its name in the state of the application."""
 
     async def part(request: Request) -> Any:
         return getattr(request.app.state, name)

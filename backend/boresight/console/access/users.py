@@ -132,10 +132,7 @@ def require_password(session: Session, actor: Actor, proof: PasswordProof) -> No
 def change_password(
     session: Session, actor: Actor, user_id: int, password: NewPassword, current: PasswordProof = NO_PROOF
 ) -> User:
-    """Set a password: one's own, knowing the current one, or as an administrator another's. Every log-in then ends.
-
-    Who is given a password by an administrator must set their own at the next log-in.
-    """
+    """Set a password: one's own, knowing the current one, or as an administrator another's, who must set their own at log-in."""
     refuse_key(actor, "set a password")
     user = get_user(session, user_id)
     own = actor.user_id == user_id

@@ -17,10 +17,7 @@ from boresight.platform.web.paging import Id
 def assess_before_submission(
     actor: Who, parameter_set_id: Id, sight: DryRunSight, engine: Database
 ) -> gates.GateAssessment | None:
-    """Return a set's assessment for its submission; None where a report holds, or the request will be refused anyhow.
-
-    A report that holds but was made without looking at validation frames does not count where there are some.
-    """
+    """Return a set's assessment; None where a report holds that looked at what there is, or the request will be refused anyhow."""
     with open_reading(engine) as session:
         if not approvals.is_submittable(session, actor, parameter_set_id):
             return None

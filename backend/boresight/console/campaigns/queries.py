@@ -13,8 +13,8 @@ import sqlalchemy as sa
 
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.fleet.tables import Sensor
-from boresight.console.runs.queries import Line, write_events
-from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
+from boresight.console.runs.queries import Line, request_cancels, write_events
+from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import seals
 from boresight.platform.db.declared import Base
@@ -118,23 +118,7 @@ def list_member_statuses(
 def cancel_all(session: Session, campaign_id: int, reason: str) -> list[tuple[int, str]]:
     """Ask every run of a campaign that has not ended to stop; return them with their new states."""
     of_campaign = sa.select(CampaignRun.run_id).where(CampaignRun.campaign_id == campaign_id)
-    stopped = session.execute(
-        sa.update(Run)
-        .where(Run.id.in_(of_campaign), Run.state.in_(("QUEUED", "RUNNING")))
-        .values(
-            cancel_requested=1,
-            reason=reason,
-            ended_utc=sa.case((Run.state == "QUEUED", utc_now()), else_=None),
-            state=sa.case((Run.state == "QUEUED", "CANCELLED"), else_="CANCELLING"),
-        )
-        .returning(Run.id, Run.attempt, Run.state)
-        .execution_options(synchronize_session=False, **seals.BULK)
-    ).all()
-    write_events(session, [(run_id, attempt, Line.moved(state, reason)) for run_id, attempt, state in stopped])
-    for run_id, _, state in stopped:
-        if state in TERMINAL_RUN_STATES:
-            seals.note(session, Run, run_id)
-    return [(run_id, state) for run_id, _, state in stopped]
+    return request_cancels(session, Run.id.in_(of_campaign), reason)
 
 
 def sets_numbered(session: Session, set_ids: Collection[int]) -> list[TelemetrySet]:

@@ -169,10 +169,7 @@ def make_campaign_view(row: Campaign, counted: Counted) -> CampaignView:
 
 
 def make_result_line(standing: MemberStatus) -> dict[str, Any]:
-    """Return one line of the results over sensors; what a run has not is None.
-
-    Arcs in rad: `rms_initial_arc_rad` and `rms_final_arc_rad` of the fit, `validation_...` of the frames held out.
-    """
+    """Return one line of the results over sensors, arcs in rad; what a run has not is None."""
     summary = standing.summary or {}
     names = (
         "rms_initial_arc_rad", "rms_final_arc_rad", "validation_rms_initial_arc_rad", "validation_rms_final_arc_rad",
@@ -276,10 +273,7 @@ def cancel_campaign(session: Session, actor: Actor, campaign_id: int, reason: st
 
 
 def relaunch_failed(session: Session, actor: Actor, campaign_id: int) -> Campaign:
-    """Launch again what failed, was lost, or could not be launched, with the sensor and the sets as they are now.
-
-    A run that failed keeps its sets; a sensor without a run takes its newest.
-    """
+    """Launch again what failed with its own sets, and what had no run with its sensor's newest."""
     require_role(actor, "analyst")
     require_scope(actor, "runs")
     row = get_campaign(session, campaign_id)

@@ -118,10 +118,7 @@ def waiting_approvals(session: Session, sensor_ids: Collection[int] | None = Non
 
 
 def onboard_sets(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, list[ParameterSet]]:
-    """Return the sets whose on-board state says something about what a sensor runs with, by sensor; not those without any.
-
-    They come without their documents.
-    """
+    """Return the sets, without their documents, whose on-board state says what a sensor runs with, by sensor."""
     return _by_sensor(session.scalars(_onboard(sensor_ids, ParameterSet).options(*_but(False, ParameterSet.document))))
 
 

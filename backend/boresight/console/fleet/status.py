@@ -151,10 +151,7 @@ def list_fleet_tiles(session: Session, sensor_ids: Collection[int] | None = None
 
 
 def list_tiles(session: Session, stand: Sequence[SensorStatus], *, documents: bool = True) -> list[SensorTile]:
-    """Return the tiles of sensors that stand so, in their order: what a page counts and what it draws are one look.
-
-    On request sensors and baselines come without their documents.
-    """
+    """Return the tiles of sensors that stand so, in their order; on request sensors and baselines come without documents."""
     ids = [one.sensor_id for one in stand]
     sensors = {sensor.id: sensor for sensor in queries.sensors(session, ids, documents=documents)}
     baselines, runs = queries.baselines(session, ids, documents=documents), queries.last_runs(session, ids)
@@ -184,11 +181,7 @@ def _is_on_the_ground(known: SensorFacts) -> bool:
 def _ground_shifted(
     session: Session, heads: Sequence[Any], known: Mapping[int, SensorFacts]
 ) -> Iterator[tuple[int, bool | None]]:
-    """Yield of the sensors that are asked whether the ground calibration does not hold; None where that is not known yet.
-
-    A look asks of `MOST_JUDGED` sensors anew, as many as it can without anybody waiting; the others of a large fleet stand by what
-    is known of them until a later look, or the watch, which judges every sensor in its rounds, has asked.
-    """
+    """Yield whether the ground calibration does not hold; None where more than `MOST_JUDGED` were to be asked anew by this look."""
     asked = [head for head in heads if _is_on_the_ground(known[head.id])]
     stamps = queries.stamps(session, [head.id for head in asked])
     asked = [head for head in asked if head.id in stamps]

@@ -69,6 +69,11 @@ class TrendPoint:
         """One sigma of each estimated parameter, SI."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
+    @property
+    def counted(self) -> bool:
+        """Whether it takes part in the tests."""
+        return not self.left_out
+
     def overlaps(self, other: TrendPoint) -> bool:
         """Whether both have data of one time, or the same data."""
         same = self.telemetry_set_id == other.telemetry_set_id
@@ -81,7 +86,7 @@ class TrendPoint:
 class BaselinePeriod:
     """A set was the baseline from a time, until another."""
 
-    set_id: int
+    parameter_set_id: int
     name: str
     from_utc: str
     to_utc: str | None
@@ -96,7 +101,7 @@ class OnBoardRecord:
 
     at_utc: str
     state: str
-    set_id: int
+    parameter_set_id: int
     name: str
 
 

@@ -11,7 +11,7 @@ Sigmas with further data are foretold by the number of stars, sigma = sigma_0 sq
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from boresight.cameras import CAMERA_MODELS
@@ -19,7 +19,6 @@ from boresight.console.fleet import trend as drifts
 from boresight.console.fleet.status import OLD_DAYS, count_days_since
 from boresight.console.fleet.trend import (
     GROUND_SHIFTED,
-    BaselinePeriod,
     DriftResult,
     Trend,
     TrendPoint,
@@ -166,47 +165,21 @@ def write_trend_document(trend: Trend, found: DriftResult, advice: Advice) -> di
         "baseline": None if baseline is None else {"parameter_set_id": baseline.id, "name": baseline.name},
         "points": [_point(point) for point in trend.points],
         "others": [_point(point) for point in trend.others],
-        "baselines": [_period(period) for period in trend.periods],
-        "on_board": [
-            {"at_utc": mark.at_utc, "state": mark.state, "parameter_set_id": mark.set_id, "name": mark.name}
-            for mark in trend.marks
-        ],
+        "baselines": [asdict(period) for period in trend.periods],
+        "on_board": [asdict(mark) for mark in trend.marks],
         "truth": trend.sensor.truth,
         "drift": drifts.document(found),
         "advice": {"answer": advice.answer, "sentence": advice.sentence, "reasons": list(advice.reasons)},
     }
 
 
+POINT = (
+    "run_id", "label", "method", "camera_model", "telemetry_set_id", "telemetry", "begins_utc", "at_utc", "ends_utc", "timed",
+    "temperature_c", "parameters", "sigma", "stars", "rms_arc_rad", "counted", "left_out", "said",
+)  # fmt: skip
+
+
 def _point(point: TrendPoint) -> dict[str, Any]:
-    return {
-        "run_id": point.run_id,
-        "label": point.label,
-        "method": point.method,
-        "camera_model": point.camera_model,
-        "telemetry_set_id": point.telemetry_set_id,
-        "telemetry": point.telemetry,
-        "begins_utc": point.begins_utc,
-        "at_utc": point.at_utc,
-        "ends_utc": point.ends_utc,
-        "timed": point.timed,
-        "temperature_c": point.temperature_c,
-        "parameters": {name: point.parameters[name] for name in point.names},
-        "sigma": point.sigma,
-        "stars": point.stars,
-        "rms_arc_rad": point.rms_arc_rad,
-        "counted": not point.left_out,
-        "left_out": point.left_out or None,
-        "said": point.said or None,
-    }
-
-
-def _period(period: BaselinePeriod) -> dict[str, Any]:
-    return {
-        "parameter_set_id": period.set_id,
-        "name": period.name,
-        "from_utc": period.from_utc,
-        "to_utc": period.to_utc,
-        "measured": period.measured,
-        "parameters": dict(period.parameters),
-        "sigma": dict(period.sigma),
-    }
+    estimated = {name: point.parameters[name] for name in point.names}
+    said = {"parameters": estimated, "left_out": point.left_out or None, "said": point.said or None}
+    return {name: getattr(point, name) for name in POINT} | said

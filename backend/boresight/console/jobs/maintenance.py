@@ -157,10 +157,7 @@ class Maintenance:
         self._found = ChainStatus(state, report.last_id, utc_now(), report.sentence)
 
     def _read_head(self) -> tuple[ExternalHead | None, Path | None]:
-        """Return the head that is kept elsewhere, and where it was looked for.
-
-        What cannot be read is told by an alarm, and is no finding about the chain.
-        """
+        """Return the head that is kept elsewhere, and where it was looked for; what cannot be read is told by an alarm."""
         file = self._kept.file
         try:
             return (None if file is None else read_head(file)), file

@@ -96,10 +96,7 @@ class WebhookSender:
         return status, f"Refused with {status}: {said}".rstrip(": ")
 
     async def _post(self, message: WebhookMessage) -> tuple[int, str]:
-        """Post a message to the address that its name leads to now; returns status and the beginning of the answer.
-
-        The deadline is of the whole, however slowly an answer drips, and no more of it is read than is kept.
-        """
+        """Post a message to the address that its name leads to now, within one deadline; returns status and begin of the answer."""
         parts = urlsplit(message.url)
         host, port = parsed(message.url)
         address = self.targets.addresses(host, port)[0]

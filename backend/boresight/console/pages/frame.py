@@ -103,10 +103,7 @@ class FleetStatusCache:
         return FleetReading(found, is_older=True) if began_s > asked_s else None
 
     def standing(self, asked_s: float) -> FleetReading:
-        """Return what `read_fleet_status` does, from a look that began after it was asked for or that no commit came after.
-
-        Of a large fleet the look may be older.
-        """
+        """Return what `read_fleet_status` does, from a look no older than question or newest commit; of a large fleet older."""
         with self._looking:
             now_s = time.monotonic()
             mark = self._marks.look()

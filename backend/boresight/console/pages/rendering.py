@@ -55,10 +55,7 @@ _transaction = asynccontextmanager(open_write_session)
 
 @dataclass(frozen=True)
 class ShownRefusal:
-    """Why a change was not made: the sentence, the places it names, and how HTTP says it.
-
-    `render` takes status and headers from here for every page that shows a refusal.
-    """
+    """Why a change was not made: the sentence, the places it names, and the status and headers of the page that shows it."""
 
     error: BoresightError
     sentence: str
@@ -215,10 +212,7 @@ def redirect(location: str, *, flash: str = "", level: str = "normal") -> Redire
 
 
 def redirect_refused(location: str, refusal: ShownRefusal) -> RedirectResponse:
-    """Show why a form was refused as a line on the page that it stands on.
-
-    What the server itself lacks is raised again, so that the answer says so by its status, and when to come back.
-    """
+    """Show why a form was refused as a line on its page; what the server itself lacks is raised again."""
     if refusal.is_ours:
         raise refusal.error
     return redirect(location, flash=refusal.sentence, level="serious")

@@ -57,10 +57,7 @@ EVIDENCE = (
 def create_ground_calibration(
     session: Session, actor: Actor, sensor: Sensor, description: SensorDescription
 ) -> ParameterSet:
-    """Make a new sensor's set number 0, the baseline that every calibration is compared with.
-
-    Nobody measured its covariance: it is declared as the typical spread from unit to unit, squared, on the diagonal.
-    """
+    """Make a sensor's set number 0; its covariance is declared, the typical spread from unit to unit squared."""
     names = CAMERA_MODELS[description.camera_model].parameter_names
     sigma = [float(value) for value in description.typical_sigma]
     document = {

@@ -43,10 +43,7 @@ def get_frame_index(session: Session, blobs: BlobStore, run: Run) -> FrameIndex:
 def list_frames(
     session: Session, blobs: BlobStore, run_id: int, *, order: str = "frame", limit: int, after: int = 0
 ) -> list[FrameLine]:
-    """List a run's frames from the place `after` on: in order of number, or the worst explained first.
-
-    The worst are those that the result keeps, at most a few hundred; a run without an examination of its trust has none.
-    """
+    """List a run's frames from the place `after` on: in order of number, or the worst that the result keeps first."""
     run = get_run(session, run_id)
     index, worst = get_frame_index(session, blobs, run), list_worst_frames(_read_result(session, blobs, run))
     if order == "worst":

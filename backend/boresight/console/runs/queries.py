@@ -175,34 +175,37 @@ def find_run(session: Session, run_id: int) -> Run | None:
     return session.get(Run, run_id, populate_existing=True)
 
 
-def request_cancel(session: Session, run_id: int, reason: str) -> Run | None:
-    """Stop a run: QUEUED ends at once, RUNNING becomes CANCELLING; any other state stays. Return the row."""
-    row = session.execute(
+def request_cancels(session: Session, chosen: sa.ColumnElement[bool], reason: str) -> list[tuple[int, str]]:
+    """Stop runs: QUEUED ones end at once, RUNNING ones become CANCELLING; return these with their new states."""
+    stopped = session.execute(
         sa.update(Run)
-        .where(Run.id == run_id, Run.state.in_(("QUEUED", "RUNNING")))
+        .where(chosen, Run.state.in_(("QUEUED", "RUNNING")))
         .values(
             cancel_requested=1,
             reason=reason,
             ended_utc=sa.case((Run.state == "QUEUED", utc_now()), else_=None),
             state=sa.case((Run.state == "QUEUED", "CANCELLED"), else_="CANCELLING"),
         )
-        .returning(Run.attempt, Run.state)
+        .returning(Run.id, Run.attempt, Run.state)
         .execution_options(synchronize_session=False, **seals.BULK)
-    ).first()
-    if row is not None:
-        write_event(session, run_id, row.attempt, Line.moved(row.state, reason))
-        if row.state in TERMINAL_RUN_STATES:
+    ).all()
+    write_events(session, [(run_id, attempt, Line.moved(state, reason)) for run_id, attempt, state in stopped])
+    for run_id, _, state in stopped:
+        if state in TERMINAL_RUN_STATES:
             seals.note(session, Run, run_id)
+    return [(run_id, state) for run_id, _, state in stopped]
+
+
+def request_cancel(session: Session, run_id: int, reason: str) -> Run | None:
+    """Stop a run where it has not ended; return the row."""
+    request_cancels(session, Run.id == run_id, reason)
     return find_run(session, run_id)
 
 
 def claim(
     session: Session, owner: str, lease_s: float, limit: int, run_ids: Collection[int] | None = None
 ) -> list[ClaimedRun]:
-    """Take up to `limit` QUEUED runs, oldest first, each under its next attempt number.
-
-    With `run_ids` only of these; those that are not QUEUED any more are somebody else's.
-    """
+    """Take up to `limit` QUEUED runs, of all or of `run_ids`, oldest first, each under its next attempt number."""
     free = sa.select(Run.id).where(Run.state == "QUEUED").order_by(Run.id).limit(limit)
     if run_ids is not None:
         free = free.where(Run.id.in_(run_ids))
@@ -261,10 +264,7 @@ def record_progress(session: Session, run_id: int, attempt: int, progress: Mappi
 
 @dataclass(frozen=True)
 class RunEnd:
-    """How an attempt ended: the terminal state asked for and why, its result with the bytes of it, lines for the log.
-
-    `corrupt_sha256` is the address of a stored file that the attempt found corrupt.
-    """
+    """How an attempt ended: state, reason, result, lines for the log; and the address of a stored file that it found corrupt."""
 
     run_id: int
     attempt: int

@@ -102,10 +102,7 @@ def count_by_state(session: Session) -> dict[str, int]:
 
 
 def result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | None:
-    """Return a run's calibration JSON; while it computes what there is so far (status `running`), None when nothing is.
-
-    A simulated sensor's true parameters are added as `truth`.
-    """
+    """Return a run's calibration JSON, what there is so far, or None; a simulated sensor's true parameters are `truth`."""
     run = get_run(session, run_id)
     document: dict[str, Any] | None = (run.progress or {}).get("partial")
     if run.result_sha256 is not None:

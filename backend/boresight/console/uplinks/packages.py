@@ -52,10 +52,7 @@ def described(session: Session, row: ParameterSet) -> dict[str, Any]:
 
 
 def four_eyes(session: Session, row: ParameterSet, policy: Policy) -> dict[str, Any]:
-    """Say whether this installation asks for a second person, and whether one approved this set.
-
-    `kept` is what happened, not what is asked now: None of a ground calibration, which nobody signed.
-    """
+    """Say whether this installation asks for a second person, and whether one approved this set: None where nobody signed."""
     approval = approval_rows.find_latest(session, row.id, "APPROVED")
     second = None if approval is None else second_persons(session, approval, Policy())
     kept = None if approval is None or second is None else len(second) >= approval.needed
@@ -103,11 +100,7 @@ def _telemetry(session: Session, telemetry_set_id: int | None) -> dict[str, Any]
 
 
 def _gates(session: Session, row: ParameterSet) -> dict[str, Any] | None:
-    """Say what the gate report that was signed found, and which gates were waived by whom; None when nothing was judged.
-
-    The verdict is the signed one: the report with the waivers that the request binds, though they expired since. Of a set that
-    nobody signed it is the one that stands now. `document` is the report without waivers, as `sha256` has it.
-    """
+    """Say what the gate report that was signed found, with the waivers that the request binds; None when nothing was judged."""
     approval = approval_rows.find_latest(session, row.id, "APPROVED")
     bound = {} if approval is None else approval.bound
     report = approval_rows.newest_report(session, row.id, bound.get("gate_report_sha256"))

@@ -251,10 +251,7 @@ def _asked_for_heads(session: Session) -> list[Webhook]:
 
 
 def take_due(session: Session, limit: int, box: SecretBox) -> list[WebhookMessage]:
-    """Take messages that are due; they are not due again before their lease is over, whoever else looks.
-
-    Those whose webhook's secret cannot be read here are left to a server that can read it.
-    """
+    """Take messages that are due and whose secret can be read here; they are not due again before their lease is over."""
     taken, now_utc = [], utc_now()
     readable = readable_ids(session, box)
     for delivery, webhook in rows.due(session, now_utc, limit, of_each=MESSAGES_A_TURN, among=readable):
@@ -267,10 +264,7 @@ def take_due(session: Session, limit: int, box: SecretBox) -> list[WebhookMessag
 
 
 def settle(session: Session, delivery_id: int, *, status: int | None, outcome: str) -> None:
-    """Keep what came of an attempt: delivered by any 2xx answer, else due again later, or given up.
-
-    Where there was no answer at all, everything else for that webhook waits as long: it is not asked again for each message.
-    """
+    """Keep what came of an attempt: delivered, due again later, or given up; without any answer all of its webhook waits."""
     delivery = session.get_one(WebhookDelivery, delivery_id)
     delivery.attempts += 1
     delivery.attempted_utc, delivery.status, delivery.outcome = utc_now(), status, outcome

@@ -283,10 +283,7 @@ def _ours(session: Session, actor: Actor, desk: FleetView) -> tuple[WaitingItems
 
 
 def _mine(session: Session, actor: Actor, policy: Policy, desk: FleetView) -> tuple[WaitingItems, WaitingItems]:
-    """Gather what waits for a person: requests to sign, and everything, these among it.
-
-    What cannot be there, as everybody's look at the fleet tells, is not asked for.
-    """
+    """Gather what waits for a person: requests to sign, and everything; what cannot be there is not asked for."""
     signatures = _signatures(session, actor, policy) if desk.open_requests else NOTHING
     own = _own_requests(session, actor) if actor.user_id in desk.submitters else ()
     decisions = _proposals(session, actor) if desk.open_proposals else NOTHING
