@@ -326,7 +326,7 @@ def test_a_gate_is_waived_once_for_up_to_30_days_and_a_waiver_that_expires_block
     assert (found["words"], found["blocking"]) == ("FAIL (1 gate waived)", ["parameter-shift"])
     with open_reading(engine) as session:
         assert approval_queries.waivers_in_force(session, blocked.id, later) == []
-        assert len(gates.all_waivers(session, blocked.id)) == 1
+        assert len(approval_queries.waivers(session, [blocked.id])) == 1
 
 
 def test_baseline_and_package_tell_the_verdict_that_was_signed_also_when_its_waiver_is_over(

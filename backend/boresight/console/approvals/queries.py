@@ -89,9 +89,13 @@ def find_opening(session: Session, approval_id: int, user_id: int, evidence: str
     return session.scalar(query.where(Opening.evidence == evidence))
 
 
-def profiles(session: Session, sensor_id: int, limit: int | None = None) -> Sequence[GateProfile]:
-    """Return a sensor's profiles, newest first; at most `limit`."""
+def profiles(
+    session: Session, sensor_id: int, limit: int | None = None, *, until: int | None = None
+) -> Sequence[GateProfile]:
+    """Return a sensor's profiles, newest first; at most `limit`, from the version `until` back."""
     query = sa.select(GateProfile).where(GateProfile.sensor_id == sensor_id)
+    if until is not None:
+        query = query.where(GateProfile.number <= until)
     return session.scalars(query.order_by(GateProfile.number.desc()).limit(limit)).all()
 
 

@@ -167,11 +167,10 @@ def _in_force(session: Session, kind: str, sensor_id: int) -> int:
 
 
 def _base(session: Session, row: ChangeProposal) -> Mapping[str, Any]:
-    asked = {"before_number": row.base_number + 1, "limit": 1}
     if row.kind == "gate-profile":
-        profiles = gate_rows.profiles(session, row.sensor_id, **asked)
+        profiles = gate_rows.profiles(session, row.sensor_id, 1, until=row.base_number)
         return profiles[0].document if profiles else gate_profiles.DEFAULT
-    definitions = table_rows.definitions(session, row.sensor_id, **asked)
+    definitions = table_rows.definitions(session, row.sensor_id, 1, until=row.base_number)
     return definitions[0].document if definitions else {}
 
 

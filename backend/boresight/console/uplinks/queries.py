@@ -72,7 +72,11 @@ def definition_in_force(session: Session, sensor_id: int) -> TableDefinition | N
     return next(iter(definitions(session, sensor_id, limit=1)), None)
 
 
-def definitions(session: Session, sensor_id: int, limit: int | None = None) -> Sequence[TableDefinition]:
-    """Return a sensor's definitions, newest first; at most `limit`."""
+def definitions(
+    session: Session, sensor_id: int, limit: int | None = None, *, until: int | None = None
+) -> Sequence[TableDefinition]:
+    """Return a sensor's definitions, newest first; at most `limit`, from the version `until` back."""
     query = sa.select(TableDefinition).where(TableDefinition.sensor_id == sensor_id)
+    if until is not None:
+        query = query.where(TableDefinition.number <= until)
     return session.scalars(query.order_by(TableDefinition.number.desc()).limit(limit)).all()
