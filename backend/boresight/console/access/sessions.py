@@ -122,11 +122,6 @@ def log_out(session: Session, actor: Actor) -> None:
         row.ended_utc, row.ended_because = utc_now(), "logged_out"
 
 
-def end_all(session: Session, user_id: int, because: str) -> None:
-    """End every log-in of a person, as part of a change that the caller records."""
-    rows.end_open(session, user_id, utc_now(), because)
-
-
 def write_uses(session: Session, used_utc: dict[int, str]) -> None:
     """Write when log-ins were last used; not a change that anybody made, so not in the audit log."""
     rows.write_uses(session, used_utc)

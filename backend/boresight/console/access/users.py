@@ -9,7 +9,6 @@ import re
 from collections.abc import Collection, Sequence
 
 from boresight.console.access import queries as rows
-from boresight.console.access import sessions
 from boresight.console.access.passwords import (
     CHANGED,
     CREATED,
@@ -163,7 +162,7 @@ def end_sessions(session: Session, actor: Actor, user_id: int) -> None:
 def _end_sessions(session: Session, user: User, because: str) -> None:
     """End every log-in of a person; the number of times is part of the row that the audit log seals."""
     user.session_epoch += 1
-    sessions.end_all(session, user.id, because)
+    rows.end_open(session, user.id, utc_now(), because)
 
 
 def change_roles(session: Session, actor: Actor, user_id: int, roles: Collection[str]) -> User:

@@ -3,23 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 
 import sqlalchemy as sa
 
 from boresight.console.alarms.tables import Alarm, AlarmEvent
 from boresight.platform.db.documents import among
 from boresight.platform.db.sessions import Session, utc_now
-
-
-@dataclass(frozen=True)
-class AlarmFilter:
-    """What a list of alarms is narrowed to; None is everything, and closed ones are left out unless asked for."""
-
-    sensor_id: int | None = None
-    kind: str | None = None
-    state: str | None = None
-    sensor_name: str = ""
 
 
 def _is_shelved() -> sa.ColumnElement[bool]:

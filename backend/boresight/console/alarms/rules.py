@@ -147,16 +147,16 @@ def has_installation_changed(session: Session, found: Mapping[str, AlarmConditio
     return overdue or bool(_find_differences(*_compare_installation(session, found)))
 
 
-def is_up(session: Session, source: str) -> bool:
-    """Whether an alarm of a source is up."""
+def find_active(session: Session, source: str) -> Alarm | None:
+    """Return the alarm of a source that is up."""
     row = queries.open_alarms(session).get(source)
-    return row is not None and bool(row.active)
+    return row if row is not None and row.active else None
 
 
 def list_files_in_alarm(session: Session) -> list[str]:
     """Return the files of an alarm that is up, so that they are looked at before it is said to be over."""
-    row = queries.open_alarms(session).get(FILES)
-    return [] if row is None or not row.active else [str(one["sha256"]) for one in row.evidence["files"]]
+    row = find_active(session, FILES)
+    return [] if row is None else [str(one["sha256"]) for one in row.evidence["files"]]
 
 
 Compared = tuple[Mapping[str, AlarmCondition], Mapping[str, Alarm]]
@@ -284,14 +284,14 @@ OURS = Clock()
 
 def is_held(session: Session) -> bool:
     """Whether nothing may expire: the clock jumped, and nobody has acknowledged it."""
-    row = queries.open_alarms(session).get(CLOCK)
-    return OURS.has_jumped() or (row is not None and bool(row.active) and not row.acknowledged)
+    row = find_active(session, CLOCK)
+    return OURS.has_jumped() or (row is not None and not row.acknowledged)
 
 
 def is_acknowledged(session: Session) -> bool:
     """Whether somebody has seen the jump whose alarm is up."""
-    row = queries.open_alarms(session).get(CLOCK)
-    return row is not None and bool(row.active) and bool(row.acknowledged)
+    row = find_active(session, CLOCK)
+    return row is not None and bool(row.acknowledged)
 
 
 def condition_now(seen_s: float | None) -> AlarmCondition | None:

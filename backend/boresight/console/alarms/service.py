@@ -11,12 +11,12 @@ time is over, `MOST_DAYS` at most. Every step is an event that is never edited, 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from boresight.console import list_queries as lists
 from boresight.console.access.tables import User
 from boresight.console.alarms import queries
-from boresight.console.alarms.queries import AlarmFilter
 from boresight.console.alarms.tables import Alarm, AlarmEvent
 from boresight.console.transitions import name_subject, require_seen
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
@@ -26,29 +26,21 @@ from boresight.platform.db.sessions import Session, utc_after, utc_now
 from boresight.platform.db.times import read_time
 from boresight.platform.web.text_validation import refuse_control_characters
 
-__all__ = [
-    "STATES",
-    "AlarmFilter",
-    "acknowledge",
-    "assign",
-    "close_if_over",
-    "comment",
-    "get_alarm",
-    "get_alarm_state",
-    "is_shelved",
-    "list_alarm_events",
-    "list_alarms",
-    "shelve",
-    "step",
-    "unacknowledged",
-    "unshelve",
-]
-
 STATES = ("unacknowledged", "acknowledged", "shelved", "closed")
 HANDLERS = ("analyst", "operator", "approver", "administrator")
 MOST_DAYS = 30.0
 LONGEST_TEXT = 2000
 DAY_S = 86400.0
+
+
+@dataclass(frozen=True)
+class AlarmFilter:
+    """What a list of alarms is narrowed to; None is everything, and closed ones are left out unless asked for."""
+
+    sensor_id: int | None = None
+    kind: str | None = None
+    state: str | None = None
+    sensor_name: str = ""
 
 
 def close_if_over(session: Session, actor: Actor, row: Alarm) -> None:
@@ -99,17 +91,12 @@ def acknowledge(session: Session, actor: Actor, alarm_id: int, text: str, seen_v
 def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: str, seen_version: int | None) -> Alarm:
     """Take an alarm out of the count until a time."""
     row = _to_handle(session, actor, alarm_id, seen_version, "shelve an alarm")
-    until_utc = _end_of_shelf(until)
-    row.shelved_until_utc = until_utc
-    step(session, actor, row, "SHELVED", _said(reason, needed="reason why it may wait"), until_utc=until_utc)
-    return row
-
-
-def _end_of_shelf(until: str) -> str:
     until_utc = read_time(until)
     if not utc_now() < until_utc <= utc_after(MOST_DAYS * DAY_S):
         raise RefusedInputError(f"An alarm is shelved until a time to come, {MOST_DAYS:.0f} days from now at most.")
-    return until_utc
+    row.shelved_until_utc = until_utc
+    step(session, actor, row, "SHELVED", _said(reason, needed="reason why it may wait"), until_utc=until_utc)
+    return row
 
 
 def unshelve(session: Session, actor: Actor, alarm_id: int, seen_version: int | None) -> Alarm:

@@ -48,7 +48,10 @@ def get_drift_verdicts(
 ) -> dict[int, DriftVerdict]:
     """Return whether some sensors drift, by their ids; those that must be asked anew are, `TOGETHER` at a time."""
     of_store = _known.setdefault(session.get_bind().engine.pool, {})  # an engine with options is another object
-    rests_on = {sensor.id: _rests_on(sensor, baselines.get(sensor.id), stamps.get(sensor.id)) for sensor in sensors}
+    rests_on = {
+        sensor.id: (getattr(baselines.get(sensor.id), "id", None), sensor.version, stamps.get(sensor.id))
+        for sensor in sensors
+    }
     unknown = [sensor.id for sensor in sensors if of_store.get(sensor.id, (None,))[0] != rests_on[sensor.id]]
     anew = unknown if most is None else unknown[:most]
     for start in range(0, len(anew), TOGETHER):
@@ -57,11 +60,6 @@ def get_drift_verdicts(
             found = judge_drift(trend)
             of_store[sensor_id] = (rests_on[sensor_id], DriftVerdict(found.verdict, found.sentence, document(found)))
     return {sensor.id: of_store[sensor.id][1] for sensor in sensors if sensor.id in of_store}
-
-
-def _rests_on(sensor: Any, baseline: Any, stamp: Any) -> tuple[Any, ...]:
-    """Return what changes when a sensor's trend does."""
-    return None if baseline is None else baseline.id, sensor.version, stamp
 
 
 STATUS_WORDS = ("critical", "serious", "caution", "normal", "standby", "off")

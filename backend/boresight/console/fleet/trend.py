@@ -27,7 +27,6 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.transitions import get_sensor
-from boresight.console.uplinks.tables import Uplink
 from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import FALSE_ALARM_RATE, Epoch, RegressionLine
 from boresight.platform.db.sessions import Session, utc_text
@@ -144,7 +143,7 @@ def read_trends(session: Session, sensors: Sequence[Sensor]) -> dict[int, Trend]
             promoted[sensor.id],
             finished[sensor.id],
             telemetry[sensor.id],
-            _list_onboard_records(records[sensor.id]),
+            [OnBoardRecord(one.recorded_utc, one.onboard_state, row.id, row.name) for one, row in records[sensor.id]],
         )
         for sensor in sensors
     }
@@ -176,10 +175,6 @@ def _trend(
         marks=marks,
         telemetry=telemetry,
     )
-
-
-def _list_onboard_records(records: Sequence[tuple[Uplink, ParameterSet]]) -> list[OnBoardRecord]:
-    return [OnBoardRecord(record.recorded_utc, record.onboard_state, row.id, row.name) for record, row in records]
 
 
 def get_time_span(row: TelemetrySet) -> tuple[str, str, bool]:

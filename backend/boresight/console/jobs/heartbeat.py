@@ -36,7 +36,7 @@ class Heartbeat:
         """Raise an alarm where the clock jumped, and let it be over once somebody has acknowledged it."""
         seen_s = None if self._looked_back else self._seen_s()
         with open_reading(self._database) as session:
-            held, acknowledged = clock.is_up(session, clock.CLOCK), clock.is_acknowledged(session)
+            held, acknowledged = clock.find_active(session, clock.CLOCK) is not None, clock.is_acknowledged(session)
         found = None if held else clock.condition_now(seen_s)
         if found is not None or acknowledged:
             with open_writing(self._database) as session:

@@ -114,13 +114,9 @@ def _refuse_unusable(run_id: int, result: Mapping[str, Any]) -> None:
         )
     parameters = result.get("parameters") or {}
     names = CAMERA_MODELS[result["camera_model"]].parameter_names
-    bad = [name for name in names if not _is_finite(parameters.get(name))]
-    if bad:
+    known = {name for name, value in parameters.items() if isinstance(value, int | float) and math.isfinite(value)}
+    if bad := [name for name in names if name not in known]:
         raise RefusedInputError(f"Run {run_id} has no number for {', '.join(bad)}, which makes no parameter set.")
-
-
-def _is_finite(value: object) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)
 
 
 def _add(

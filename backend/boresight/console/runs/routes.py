@@ -149,11 +149,10 @@ def get_run_report(run_id: Id, session: Reading, blobs: Blobs, policy: ServerPol
 def result_so_far(session: Session, blobs: BlobStore, run_id: Id) -> dict[str, Any]:
     """Return a run's calibration, complete or so far; with nothing yet, one that only says that it runs."""
     found = runs.result(session, blobs, run_id)
-    return found if found is not None else _nothing_yet(runs.get_run(session, run_id).state)
-
-
-def _nothing_yet(state: str) -> dict[str, Any]:
-    status: Literal["running", "none"] = "running" if state in {"QUEUED", "RUNNING", "CANCELLING"} else "none"
+    if found is not None:
+        return found
+    state = runs.get_run(session, run_id).state
+    status = "running" if state in {"QUEUED", "RUNNING", "CANCELLING"} else "none"
     return {"schema": "boresight.calibration/1", "status": status, "run_state": state}
 
 

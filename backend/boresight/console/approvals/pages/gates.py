@@ -239,7 +239,10 @@ def _profile_page(request: Request, actor: Actor, sensor_id: int, shown: GatePro
             sensor=sensors.get_sensor(session, sensor_id),
             current=versions[0],
             lines=list_gate_lines(shown.typed or write_form(versions[0].document)),
-            versions=[(row, describe_changes(row, earlier)) for row, earlier in _with_earlier(versions)],
+            versions=[
+                (row, describe_changes(row, earlier))
+                for row, earlier in zip(versions, [*versions[1:], None], strict=True)
+            ],
             names=read_names(session),
             pending=proposals.open_proposals(session, sensor_id, "gate-profile"),
             confirmed=proposals.confirmed_by_number(session, sensor_id, "gate-profile"),
@@ -301,10 +304,6 @@ def _number(gate: Gate, key: str, text: str) -> float | None:
     if not math.isfinite(value):
         raise RefusedInputError(f"{gate.title}: the {key} {text.strip()!r} is no number; leave it empty for none.")
     return value
-
-
-def _with_earlier(versions: Sequence[GateProfile]) -> list[tuple[GateProfile, GateProfile | None]]:
-    return list(zip(versions, [*versions[1:], None], strict=True))
 
 
 def describe_changes(row: GateProfile, earlier: GateProfile | None) -> list[str]:
