@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 from urllib.parse import urlencode
 
 import numpy as np
@@ -23,7 +23,6 @@ from boresight.console.pages.rendering import render
 from boresight.console.runs import comparisons
 from boresight.console.runs.comparisons import ComparedRun, Comparison, UnlikeModelsError, joint
 from boresight.console.runs.pages.list import RunNames, read_names
-from boresight.console.runs.tables import Run
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
 from boresight.figures import FIGURES, WIDE
@@ -136,20 +135,6 @@ def _chance(p: float) -> str:
 OWN = {"method", *(name for name, option in OPTIONS.items() if option.methods != ALL)}
 
 
-class MethodRun(Protocol):
-    """A run with its result, empty where it has none."""
-
-    @property
-    def run(self) -> Run:
-        """The run."""
-        ...
-
-    @property
-    def result(self) -> Mapping[str, Any]:
-        """Its calibration JSON."""
-        ...
-
-
 @dataclass(frozen=True)
 class MethodLine:
     """One row of the table: what is compared, its unit, a text a run, and how to read it."""
@@ -170,7 +155,7 @@ class MethodPanel:
     when: Sequence[tuple[str, str]]
 
 
-def method_panel(compared: Sequence[MethodRun]) -> MethodPanel | None:
+def method_panel(compared: Sequence[ComparedRun]) -> MethodPanel | None:
     """Set the methods of several runs beside each other; None where there is but one."""
     used = {one.run.method for one in compared}
     if len(used) < 2:
@@ -182,7 +167,7 @@ def method_panel(compared: Sequence[MethodRun]) -> MethodPanel | None:
     return MethodPanel(None, ", ".join(_unlike(compared)), _lines(compared), when)
 
 
-def _refusal(compared: Sequence[MethodRun]) -> str | None:
+def _refusal(compared: Sequence[ComparedRun]) -> str | None:
     """Say why the runs tell nothing of their methods, or None."""
     by_set = {one.run.telemetry_set_id: one.run.id for one in compared}
     if len(by_set) > 1:
@@ -196,7 +181,7 @@ def _refusal(compared: Sequence[MethodRun]) -> str | None:
     return None
 
 
-def _unlike(compared: Sequence[MethodRun]) -> list[str]:
+def _unlike(compared: Sequence[ComparedRun]) -> list[str]:
     """Name the settings beyond the methods' own that are not the same in all runs."""
     names = sorted({name for one in compared for name in one.run.settings} - OWN - {"free"})
     found = [words(name) for name in names if len({str(one.run.settings.get(name)) for one in compared}) > 1]
@@ -205,7 +190,7 @@ def _unlike(compared: Sequence[MethodRun]) -> list[str]:
     return found + ["free parameters"] * (len(free) > 1) + ["number of frames used"] * (len(frames) > 1)
 
 
-def _lines(compared: Sequence[MethodRun]) -> list[MethodLine]:
+def _lines(compared: Sequence[ComparedRun]) -> list[MethodLine]:
     scores = [method_scores(one.result) for one in compared]
     lines = [
         MethodLine(
@@ -272,7 +257,7 @@ def _against_truth(scores: Sequence[MethodScores]) -> list[MethodLine]:
     ]
 
 
-def _settled(one: MethodRun, score: MethodScores) -> str:
+def _settled(one: ComparedRun, score: MethodScores) -> str:
     if is_sequential(one.run.method):
         return MISSING if score.settled_frames is None else _many(score.settled_frames, "frame")
     return MISSING if score.settled_iterations is None else _many(score.settled_iterations, "iteration")

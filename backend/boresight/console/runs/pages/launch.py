@@ -488,21 +488,7 @@ async def launch(request: Request, session: Reading, actor: Who, sight: DryRunSi
         if intent == "preset" and origin.preset is not None:
             typed = typed.under(origin.preset.settings)
         outcome = await run_in_threadpool(ask, partial(_launch, session, actor, typed, sight))
-    return await run_in_threadpool(_answer, request, session, actor, typed, origin, outcome, form)
-
-
-def _answer(
-    request: Request,
-    session: Session,
-    actor: Actor,
-    typed: TypedForm,
-    origin: LaunchOrigin,
-    outcome: AttemptResult[Any],
-    form: FormData,
-) -> HTMLResponse:
-    sensor_id = parse_row_id(typed.sensor_id)
-    offered = offer(session, origin.find, sensor_id, [typed.telemetry_set_id, typed.validation_set_id])
-    return _page(request, session, actor, typed, origin, offered, outcome=outcome, form=form)
+    return await run_in_threadpool(_page, request, session, actor, typed, origin, None, outcome, form)
 
 
 def _page(
@@ -511,11 +497,13 @@ def _page(
     actor: Actor,
     typed: TypedForm,
     origin: LaunchOrigin,
-    offered: OfferedData,
-    *,
+    offered: OfferedData | None,
     outcome: AttemptResult[Any] | None = None,
     form: FormData | None = None,
 ) -> HTMLResponse:
+    if offered is None:
+        named = [typed.telemetry_set_id, typed.validation_set_id]
+        offered = offer(session, origin.find, parse_row_id(typed.sensor_id), named)
     refusal: ShownRefusal | None = outcome.refusal if outcome else None
     words = get_texts(form) if form is not None else request.query_params
     moved = form is not None and form.get("intent") in {"queue", "save"}
