@@ -1,7 +1,4 @@
-"""What every shape has in common: the columns of a row of the store, written as JSON, and the row's ETag and address.
-
-Documents that are computed when they are read: figures, trends, comparisons, conversions, what held at a time.
-"""
+"""What every shape has in common: the columns of a row, written as JSON, and the row's ETag and address."""
 
 from __future__ import annotations
 

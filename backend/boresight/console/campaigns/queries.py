@@ -1,7 +1,4 @@
-"""Queries on campaigns: whatever their size, a fixed number of statements.
-
-A sensor may have several rows in a campaign, one for each time it was launched; the newest counts.
-"""
+"""Queries on campaigns, a fixed number of statements whatever their size; of a sensor's rows in one the newest counts."""
 
 from __future__ import annotations
 

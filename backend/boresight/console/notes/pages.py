@@ -1,7 +1,4 @@
-"""Notes on one thing: the page by itself, and where the form of every notes panel goes.
-
-A note that was written leads back to the page of its thing; a refused one comes back here with its text.
-"""
+"""Notes on one thing: the page by itself, and where the form of every notes panel goes."""
 
 from __future__ import annotations
 

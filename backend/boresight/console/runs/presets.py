@@ -1,7 +1,6 @@
-"""Presets: settings under a name, each with a sentence on when to use them.
+"""Presets: settings under a name, each with a sentence on when to use them; Boresight's own and the mission's.
 
-Some come with Boresight; the others are the mission's own, saved by an analyst. A saved preset never changes: saving under the same
-name makes its next version, and what was launched with an older one still says so. Archiving takes a version out of the choice.
+A saved preset never changes: saving under the same name makes its next version, archiving takes one out of the choice.
 """
 
 from __future__ import annotations

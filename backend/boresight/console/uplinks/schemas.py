@@ -1,7 +1,4 @@
-"""What is known to be on board, and what held for a sensor at a time.
-
-Table definitions, and the uplink packages that are built by them.
-"""
+"""What is known to be on board, what held for a sensor at a time, table definitions and uplink packages."""
 
 from __future__ import annotations
 

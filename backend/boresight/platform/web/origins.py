@@ -1,6 +1,6 @@
 """Where a request comes from: a page of another site, or this machine itself.
 
-A browser says by `LaunchOrigin` which site's page made an unsafe request, and by `Sec-Fetch-Site` whether that is ours. Either
+A browser says by `Origin` which site's page made an unsafe request, and by `Sec-Fetch-Site` whether that is ours. Either
 one is enough to refuse it, whatever cookie comes along and also where none does: logging somebody in from another site is
 an attack too. Programs send neither. With an API key nothing is refused: no other site can make a browser send that header.
 """

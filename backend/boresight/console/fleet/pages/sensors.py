@@ -1,7 +1,4 @@
-"""The list of sensors, page by page, and registering one: paste or upload its sensor file; a refused text comes back as typed.
-
-The sensors that a page's chooser offers: those of a link and of a form stay among them, whatever is sought.
-"""
+"""The list of sensors, page by page, registering one, and the sensors that a page's chooser offers."""
 
 from __future__ import annotations
 
