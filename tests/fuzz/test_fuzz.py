@@ -28,9 +28,7 @@ def test_no_request_ends_in_a_server_error_or_in_an_answer_that_is_not_documente
     assert len(tally.operations) == len(world.operations)
     assert set(tally.by_asker) == {"adele", "ada", "anonymous"}
     assert tally.by_kind["documents"] > REQUESTS / 10
-    assert (
-        tally.statuses[200] > REQUESTS / 10
-    )  # many requests are understood, and not only turned away at the first look
+    assert tally.statuses[200] > REQUESTS / 10  # many are understood, and not only turned away at the first look
     assert max(asker.log_ins for asker in world.askers) < REQUESTS / 10
 
 

@@ -21,6 +21,7 @@ from starlette.requests import Request
 
 from boresight.console import pages
 from boresight.console.approvals.tables import APPROVAL_STATES
+from boresight.console.fleet.pages.sensors import EXAMPLE
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.formats import LEVEL_OF_STATE, LEVELS, get_level, worst
 from boresight.console.pages.frame import (
@@ -312,14 +313,21 @@ def test_every_refusal_says_what_happened_what_to_do_and_what_to_quote(site, rea
     )
 
 
-def test_a_missing_role_is_named_with_who_can_give_it(site, read):
+@pytest.mark.parametrize(
+    ("path", "form", "giver"),
+    [
+        ("/telemetry/1/archive", {}, "Adele Administrator can give roles"),
+        ("/sensors", {"document": EXAMPLE}, "An administrator can give it"),
+    ],
+)
+def test_a_missing_role_is_named_with_who_can_give_it(site, read, path, form, giver):
     visitor = site.visitor("victor")
     token, page_wanted = {"csrf_token": visitor.csrf_token}, {"Accept": "text/html"}
-    answer = visitor.send("POST", "/telemetry/1/archive", data=token, headers=page_wanted)
+    answer = visitor.send("POST", path, data={**form, **token}, headers=page_wanted)
     page = read(answer.text)
     assert answer.status_code == 403
     assert "role analyst" in page
-    assert "Adele Administrator can give roles" in page
+    assert giver in page
 
 
 HUGE = "99999999999999999999999"

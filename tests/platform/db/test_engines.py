@@ -108,8 +108,8 @@ def test_a_writer_that_waits_too_long_is_told_so(two: list[Engine], monkeypatch:
 
 
 def test_a_sqlite_writer_that_waits_too_long_is_told_the_same(sqlite: Engine) -> None:
-    with sqlite.connect() as impatient:
-        impatient.connection.driver_connection.execute("PRAGMA busy_timeout=10")
+    sqlite.dispose()  # its connections wait for ten seconds
+    sa.event.listen(sqlite, "connect", lambda opened, _: opened.execute("PRAGMA busy_timeout=10"))
     with open_writing(sqlite), pytest.raises(UnavailableError, match="held by another writer"), open_writing(sqlite):
         pytest.fail("there are two writers")
 
