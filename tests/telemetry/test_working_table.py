@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from boresight.disks import compute_digest
 from boresight.errors import CorruptFileError, NotFoundError, RefusedInputError
-from boresight.telemetry.read import parquet, readers, text
+from boresight.telemetry.read import formats, parquet, readers
 from boresight.telemetry.read.frames import evenly, frame_index, read_sample
 from boresight.telemetry.read.limits import Limits
 from boresight.telemetry.read.readers import read_chunks, read_telemetry, rows_in, stretches, write_csv, write_parquet
@@ -248,7 +248,7 @@ WRITERS = {"csv": write_csv, "jsonl": write_json_lines, "parquet": write_in_smal
 @pytest.fixture
 def in_small_pieces(monkeypatch):
     monkeypatch.setattr(parquet, "_BATCH_ROWS", 2)
-    monkeypatch.setattr(text, "PIECE_BYTES", 700)
+    monkeypatch.setattr(formats, "PIECE_BYTES", 700)
 
 
 def whole_frames(parts):
@@ -296,7 +296,7 @@ def test_a_refusal_is_the_same_wherever_the_file_is_cut(spoils, form, piece_byte
     path.write_text(as_csv(lines) if form == "csv" else as_json(lines), encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         whole = outcome(lambda: [read_telemetry(path)])
-        patch.setattr(text, "PIECE_BYTES", piece_bytes)
+        patch.setattr(formats, "PIECE_BYTES", piece_bytes)
         parts = outcome(lambda: list(read_chunks(path, frames=frames)))
     if isinstance(whole, RefusedInputError):
         assert (str(parts), getattr(parts, "faults", None)) == (str(whole), whole.faults)

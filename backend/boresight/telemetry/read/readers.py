@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.errors import RefusedInputError
-from boresight.telemetry.read.checks import Checks, Faults
-from boresight.telemetry.read.columns import check_columns, make_arrays, scale_quaternions
-from boresight.telemetry.read.formats import Tables, format_at
+from boresight.telemetry.read.checks import Checks, Faults, check_columns, make_arrays, scale_quaternions
+from boresight.telemetry.read.formats import Tables, csv_tables, format_at, json_tables
 from boresight.telemetry.read.limits import LIMITS, Limits
 from boresight.telemetry.read.parquet import (
     Layout,
@@ -30,7 +29,6 @@ from boresight.telemetry.read.parquet import (
     rows_of_file,
     rows_of_parquet,
 )
-from boresight.telemetry.read.text import csv_tables, json_tables
 from boresight.telemetry.schema import UNMATCHED, Telemetry, count_bytes, joined, select_rows
 
 #: Frames of a chunk: with 24 detections each about 100,000 rows, 15 MB.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.telemetry.quality.detector import OffDetector, detector_coverage, radial_coverage
 from boresight.telemetry.quality.inputs import Finding, QualityInputs, counted, marked_rows, row_numbers
-from boresight.telemetry.schema import repeats_within
+from boresight.telemetry.read.checks import repeats_within
 from boresight.telemetry.sensors import Sensor
 
 _CLOSE_PX = 2.0
