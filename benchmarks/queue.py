@@ -43,7 +43,7 @@ from benchmarks.stores import Constellation, digest_of, furnish, result_of
 from boresight.console.campaigns.service import MOST_SENSORS
 from boresight.console.runs import service as run_service
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
-from boresight.console.telemetry.service import get_telemetry_set
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.settings import Settings, read_settings
@@ -241,6 +241,6 @@ def faults(session: Session, constellation: Constellation, row: Run) -> list[str
         return ["stuck"]
     ends = [line for line in run_service.log_lines(session, row.id) if line.state in TERMINAL_RUN_STATES]
     found = ["doubled"] if len(ends) != 1 else []
-    right = constellation.expected[get_telemetry_set(session, row.telemetry_set_id).table_sha256]
+    right = constellation.expected[session.get_known(TelemetrySet, row.telemetry_set_id).table_sha256]
     content = constellation.blobs.read(row.result_sha256) if row.state == "SUCCEEDED" and row.result_sha256 else b"{}"
     return found + (["lost"] if digest_of(content) != right else [])

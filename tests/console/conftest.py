@@ -8,7 +8,6 @@ import orjson
 import pytest
 
 from boresight.console import list_queries as lists
-from boresight.console import transitions
 from boresight.console.access import users
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval
@@ -149,7 +148,7 @@ def submitted(engine, people, candidate, blobs) -> Callable[[], ParameterSet]:
         row = candidate()
         with open_writing(engine) as session:
             approvals.submit(session, people["ana"], blobs, row.id, "better", row.version)
-            return transitions.get_parameter_set(session, row.id)
+            return session.get_known(ParameterSet, row.id)
 
     return make
 
@@ -161,7 +160,7 @@ def approved(engine, people, submitted) -> Callable[[], ParameterSet]:
         with open_writing(engine) as session:
             approval = lists.newest(session, Approval, set=row.id)[0]
             approve(session, people["cy"], approval)
-            return transitions.get_parameter_set(session, row.id)
+            return session.get_known(ParameterSet, row.id)
 
     return make
 

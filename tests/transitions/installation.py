@@ -17,7 +17,6 @@ import httpx
 import orjson
 from argon2 import PasswordHasher
 
-from boresight.console import transitions
 from boresight.console.access import api_keys, users
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
@@ -108,7 +107,7 @@ class Installation:
 
     def set_of(self, set_id: int) -> ParameterSet:
         with open_reading(self.engine) as session:
-            return transitions.get_parameter_set(session, set_id)
+            return session.get_known(ParameterSet, set_id)
 
     def client(self, name: str) -> httpx.Client:
         if name not in self._credentials:

@@ -15,7 +15,6 @@ import pytest
 import sqlalchemy as sa
 
 from boresight.console import list_queries as lists
-from boresight.console import transitions
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
@@ -58,7 +57,7 @@ def _filled(house: Installation) -> int:
         _submit(house, row)
         _sign(house, row)
         with open_writing(house.engine) as session:
-            version = transitions.get_parameter_set(session, row.id).version
+            version = session.get_known(ParameterSet, row.id).version
             approvals.promote(session, house.actor("olga"), row.id, version)
     return sensor_id
 

@@ -30,21 +30,6 @@ class DocumentInForce:
     sha256: str | None
 
 
-def get_approval(session: Session, approval_id: int) -> Approval:
-    """Return a request."""
-    return session.get_known(Approval, approval_id, f"There is no request for approval {approval_id}.")
-
-
-def get_parameter_set(session: Session, parameter_set_id: int) -> ParameterSet:
-    """Return a set."""
-    return session.get_known(ParameterSet, parameter_set_id, f"There is no parameter set {parameter_set_id}.")
-
-
-def get_sensor(session: Session, sensor_id: int) -> Sensor:
-    """Return a sensor."""
-    return session.get_known(Sensor, sensor_id, f"There is no sensor {sensor_id}.")
-
-
 def name_subject(row: Versioned) -> str:
     """Name a row as the audit log does, by its REST address."""
     nouns: dict[type, str] = {

@@ -114,7 +114,7 @@ def test_roles_take_effect_at_once_and_are_recorded(session, people):
     with pytest.raises(RefusedInputError, match="administrator cannot sign"):
         users.change_roles(session, people["root"], people["cy"].user_id, ["approver", "administrator"])
     with pytest.raises(NotFoundError, match="no user 99"):
-        users.get_user(session, 99)
+        session.get_known(User, 99)
 
 
 def test_a_disabled_person_is_out_at_once_and_stays_out(engine, people):
@@ -207,7 +207,7 @@ def test_an_administrator_disables_a_person_lets_them_in_again_and_ends_their_lo
         if victim:
             assert victim.send("GET", "/audit", headers={"accept": "text/html"}).status_code == 303
     with open_reading(site.engine) as session:
-        assert users.get_user(session, 5).disabled_utc is None
+        assert session.get_known(User, 5).disabled_utc is None
 
 
 def test_who_is_no_administrator_sees_only_what_is_theirs(site, read):
@@ -355,5 +355,5 @@ def test_the_last_use_of_a_key_is_kept_and_only_ever_moves_on(engine, people):
         with open_writing(engine) as session:
             api_keys.record_uses(session, {key.prefix: at_utc, "unknown": at_utc})
     with open_reading(engine) as session:
-        assert api_keys.get_key(session, key.id).last_used_utc == "2026-11-21T10:00:00.000000Z"
+        assert session.get_known(ApiKey, key.id).last_used_utc == "2026-11-21T10:00:00.000000Z"
         assert audit.verify(session).ok

@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 from boresight.console import list_queries as lists
-from boresight.console import transitions
 from boresight.console.approvals import gate_profiles, gates
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import queries as gate_rows
@@ -194,7 +193,7 @@ def test_other_limits_make_undecided_requests_stale(set_profile, submitted, engi
     with open_reading(engine) as session:
         request = lists.newest(session, Approval, set=row.id)[0]
         assert request.state == "STALE"
-        assert transitions.get_parameter_set(session, row.id).ground_state == "CANDIDATE"
+        assert session.get_known(ParameterSet, row.id).ground_state == "CANDIDATE"
 
 
 def test_a_dry_run_says_of_every_past_run_what_would_have_been_blocked_and_stores_nothing(
@@ -337,7 +336,7 @@ def test_baseline_and_package_tell_the_verdict_that_was_signed_also_when_its_wai
         request = approvals.submit(session, people["ana"], blobs, blocked.id, "With the waiver.", blocked.version)
         for name in ("cy", "bo"):
             approve(session, people[name], request)
-        row = transitions.get_parameter_set(session, blocked.id)
+        row = session.get_known(ParameterSet, blocked.id)
         approvals.promote(session, people["dee"], row.id, row.version)
         package = packages.build(session, people["dee"], blobs, row.id)
         assert set_queries.baseline(session, 1).id == blocked.id

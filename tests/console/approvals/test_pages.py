@@ -4,10 +4,10 @@ import re
 
 import pytest
 
-from boresight.console import transitions
 from boresight.console.approvals import gate_profiles
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals.pages.approval import list_warnings
+from boresight.console.approvals.tables import Approval
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.figures.tables import parameter_rows
 from boresight.platform.db.sessions import open_reading, open_writing, utc_now
@@ -150,7 +150,7 @@ def test_a_second_person_signs_at_the_submitters_console_and_the_roll_says_so(si
     assert "Alan Approver at the console of Ada Analyst Password given by Command line at 20" in text
     assert "Ada Analyst" in ada.get("/approvals"), "the console's log-in became another's"
     with open_reading(site.engine) as session:
-        assert transitions.get_approval(session, 1).state == "APPROVED"
+        assert session.get_known(Approval, 1).state == "APPROVED"
 
 
 def test_nobody_signs_over_ones_own_shoulder(site, request_page):

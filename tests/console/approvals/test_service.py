@@ -8,7 +8,6 @@ import pytest
 import sqlalchemy as sa
 
 from boresight.console import list_queries as lists
-from boresight.console import transitions
 from boresight.console.access import api_keys, users
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
@@ -235,12 +234,12 @@ def test_requests_are_listed_by_state_newest_first(engine, people, request_of):
         assert [row.id for row in lists.newest(session, Approval, state="OPEN")] == [second.id]
         assert [row.id for row in lists.newest(session, Approval, before_id=second.id)] == [first.id]
         with pytest.raises(NotFoundError, match="no request"):
-            transitions.get_approval(session, 99)
+            session.get_known(Approval, 99)
 
 
 def _promote(engine: Engine, actor: Actor, set_id: int, seen: int | None = None) -> ParameterSet:
     with open_writing(engine) as session:
-        seen = seen or transitions.get_parameter_set(session, set_id).version
+        seen = seen or session.get_known(ParameterSet, set_id).version
         return approvals.promote(session, actor, set_id, seen)
 
 
@@ -392,7 +391,7 @@ def test_what_expired_may_be_submitted_again_and_what_was_promoted_never_expires
     _sign(engine, people["cy"], used)
     with open_writing(engine) as session:
         staleness.expire_due_requests(session)
-        row = transitions.get_parameter_set(session, late.parameter_set_id)
+        row = session.get_known(ParameterSet, late.parameter_set_id)
         approvals.submit(session, people["ana"], blobs, row.id, "once more", row.version)
         approvals.promote(session, people["dee"], used.parameter_set_id, 3)
     monkeypatch.setattr("boresight.console.approvals.staleness.utc_now", lambda: "2999-01-01T00:00:00.000000Z")

@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 
 from boresight.console import list_queries as lists
-from boresight.console import transitions
 from boresight.console.access import api_keys, users
 from boresight.console.approvals import gate_profiles, gates, staleness
 from boresight.console.approvals import queries as approval_queries
@@ -51,7 +50,7 @@ def created(engine, people, blobs, finished_run) -> Callable[..., ParameterSet]:
 def ask(engine, people, blobs) -> Callable[..., Approval]:
     def make(row: ParameterSet, submitter: str = "ana", policy: Policy = POLICY) -> Approval:
         with open_writing(engine) as session:
-            seen = transitions.get_parameter_set(session, row.id).version
+            seen = session.get_known(ParameterSet, row.id).version
             return approvals.submit(session, people[submitter], blobs, row.id, "better", seen, policy=policy)
 
     return make
@@ -59,10 +58,10 @@ def ask(engine, people, blobs) -> Callable[..., Approval]:
 
 def _decide(engine, actor, approval, decision="APPROVE", policy=POLICY) -> Approval:
     with open_writing(engine) as session:
-        seen = transitions.get_approval(session, approval.id).version
+        seen = session.get_known(Approval, approval.id).version
         words = (approvals.Decision(decision, "I decide", "seen"), proved(session, actor, PASSWORD), seen)
         approvals.sign(session, actor, approval.id, *words, policy=policy)
-        return transitions.get_approval(session, approval.id)
+        return session.get_known(Approval, approval.id)
 
 
 def _sign(engine: Engine, actor: Actor, approval: Approval, policy: Policy = POLICY) -> str:
@@ -132,7 +131,7 @@ def test_a_roll_back_excludes_who_created_the_former_baseline(engine, people, bl
         _sign(engine, people["cy"], ask(row))
         _promote(engine, people["dee"], row.id)
     with open_writing(engine) as session:
-        version = transitions.get_parameter_set(session, rows[0].id).version
+        version = session.get_known(ParameterSet, rows[0].id).version
         back = approvals.roll_back(session, people["dee"], blobs, rows[0].id, "It drifts.", version)
     with pytest.raises(ForbiddenError, match="You created this set"):
         _sign(engine, people["bo"], back)
@@ -155,7 +154,7 @@ def test_what_the_creator_signed_while_four_eyes_was_off_does_not_pass_once_it_i
     assert _signers(engine, approval, ALONE) == {"bo": None, "cy": None}
     assert _sign(engine, people["bo"], approval, ALONE) == "APPROVED"
     with open_writing(engine) as session:
-        version = transitions.get_parameter_set(session, row.id).version
+        version = session.get_known(ParameterSet, row.id).version
         with pytest.raises(ConflictError, match="0 of 1 approvals by a second person"):
             approvals.promote(session, people["dee"], row.id, version)
         assert four_eyes(session, row, POLICY)["kept"] is False
@@ -175,7 +174,7 @@ def ask_anew(created, ask) -> Callable[..., Approval]:
 
 def _promote(engine: Engine, actor: Actor, set_id: int, policy: Policy = POLICY) -> str:
     with open_writing(engine) as session:
-        version = transitions.get_parameter_set(session, set_id).version
+        version = session.get_known(ParameterSet, set_id).version
         return approvals.promote(session, actor, set_id, version, policy=policy).ground_state
 
 
@@ -186,7 +185,7 @@ def test_a_request_that_needs_two_stays_open_after_one_and_is_approved_after_two
     with open_reading(engine) as session:
         record = audit.last_change(session, f"approvals/{approval.id}")
         assert record.after["approvals"] == "1 of 2"
-        assert transitions.get_parameter_set(session, approval.parameter_set_id).ground_state == "SUBMITTED"
+        assert session.get_known(ParameterSet, approval.parameter_set_id).ground_state == "SUBMITTED"
     with pytest.raises(ConflictError, match="You signed this request already"):
         _decide(engine, people["cy"], approval)
     assert _decide(engine, people["bo"], approval).state == "APPROVED"
@@ -225,13 +224,13 @@ def test_a_critical_gate_is_never_passed(engine, people, ask_anew):
 def test_a_waiver_asks_for_a_new_request_with_a_second_approval(engine, people, ask, ask_anew):
     approval = ask_anew(parameters=MOVED)
     with open_writing(engine) as session:
-        row = transitions.get_parameter_set(session, approval.parameter_set_id)
+        row = session.get_known(ParameterSet, approval.parameter_set_id)
         proof = proved(session, people["ana"], PASSWORD)
         words = ("known-cause", "The wheels were spun up during this pass.", utc_after(86400.0), proof, row.version)
         waiver = gates.waive(session, people["ana"], row.id, "parameter-shift", *words)
     again = ask(row)
     with open_reading(engine) as session:
-        state = transitions.get_approval(session, approval.id).state
+        state = session.get_known(Approval, approval.id).state
     assert (state, again.needed, again.bound["waivers"]) == ("STALE", 2, [waiver.id])
     _decide(engine, people["cy"], again)
     assert _decide(engine, people["bo"], again).state == "APPROVED"
@@ -300,7 +299,7 @@ def test_a_second_person_signs_at_the_console_of_another(engine, people, request
     signature = _beside(engine, people["ana"], request_id, "cy")
     assert (signature.user_id, signature.printed_name, signature.console) == (people["cy"].user_id, "Cy", "Ana")
     with open_reading(engine) as session:
-        assert transitions.get_approval(session, request_id).state == "APPROVED"
+        assert session.get_known(Approval, request_id).state == "APPROVED"
         record = audit.last_change(session, f"approvals/{request_id}")
         assert (record.actor, record.after["console"]) == ("Cy", "Ana")
         assert record.after["password_by"] == signature.password_by
@@ -322,7 +321,7 @@ def test_over_the_shoulder_signs_nobody_who_may_not(engine, people, request_id, 
     with pytest.raises(error, match=says):
         _beside(engine, people[console], request_id, name, password)
     with open_reading(engine) as session:
-        assert transitions.get_approval(session, request_id).state == "OPEN"
+        assert session.get_known(Approval, request_id).state == "OPEN"
         assert not approval_queries.signatures(session, request_id)
 
 

@@ -7,13 +7,12 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from boresight.console import transitions
 from boresight.console.access import api_keys, users
 from boresight.console.access.tables import User
 from boresight.console.alarms import rules as clock
 from boresight.console.approvals import gate_profiles, proposals
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals.tables import ChangeProposal, GateProfile
+from boresight.console.approvals.tables import Approval, ChangeProposal, GateProfile
 from boresight.console.change_proposals import service as second_person
 from boresight.console.fleet import service as sensors
 from boresight.console.uplinks import table_definitions
@@ -61,7 +60,7 @@ def _confirm(engine: Engine, actor: Actor, row: ChangeProposal, seen: int = 1) -
 
 def _state(engine: Engine, row: ChangeProposal) -> str:
     with open_reading(engine) as session:
-        return proposals.get_proposal(session, row.id).state
+        return session.get_known(ChangeProposal, row.id).state
 
 
 def _in_force(engine: Engine) -> int:
@@ -169,7 +168,7 @@ def test_requests_stay_open_while_a_change_is_proposed_and_become_stale_with_its
     with open_writing(engine) as session:
         done = second_person.confirm(session, two["ann"], row.id, 1)
         assert table_definitions.definition_in_force(session, 1).number == done.number == 1
-        assert transitions.get_approval(session, approval.id).state == "STALE"
+        assert session.get_known(Approval, approval.id).state == "STALE"
 
 
 def test_a_proposal_expires_by_itself_or_by_who_comes_too_late(engine, two, propose, monkeypatch):

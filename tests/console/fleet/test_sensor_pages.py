@@ -123,7 +123,7 @@ def test_a_calibrated_baseline_shows_its_sigma_and_its_change_from_the_ground(si
 
 def test_values_are_the_sensor_files_where_there_is_no_baseline(site):
     with open_reading(site.engine) as session:
-        sensor = sensors.get_sensor(session, 1)
+        sensor = session.get_known(Sensor, 1)
         assert {it.name: it.value for it in baseline_values(sensor, None)} == sensor.document["initial"]
 
 
@@ -144,14 +144,14 @@ def test_what_was_baseline_at_a_time_is_answered_and_nonsense_refused(site, read
 def test_an_edit_of_an_older_version_is_refused_and_the_text_kept(site):
     visitor = site.visitor("ada")
     with open_reading(site.engine) as session:
-        document = dict(sensors.get_sensor(session, 1).document)
+        document = dict(session.get_known(Sensor, 1).document)
     text = json.dumps(document | {"centroid_sigma_px": 0.25})
     assert visitor.post("/sensors/1", document=text, version="1").status_code == 303
     answer = visitor.post("/sensors/1", document=text.replace("0.25", "0.35"), version="1")
     assert answer.status_code == 412
     assert "&#34;centroid_sigma_px&#34;: 0.35" in answer.text
     with open_reading(site.engine) as session:
-        assert sensors.get_sensor(session, 1).document["centroid_sigma_px"] == 0.25
+        assert session.get_known(Sensor, 1).document["centroid_sigma_px"] == 0.25
 
 
 def evaluation(**changes):
@@ -200,7 +200,7 @@ def test_without_a_validation_set_the_calibration_set_is_quoted_and_said_to_be_t
 
 @pytest.fixture
 def document(session) -> dict[str, Any]:
-    return deepcopy(sensors.get_sensor(session, 1).document)
+    return deepcopy(session.get_known(Sensor, 1).document)
 
 
 def test_a_new_sensor_has_its_ground_calibration_as_baseline(session, document):
@@ -231,7 +231,7 @@ def test_analysts_and_administrators_register(session, people, document, name):
 
 def test_a_bad_document_leaves_no_sensor_and_no_set(engine, people):
     with open_writing(engine) as session:
-        bad = deepcopy(sensors.get_sensor(session, 1).document) | {"name": "ST16-2", "parity": 0}
+        bad = deepcopy(session.get_known(Sensor, 1).document) | {"name": "ST16-2", "parity": 0}
     with pytest.raises(RefusedInputError), open_writing(engine) as session:
         sensors.register_sensor(session, people["ana"], bad)
     with open_writing(engine) as session:

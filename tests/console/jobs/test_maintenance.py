@@ -10,8 +10,8 @@ import pytest
 import sqlalchemy as sa
 
 from boresight.console import list_queries as lists
-from boresight.console import transitions
 from boresight.console.access import api_keys, users
+from boresight.console.access.tables import ApiKey
 from boresight.console.alarms import rules as clock
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
@@ -85,7 +85,7 @@ def test_a_running_upkeep_looks_at_once_and_writes_the_last_uses_when_it_stops(s
     upkeep.close()
     assert upkeep.light().state == "verified"
     with open_reading(store) as session:
-        assert api_keys.get_key(session, key.id).last_used_utc is not None
+        assert session.get_known(ApiKey, key.id).last_used_utc is not None
 
 
 def test_what_fails_is_tried_again(store, monkeypatch):
@@ -171,7 +171,7 @@ def due(engine, people, blobs, candidate) -> Approval:
 
 def _state(engine: Engine, approval: Approval) -> str:
     with open_reading(engine) as session:
-        return transitions.get_approval(session, approval.id).state
+        return session.get_known(Approval, approval.id).state
 
 
 def _alarm(engine: Engine) -> Alarm | None:

@@ -2,9 +2,9 @@
 
 import pytest
 
-from boresight.console import transitions
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets import service as parameter_sets
+from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import open_reading, open_writing
 from tests.sites import PASSWORD
@@ -106,7 +106,7 @@ def test_an_approved_set_becomes_the_baseline_and_the_former_offers_a_roll_back(
     assert "This set is the baseline; it replaced PS-ST16-1-0." in read(olga.get(candidate))
     with open_reading(site.engine) as session:
         assert set_queries.baseline(session, 1).name == "PS-ST16-1-1"
-        assert transitions.get_parameter_set(session, 1).ground_state == "SUPERSEDED"
+        assert session.get_known(ParameterSet, 1).ground_state == "SUPERSEDED"
     page = olga.get("/parameter-sets/1")
     assert "Ask to roll back to PS-ST16-1-0" in read(page)
     back = olga.post("/parameter-sets/1/roll-back", version=version(page), reason="The new one lost stars.")

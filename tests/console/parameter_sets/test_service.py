@@ -6,7 +6,6 @@ import pytest
 
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
-from boresight.console import transitions
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet import service as sensors
@@ -34,7 +33,7 @@ def test_a_candidate_says_all_that_it_is_and_is_named_by_its_hash(engine, candid
     row = candidate()
     with open_reading(engine) as session:
         run = session.get_one(Run, row.run_id)
-        document = transitions.get_parameter_set(session, row.id).document
+        document = session.get_known(ParameterSet, row.id).document
     assert (row.name, row.ground_state, row.onboard_state) == ("PS-ST16-1-1", "CANDIDATE", "NOT SENT")
     assert compute_sha256(document) == row.sha256
     assert document["parameters"]["f_m"] == 0.016001
@@ -88,7 +87,7 @@ def test_what_does_not_exist_is_not_found(session, people, blobs):
     with pytest.raises(NotFoundError, match="no run 99"):
         parameter_sets.create_from_run(session, people["ana"], blobs, 99)
     with pytest.raises(NotFoundError, match="no parameter set 99"):
-        transitions.get_parameter_set(session, 99)
+        session.get_known(ParameterSet, 99)
 
 
 @pytest.mark.parametrize("name", ["cy", "dee", "eve", "root"])
@@ -249,7 +248,7 @@ def test_a_set_that_the_other_model_can_say_shows_values_sigmas_and_misfit_and_a
 
 def test_the_page_and_the_api_give_the_same_numbers(site):
     with open_reading(site.engine) as session:
-        (shown,) = conversions.list_conversions(session, transitions.get_parameter_set(session, 1))
+        (shown,) = conversions.list_conversions(session, session.get_known(ParameterSet, 1))
     answer = site.visitor("victor").send("GET", "/api/v1/parameter-sets/1/conversion", params={"to": "pinhole_radial"})
     assert answer.status_code == 200
     assert answer.json() == shown.document

@@ -82,7 +82,7 @@ def test_a_dry_run_says_what_it_would_be_and_queues_nothing(session, launch, add
     other = add_set(quality=quality, purpose="validation")
     summary = launch(telemetry_set_id=other.id, validation_set_id=1, validate_only=True)
     assert summary["pairs"] == 2 * 800 - 3 * 150
-    assert set(summary["free"]) == set(sensors.get_sensor(session, 1).document["initial"])
+    assert set(summary["free"]) == set(session.get_known(Sensor, 1).document["initial"])
     assert summary["warnings"] == ["30 % of the stars are unmatched."]
     assert summary["predicted_s"] > 0
     assert runs.list_runs(session) == []

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.db.sessions import open_reading
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.telemetry.read.readers import write_csv
@@ -230,7 +231,7 @@ def test_a_figures_numbers_add_up_to_the_usable_stars(site, table):
     address = upload(visitor, table).headers["location"]
     rows = list(csv.reader(io.StringIO(visitor.get(f"{address}/figures/radial-coverage.csv"))))
     with open_reading(site.engine) as session:
-        quality = telemetry_sets.get_telemetry_set(session, int(address.rsplit("/", 1)[1])).quality
+        quality = session.get_known(TelemetrySet, int(address.rsplit("/", 1)[1])).quality
     assert sum(int(row[1]) for row in rows[1:]) == quality["usable"]
     assert visitor.send("GET", f"{address}/figures/nothing.csv").status_code == 404
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
+from boresight.console.fleet.tables import Sensor
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError
@@ -93,7 +94,7 @@ def test_the_same_bytes_again_are_the_set_that_is_there(engine, people, blobs, f
 
 def test_the_same_bytes_prepared_twice_at_once_are_stored_once(engine, people, blobs, file):
     with open_reading(engine) as session:
-        document = telemetry_sets.get_sensor(session, 1).document
+        document = session.get_known(Sensor, 1).document
     ids = set()
     with (
         telemetry_sets.prepared(document, None, file, "a.csv") as one,
@@ -188,4 +189,4 @@ def test_sets_are_listed_by_purpose(engine, people, blobs, file):
         assert [row.id for row in telemetry_sets.list_telemetry_sets(session, sensor_id=1)] == [second.id, first.id]
         assert [row.id for row in telemetry_sets.list_telemetry_sets(session, purpose="validation")] == [second.id]
         with pytest.raises(NotFoundError, match="no telemetry set 99"):
-            telemetry_sets.get_telemetry_set(session, 99)
+            session.get_known(TelemetrySet, 99)

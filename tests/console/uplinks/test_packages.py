@@ -6,7 +6,6 @@ import zipfile
 
 import pytest
 
-from boresight.console import transitions
 from boresight.console.approvals import service as approvals
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -94,7 +93,7 @@ def test_the_way_back_of_an_approved_set_is_the_baseline_and_of_the_baseline_the
 
 def test_the_first_baseline_is_its_own_way_back(engine, build):
     with open_writing(engine) as session:
-        row = transitions.get_parameter_set(session, 1)
+        row = session.get_known(ParameterSet, 1)
     files = build(row)[1]
     assert files["backout/parameters.json"] == files["parameters.json"]
     assert "nothing earlier" in json.loads(files["MANIFEST.json"])["backout"]["sentence"]
@@ -148,7 +147,7 @@ def test_another_definition_makes_the_request_stale(engine, define, approved):
     row = approved()
     define()
     with open_writing(engine) as session:
-        assert transitions.get_parameter_set(session, row.id).ground_state == "CANDIDATE"
+        assert session.get_known(ParameterSet, row.id).ground_state == "CANDIDATE"
 
 
 def test_a_definition_needs_what_was_seen_a_reason_and_a_change(define):

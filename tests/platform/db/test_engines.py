@@ -14,11 +14,11 @@ import pytest
 import sqlalchemy as sa
 
 from boresight.console import list_queries as lists
-from boresight.console import transitions
 from boresight.console.access import users
 from boresight.console.approvals import service as approvals
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import timeline
+from boresight.console.fleet.status import list_fleet_tiles
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import queries as runs
@@ -244,7 +244,7 @@ def _approve(engine: Engine, people: Mapping[str, Actor], row: ParameterSet, blo
     with open_writing(engine) as session:
         approval = approvals.submit(session, people["ana"], blobs, row.id, "better", row.version)
         approve(session, people["cy"], approval)
-        return transitions.get_parameter_set(session, row.id).version
+        return session.get_known(ParameterSet, row.id).version
 
 
 def test_promotions_at_once_leave_one_baseline_and_one_chain(
@@ -291,5 +291,5 @@ def test_the_ladder_and_the_question_of_when_work(
         listed = timeline.events(session, 1)
         assert [event.state for event in listed] == ["ACTIVE", "VERIFIED", "LOADED", "SENT", None, "BASELINE"]
         assert timeline.events(session, 1, before_id=listed[1].id, limit=2) == listed[2:4]
-        tile = sensors.list_fleet_tiles(session)[0]
+        tile = list_fleet_tiles(session)[0]
     assert (tile.status, tile.active is not None) == ("off", True)

@@ -78,11 +78,6 @@ def list_keys(session: Session, user_id: int | None = None) -> Sequence[ApiKey]:
     return rows.keys(session, user_id)
 
 
-def get_key(session: Session, key_id: int) -> ApiKey:
-    """Return a key."""
-    return session.get_known(ApiKey, key_id, f"There is no API key {key_id}.")
-
-
 def record_uses(session: Session, used_utc: Mapping[str, str]) -> None:
     """Write when keys were last used, by prefix; not a change that anybody made, so not in the audit log."""
     for prefix, at_utc in used_utc.items():
@@ -94,7 +89,7 @@ def record_uses(session: Session, used_utc: Mapping[str, str]) -> None:
 def revoke_key(session: Session, actor: Actor, key_id: int) -> ApiKey:
     """End a key: one's own, or as an administrator anyone's."""
     refuse_key(actor, "revoke a key")
-    key = get_key(session, key_id)
+    key = session.get_known(ApiKey, key_id)
     if key.user_id != actor.user_id and "administrator" not in actor.roles:
         raise ForbiddenError("Only its owner or an administrator may revoke this API key.")
     if key.revoked_utc is None:

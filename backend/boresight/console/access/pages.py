@@ -192,7 +192,7 @@ async def end_sessions(request: Request, actor: Who, user_id: int) -> Response:
 
 def _end_sessions(actor: Actor, user_id: int, session: Session) -> str:
     users.end_sessions(session, actor, user_id)
-    return users.get_user(session, user_id).printed_name
+    return session.get_known(User, user_id).printed_name
 
 
 @router.get("/sessions", response_class=HTMLResponse)
@@ -213,7 +213,7 @@ def _sessions_page(
 ) -> HTMLResponse:
     opened = sessions.list_sessions(session, actor, user_id, is_open=True)
     ended = sessions.list_sessions(session, actor, user_id, is_open=False, limit=SESSIONS_SHOWN)
-    person = users.get_user(session, user_id or require_person(actor, "see log-ins"))
+    person = session.get_known(User, user_id or require_person(actor, "see log-ins"))
     return render(
         request,
         "access/sessions.html",

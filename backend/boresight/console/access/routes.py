@@ -66,7 +66,7 @@ class Password(Shape):
 
 def _require_seen(session: Session, user_id: int, seen: Seen) -> None:
     """Refuse a change by someone who did not see the person's roles and state as they are."""
-    row = users.get_user(session, user_id)
+    row = session.get_known(User, user_id)
     seen.require(schemas.User, row, row.printed_name)
 
 
@@ -111,7 +111,7 @@ def create_user(
 @router.get("/{user_id}", summary="Read a person", response_model=schemas.User)
 def get_user(user_id: Id, session: Reading) -> User:
     """Read a person."""
-    return users.get_user(session, user_id)
+    return session.get_known(User, user_id)
 
 
 @router.post("/{user_id}:change-roles", summary="Change roles", response_model=schemas.User)
@@ -190,7 +190,7 @@ def create_api_key(wanted: NewKey, actor: Who, session: Writing) -> Answer:
 @api_key_router.post("/{key_id}:revoke", summary="Revoke a key", response_model=schemas.ApiKey)
 def revoke_api_key(key_id: Id, actor: Who, seen: MaybeSeenTag, session: Writing) -> ApiKey:
     """End a key at once."""
-    key = api_keys.get_key(session, key_id)
+    key = session.get_known(ApiKey, key_id)
     seen.require(schemas.ApiKey, key, f"The API key {key.label!r}")
     return api_keys.revoke_key(session, actor, key_id)
 

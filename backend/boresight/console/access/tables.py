@@ -28,6 +28,7 @@ class User(Base):
     """
 
     __tablename__ = "users"
+    noun = "user"
     __table_args__ = (
         sa.Index("uq_users_name_key", "name_key", unique=True),
         sa.Index("uq_users_printed_key", "printed_key", unique=True),
@@ -53,6 +54,7 @@ class ApiKey(Base):
     """A scoped key for automation, stored hashed, shown once."""
 
     __tablename__ = "api_keys"
+    noun = "API key"
     __table_args__ = (STRICT,)
     sealing = Sealing(fleeting={"last_used_utc": "moves with every use"})
     id: Mapped[int] = mapped_column(primary_key=True)

@@ -118,12 +118,12 @@ def _refuse_password_of_another(user: User) -> None:
 
 def must_change_password(session: Session, actor: Actor) -> bool:
     """Whether somebody else set the password of this person."""
-    return actor.user_id is not None and bool(get_user(session, actor.user_id).must_change_password)
+    return actor.user_id is not None and bool(session.get_known(User, actor.user_id).must_change_password)
 
 
 def require_password(session: Session, actor: Actor, proof: PasswordProof) -> None:
     """Make sure that the person at the keyboard is the one who logged in, as a signature needs."""
-    user = get_user(session, require_person(actor, "confirm with a password"))
+    user = session.get_known(User, require_person(actor, "confirm with a password"))
     _refuse_password_of_another(user)
     require_proof(session, proof, user.id)
 
@@ -133,7 +133,7 @@ def change_password(
 ) -> User:
     """Set a password: one's own, knowing the current one, or as an administrator another's, who must set their own at log-in."""
     refuse_key(actor, "set a password")
-    user = get_user(session, user_id)
+    user = session.get_known(User, user_id)
     own = actor.user_id == user_id
     if own:
         require_person(actor, "set a password")
@@ -151,7 +151,7 @@ def change_password(
 def end_sessions(session: Session, actor: Actor, user_id: int) -> None:
     """End every log-in of a person, one's own or as an administrator another's."""
     refuse_key(actor, "end log-ins")
-    user = get_user(session, user_id)
+    user = session.get_known(User, user_id)
     own = actor.user_id == user_id
     if not own:
         _require_administrator(actor)
@@ -168,7 +168,7 @@ def _end_sessions(session: Session, user: User, because: str) -> None:
 def change_roles(session: Session, actor: Actor, user_id: int, roles: Collection[str]) -> User:
     """Give a person these roles instead of the ones held. Every log-in then ends."""
     _require_administrator(actor)
-    user = get_user(session, user_id)
+    user = session.get_known(User, user_id)
     before, after = user.roles, known_roles(roles)
     if "administrator" not in after:
         _keep_an_administrator(session, user)
@@ -181,7 +181,7 @@ def change_roles(session: Session, actor: Actor, user_id: int, roles: Collection
 def disable_user(session: Session, actor: Actor, user_id: int) -> User:
     """Keep a person out from now on; what they did stays."""
     _require_administrator(actor)
-    user = get_user(session, user_id)
+    user = session.get_known(User, user_id)
     if user.disabled_utc is None:
         _keep_an_administrator(session, user)
         user.disabled_utc = utc_now()
@@ -193,16 +193,11 @@ def disable_user(session: Session, actor: Actor, user_id: int) -> User:
 def enable_user(session: Session, actor: Actor, user_id: int) -> User:
     """Let a disabled person in again."""
     _require_administrator(actor)
-    user = get_user(session, user_id)
+    user = session.get_known(User, user_id)
     if user.disabled_utc is not None:
         user.disabled_utc = None
         audit.append(session, actor, "enabled", _subject(user), {"disabled": True}, {"disabled": False})
     return user
-
-
-def get_user(session: Session, user_id: int) -> User:
-    """Return a person."""
-    return session.get_known(User, user_id, f"There is no user {user_id}.")
 
 
 def list_users(session: Session) -> Sequence[User]:

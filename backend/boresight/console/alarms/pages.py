@@ -18,6 +18,7 @@ from boresight.console.access.dependencies import Reading, Who, csrf
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import ALARM_KINDS, Alarm
 from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import (
     ShownRefusal,
     make_change,
@@ -122,13 +123,13 @@ def _page(
     refusal: ShownRefusal | None,
     session: Session,
 ) -> HTMLResponse:
-    row = alarms.get_alarm(session, alarm_id)
+    row = session.get_known(Alarm, alarm_id)
     return render(
         request,
         "alarms/alarm.html",
         refused=refusal,
         alarm=row,
-        sensor=None if row.sensor_id is None else sensors.get_sensor(session, row.sensor_id),
+        sensor=None if row.sensor_id is None else session.get_known(Sensor, row.sensor_id),
         state=alarms.get_alarm_state(row),
         shelved=alarms.is_shelved(row),
         events=alarms.list_alarm_events(session, alarm_id),

@@ -59,7 +59,7 @@ def list_alarms(
 @router.get("/{alarm_id}", summary="Read an alarm", response_model=schemas.Alarm)
 def get_alarm(alarm_id: Id, session: Reading) -> Beside:
     """Read an alarm with the figures behind it; the ETag is for handling it."""
-    return _shown(alarms.get_alarm(session, alarm_id))
+    return _shown(session.get_known(Alarm, alarm_id))
 
 
 @router.get("/{alarm_id}/events", summary="Read what became of it", response_model=Page[schemas.AlarmEvent])

@@ -130,7 +130,7 @@ def comment(session: Session, actor: Actor, alarm_id: int, text: str, seen_versi
 def _to_handle(session: Session, actor: Actor, alarm_id: int, seen_version: int | None, what: str) -> Alarm:
     require_person(actor, what)
     require_role(actor, *HANDLERS)
-    row = get_alarm(session, alarm_id)
+    row = session.get_known(Alarm, alarm_id)
     require_seen(session, row, seen_version)
     if row.closed_utc is not None:
         raise ConflictError(f"Alarm {row.id} is closed since {row.closed_utc}; write a note on its sensor instead.")
@@ -142,11 +142,6 @@ def _said(text: str, needed: str = "") -> str:
     if (needed and not text.strip()) or len(text) > LONGEST_TEXT:
         raise RefusedInputError(f"Give a {needed or 'comment'} of {int(bool(needed))} to {LONGEST_TEXT} characters.")
     return text.strip()
-
-
-def get_alarm(session: Session, alarm_id: int) -> Alarm:
-    """Return an alarm."""
-    return session.get_known(Alarm, alarm_id, f"There is no alarm {alarm_id}.")
 
 
 def list_alarms(
@@ -177,7 +172,7 @@ def open_of_sensors(session: Session, kind: str, sensor_ids: Collection[int]) ->
 
 def list_alarm_events(session: Session, alarm_id: int) -> Sequence[AlarmEvent]:
     """Return what became of an alarm, in order."""
-    return queries.events(session, get_alarm(session, alarm_id).id)
+    return queries.events(session, session.get_known(Alarm, alarm_id).id)
 
 
 def unacknowledged(session: Session) -> int:

@@ -29,6 +29,7 @@ class Alarm(Base):
     """One occurrence of a condition: open until it has returned to normal and was acknowledged, and then never changed."""
 
     __tablename__ = "alarms"
+    noun = "alarm"
     __table_args__ = (
         allow_only("kind", ALARM_KINDS),
         allow_only("level", ALARM_LEVELS),

@@ -17,7 +17,7 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.runs.calibration_document import read_result
 from boresight.console.runs.tables import Run
-from boresight.console.transitions import DocumentInForce, get_sensor, require_change, require_seen_document
+from boresight.console.transitions import DocumentInForce, require_change, require_seen_document
 from boresight.errors import BoresightError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
@@ -56,7 +56,7 @@ class TriedProfile:
 
 def profile_in_force(session: Session, sensor_id: int) -> GateProfile:
     """Return a sensor's profile; the default as version 0 where nobody set or needed one, a row that is not stored."""
-    sensor = get_sensor(session, sensor_id)
+    sensor = session.get_known(Sensor, sensor_id)
     return rows.newest_profile(session, sensor_id) or _default(sensor)
 
 
@@ -74,7 +74,7 @@ def _default(sensor: Sensor) -> GateProfile:
 
 def list_profiles(session: Session, sensor_id: int) -> Sequence[GateProfile]:
     """Return a sensor's profiles, newest first."""
-    sensor = get_sensor(session, sensor_id)
+    sensor = session.get_known(Sensor, sensor_id)
     return rows.profiles(session, sensor_id) or [_default(sensor)]
 
 

@@ -26,12 +26,13 @@ from boresight.console.approvals import queries as rows
 from boresight.console.approvals import staleness
 from boresight.console.approvals.gate_profiles import ensure_profile, profile_in_force
 from boresight.console.approvals.tables import GateReport, Waiver
+from boresight.console.fleet.tables import Sensor as SensorRow
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.calibration_document import read_result
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.console.transitions import get_parameter_set, get_sensor, require_seen, whose_baseline
+from boresight.console.transitions import require_seen, whose_baseline
 from boresight.console.uplinks import queries as table_definitions
 from boresight.errors import (
     BoresightError,
@@ -78,7 +79,7 @@ class StoredGateInputs:
 
 def read_gate_inputs(session: Session, parameter_set_id: int) -> StoredGateInputs:
     """Read a set's case."""
-    row = get_parameter_set(session, parameter_set_id)
+    row = session.get_known(ParameterSet, parameter_set_id)
     run = None if row.run_id is None else session.get_one(Run, row.run_id)
     incumbent = _incumbent(session, row)
     definition = table_definitions.definition_in_force(session, row.sensor_id)
@@ -86,7 +87,7 @@ def read_gate_inputs(session: Session, parameter_set_id: int) -> StoredGateInput
     return StoredGateInputs(
         parameter_set_id=row.id,
         name=row.name,
-        sensor_document=get_sensor(session, row.sensor_id).document,
+        sensor_document=session.get_known(SensorRow, row.sensor_id).document,
         candidate=row.document,
         incumbent=None if incumbent is None else incumbent.document,
         result_sha256=None if run is None else run.result_sha256,
@@ -217,7 +218,7 @@ def record_report(session: Session, actor: Actor, assessment: GateAssessment) ->
 
 
 def _record(session: Session, actor: Actor, assessment: GateAssessment) -> GateReport:
-    row = get_parameter_set(session, assessment.parameter_set_id)
+    row = session.get_known(ParameterSet, assessment.parameter_set_id)
     profile = ensure_profile(session, actor, row.sensor_id)
     bound = assessment.document["bound"]
     moved = [_word(name) for name, now in compute_bound_hashes(session, row).items() if bound[name] != now]
@@ -255,7 +256,7 @@ def latest_report(session: Session, parameter_set_id: int) -> GateReport | None:
 
 def get_report(session: Session, parameter_set_id: int, sha256: str | None = None) -> GateReport:
     """Return a set's newest report, or the one with a hash; refuse where there is none."""
-    row = get_parameter_set(session, parameter_set_id)
+    row = session.get_known(ParameterSet, parameter_set_id)
     report = rows.newest_report(session, parameter_set_id, sha256)
     if report is None and sha256 is not None:
         raise NotFoundError(
@@ -270,7 +271,7 @@ def moved_since(session: Session, report: GateReport) -> list[str]:
     """Name what moved of all that a report rests on; it holds while nothing did."""
     bound, now = (
         report.document["bound"],
-        compute_bound_hashes(session, get_parameter_set(session, report.parameter_set_id)),
+        compute_bound_hashes(session, session.get_known(ParameterSet, report.parameter_set_id)),
     )
     return [_word(name) for name in now if bound[name] != now[name]]
 
@@ -332,7 +333,7 @@ def waive(  # noqa: PLR0913, PLR0917 - a waiver has all of these, and a form giv
     """Let a set pass in spite of a gate that blocks it, as a person who gives the password again."""
     user_id = require_person(actor, "waive a gate")
     require_role(actor, "analyst", "approver")
-    row = get_parameter_set(session, parameter_set_id)
+    row = session.get_known(ParameterSet, parameter_set_id)
     require_seen(session, row, seen_version)
     until = _checked(gate, code, reason, expires_utc)
     report = _blocking_report(session, parameter_set_id, row.name, gate)

@@ -24,11 +24,6 @@ MAY_CONFIRM = {"gate-profile": ("administrator",), "table-definition": ("analyst
 TITLES = {"gate-profile": "gate limits", "table-definition": "table layout"}
 
 
-def get_proposal(session: Session, proposal_id: int) -> ChangeProposal:
-    """Return a proposal."""
-    return session.get_known(ChangeProposal, proposal_id, f"There is no proposal {proposal_id}.")
-
-
 def list_proposals(
     session: Session,
     *,
@@ -61,7 +56,7 @@ def confirmed_by_number(session: Session, sensor_id: int, kind: str) -> dict[int
 def withdraw(session: Session, actor: Actor, proposal_id: int, seen_version: int | None) -> ChangeProposal:
     """Take a proposal back: who made it, or an administrator."""
     require_scope(actor, "sensors")
-    row = get_proposal(session, proposal_id)
+    row = session.get_known(ChangeProposal, proposal_id)
     if actor.user_id != row.proposed_by:
         require_role(actor, "administrator")
     require_seen(session, row, seen_version)

@@ -9,7 +9,6 @@ from pydantic import Field, SecretStr
 from starlette.requests import Request
 
 from boresight.console import list_queries as lists
-from boresight.console import transitions
 from boresight.console.access.dependencies import (
     Blobs,
     Database,
@@ -254,7 +253,7 @@ def list_approvals(
 @router.get("/{approval_id}", summary="Read a request", response_model=schemas.Approval)
 def get_approval(approval_id: Id, session: Reading) -> Beside:
     """Read a request with its signatures; the ETag is for signing."""
-    return with_signatures(session, transitions.get_approval(session, approval_id))
+    return with_signatures(session, session.get_known(Approval, approval_id))
 
 
 @router.get("/{approval_id}/signers", summary="List who may sign", response_model=Page[schemas.Signer])
@@ -283,7 +282,7 @@ def approve(
 ) -> Beside:
     """Approve, as a second person: neither who submitted or created the set nor who launched its run; no administrator, no key."""
     approvals.sign(session, actor, approval_id, signed.decided("APPROVE"), proof, seen, policy=policy)
-    return with_signatures(session, transitions.get_approval(session, approval_id))
+    return with_signatures(session, session.get_known(Approval, approval_id))
 
 
 @router.post("/{approval_id}:refuse", summary="Sign against it", response_model=schemas.Approval)
@@ -298,7 +297,7 @@ def refuse(
 ) -> Beside:
     """Refuse with a comment; one refusal blocks, also after an approval, until the set is promoted."""
     approvals.sign(session, actor, approval_id, signed.decided("REFUSE"), proof, seen, policy=policy)
-    return with_signatures(session, transitions.get_approval(session, approval_id))
+    return with_signatures(session, session.get_known(Approval, approval_id))
 
 
 @router.post(
@@ -316,7 +315,7 @@ def sign_over_the_shoulder(
     """Approve or refuse as a second person who gives name and password where another is logged in."""
     decided = signed.decided(signed.decision)
     approvals.sign_over_the_shoulder(session, actor, approval_id, decided, proof, seen, policy=policy)
-    return with_signatures(session, transitions.get_approval(session, approval_id))
+    return with_signatures(session, session.get_known(Approval, approval_id))
 
 
 discussion_router = operations("/approvals/{approval_id}", tags=["approvals"])

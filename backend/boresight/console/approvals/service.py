@@ -43,8 +43,6 @@ from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.service import record_promotion
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.transitions import (
-    get_approval,
-    get_parameter_set,
     move,
     name_subject,
     require_seen,
@@ -100,7 +98,7 @@ def signatory(session: Session, actor: Actor, *, policy: Policy = POLICY) -> Sig
 
 def why_not_sign(session: Session, actor: Actor, approval_id: int, *, policy: Policy = POLICY) -> str | None:
     """Say why this actor may not sign a request; None when nothing but a password is missing."""
-    approval = get_approval(session, approval_id)
+    approval = session.get_known(Approval, approval_id)
     try:
         _refuse_decided(session, approval, "REFUSE")
         refuse_signer(session, actor, approval, policy)
@@ -113,7 +111,7 @@ def why_not_sign(session: Session, actor: Actor, approval_id: int, *, policy: Po
 
 def who_may_sign(session: Session, approval_id: int, *, policy: Policy = POLICY) -> list[Signer]:
     """Return every approver with whether they may sign a request, and if not, why."""
-    return list_signers(session, get_approval(session, approval_id), policy)
+    return list_signers(session, session.get_known(Approval, approval_id), policy)
 
 
 def sign(
@@ -127,7 +125,7 @@ def sign(
     policy: Policy = POLICY,
 ) -> Signature:
     """Approve or refuse a request, as a person who gives the password again."""
-    approval = get_approval(session, approval_id)
+    approval = session.get_known(Approval, approval_id)
     refuse_signer(session, actor, approval, policy)
     _refuse_undecidable(session, approval, decided, seen_version)
     users.require_password(session, actor, proof)
@@ -147,7 +145,7 @@ def sign_over_the_shoulder(
     """Approve or refuse a request as a second person, at the console where another one is logged in."""
     refuse_beside(session, console, approval_id, decided, seen_version)
     owner_id = require_person(console, "lend a console")
-    approval = get_approval(session, approval_id)
+    approval = session.get_known(Approval, approval_id)
     actor = users.authenticate(session, proof, console.request_id)
     if actor.user_id == owner_id:
         raise ForbiddenError("This is your own console; sign without a name, or have another approver give theirs.")
@@ -163,7 +161,7 @@ def refuse_beside(
     All of it can be read by whoever is logged in; about the person who is named nothing is told without the password.
     """
     require_person(console, "lend a console")
-    approval = get_approval(session, approval_id)
+    approval = session.get_known(Approval, approval_id)
     _refuse_undecidable(session, approval, decided, seen_version)
 
 
@@ -264,7 +262,7 @@ def assign(
     """Ask a person to decide on an open request; None asks nobody in particular again."""
     require_person(actor, "assign a request")
     require_role(actor, "analyst", "operator", "approver", "administrator")
-    approval = get_approval(session, approval_id)
+    approval = session.get_known(Approval, approval_id)
     require_seen(session, approval, seen_version)
     if approval.state != "OPEN":
         raise ConflictError(f"Request {approval.id} is {approval.state}: {who_changed(session, approval)}.")
@@ -276,7 +274,7 @@ def assign(
 
 
 def _signer(session: Session, approval: Approval, user_id: int, policy: Policy) -> User:
-    user = session.get_known(User, user_id, f"There is no user {user_id}.")
+    user = session.get_known(User, user_id)
     if user.disabled_utc is not None:
         raise ConflictError(f"{user.printed_name} is disabled; ask another approver.")
     found = next((one for one in list_signers(session, approval, policy) if one.user.id == user_id), None)
@@ -293,7 +291,7 @@ def remark(session: Session, actor: Actor, approval_id: int, text: str) -> Remar
     """Say something about a request, be it decided or not."""
     user_id = require_person(actor, "discuss a request")
     require_role(actor, "analyst", "operator", "approver", "administrator")
-    approval = get_approval(session, approval_id)
+    approval = session.get_known(Approval, approval_id)
     refuse_control_characters(remark=text)
     if not text.strip() or len(text) > LONGEST_REMARK:
         raise RefusedInputError(f"A remark has 1 to {LONGEST_REMARK} characters; this one has {len(text.strip())}.")
@@ -311,13 +309,13 @@ def remark(session: Session, actor: Actor, approval_id: int, text: str) -> Remar
 
 def list_remarks(session: Session, approval_id: int) -> Sequence[Remark]:
     """Return what was said about a request, in order."""
-    return rows.remarks(session, get_approval(session, approval_id).id)
+    return rows.remarks(session, session.get_known(Approval, approval_id).id)
 
 
 def record_opening(session: Session, actor: Actor, approval_id: int, evidence: str) -> Opening:
     """Keep that a person opened a piece of a request's evidence; only the first time counts."""
     user_id = require_person(actor, "open evidence")
-    approval = get_approval(session, approval_id)
+    approval = session.get_known(Approval, approval_id)
     if not EVIDENCE.fullmatch(evidence):
         raise RefusedInputError("Name the evidence in small letters, digits and -, such as gate-report or radial.")
     if (known := rows.find_opening(session, approval.id, user_id, evidence)) is not None:
@@ -328,7 +326,7 @@ def record_opening(session: Session, actor: Actor, approval_id: int, evidence: s
 
 def list_openings(session: Session, approval_id: int) -> Sequence[Opening]:
     """Return who opened which evidence of a request, in order."""
-    return rows.openings(session, get_approval(session, approval_id).id)
+    return rows.openings(session, session.get_known(Approval, approval_id).id)
 
 
 def promote(
@@ -337,7 +335,7 @@ def promote(
     """Make an approved set the baseline, supersede the old one and make every other request stale, all in one."""
     require_role(actor, "operator")
     require_scope(actor, "parameter-sets")
-    row = get_parameter_set(session, parameter_set_id)
+    row = session.get_known(ParameterSet, parameter_set_id)
     require_seen(session, row, seen_version)
     approval = rows.find_latest(session, row.id, "APPROVED")
     if row.ground_state != "APPROVED" or approval is None:
@@ -404,7 +402,7 @@ def is_submittable(session: Session, actor: Actor, parameter_set_id: int) -> boo
     may = actor.roles.intersection({"analyst", "operator"}) and (
         actor.scopes is None or "parameter-sets" in actor.scopes
     )
-    return bool(may) and get_parameter_set(session, parameter_set_id).ground_state in SUBMITTABLE
+    return bool(may) and session.get_known(ParameterSet, parameter_set_id).ground_state in SUBMITTABLE
 
 
 def _submittable(
@@ -413,7 +411,7 @@ def _submittable(
     require_scope(actor, "parameter-sets")
     require_user(actor, "submit a parameter set")
     refuse_control_characters(reason=reason)
-    row = get_parameter_set(session, parameter_set_id)
+    row = session.get_known(ParameterSet, parameter_set_id)
     require_seen(session, row, seen_version)
     if row.ground_state not in SUBMITTABLE:
         raise ConflictError(f"{row.name} is {row.ground_state}: {who_changed(session, row)}. It cannot be submitted.")
@@ -449,7 +447,7 @@ def withdraw(
     """Take a request back: its submitter, or an administrator."""
     require_scope(actor, "parameter-sets")
     refuse_control_characters(reason=reason)
-    row = get_parameter_set(session, parameter_set_id)
+    row = session.get_known(ParameterSet, parameter_set_id)
     require_seen(session, row, seen_version)
     approval = rows.find_latest(session, row.id, "OPEN", "APPROVED")
     if row.ground_state not in {"SUBMITTED", "APPROVED"} or approval is None:

@@ -18,6 +18,7 @@ class Approval(Base):
     """A request that a parameter set become baseline; binds the hashes of what was shown."""
 
     __tablename__ = "approvals"
+    noun = "request for approval"
     __table_args__ = (
         allow_only("state", APPROVAL_STATES),
         only_one("uq_approvals_one_open", "parameter_set_id", "state = 'OPEN'"),
@@ -141,6 +142,7 @@ class ChangeProposal(Base):
     """A change that somebody asks for; what it says never changes, and it takes effect when another person confirms it."""
 
     __tablename__ = "change_proposals"
+    noun = "proposal"
     __table_args__ = (
         allow_only("kind", PROPOSAL_KINDS),
         allow_only("state", PROPOSAL_STATES),

@@ -15,6 +15,7 @@ class Campaign(Base):
     """One setting launched over many sensors; what it is stands fixed, how it goes is told by its runs."""
 
     __tablename__ = "campaigns"
+    noun = "campaign"
     __table_args__ = (STRICT,)
     id: Mapped[int] = mapped_column(primary_key=True)
     label: Mapped[str] = mapped_column(sa.Text)

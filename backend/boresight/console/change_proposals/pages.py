@@ -14,7 +14,7 @@ from boresight.console.approvals import proposals
 from boresight.console.approvals.proposals import TITLES
 from boresight.console.approvals.tables import ChangeProposal
 from boresight.console.change_proposals import service as second_person
-from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import ShownRefusal, attempt, read_texts, redirect, render, seen_version
 from boresight.console.runs.pages.list import read_names
 from boresight.platform.actors import Actor
@@ -59,7 +59,7 @@ def change_proposal_page(request: Request, actor: Who, proposal_id: int) -> HTML
 
 def _page(request: Request, actor: Actor, proposal_id: int, refusal: ShownRefusal | None, comment: str) -> HTMLResponse:
     with open_reading(get_server(request).engine) as session:
-        row = proposals.get_proposal(session, proposal_id)
+        row = session.get_known(ChangeProposal, proposal_id)
         own = row.proposed_by == actor.user_id
         return render(
             request,
@@ -68,7 +68,7 @@ def _page(request: Request, actor: Actor, proposal_id: int, refusal: ShownRefusa
             proposal=row,
             title=TITLES[row.kind],
             place=PLACES[row.kind],
-            sensor=sensors.get_sensor(session, row.sensor_id),
+            sensor=session.get_known(Sensor, row.sensor_id),
             differences=second_person.differences(session, row),
             blocked=second_person.why_not_decide(session, actor, row),
             may_withdraw=row.state == "OPEN" and (own or "administrator" in actor.roles),

@@ -65,7 +65,7 @@ def list_change_proposals(
 @router.get("/{proposal_id}", summary="Read a proposed change", response_model=approval_schemas.ChangeProposal)
 def get_change_proposal(proposal_id: Id, session: Reading) -> Beside:
     """Read a proposal with what it changes; the ETag is for deciding on it."""
-    return _shown(session, proposals.get_proposal(session, proposal_id))
+    return _shown(session, session.get_known(ChangeProposal, proposal_id))
 
 
 @router.post("/{proposal_id}:confirm", summary="Put it into force", response_model=approval_schemas.ChangeProposal)

@@ -90,7 +90,7 @@ def confirm(
     session: Session, actor: Actor, proposal_id: int, seen_version: int | None, comment: str = ""
 ) -> ChangeProposal:
     """Put a proposed change into force, as a second person."""
-    row = proposals.get_proposal(session, proposal_id)
+    row = session.get_known(ChangeProposal, proposal_id)
     _refuse_decider(session, actor, row)
     require_seen(session, row, seen_version)
     proposals.require_open(session, row)
@@ -113,7 +113,7 @@ def confirm(
 
 def refuse(session: Session, actor: Actor, proposal_id: int, seen_version: int | None, comment: str) -> ChangeProposal:
     """Refuse a proposed change, as a second person, with a comment."""
-    row = proposals.get_proposal(session, proposal_id)
+    row = session.get_known(ChangeProposal, proposal_id)
     _refuse_decider(session, actor, row)
     require_seen(session, row, seen_version)
     proposals.require_open(session, row)

@@ -58,7 +58,7 @@ def register_sensor(document: SensorFile, actor: Who, session: Writing) -> Senso
 def get_sensor(sensor_id: Id, session: Reading, request: Request) -> Sensor:
     """Read a sensor with its file; the ETag is for `PUT`."""
     cover_with_tag(request)
-    return sensors.get_sensor(session, sensor_id)
+    return session.get_known(Sensor, sensor_id)
 
 
 @router.put("/{sensor_id}", summary="Edit a sensor", response_model=schemas.Sensor)
@@ -79,7 +79,7 @@ def get_sensor_at(
     session: Reading,
 ) -> dict[str, Any]:
     """Say what was the sensor's baseline at a time, and what was recorded on board."""
-    sensors.get_sensor(session, sensor_id)
+    session.get_known(Sensor, sensor_id)
     baseline, onboard = uplinks.baseline_at(session, sensor_id, at), uplinks.onboard_at(session, sensor_id, at)
     return {"at": at, "baseline": baseline, "onboard": _on_board(onboard)}
 

@@ -8,28 +8,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.console.fleet import queries as rows
-from boresight.console.fleet.status import SensorTile, list_fleet_tiles
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.service import create_ground_calibration
-from boresight.console.transitions import get_sensor, name_subject, require_seen
+from boresight.console.transitions import name_subject, require_seen
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.telemetry.sensors import parse_sensor, sensor_document
-
-__all__ = [
-    "MOST_CHOICES",
-    "SensorChoices",
-    "SensorTile",
-    "choices",
-    "count",
-    "edit_sensor",
-    "get_sensor",
-    "list_fleet_tiles",
-    "register_sensor",
-]
 
 MOST_CHOICES = 200  # beyond it a list is searched, not looked over
 LONGEST_NAME = 64
@@ -76,7 +63,7 @@ def edit_sensor(
     """Change what runs launched from now on start from; runs and parameter sets of before stay as they are."""
     require_role(actor, "analyst", "administrator")
     require_scope(actor, "sensors")
-    row = get_sensor(session, sensor_id)
+    row = session.get_known(Sensor, sensor_id)
     require_seen(session, row, seen_version)
     before, after = row.document, sensor_document(parse_sensor(document))
     for field in LASTING:

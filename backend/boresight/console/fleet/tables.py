@@ -15,6 +15,7 @@ class Sensor(Base):
     """A star tracker; `document` is the contract's sensor file. `version` counts its edits."""
 
     __tablename__ = "sensors"
+    noun = "sensor"
     __table_args__ = (STRICT,)
     id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(sa.Text, unique=True)

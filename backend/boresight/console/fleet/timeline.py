@@ -15,7 +15,6 @@ from boresight.console.approvals.tables import Approval, GateProfile, Signature,
 from boresight.console.fleet import queries as sensor_rows
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
-from boresight.console.transitions import get_sensor
 from boresight.console.uplinks import queries as uplink_rows
 from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
 from boresight.errors import RefusedInputError
@@ -221,7 +220,7 @@ class AsOf:
 def get_state_at(session: Session, sensor_id: int, time: str | None = None) -> AsOf:
     """Say what was baseline and what was on board at a time, and who said so."""
     time_utc = utc_now() if time is None else read_time(time)
-    sensor = get_sensor(session, sensor_id)
+    sensor = session.get_known(Sensor, sensor_id)
     promotion = sensor_rows.promotion_at(session, sensor_id, time_utc)
     approval = (
         None if promotion is None or promotion.approval_id is None else session.get(Approval, promotion.approval_id)
@@ -278,7 +277,7 @@ def events(
     limit: int | None = None,
 ) -> list[TimelineEvent]:
     """Return what happened to a sensor, newest first; the next page starts before the last one's id."""
-    get_sensor(session, sensor_id)
+    session.get_known(Sensor, sensor_id)
     found = sensor_rows.keys(
         session,
         sensor_id,

@@ -26,7 +26,6 @@ from boresight.console.fleet import queries as rows
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.console.transitions import get_sensor
 from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import FALSE_ALARM_RATE, Epoch, RegressionLine
 from boresight.platform.db.sessions import Session, utc_text
@@ -129,7 +128,7 @@ class Trend:
 
 def read_trend(session: Session, sensor_id: int) -> Trend:
     """Gather a sensor over the mission."""
-    return read_trends(session, [get_sensor(session, sensor_id)])[sensor_id]
+    return read_trends(session, [session.get_known(Sensor, sensor_id)])[sensor_id]
 
 
 def read_trends(session: Session, sensors: Sequence[Sensor]) -> dict[int, Trend]:

@@ -17,7 +17,6 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
-from boresight.console import transitions
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server, same_for_roles
 from boresight.console.approvals import gates
@@ -26,8 +25,8 @@ from boresight.console.approvals import service as approvals
 from boresight.console.approvals.dependencies import assess_before_submission
 from boresight.console.approvals.pages.gates import make_gates_panel
 from boresight.console.approvals.tables import Approval
-from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import list_sensor_choices
+from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
 from boresight.console.pages.rendering import ShownRefusal, attempt, read_texts, redirect, render, seen_version
 from boresight.console.pages.tables import (
@@ -47,7 +46,7 @@ from boresight.console.parameter_sets.service import convert_parameter_set
 from boresight.console.parameter_sets.tables import GROUND_STATES, ONBOARD_STATES, ParameterSet
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import RunNames, read_names
-from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.uplinks.tables import Uplink
 from boresight.errors import RefusedInputError
 from boresight.figures.tables import set_rows
@@ -207,7 +206,7 @@ def list_lineage(session: Session, row: ParameterSet, requests: Sequence[Approva
     nodes = []
     if row.run_id is not None:
         run = runs.get_run(session, row.run_id)
-        data = telemetry_sets.get_telemetry_set(session, run.telemetry_set_id)
+        data = session.get_known(TelemetrySet, run.telemetry_set_id)
         nodes = [
             LineageNode("Telemetry", data.name, f"/telemetry/{data.id}"),
             LineageNode("Run", f"#{run.id} {run.label}".rstrip(), f"/runs/{run.id}", run.state),
@@ -255,9 +254,9 @@ def _page(
     refusal: ShownRefusal | None = None,
     reason: str = "",
 ) -> HTMLResponse:
-    row = transitions.get_parameter_set(session, set_id)
+    row = session.get_known(ParameterSet, set_id)
     requests = lists.newest(session, Approval, set=set_id)
-    sensor = sensors.get_sensor(session, row.sensor_id)
+    sensor = session.get_known(Sensor, row.sensor_id)
     incumbent = find_incumbent(session, row, requests)
     return render(
         request,

@@ -9,7 +9,6 @@ from pydantic import Field
 from starlette.responses import Response
 
 from boresight.console import list_queries as lists
-from boresight.console import transitions
 from boresight.console.access.dependencies import SAME_FOR_ALL, Blobs, Reading, SeenVersion, ServerPolicy, Who, Writing
 from boresight.console.approvals import schemas as approval_schemas
 from boresight.console.approvals import service as approvals
@@ -74,7 +73,7 @@ def create_parameter_set(source: FromRun, actor: Who, session: Writing, blobs: B
 )
 def get_parameter_set(parameter_set_id: Id, session: Reading) -> ParameterSet:
     """Read a parameter set; the ETag is for its transitions."""
-    return transitions.get_parameter_set(session, parameter_set_id)
+    return session.get_known(ParameterSet, parameter_set_id)
 
 
 @router.get(

@@ -21,7 +21,7 @@ from boresight.console.parameter_sets import queries as rows
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.runs.calibration_document import read_result
 from boresight.console.runs.tables import Run
-from boresight.console.transitions import get_parameter_set, get_sensor, name_subject
+from boresight.console.transitions import name_subject
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
@@ -98,7 +98,7 @@ def create_from_run(session: Session, actor: Actor, blobs: BlobStore, run_id: in
 
 
 def _succeeded_run(session: Session, run_id: int) -> Run:
-    run = session.get_known(Run, run_id, f"There is no run {run_id}.")
+    run = session.get_known(Run, run_id)
     if run.state != "SUCCEEDED" or run.result_sha256 is None:
         why = f": {run.reason}" if run.reason else ""
         raise ConflictError(f"Run {run_id} is {run.state}{why}; a parameter set is made of a run that SUCCEEDED.")
@@ -153,8 +153,8 @@ def convert_parameter_set(
     session: Session, parameter_set_id: int, target: str, allowed_px: float | None = None
 ) -> dict[str, Any]:
     """Write a set in another camera model; parameters and document as in `calibration.conversion.converted`."""
-    row = get_parameter_set(session, parameter_set_id)
-    sensor = parse_sensor(get_sensor(session, row.sensor_id).document)
+    row = session.get_known(ParameterSet, parameter_set_id)
+    sensor = parse_sensor(session.get_known(Sensor, row.sensor_id).document)
     return converted(row.document, sensor, row.name, target, allowed_px)
 
 

@@ -18,6 +18,7 @@ class ParameterSet(Base):
     """Camera parameters with their covariance: immutable, identified by the SHA-256 of their canonical JSON."""
 
     __tablename__ = "parameter_sets"
+    noun = "parameter set"
     __table_args__ = (
         allow_only("ground_state", GROUND_STATES),
         allow_only("onboard_state", ONBOARD_STATES),

@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.console.access.dependencies import Blobs, Drawings, Reading
-from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside, json_response, operations
 from boresight.console.parameter_sets.service import get_incumbent_parameters
 from boresight.console.runs import comparisons, schemas
@@ -111,7 +111,7 @@ def get_figure_source(session: Session, run: Run) -> str | None:
     """Return what a run's figures are drawn from, as text; None while it may change."""
     if run.result_sha256 is None:
         return None
-    moving = [sensors.get_sensor(session, run.sensor_id).truth, get_incumbent_parameters(session, run)]
+    moving = [session.get_known(Sensor, run.sensor_id).truth, get_incumbent_parameters(session, run)]
     return run.result_sha256 + orjson.dumps(moving, option=orjson.OPT_SORT_KEYS).decode()
 
 
@@ -150,7 +150,7 @@ def _others(text: str, run_id: Id) -> list[int]:
 
 def make_label(session: Session, run: Run) -> str:
     """Name a run in a legend."""
-    return f"Run {run.id} · {run.label or sensors.get_sensor(session, run.sensor_id).name}"
+    return f"Run {run.id} · {run.label or session.get_known(Sensor, run.sensor_id).name}"
 
 
 def _stacked(tables: Mapping[int, Table]) -> Table:

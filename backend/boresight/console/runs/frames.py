@@ -12,7 +12,7 @@ from boresight.calibration.matching.rematch import compute_magnitude_limit
 from boresight.calibration.options import CalibrationSettings
 from boresight.console.runs.service import get_run, result
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
-from boresight.console.telemetry.service import get_telemetry_set
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.working_tables import table_path
 from boresight.platform.db.sessions import Session
@@ -37,7 +37,7 @@ class FrameLine:
 
 def get_frame_index(session: Session, blobs: BlobStore, run: Run) -> FrameIndex:
     """Find the frames of a run's calibration set."""
-    return frame_index(table_path(blobs, get_telemetry_set(session, run.telemetry_set_id).table_sha256))
+    return frame_index(table_path(blobs, session.get_known(TelemetrySet, run.telemetry_set_id).table_sha256))
 
 
 def list_frames(

@@ -18,6 +18,7 @@ class Run(Base):
     """A calibration. The row is the truth; engines only compute. Terminal states are written once."""
 
     __tablename__ = "runs"
+    noun = "run"
     __table_args__ = (
         allow_only("state", RUN_STATES),
         sa.Index("ix_runs_state_id", "state", "id"),
@@ -96,6 +97,7 @@ class Preset(Base):
     """Settings under a name, with a sentence on when to use them; each version is a row, and only archiving changes one."""
 
     __tablename__ = "presets"
+    noun = "preset"
     __table_args__ = (sa.UniqueConstraint("name", "number"), STRICT)
     id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(sa.Text)

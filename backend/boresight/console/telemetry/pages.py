@@ -25,8 +25,8 @@ from boresight.console.access.dependencies import (
     Who,
     csrf,
 )
-from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import list_sensor_choices
+from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
 from boresight.console.pages.drawings import Drawing, detector_map, histogram, number_bars
 from boresight.console.pages.rendering import AttemptResult, ShownRefusal, attempt, read_again, redirect, render
@@ -216,7 +216,7 @@ def _prepared(
     if upload.path is None or not upload.file_name:
         raise RefusedInputError("No file was chosen: choose a CSV, JSON Lines or Parquet file.")
     with open_reading(engine) as session:
-        document = sensors.get_sensor(session, upload.number("sensor_id")).document
+        document = session.get_known(Sensor, upload.number("sensor_id")).document
     limits = settings.telemetry_limits
     with telemetry_sets.prepared(document, sight.catalogue(), upload.path, upload.file_name, limits) as ready:
         sight.blobs.send_ahead(ready.original, ready.table)
@@ -288,7 +288,7 @@ def _edge_of_data(radial: Mapping[str, Any]) -> tuple[float, str] | None:
 @telemetry_set_router.get("/telemetry/{set_id}", response_class=HTMLResponse)
 def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: int) -> HTMLResponse:
     """Show a set with its quality report."""
-    row = telemetry_sets.get_telemetry_set(session, set_id)
+    row = session.get_known(TelemetrySet, set_id)
     used_by, uses = run_queries.runs_of_set(session, row.id, RUNS_SHOWN)
     names = read_names(session, used_by, sensors_of=[row])
     blob = session.get(Blob, row.original_sha256)
@@ -309,7 +309,7 @@ def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: i
 @telemetry_set_router.get("/telemetry/{set_id}/figures/{name}.csv")
 def figure_csv(session: Reading, actor: Who, set_id: int, name: str) -> Response:  # noqa: ARG001 - whoever is known may read
     """Give a figure's numbers as CSV."""
-    row = telemetry_sets.get_telemetry_set(session, set_id)
+    row = session.get_known(TelemetrySet, set_id)
     drawing = next((it for it in make_drawings(row.quality) if it.name == name), None)
     if drawing is None:
         raise NotFoundError(f"The quality report of telemetry set {set_id} has no figure {name}.")

@@ -20,7 +20,7 @@ from boresight.console.access.dependencies import (
     Who,
     Writing,
 )
-from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import operations
 from boresight.console.telemetry import schemas
 from boresight.console.telemetry import service as telemetry_sets
@@ -58,7 +58,7 @@ def _prepare(
     """Read and check the file before the transaction: a large one takes seconds, and there is one writer."""
     require_role(actor, "analyst")
     with open_reading(engine) as session:
-        document = sensors.get_sensor(session, upload.number("sensor_id")).document
+        document = session.get_known(Sensor, upload.number("sensor_id")).document
     limits = settings.telemetry_limits
     with telemetry_sets.prepared(document, sight.catalogue(), upload.file(), upload.file_name, limits) as ready:
         sight.blobs.send_ahead(ready.original, ready.table)
@@ -108,13 +108,13 @@ def upload_telemetry_set(actor: Who, upload: Uploaded, ready: Prepared, session:
 def get_telemetry_set(telemetry_set_id: Id, session: Reading, request: Request) -> TelemetrySet:
     """Read a telemetry set with its quality report."""
     cover_with_tag(request)
-    return telemetry_sets.get_telemetry_set(session, telemetry_set_id)
+    return session.get_known(TelemetrySet, telemetry_set_id)
 
 
 @router.get("/{telemetry_set_id}/file", summary="Download the original file", response_class=StoredFile)
 def get_telemetry_file(telemetry_set_id: Id, session: Reading, blobs: Blobs, request: Request) -> Response:
     """Download the bytes as they were uploaded; their address is the tag, so a copy never goes out of date."""
-    row = telemetry_sets.get_telemetry_set(session, telemetry_set_id)
+    row = session.get_known(TelemetrySet, telemetry_set_id)
     headers = {"ETag": f'"{row.original_sha256}"'}
     if matches_tag(request.headers.get("if-none-match", "").encode(), headers["ETag"].encode()):
         return Response(status_code=304, headers=headers)
@@ -124,6 +124,6 @@ def get_telemetry_file(telemetry_set_id: Id, session: Reading, blobs: Blobs, req
 @router.post("/{telemetry_set_id}:archive", summary="Archive a telemetry set", response_model=schemas.TelemetrySet)
 def archive_telemetry_set(telemetry_set_id: Id, actor: Who, seen: SeenTag, session: Writing) -> TelemetrySet:
     """Put a set out of sight; nothing is deleted. Uploading the same bytes brings it back."""
-    row = telemetry_sets.get_telemetry_set(session, telemetry_set_id)
+    row = session.get_known(TelemetrySet, telemetry_set_id)
     seen.require(schemas.TelemetrySet, row, row.name)
     return telemetry_sets.archive_telemetry_set(session, actor, telemetry_set_id)

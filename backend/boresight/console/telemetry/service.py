@@ -15,9 +15,9 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from boresight.console import list_queries as lists
+from boresight.console.fleet.tables import Sensor as SensorRow
 from boresight.console.telemetry import queries as rows
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.console.transitions import get_sensor
 from boresight.errors import RefusedInputError, UnavailableError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
@@ -101,7 +101,7 @@ def add_telemetry_set(
 ) -> TelemetrySet:
     """Read, check and store an uploaded file of a sensor; see `prepared` and `store_prepared`."""
     _refuse_upload(actor, purpose)
-    sensor = get_sensor(session, sensor_id)
+    sensor = session.get_known(SensorRow, sensor_id)
     if (existing := rows.set_with_bytes(session, sensor_id, _sha256_of_file(path))) is not None:
         return _in_use_again(session, actor, existing)
     with prepared(sensor.document, catalogue, path, file_name) as upload:
@@ -129,7 +129,7 @@ def store_prepared(
 ) -> TelemetrySet:
     """Store what was prepared; the same bytes again are the set that is there."""
     _refuse_upload(actor, purpose)
-    sensor_id = get_sensor(session, sensor_id).id
+    sensor_id = session.get_known(SensorRow, sensor_id).id
     if (existing := rows.set_with_bytes(session, sensor_id, upload.original_sha256)) is not None:
         return _in_use_again(session, actor, existing)
     original, table = _put_both(session, blobs, upload)
@@ -185,11 +185,6 @@ def _without_folders(path: str) -> str:
     return path.replace("\\", "/").rsplit("/", 1)[-1]
 
 
-def get_telemetry_set(session: Session, set_id: int) -> TelemetrySet:
-    """Return a set."""
-    return session.get_known(TelemetrySet, set_id, f"There is no telemetry set {set_id}.")
-
-
 def list_telemetry_sets(
     session: Session,
     *,
@@ -210,7 +205,7 @@ def archive_telemetry_set(session: Session, actor: Actor, set_id: int) -> Teleme
     """Put a set out of sight; nothing is deleted, and runs that used it keep it."""
     require_role(actor, "analyst")
     require_scope(actor, "telemetry-sets")
-    row = get_telemetry_set(session, set_id)
+    row = session.get_known(TelemetrySet, set_id)
     if row.archived_utc is None:
         row.archived_utc = utc_now()
         audit.append(session, actor, "archived", _subject(row))

@@ -15,6 +15,7 @@ class TelemetrySet(Base):
     """An uploaded file of one sensor: the original bytes, the Parquet form that is worked on, the quality report."""
 
     __tablename__ = "telemetry_sets"
+    noun = "telemetry set"
     __table_args__ = (sa.UniqueConstraint("sensor_id", "original_sha256"), STRICT)
     id: Mapped[int] = mapped_column(primary_key=True)
     sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"), index=True)

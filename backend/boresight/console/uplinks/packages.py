@@ -22,7 +22,7 @@ from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.console.transitions import get_parameter_set, who_changed
+from boresight.console.transitions import who_changed
 from boresight.console.uplinks import queries as rows
 from boresight.console.uplinks.tables import Package, TableDefinition
 from boresight.errors import ConflictError, CorruptFileError, NotFoundError, RefusedInputError
@@ -164,7 +164,7 @@ def build(
     """Build the package of a set, or return the one that exists."""
     require_role(actor, "operator", "analyst")
     require_scope(actor, "uplinks")
-    row = get_parameter_set(session, parameter_set_id)
+    row = session.get_known(ParameterSet, parameter_set_id)
     if row.ground_state not in EXPORTED:
         raise ConflictError(
             f"{row.name} is {row.ground_state}: {who_changed(session, row)}. Only an approved set or the baseline is exported."
@@ -292,14 +292,9 @@ def rebuild(inputs: Mapping[str, Any]) -> bytes:
     return build_package(inputs)
 
 
-def get_package(session: Session, package_id: int) -> Package:
-    """Return a package."""
-    return session.get_known(Package, package_id, f"There is no package {package_id}.")
-
-
 def read(session: Session, blobs: BlobStore, package_id: int) -> bytes:
     """Return the bytes of a package, checked against their hash."""
-    return blobs.read(get_package(session, package_id).sha256)
+    return blobs.read(session.get_known(Package, package_id).sha256)
 
 
 def file_name(session: Session, package: Package) -> str:

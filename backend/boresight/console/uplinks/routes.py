@@ -109,7 +109,7 @@ def record_uplink(
 @router.get("/{uplink_id}", summary="Read a record", response_model=schemas.Uplink)
 def get_uplink(uplink_id: Id, session: Reading) -> Uplink:
     """Read a record with its evidence."""
-    return uplinks.get_uplink(session, uplink_id)
+    return session.get_known(Uplink, uplink_id)
 
 
 @router.get("/{uplink_id}/dump", summary="Download the dump", response_class=StoredFile)
@@ -266,13 +266,13 @@ def list_packages(
 @package_router.get("/packages/{package_id}", summary="Read a package's entry", response_model=schemas.Package)
 def get_package(package_id: Id, session: Reading) -> Package:
     """Read whose package it is and what it is for; `/content` is the file."""
-    return packages.get_package(session, package_id)
+    return session.get_known(Package, package_id)
 
 
 @package_router.get("/packages/{package_id}/content", summary="Read a package", response_class=ZipFile)
 def get_package_content(package_id: Id, session: Reading, blobs: Blobs) -> ZipFile:
     """Read the ZIP, its bytes checked against their hash."""
-    row = packages.get_package(session, package_id)
+    row = session.get_known(Package, package_id)
     headers = {
         "Content-Disposition": f'attachment; filename="{packages.file_name(session, row)}"',
         "ETag": f'"{row.sha256}"',

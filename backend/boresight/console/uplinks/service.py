@@ -22,7 +22,7 @@ from boresight.console.alarms.rules import update_alarms
 from boresight.console.fleet.timeline import happened_on
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.transitions import get_parameter_set, name_subject, require_seen
+from boresight.console.transitions import name_subject, require_seen
 from boresight.console.uplinks import queries as rows
 from boresight.console.uplinks.table_definitions import definition_in_force
 from boresight.console.uplinks.tables import Package, Uplink
@@ -56,7 +56,7 @@ def get_set_for_entry(
     require_scope(actor, "uplinks")
     require_user(actor, "record an uplink")
     refuse_control_characters(source=source)
-    row = get_parameter_set(session, parameter_set_id)
+    row = session.get_known(ParameterSet, parameter_set_id)
     if seen_version is not None:
         require_seen(session, row, seen_version)
     if not source.strip():
@@ -243,14 +243,9 @@ def _retire_active(session: Session, actor: Actor, row: ParameterSet, source: st
         add_entry(session, actor, active, "UNKNOWN", f"{row.name} was read back as active: {source}")
 
 
-def get_uplink(session: Session, uplink_id: int) -> Uplink:
-    """Return a record."""
-    return session.get_known(Uplink, uplink_id, f"There is no uplink record {uplink_id}.")
-
-
 def get_dump_digest(session: Session, uplink_id: int) -> str:
     """Return the SHA-256 of the dump that a record rests on."""
-    dump = (get_uplink(session, uplink_id).evidence or {}).get("dump")
+    dump = (session.get_known(Uplink, uplink_id).evidence or {}).get("dump")
     if dump is None:
         raise NotFoundError(f"Uplink record {uplink_id} rests on no dump; see its method and evidence.")
     return str(dump["sha256"])

@@ -14,7 +14,7 @@ from boresight.console.approvals import proposals, staleness
 from boresight.console.approvals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_rows
-from boresight.console.transitions import DocumentInForce, get_sensor, require_change, require_seen_document
+from boresight.console.transitions import DocumentInForce, require_change, require_seen_document
 from boresight.console.uplinks import queries as rows
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import RefusedInputError
@@ -36,7 +36,7 @@ def definition_in_force(session: Session, sensor_id: int) -> TableDefinition | N
 
 def list_definitions(session: Session, sensor_id: int) -> Sequence[TableDefinition]:
     """Return a sensor's definitions, newest first."""
-    get_sensor(session, sensor_id)
+    session.get_known(Sensor, sensor_id)
     return rows.definitions(session, sensor_id)
 
 
@@ -48,7 +48,7 @@ def parsed(session: Session, row: TableDefinition) -> table_definition.TableDefi
 
 def parse_for(session: Session, sensor_id: int, document: Mapping[str, Any]) -> table_definition.TableDefinition:
     """Read a definition that is not stored, as `set_definition` would."""
-    sensor = get_sensor(session, sensor_id)
+    sensor = session.get_known(Sensor, sensor_id)
     definition = table_definition.parse_definition(document, parse_sensor(sensor.document))
     if len(canonical(document)) > LARGEST_DOCUMENT:
         raise RefusedInputError(f"The table definition has more than {LARGEST_DOCUMENT:,} characters: shorten it.")
@@ -72,7 +72,7 @@ class Layout:
 def layout(session: Session, sensor_id: int, document: Mapping[str, Any]) -> Layout:
     """Lay the sensor's baseline out by a definition, stored or not."""
     definition = parse_for(session, sensor_id, document)
-    sensor = parse_sensor(get_sensor(session, sensor_id).document)
+    sensor = parse_sensor(session.get_known(Sensor, sensor_id).document)
     camera, baseline = CAMERA_MODELS[sensor.camera_model], set_rows.baseline(session, sensor_id)
     values = dict(zip(camera.parameter_names, sensor.initial.tolist(), strict=True))
     if baseline is not None:
@@ -108,7 +108,7 @@ def checked(
     require_role(actor, "analyst", "administrator")
     require_scope(actor, "sensors")
     refuse_control_characters(reason=reason)
-    sensor, current = get_sensor(session, sensor_id), rows.definition_in_force(session, sensor_id)
+    sensor, current = session.get_known(Sensor, sensor_id), rows.definition_in_force(session, sensor_id)
     in_force = DocumentInForce(f"table definition of {sensor.name}", None, 0, None)
     if current is not None:
         in_force = replace(
@@ -130,7 +130,7 @@ def put_into_force(
 ) -> TableDefinition:
     """Make a definition the one in force, of whoever proposed it where somebody did."""
     parse_for(session, sensor_id, document)
-    sensor, current = get_sensor(session, sensor_id), rows.definition_in_force(session, sensor_id)
+    sensor, current = session.get_known(Sensor, sensor_id), rows.definition_in_force(session, sensor_id)
     row = TableDefinition(
         sensor_id=sensor_id,
         number=1 if current is None else current.number + 1,

@@ -16,6 +16,7 @@ class Uplink(Base):
     """What was exported or recorded as loaded on board, entry by entry; never edited."""
 
     __tablename__ = "uplinks"
+    noun = "uplink record"
     __table_args__ = (allow_only("onboard_state", ONBOARD_STATES), STRICT)
     id: Mapped[int] = mapped_column(primary_key=True)
     parameter_set_id: Mapped[int] = mapped_column(sa.ForeignKey("parameter_sets.id"), index=True)
@@ -48,6 +49,7 @@ class Package(Base):
     """An uplink package that was built: from what, and the SHA-256 of its bytes."""
 
     __tablename__ = "packages"
+    noun = "package"
     __table_args__ = (STRICT,)
     id: Mapped[int] = mapped_column(primary_key=True)
     parameter_set_id: Mapped[int] = mapped_column(sa.ForeignKey("parameter_sets.id"), index=True)

@@ -148,7 +148,7 @@ def _known_kind(action: str) -> str:
 def get_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
     """Return a webhook."""
     _require_administrator(actor)
-    return session.get_known(Webhook, webhook_id, f"There is no webhook {webhook_id}.")
+    return session.get_known(Webhook, webhook_id)
 
 
 def list_webhooks(session: Session, actor: Actor) -> Sequence[Webhook]:
@@ -197,7 +197,7 @@ def try_webhook(session: Session, actor: Actor, webhook_id: int) -> WebhookDeliv
 def redeliver(session: Session, actor: Actor, delivery_id: int) -> WebhookDelivery:
     """Queue a message once more, as if it had never been tried; its id and its words stay."""
     _require_administrator(actor)
-    delivery = session.get_known(WebhookDelivery, delivery_id, f"There is no delivery {delivery_id}.")
+    delivery = session.get_known(WebhookDelivery, delivery_id)
     webhook = session.get_one(Webhook, delivery.webhook_id)
     _refuse_disabled(webhook)
     last = {name: getattr(delivery, name) for name in ("state", "attempts", "attempted_utc", "status", "outcome")}

@@ -15,6 +15,7 @@ class Webhook(Base):
     """Where to tell what happened; `secret` signs each delivery, so it is kept, encrypted, and shown once."""
 
     __tablename__ = "webhooks"
+    noun = "webhook"
     __table_args__ = (STRICT,)
     sealing = Sealing(fleeting={"told_audit_id": "moves with every audit record"})
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -35,6 +36,7 @@ class WebhookDelivery(Base):
     """One message to one webhook, with the outcome of its last attempt."""
 
     __tablename__ = "webhook_deliveries"
+    noun = "delivery"
     __table_args__ = (
         allow_only("state", DELIVERY_STATES),
         sa.Index("ix_webhook_deliveries_state_due_utc", "state", "due_utc"),

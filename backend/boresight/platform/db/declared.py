@@ -32,6 +32,7 @@ class Sealing:
 class Base(DeclarativeBase):
     """All tables share one naming convention, so that migrations can name what they drop."""
 
+    noun: ClassVar[str]  # what a row is called where there is none of a number
     sealing: ClassVar[Sealing] = Sealing()
     metadata = sa.MetaData(
         naming_convention={

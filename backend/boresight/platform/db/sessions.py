@@ -24,6 +24,7 @@ from sqlalchemy.orm import Session as OrmSession
 from boresight.errors import BoresightError, ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.audit.chain import forget, seal, seal_everything, write_before_reading
 from boresight.platform.audit.seals import chain_new, note_flushed, refuse_bulk
+from boresight.platform.db.declared import Base
 from boresight.platform.db.engines import be_the_only_writer, open_engine
 from boresight.platform.db.times import utc_after, utc_now, utc_text
 from boresight.resources import folder
@@ -49,6 +50,7 @@ __all__ = [
 ]
 
 T = TypeVar("T")
+R = TypeVar("R", bound=Base)
 
 MIGRATION_WAIT_S = 600  # for another server that starts at the same time and migrates
 KEPT = "kept despite refusal"
@@ -59,11 +61,11 @@ FIRST_WITH_SEALS = "0003"
 class Session(OrmSession):
     """A transaction on the store; its commit seals in the audit log what it changed."""
 
-    def get_known(self, table: type[T], row_id: int, refusal: str) -> T:
-        """Return a row by its number; refuse with a sentence where there is none."""
+    def get_known(self, table: type[R], row_id: int, advice: str = "") -> R:
+        """Return a row by its number; refuse where there is none."""
         row = self.get(table, row_id)
         if row is None:
-            raise NotFoundError(refusal)
+            raise NotFoundError(f"There is no {table.noun} {row_id}{advice}.")
         return row
 
     def put(self, row: T) -> T:

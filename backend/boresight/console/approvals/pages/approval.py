@@ -14,7 +14,6 @@ from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console import transitions
 from boresight.console.access.dependencies import Reading, Who, csrf, get_client, get_server
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import PasswordProof
@@ -23,7 +22,7 @@ from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.pages.gates import make_gates_panel
 from boresight.console.approvals.tables import Approval, Opening, Signature
-from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
 from boresight.console.pages.rendering import ShownRefusal, attempt, read_texts, redirect, render, seen_version
 from boresight.console.pages.tables import (
@@ -134,9 +133,9 @@ def request_page(
     typed: TypedText | None = None,
 ) -> HTMLResponse:
     """Render a request, with a refused form's words in their place."""
-    approval = transitions.get_approval(session, approval_id)
-    row = transitions.get_parameter_set(session, approval.parameter_set_id)
-    sensor = sensors.get_sensor(session, row.sensor_id)
+    approval = session.get_known(Approval, approval_id)
+    row = session.get_known(ParameterSet, approval.parameter_set_id)
+    sensor = session.get_known(Sensor, row.sensor_id)
     incumbent = find_bound_incumbent(session, row, approval)
     result = runs.result(session, get_server(request).blobs, row.run_id) if row.run_id is not None else None
     rows = set_rows(row.document, incumbent.document if incumbent else None, sensor.document)
@@ -278,7 +277,7 @@ def _entries(request: Request, session: Session, actor: Actor, found: Sequence[A
     return [
         InboxRow(
             known,
-            transitions.get_parameter_set(session, known.parameter_set_id),
+            session.get_known(ParameterSet, known.parameter_set_id),
             names.person(known.submitted_by),
             verdicts.get(known.parameter_set_id),
             sum(one.decision == "APPROVE" for one in approval_queries.signatures(session, known.id)),
@@ -327,7 +326,7 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
     def change(session: Session, proof: PasswordProof) -> tuple[Signature, str]:
         sign = approvals.sign if kind == "sign" else approvals.sign_over_the_shoulder
         made = sign(session, actor, approval_id, decided, proof, seen_version(form), policy=policy)
-        return made, transitions.get_approval(session, approval_id).state
+        return made, session.get_known(Approval, approval_id).state
 
     outcome = await attempt(request, change, prove)
     if outcome.value is None:
@@ -348,7 +347,7 @@ async def open_evidence(
 ) -> Response:
     """Keep that a piece of evidence was opened, and go there."""
     with open_reading(get_server(request).engine) as session:
-        row = transitions.get_parameter_set(session, transitions.get_approval(session, approval_id).parameter_set_id)
+        row = session.get_known(ParameterSet, session.get_known(Approval, approval_id).parameter_set_id)
         incumbent = set_queries.baseline(session, row.sensor_id)
     known = list_evidence_addresses(row, incumbent)
     if evidence not in known:

@@ -15,17 +15,16 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console import transitions
-from boresight.console.access import users
 from boresight.console.access.dependencies import Who, csrf, get_server
 from boresight.console.access.passwords import PasswordProof
+from boresight.console.access.tables import User
 from boresight.console.approvals import gate_profiles, gates, proposals
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals.gate_profiles import TriedProfile
 from boresight.console.approvals.gates import read_gate_inputs
 from boresight.console.approvals.tables import ChangeProposal, GateProfile, GateReport, Waiver
 from boresight.console.change_proposals import service as second_person
-from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import (
     ShownRefusal,
     ask,
@@ -122,7 +121,7 @@ def make_gates_panel(
 def _name(session: Session, report: GateReport | None) -> str:
     if report is None or report.created_by is None:
         return "Boresight"
-    return users.get_user(session, report.created_by).printed_name
+    return session.get_known(User, report.created_by).printed_name
 
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -138,13 +137,13 @@ def _page(
     request: Request, actor: Actor, set_id: int, refusal: ShownRefusal | None = None, typed: TypedWaiver | None = None
 ) -> HTMLResponse:
     with open_reading(get_server(request).engine) as session:
-        row = transitions.get_parameter_set(session, set_id)
+        row = session.get_known(ParameterSet, set_id)
         return render(
             request,
             "approvals/gate_report.html",
             refused=refusal,
             set=row,
-            sensor=sensors.get_sensor(session, row.sensor_id),
+            sensor=session.get_known(Sensor, row.sensor_id),
             panel=make_gates_panel(session, actor, row, typed),
             refusal=refusal,
         )
@@ -236,7 +235,7 @@ def _profile_page(request: Request, actor: Actor, sensor_id: int, shown: GatePro
             request,
             "approvals/gate_profile.html",
             refused=shown.refusal,
-            sensor=sensors.get_sensor(session, sensor_id),
+            sensor=session.get_known(Sensor, sensor_id),
             current=versions[0],
             lines=list_gate_lines(shown.typed or write_form(versions[0].document)),
             versions=[

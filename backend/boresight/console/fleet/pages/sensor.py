@@ -24,6 +24,7 @@ from boresight.console.approvals import gates
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import timeline
 from boresight.console.fleet.pages.sensors import read_document
+from boresight.console.fleet.status import list_fleet_tiles
 from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.trend import read_trend
 from boresight.console.fleet.trend_document import advise, trend_document
@@ -146,7 +147,7 @@ def trend_page(request: Request, session: Reading, actor: Who, sensor_id: int) -
     return render(
         request,
         "fleet/trend.html",
-        sensor=sensors.get_sensor(session, sensor_id),
+        sensor=session.get_known(Sensor, sensor_id),
         trend=document,
         models=[None, *dict.fromkeys(point["camera_model"] for point in document["others"])],
         figure=figure,
@@ -274,7 +275,7 @@ class SensorContext:
 
 def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: SensorContext) -> HTMLResponse:
     with open_reading(get_server(request).engine) as session:
-        sensor, baseline = sensors.get_sensor(session, sensor_id), set_queries.baseline(session, sensor_id)
+        sensor, baseline = session.get_known(Sensor, sensor_id), set_queries.baseline(session, sensor_id)
         newest = runs.list_runs(session, sensor_id=sensor_id, limit=RUNS_SHOWN)
         names = read_names(session, newest)
         sets = lists.newest(session, ParameterSet, sensor=sensor_id, limit=SETS_SHOWN)
@@ -287,7 +288,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Sensor
             "fleet/sensor.html",
             refused=shown.refusal,
             sensor=sensor,
-            tile=sensors.list_fleet_tiles(session, [sensor_id])[0],
+            tile=list_fleet_tiles(session, [sensor_id])[0],
             names=names,
             baseline=baseline,
             verdict_of_baseline=gates.verdicts(session, [baseline.id]).get(baseline.id) if baseline else None,
@@ -348,7 +349,7 @@ def timeline_page(
     request: Request, session: Reading, actor: Who, sensor_id: int, at: str = "", before: str = ""
 ) -> HTMLResponse:
     """Show what held at a time, now where none is asked for, and the events."""
-    sensor = sensors.get_sensor(session, sensor_id)
+    sensor = session.get_known(Sensor, sensor_id)
     answer, refusal = _answer(session, sensor_id, at.strip())
     before_id = parse_row_id(before)
     found = timeline.events(session, sensor_id, before_id=before_id, limit=EVENTS_A_PAGE + 1)

@@ -211,7 +211,7 @@ def _older(session: Session, set_ids: Sequence[str], sensor_id: int, known: set[
     """Yield the sets named that are the sensor's and in use, but not among the newest."""
     for number in {number for text in set_ids for number in _number(text)} - known:
         try:
-            row = telemetry_sets.get_telemetry_set(session, number)
+            row = session.get_known(TelemetrySet, number)
         except NotFoundError:
             continue
         if row.sensor_id == sensor_id and row.archived_utc is None:
@@ -230,7 +230,7 @@ def sensor_meant(session: Session, origin: LaunchOrigin, address: Mapping[str, s
     if origin.clone is not None:
         return runs.get_run(session, origin.clone).sensor_id
     if origin.set_id is not None:
-        return telemetry_sets.get_telemetry_set(session, origin.set_id).sensor_id
+        return session.get_known(TelemetrySet, origin.set_id).sensor_id
     return None
 
 
@@ -299,7 +299,7 @@ def newest_sets(session: Session, sensor_id: int | None) -> dict[str, Any]:
 
 def _sets_with(session: Session, set_id: int) -> dict[str, Any]:
     """Choose this set for its purpose, and the newest of its sensor for the other."""
-    known = telemetry_sets.get_telemetry_set(session, set_id)
+    known = session.get_known(TelemetrySet, set_id)
     place = "telemetry_set_id" if known.purpose == "calibration" else "validation_set_id"
     return {**newest_sets(session, known.sensor_id), place: str(known.id)}
 
@@ -423,7 +423,7 @@ def _launch(session: Session, actor: Actor, typed: TypedForm, sight: ForecastSou
 def _saved(session: Session, actor: Actor, typed: TypedForm, name: str, sentence: str) -> Any:
     """Keep the typed settings under a name; the sensor's own free parameters are left to each sensor."""
     settings = typed.settings()
-    sensor = sensors.get_sensor(session, whole(typed.sensor_id, "sensor"))
+    sensor = session.get_known(Sensor, whole(typed.sensor_id, "sensor"))
     own = set(settings["free"]) == set(list_free_parameters(sensor))
     return presets.save_preset(session, actor, name, sentence, {**settings, "free": None if own else settings["free"]})
 
@@ -541,7 +541,7 @@ def _changes(session: Session, typed: TypedForm, origin: LaunchOrigin) -> list[C
     before = dict(origin.preset.settings) if origin.preset else {}
     if origin.clone is not None:
         before = runs.get_run(session, origin.clone).settings
-    sensor = sensors.get_sensor(session, sensor_id)
+    sensor = session.get_known(Sensor, sensor_id)
     return differences(
         {**before, "free": before.get("free") or list_free_parameters(sensor)}, _in_order(now, before, sensor)
     )

@@ -21,7 +21,7 @@ from boresight.console.pages.rendering import make_change, read_texts, render
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import Run, RunEvent
-from boresight.console.telemetry import service as telemetry_sets
+from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import RefusedInputError
 from boresight.platform.db.sessions import Session
 from boresight.verdicts.numbers import count, duration, fixed, percent
@@ -180,7 +180,7 @@ def frames_to_come(session: Session, run: Run) -> int | None:
     """Return how many frames a run takes in one after another; None where it takes them all at once."""
     if not CalibrationSettings.parse(run.settings).sequential:
         return None
-    return telemetry_sets.get_telemetry_set(session, run.telemetry_set_id).frames
+    return session.get_known(TelemetrySet, run.telemetry_set_id).frames
 
 
 def describe_progress(session: Session, run: Run) -> str:

@@ -23,7 +23,6 @@ from boresight.calibration.options import get_method_title
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.approvals import gates
 from boresight.console.approvals import queries as approval_queries
-from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
 from boresight.console.notes import queries as note_queries
 from boresight.console.notes import service as notes
@@ -38,7 +37,6 @@ from boresight.console.runs.pages.frames import make_frames_part
 from boresight.console.runs.pages.list import compute_run_seconds, read_names
 from boresight.console.runs.pages.live import make_live_part, make_log_part
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
-from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import NotFoundError
 from boresight.figures import CHAPTERS, WIDE
@@ -542,9 +540,9 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
         session=session,
         actor=actor,
         run=run,
-        sensor=sensors.get_sensor(session, run.sensor_id),
-        data=telemetry_sets.get_telemetry_set(session, run.telemetry_set_id),
-        validation=None if validation is None else telemetry_sets.get_telemetry_set(session, validation),
+        sensor=session.get_known(Sensor, run.sensor_id),
+        data=session.get_known(TelemetrySet, run.telemetry_set_id),
+        validation=None if validation is None else session.get_known(TelemetrySet, validation),
         result=None if is_void else runs.result(session, get_server(request).blobs, run_id),
     )
 

@@ -20,11 +20,10 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import UploadFile
 
 from boresight.console import list_queries as lists
-from boresight.console import transitions
 from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy, Who, csrf
 from boresight.console.access.passwords import PasswordProof
-from boresight.console.fleet import service as sensors
 from boresight.console.fleet import timeline
+from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.timeline import AsOf, SensorSituation, describe_source
 from boresight.console.pages.formats import LEVELS
 from boresight.console.pages.rendering import (
@@ -260,7 +259,7 @@ def steps_page(request: Request, session: Reading, actor: Who, blobs: Blobs, set
 def _page(
     request: Request, actor: Actor, blobs: BlobStore, set_id: int, shown: UplinkStepsContext, session: Session
 ) -> HTMLResponse:
-    row = transitions.get_parameter_set(session, set_id)
+    row = session.get_known(ParameterSet, set_id)
     records = lists.newest(session, Uplink, set=set_id)
     built = lists.newest(session, Package, set=set_id)
     exported = find_exported_package(built, records)
@@ -271,7 +270,7 @@ def _page(
         "uplinks/uplink_steps.html",
         refused=shown.refusal,
         set=row,
-        sensor=sensors.get_sensor(session, row.sensor_id),
+        sensor=session.get_known(Sensor, row.sensor_id),
         known=timeline.get_state_at(session, row.sensor_id),
         steps=list_steps(exported, records, names),
         records=records,

@@ -16,8 +16,8 @@ from boresight.console.access.dependencies import Reading, ServerPolicy, Who, cs
 from boresight.console.approvals import proposals
 from boresight.console.approvals.tables import ChangeProposal, GateProfile
 from boresight.console.change_proposals import service as second_person
-from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import read_document, typed_document
+from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import ShownRefusal, attempt, read_again, redirect, render
 from boresight.console.runs.pages.list import read_names
 from boresight.console.uplinks import table_definitions
@@ -116,7 +116,7 @@ def table_definition_page(
 def _page(
     request: Request, actor: Actor, policy: Policy, sensor_id: int, shown: TableDefinitionContext, session: Session
 ) -> HTMLResponse:
-    sensor = sensors.get_sensor(session, sensor_id)
+    sensor = session.get_known(Sensor, sensor_id)
     versions = table_definitions.list_definitions(session, sensor_id)
     current = versions[0] if versions else None
     text = shown.text or written_as_text(
