@@ -87,6 +87,8 @@ class DurationModel:
         return foreseen_s if waits or not alike else run.stars * median(alike)
 
 
+# To hand over a task, fetch its answer and write it costs tens of milliseconds, so short runs share one: two seconds' worth where
+# few wait; of a long queue a share of what waits for each thread, for who queued a thousand runs waits for the last (ADR 39).
 GROUP_S = 2.0
 LONG_GROUP_S, QUEUE_SHARE = 8.0, 0.25
 GROUP_RUNS = 64

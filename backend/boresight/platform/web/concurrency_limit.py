@@ -10,8 +10,7 @@ address has a share; and large bodies, of which each person has a share, for the
 body is read before a place is taken, so that whoever sends half of one holds none. A credential that is forged or has ended is
 none. Who is not known sends no more than a form.
 
-Of those let in few run at once, writers apart from readers, and first what the most have waited for longest; who works longer
-than `LENT_S` keeps the thread but makes room for the next.
+Of those let in few run at once, writers apart from readers (`RequestQueue`).
 """
 
 from __future__ import annotations
@@ -41,7 +40,13 @@ LENT_S = 0.25
 
 
 class RequestQueue:
-    """The turns of one kind of requests, given to those that were waited for longest."""
+    """Who runs at once and who comes next: the request for whose answer, summed over all who will have it, was waited longest.
+
+    An endpoint and each of its dependencies need a thread, one after the other. Were all let at the threads together, each would
+    wait for one again and again, and a writer would hold the store's write lock meanwhile. So a request waits once, for its turn.
+    Nobody waits for ever: what was waited grows until it is the most. Who works longer than `LENT_S` keeps the thread but makes
+    room for the next.
+    """
 
     def __init__(self, most: int, lent_s: float = LENT_S) -> None:
         self._free = most
