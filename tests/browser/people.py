@@ -26,28 +26,36 @@ class People:
         self._browser = browser
         self.address = installation.address
         self._contexts: dict[str, BrowserContext] = {}
+        self._windows: dict[
+            str, list[Window]
+        ] = {}  # of whom nobody looks at now: a new one costs as much as many pages
 
     def stranger(self) -> BrowserContext:
         return self._browser.new_context(base_url=self.address, viewport=NARROW, reduced_motion="reduce")
 
     @contextmanager
     def seat(self, name: str | None = None) -> Iterator[Window]:
-        context = self.stranger() if name is None else self._context_of(name)
-        window = Window(context)
+        window = self._window_of(name)
         try:
             yield window
-        finally:
-            window.close()
-            if name is None:
-                context.close()
-        assert not window.complaints, "\n".join(window.complaints)
+        except BaseException:
+            window.page.close()
+            raise
+        complaints = window.leave()
+        if name is None:
+            window.page.context.close()
+        else:
+            self._windows[name].append(window)
+        assert not complaints, "\n".join(complaints)
 
-    def _context_of(self, name: str) -> BrowserContext:
+    def _window_of(self, name: str | None) -> Window:
+        if name is None:
+            return Window(self.stranger())
         if name not in self._contexts:
             context = self._contexts[name] = self.stranger()
             window = Window(context)
             window.open("/login")
             window.enter(name, password_of(name))
             window.page.wait_for_url("**/")
-            window.page.close()
-        return self._contexts[name]
+            self._windows[name] = [window]
+        return self._windows[name].pop() if self._windows[name] else Window(self._contexts[name])

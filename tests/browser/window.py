@@ -6,7 +6,17 @@ from pathlib import Path
 from typing import Any
 
 from axe_playwright_python.base import AXE_SCRIPT
-from playwright.sync_api import APIResponse, BrowserContext, CDPSession, ConsoleMessage, Locator, Page, Route, expect
+from playwright.sync_api import (
+    APIResponse,
+    BrowserContext,
+    CDPSession,
+    ConsoleMessage,
+    Locator,
+    Page,
+    Request,
+    Route,
+    expect,
+)
 
 from tests.effort import effort
 
@@ -43,7 +53,10 @@ CHOOSE_THEME = """theme => {
     for (let k = 0; k < 4 && document.documentElement.dataset.theme !== theme; k++) button.click();
     return document.documentElement.dataset.theme;
 }"""
+NOTHING = """<link rel="icon" href="data:,">"""
+# Downloads are not begun: they change nothing, and a report takes the server seconds.
 PRESS_EVERYTHING = """keys => {
+    document.addEventListener("click", event => event.target.closest("a[download]") && event.preventDefault());
     const press = key => document.activeElement.dispatchEvent(
         new KeyboardEvent("keydown", {key, bubbles: true, cancelable: true, shiftKey: key !== key.toLowerCase()}));
     const leave = () => {
@@ -80,11 +93,16 @@ class Window:
         if message.type in {"error", "warning"}:
             self.complaints.append(f"{self.page.url}: {message.text} ({message.location.get('url')})")
 
-    def close(self) -> None:
-        """Close it; the next window of the same person begins with no theme chosen."""
+    def leave(self) -> list[str]:
+        """Clear the window for who comes next, with no theme chosen; returns what the browser complained of."""
+        self.page.unroute_all(behavior="ignoreErrors")
         if self._themed:
             self.page.evaluate("localStorage.removeItem('boresight-theme')")
-        self.page.close()
+        complaints, self.complaints, self._themed = self.complaints, [], False
+        self.page.goto("about:blank")
+        self.page.mouse.move(0, 0)  # nothing is pointed at
+        self.page.set_viewport_size(NARROW)
+        return complaints
 
     def forgive(self, pattern: str) -> None:
         kept = [line for line in self.complaints if not re.search(pattern, line)]
@@ -177,7 +195,9 @@ class Window:
         """Show every page from now on in the look that is this name's own: one that is drawn anew costs as much again."""
         theme, size, _ = _look_of(name)
         self._themed = True
-        self.page.add_init_script(f"localStorage.setItem('boresight-theme', '{theme}')")
+        self.page.route("**/nothing", lambda route: route.fulfill(content_type="text/html", body=NOTHING))
+        self.page.goto("/nothing")
+        self.page.evaluate("theme => localStorage.setItem('boresight-theme', theme)", theme)
         self.page.set_viewport_size(size)
 
     def holds_in_themes_and_widths(self, name: str) -> None:
@@ -198,13 +218,17 @@ class Window:
 
     def sends_nothing_by_keys(self) -> None:
         sent: list[str] = []
-        self.page.on(
-            "request", lambda asked: asked.method in {"GET", "HEAD"} or sent.append(f"{asked.method} {asked.url}")
-        )
+
+        def note(asked: Request) -> None:
+            if asked.method not in {"GET", "HEAD"}:
+                sent.append(f"{asked.method} {asked.url}")
+
+        self.page.on("request", note)
         self.page.route("**/*", _stay)
         self.page.evaluate(PRESS_EVERYTHING, KEYS)
         self.settle()
         self.page.unroute("**/*", _stay)
+        self.page.remove_listener("request", note)
         assert sent == []
 
 
