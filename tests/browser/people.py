@@ -34,8 +34,9 @@ class People:
         return self._browser.new_context(base_url=self.address, viewport=NARROW, reduced_motion="reduce")
 
     @contextmanager
-    def seat(self, name: str | None = None) -> Iterator[Window]:
-        window = self._window_of(name)
+    def seat(self, name: str | None = None, *, new: bool = False) -> Iterator[Window]:
+        """Sit at a window that is cleared, or at a new one, where a picture must not tell what was drawn there before."""
+        window = self._window_of(name, new=new)
         try:
             yield window
         except BaseException:
@@ -44,11 +45,13 @@ class People:
         complaints = window.leave()
         if name is None:
             window.page.context.close()
+        elif new:
+            window.page.close()
         else:
             self._windows[name].append(window)
         assert not complaints, "\n".join(complaints)
 
-    def _window_of(self, name: str | None) -> Window:
+    def _window_of(self, name: str | None, *, new: bool) -> Window:
         if name is None:
             return Window(self.stranger())
         if name not in self._contexts:
@@ -58,4 +61,4 @@ class People:
             window.enter(name, password_of(name))
             window.page.wait_for_url("**/")
             self._windows[name] = [window]
-        return self._windows[name].pop() if self._windows[name] else Window(self._contexts[name])
+        return self._windows[name].pop() if self._windows[name] and not new else Window(self._contexts[name])

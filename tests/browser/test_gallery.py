@@ -94,7 +94,7 @@ def words_of(rgb):
 
 @pytest.fixture(scope="module")
 def seat(people):
-    with people.seat("analyst") as window:
+    with people.seat("analyst", new=True) as window:
         yield window
         window.forgive("422")
 
