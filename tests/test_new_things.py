@@ -185,7 +185,7 @@ def test_a_camera_model_is_one_file_a_line_and_the_places_that_readme_names(seen
         uses = re.search(r'"(inverted_wang|pinhole_radial)"|_(INVERTED_WANG|PINHOLE_RADIAL)\b', path.read_text())
         if uses and not name.startswith(("cameras/", "papers/", "console/", "simulation/")):
             naming.add(name)
-    assert naming == set(re.findall(r"`([a-z_]+/[a-z_]+\.py)`", files)) - {"verdicts/numbers.py"}
+    assert naming == set(re.findall(r"`([a-z_]+/[a-z_]+\.py)`", files)) - {"verdicts/numbers.py", "cameras/__init__.py"}
     assert "dummy_lens" in seen["camera"]["registered"]
     assert seen["camera"]["sensor_read"] == "dummy_lens"
     assert seen["camera"]["sensor_registered"] == 201

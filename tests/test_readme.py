@@ -20,6 +20,7 @@ from boresight.settings import SETTINGS
 from boresight.telemetry.schema import OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 
 ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "backend" / "boresight"
 README = (ROOT / "README.md").read_text()
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 STATUSES = ("converged", "max_iterations", "rank_deficient", "diverged", "too_few_stars")
@@ -106,22 +107,75 @@ def test_the_readme_gives_a_reason_for_every_dependency_and_for_no_other():
     assert told | set(re.findall(r"`([a-z-]+)`", paragraph)) == _packages()
 
 
-@pytest.mark.parametrize(
-    "folder", sorted(path.name for path in (ROOT / "backend" / "boresight").iterdir() if path.is_dir())
-)
-def test_the_readme_shows_every_floor_of_the_tree(folder):
-    assert folder == "__pycache__" or re.search(rf"^    {folder}/ +\w", README, re.MULTILINE)
+def _section(title: str) -> str:
+    return README.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
 
 
-def test_what_the_readme_says_happens_somewhere_stands_there():
-    section = README.partition("## Where what happens")[2].partition("\n## ")[0]
-    for row in re.findall(r"^\| (?!What|--).*$", section, re.MULTILINE):
-        words = re.findall(r"`([^`]+)`", row)
+def _tree() -> Iterator[tuple[Path, str]]:
+    """Yield each path that README's tree names, and the folder under which it is to be found."""
+    folder = ROOT
+    for line in _section("The tree").split("```\n")[1].splitlines():
+        above = PACKAGE if line.startswith(" ") else ROOT
+        column, described = line[:26].strip(), line[26:]
+        if column and not column.startswith("--"):
+            first, *_ = column.split()
+            folder = above / first if first.endswith("/") else above
+        nouns = re.findall(r"(?:^|  )([a-z_]+)(?=  |;|$)", described) if not column else []
+        paths = re.findall(r"(?<![\w/])[\w.*][\w.*/]*(?:/|\.(?:py|toml|lock))(?!\w)", line)
+        yield from ((above if name in column else folder, name) for name in (*paths, *nouns))
+
+
+def test_each_path_of_the_tree_stands_there_and_each_folder_of_the_package_in_the_tree():
+    named = list(_tree())
+    assert [(folder, name) for folder, name in named if not any(folder.rglob(name.rstrip("/")))] == []
+    told = {path.resolve() for folder, name in named for path in folder.glob(name.rstrip("/"))}
+    folders = {path.parent for path in PACKAGE.glob("*/*.py")} | {path.parent for path in PACKAGE.glob("*/*/*.py")}
+    assert folders - told == set()
+
+
+@pytest.mark.parametrize("title", ["Where what happens", "Where a new thing goes"])
+def test_what_the_readme_says_happens_or_goes_somewhere_stands_there(title):
+    for row in re.findall(r"^\| (?!What|New|--).*$", _section(title), re.MULTILINE):
+        words = re.findall(r"`([^`]+)`", row.split(" | ")[1])
+        names = [word for word in words if "." in word or "/" in word]
         paths = [
-            ROOT / ("" if word.startswith("frontend/") else "backend/boresight") / word for word in words if "." in word
+            (ROOT if (ROOT / name.split("/")[0]).is_dir() else PACKAGE) / name for name in names if "<" not in name
         ]
-        text = "".join(path.read_text() for path in paths)
-        assert [word for word in words if "." not in word and not re.search(rf"\b{word}\b", text)] == []
+        text = "".join(path.read_text() for path in paths if not path.is_dir())
+        assert [word for word in words if word not in names and not re.search(rf"\b{word}\b", text)] == [], row
+
+
+def _stands(name: str) -> bool:
+    """Whether there is a file or a folder whose path ends so."""
+    return (ROOT / name).exists() or any(
+        (ROOT / top).is_dir() and any((ROOT / top).rglob(name.rstrip("/"))) for top in ("backend", "frontend", "tests")
+    )
+
+
+def _is_module(name: str) -> bool:
+    """Whether a dotted name is a module of the package, or something in one."""
+    module, _, last = name.rpartition(".")
+    path = (PACKAGE / module.replace(".", "/")).with_suffix(".py")
+    return (
+        _stands(f"boresight/{name.replace('.', '/')}")
+        or _stands(f"boresight/{name.replace('.', '/')}.py")
+        or (path.exists() and re.search(rf"\b{last}\b", path.read_text()) is not None)
+    )
+
+
+def test_each_file_and_module_that_a_document_names_stands_there():
+    missing = []
+    # Decision 62 names what was deleted, and artefacts are what a command makes.
+    pages = {*ROOT.glob("docs/*.md"), *ROOT.glob("backend/decisions/*.md")} - {*ROOT.glob("backend/decisions/0062-*")}
+    for page in sorted(pages):
+        words = [word.removeprefix("boresight.") for word in re.findall(r"`([\w./-]+)`", page.read_text())]
+        files = [word for word in words if re.fullmatch(r"(?:[\w-]+/)*[\w-]+(?:/|\.(?:py|js|css|html|md))", word)]
+        names = [word for word in words if re.fullmatch(r"[a-z_]+(?:\.\w+)+", word) and word not in files]
+        missing += [(page.name, name) for name in files if not name.startswith("artefacts/") and not _stands(name)]
+        missing += [
+            (page.name, name) for name in names if (PACKAGE / name.split(".")[0]).is_dir() and not _is_module(name)
+        ]
+    assert missing == []
 
 
 def test_the_changelog_tells_this_version():
