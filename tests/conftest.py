@@ -1,5 +1,6 @@
 """What holds for every test: which engine the store is on, how much is tried, cheap hashes, no stopwatch on properties."""
 
+import gc
 import os
 from collections.abc import Iterator
 from itertools import count
@@ -15,6 +16,8 @@ from boresight.sky.catalogue import Catalogue, load_catalogue
 from tests import effort, stores
 from tests import postgresql as postgresql_programs
 from tests.passwords import PRODUCT, use_hasher
+
+gc.disable()  # until the tests are collected: what is collected stays, and looking through it takes a third of the time
 
 # The first example of a property may compile kernels; how long one takes says nothing about it. The suite tries the same
 # examples every time, so that a failure always is somebody's change; `make search` looks for new ones.
@@ -70,6 +73,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         about = item.get_closest_marker("sqlite")
         if about is not None and stores.on_postgresql():
             item.add_marker(pytest.mark.skip(reason=f"about SQLite itself: {about.args[0]}"))
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(wrapper=True)

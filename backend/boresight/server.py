@@ -304,5 +304,6 @@ def serve(settings: Settings, on_open: Callable[[], None] | None = None) -> None
     sys.setswitchinterval(SWITCH_S)
     gc.freeze()  # what was imported stays: no collection looks through it again
     gc.set_threshold(*COLLECTIONS)
+    gc.enable()
     connections = Connections(open_file_limit())
     _Server(configured(create_app(settings), settings, connections), on_open).run()

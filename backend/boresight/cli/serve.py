@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import socket
@@ -83,6 +84,7 @@ def _serve(settings: Settings, on_open: Callable[[], None] | None = None) -> Non
     """Run the server; Ctrl-C and SIGTERM are its ordinary ends, with exit code 0."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # uvicorn raises it once more when all is closed
     use_kernel_folder(settings)
+    gc.disable()  # until the server serves: nothing that is imported is garbage, and looking costs a sixth of the start
     from boresight.platform.blobs.opening import open_blobs
     from boresight.platform.db.sessions import open_store
     from boresight.server import serve as run
