@@ -52,7 +52,7 @@ from boresight.platform.db.sessions import open_writing, utc_now
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.sensors import sensor_document
-from boresight.verdicts.verdict import summary_of
+from boresight.verdicts.verdict import summarise_run
 
 Rows = dict[str, dict[str, Any]]
 
@@ -119,7 +119,7 @@ def furnish(folder: Path, frames: int, runs: int, overlaid: int) -> tuple[dict[s
                 sensor_id=filled.sensor_id, telemetry_set_id=filled.telemetry_set_id, method="sqrf", settings=settings.document(),
                 sensor_document=sensor_document(scenario.sensor), label=f"run {number + 1}", state="SUCCEEDED", launched_utc=now,
                 started_utc=now, ended_utc=now, result_sha256=addresses[number % overlaid],
-                summary=summary_of(results[number % overlaid]),
+                summary=summarise_run(results[number % overlaid]),
             )
             for number in range(runs)
         )  # fmt: skip

@@ -618,13 +618,13 @@ def case_of(number_of_case: int, bases: list[Base], folder: Path, seed: int = SE
     method = METHODS[number_of_case % len(METHODS)]
     settings = choices(rng, method, list(base.sensor.free))
     form = str(rng.choice(["csv", "csv", "csv", "jsonl", "parquet"]))
-    held_out = spoilt is validation or rng.random() < 0.3
+    validation_set = spoilt is validation or rng.random() < 0.3
     path = folder / f"case-{number_of_case}"
     return Case(
         number=number_of_case,
         names=(*(edit.__name__ for edit in edits), *filter(None, [odd, "validation" if spoilt is validation else ""])),
         method=method, settings=settings, sensor=sensor, telemetry=written(table, path, form),
-        validation=written(validation, path.with_name(f"{path.name}-validation"), form) if held_out else None,
+        validation=written(validation, path.with_name(f"{path.name}-validation"), form) if validation_set else None,
         in_pieces=bool(rng.random() < 0.1),
     )  # fmt: skip
 
@@ -653,13 +653,13 @@ def run(case: Case, catalogue: Catalogue, cache: Path | None) -> Ended:
 def calibrated(case: Case, catalogue: Catalogue, cache: Path | None) -> dict[str, Any]:
     """Read the files and calibrate."""
     most: dict[str, Any] = {"large_rows": 1, "chunk_frames": 7} if case.in_pieces else {}
-    held_out = None if case.validation is None else TelemetryFile(case.validation).opened()
+    validation_set = None if case.validation is None else TelemetryFile(case.validation).opened()
     return calibrate(
         TelemetryFile(case.telemetry, **most).opened(),
         parse_sensor(case.sensor),
         catalogue,
         CalibrationSettings.parse(case.settings),
-        validation=held_out,
+        validation=validation_set,
         cache_folder=cache,
     )
 

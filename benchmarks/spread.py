@@ -1,6 +1,6 @@
 """One batch over two worker processes: how much sooner than over one, and is it the same answer with one killed (part `spread`).
 
-A scheduler and workers are started by their commands; a client hands them the very task that the server's engine hands them, and
+A scheduler and workers are started by their commands; a client hands them the very task that a server's dispatcher would, and
 times it from there to its result in the folder of blobs. Every worker has computed a small set before, so nothing waits for a
 compiler or an import. In the third run the worker that is lent pieces is killed with SIGKILL when half of the fit may be done, as
 the run before tells, and its nanny brings another, which takes part again. `kill` says which worker that was and when, how many

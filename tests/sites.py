@@ -37,7 +37,7 @@ from boresight.settings import Settings, read_settings
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import st16_truth
 from boresight.telemetry.sensors import sensor_document
-from boresight.verdicts.verdict import summary_of
+from boresight.verdicts.verdict import summarise_run
 from tests.passwords import add_person
 from tests.stores import copied, environment_in
 
@@ -55,9 +55,9 @@ PEOPLE = {
 @pytest.fixture(scope="session")
 def results(catalogue) -> dict[str, dict[str, Any]]:
     scenario = dataclasses.replace(calibration_scenario(1), frames=40)
-    held_out = dataclasses.replace(validation_scenario(1), frames=20)
+    validation_frames = dataclasses.replace(validation_scenario(1), frames=20)
     telemetry = simulate(scenario, np.random.default_rng(1), catalogue)
-    validation = simulate(held_out, np.random.default_rng(2), catalogue)
+    validation = simulate(validation_frames, np.random.default_rng(2), catalogue)
     sensor, found, partials = scenario.sensor, {}, []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
@@ -158,7 +158,7 @@ class Site:
             }
             if result is not None:
                 values["result_sha256"] = self.blobs.put(orjson.dumps(result))
-                values["summary"] = summary_of(result)
+                values["summary"] = summarise_run(result)
                 if session.get(Blob, values["result_sha256"]) is None:
                     session.add(
                         Blob(

@@ -100,8 +100,8 @@ LINES = {
     f"{PACKAGE}/verdicts/gates/measurements.py": (
         (
             "@dataclass(frozen=True)\nclass Gate:",
-            """def dummy(evidence: GateInputs) -> Measurement:
-    return Measurement(float(len(evidence.names)), "So many parameters.")
+            """def dummy(inputs: GateInputs) -> Measurement:
+    return Measurement(float(len(inputs.names)), "So many parameters.")
 
 
 """,

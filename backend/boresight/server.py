@@ -139,7 +139,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
         with suppress(StorageError):  # `readyz` says so, and the first use tries again
             state.blobs.open()
     state.blobs_watched = CachedCheck(state.blobs.refuse_unusable)
-    state.drawn = FigureCache()
+    state.figure_cache = FigureCache()
     state.log_in_cookie = LogInCookie(settings)
     state.catalogue = _lazy_catalogue(settings)
     state.sight = ForecastSources(state.blobs, lambda: state.catalogue(), settings.catalogue_folder)  # noqa: PLW0108 - as it is when asked

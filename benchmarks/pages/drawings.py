@@ -37,7 +37,7 @@ DRAW = """([text, format, width]) => {
 }"""
 
 #: The example: frames that calibrate and that judge it, of two seeds, in numbers of so many digits.
-FRAMES, HELD_OUT_FRAMES = 60, 30
+FRAMES, VALIDATION_FRAMES = 60, 30
 SEEDS = (1, 2)
 DIGITS = 7
 HEAD = """# The figures
@@ -142,8 +142,10 @@ def _entry(figure: Figure) -> str:
 def make_example_calibration(catalogue: Catalogue) -> bytes:
     """Calibrate a simulated sensor anew and return the text of `example_calibration.json`."""
     scenario = dataclasses.replace(calibration_scenario(1), frames=FRAMES)
-    held_out = dataclasses.replace(validation_scenario(1), frames=HELD_OUT_FRAMES)
-    sets = [simulate(s, np.random.default_rng(k), catalogue) for s, k in zip((scenario, held_out), SEEDS, strict=True)]
+    validation_set = dataclasses.replace(validation_scenario(1), frames=VALIDATION_FRAMES)
+    sets = [
+        simulate(s, np.random.default_rng(k), catalogue) for s, k in zip((scenario, validation_set), SEEDS, strict=True)
+    ]
     made = {
         name: calibrate(sets[0], scenario.sensor, catalogue, CalibrationSettings(method=method), validation=sets[1])
         for name, method in (("batch", "batch"), ("filter", "sqrf"))

@@ -190,9 +190,9 @@ def differences(one, other, path=""):
     return [found for key, mine, theirs in pairs for found in differences(mine, theirs, f"{path}.{key}")]
 
 
-def same_in_pieces(path, whole, sensor, catalogue, chunk_frames, spread=None, **choices):
+def same_in_pieces(path, whole, sensor, catalogue, chunk_frames, executor=None, **choices):
     """The document of a set in memory, once that of its file in pieces is found to be the same."""
     document = in_memory(whole, sensor, catalogue, **choices)
-    elsewhere = {} if spread is None else {"spread": spread}
+    elsewhere = {} if executor is None else {"executor": executor}
     assert differences(document, streamed(path, sensor, catalogue, chunk_frames, **choices, **elsewhere)) == []
     return document

@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.calibration import history_recorder as courses
-from boresight.calibration import sequence
+from boresight.calibration import history_recorder, sequence
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.estimate import Parameters
-from boresight.calibration.history_recorder import FilterCourse
+from boresight.calibration.history_recorder import RecordedHistory
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
 from boresight.calibration.sequence import Frames, finished, pool_start, run_sequential, standing_frames
@@ -180,9 +179,9 @@ def cut(whole, first, last):
     return FilterHistory(**{name: getattr(whole, name)[first:last] for name in names}, last=whole.last, finite=True)
 
 
-def course_of(whole, seams=()):
+def recorded(whole, seams=()):
     edges = [0, *sorted(seams), len(whole.nis)]
-    found = FilterCourse(whole.last)
+    found = RecordedHistory(whole.last)
     for first, last in itertools.pairwise(edges):
         found.append(cut(whole, first, last), 10 * np.arange(first, last))
     return found
@@ -191,7 +190,7 @@ def course_of(whole, seams=()):
 @given(st.lists(st.integers(0, 60), max_size=6))
 def test_seams_between_its_parts_change_no_bit(seams):
     whole = history(60)
-    once, parts = course_of(whole), course_of(whole, seams)
+    once, parts = recorded(whole), recorded(whole, seams)
     assert (once.nis_sum, once.dof_sum, once.linearisations_sum) == (
         parts.nis_sum,
         parts.dof_sum,
@@ -201,9 +200,9 @@ def test_seams_between_its_parts_change_no_bit(seams):
     assert once.taken(every).tobytes() == parts.taken(every).tobytes()
 
 
-def test_it_holds_what_the_filter_gave_with_the_running_rms_and_courses_of_some_frames():
+def test_it_holds_what_the_filter_gave_with_the_running_rms_and_histories_of_some_frames():
     whole = history(50)
-    kept = course_of(whole, (7,))
+    kept = recorded(whole, (7,))
     records = kept.taken(np.array([0, 8, 49]))
     np.testing.assert_array_equal(records["states"], whole.states[[0, 8, 49]])
     np.testing.assert_array_equal(records["frame"], [0, 80, 490])
@@ -211,17 +210,17 @@ def test_it_holds_what_the_filter_gave_with_the_running_rms_and_courses_of_some_
     np.testing.assert_array_equal(kept.column("aggregate_rms"), running)
     assert kept.nis_sum == pytest.approx(whole.nis.sum(), rel=1e-14)
     whole = history(40)
-    part = course_of(whole).of_frames(np.array([30, 70, 390]))
+    part = recorded(whole).of_frames(np.array([30, 70, 390]))
     assert len(part) == 3
     np.testing.assert_array_equal(part.nis, whole.nis[[3, 7, 39]])
 
 
 def test_a_long_one_goes_to_a_file_and_reads_the_same(monkeypatch):
     whole = history(500)
-    small = course_of(whole)
-    monkeypatch.setattr(courses, "IN_MEMORY_BYTES", 4000)
-    monkeypatch.setattr(courses, "CHUNK", 64)
-    large = course_of(whole, (100, 300))
+    small = recorded(whole)
+    monkeypatch.setattr(history_recorder, "IN_MEMORY_BYTES", 4000)
+    monkeypatch.setattr(history_recorder, "CHUNK", 64)
+    large = recorded(whole, (100, 300))
     assert large._file._rolled
     places = np.array([0, 63, 64, 65, 499])
     assert large.taken(places).tobytes() == small.taken(places).tobytes()
@@ -231,9 +230,9 @@ def test_a_long_one_goes_to_a_file_and_reads_the_same(monkeypatch):
 def test_no_peak_is_lost_between_the_points_that_are_kept(places, chunk):
     whole = history(100)
     places = np.array(sorted(places | {99}))
-    kept = course_of(whole)
+    kept = recorded(whole)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(courses, "CHUNK", chunk)
+        patch.setattr(history_recorder, "CHUNK", chunk)
         peaks = kept.peaks(places)
     for k, first in enumerate([0, *(places[:-1] + 1)]):
         part = slice(first, places[k] + 1)

@@ -72,8 +72,8 @@ def unjudged():
         ({"method": "sqrf"}, 700),
         ({"method": "sqrf", "variant": "q"}, 700),
         ({"method": "svd"}, 700),
-        ({"spread": Elsewhere()}, 500),  # pieces travel and are computed twice
-        ({"spread": TwiceAtOnce()}, 500),
+        ({"executor": Elsewhere()}, 500),  # pieces travel and are computed twice
+        ({"executor": TwiceAtOnce()}, 500),
     ],
     ids=["batch", "huber", "cosine", "sqrf", "q", "svd", "elsewhere", "at once"],
 )
@@ -143,7 +143,7 @@ def test_what_another_machine_cannot_read_is_read_here(sensor, catalogue, tmp_pa
                 arguments = [(replace(stretch, path=path.with_name("gone")), *rest) for stretch, *rest in arguments]
             return super().map(function, arguments, **choices)
 
-    found = streamed(path, sensor, catalogue, 4, match="given", spread=Blind())
+    found = streamed(path, sensor, catalogue, 4, match="given", executor=Blind())
     assert differences(in_memory(whole, sensor, catalogue, match="given"), found) == []
     assert len(asked) > 2
 
@@ -202,11 +202,11 @@ def test_a_large_set_matched_anew_is_judged_on_its_own_matches(catalogue, tmp_pa
     assert whole["matching"]["kept"] < whole["stars"]
 
 
-def test_a_held_out_file_that_is_large_is_sampled_evenly(sensor, catalogue, tmp_path, monkeypatch):
+def test_a_validation_set_that_is_large_is_sampled_evenly(sensor, catalogue, tmp_path, monkeypatch):
     monkeypatch.setattr(calibration, "JUDGED_STARS", 24 * 50)
     write_parquet(telemetry(3, frames=200), tmp_path / "held-out.parquet")
-    held_out = TelemetryFile(tmp_path / "held-out.parquet", large_rows=0, chunk_frames=10)
-    document = in_memory(telemetry(1), sensor, catalogue, match="given", validation=held_out)
+    validation_set = TelemetryFile(tmp_path / "held-out.parquet", large_rows=0, chunk_frames=10)
+    document = in_memory(telemetry(1), sensor, catalogue, match="given", validation=validation_set)
     assert 25 <= document["validation"]["frames"] <= 50
     assert f"{document['validation']['frames']} of its frames" in document["advice"][-1]
 

@@ -25,11 +25,11 @@ from boresight.verdicts.gates.assessment import (
 from boresight.verdicts.gates.measurements import Measurement, ends
 from boresight.verdicts.numbers import MINUS, QUANTITIES, quantity, to_second_digit, with_reach
 from tests.effort import effort
-from tests.verdicts.evidence_cases import NAMES, SENSOR, SIGMA, a_result, a_set, evidence
+from tests.verdicts.gate_cases import NAMES, SENSOR, SIGMA, a_result, a_set, gate_inputs
 
 
 def found(name, **changed):
-    return measure(evidence(**changed))[name]
+    return measure(gate_inputs(**changed))[name]
 
 
 def with_parameters(**values):
@@ -42,7 +42,7 @@ def with_matrix(matrix):
 
 def test_every_gate_is_measured():
     assert all(callable(gate.measure) for gate in GATES.values())
-    measured = measure(evidence())
+    measured = measure(gate_inputs())
     assert all(one.sentence for one in measured.values())
     report = judge(parse_profile({}), measured)
     answers = {one["name"]: one["status"] for one in report["gates"]}
@@ -75,7 +75,7 @@ def test_a_parameter_that_is_no_plausible_number_or_no_camera_with_the_others_fa
 def test_a_set_without_one_of_its_parameters_fails_and_no_gate_breaks_down():
     values = a_set()["parameters"]
     del values["n0_px"]
-    measured = measure(evidence(candidate=a_set(parameters=values)))
+    measured = measure(gate_inputs(candidate=a_set(parameters=values)))
     assert measured["finite"].met == "FAIL"
     assert measured["arc-uncertainty"].value is None
     assert "n0_px" in measured["parameter-shift"].sentence
@@ -221,20 +221,20 @@ def test_whatever_stands_in_a_document_there_is_a_report_that_can_be_stored(data
     which = data.draw(st.sampled_from(["candidate", "incumbent", "result"]))
     sound = {"candidate": a_set(), "incumbent": ground_set(SENSOR), "result": a_result()}[which]
     path = data.draw(st.sampled_from(list(places(sound))))
-    report = judge(parse_profile({}), measure(evidence(**{which: spoiled(sound, path, data.draw(JUNK))})))
+    report = judge(parse_profile({}), measure(gate_inputs(**{which: spoiled(sound, path, data.draw(JUNK))})))
     assert canonical(report)
 
 
 def test_the_rms_is_told_in_multiples_of_the_stated_noise():
     noise = np.sqrt(2) * SENSOR.centroid_sigma_px * SENSOR.pixel_pitch_m / SENSOR.initial[0]
     score = {"value": 2 * noise, "interval": [1.5 * noise, 2.5 * noise], "incumbent": 4 * noise}
-    measured = found("validation-rms", held_out={"validation-rms": score, "frames": 50})
+    measured = found("validation-rms", validation={"validation-rms": score, "frames": 50})
     assert measured.value == pytest.approx(2)
     assert measured.interval == pytest.approx((1.5, 2.5))
     assert measured.incumbent == pytest.approx(4)
     noisier = dataclasses.replace(SENSOR, centroid_sigma_px=2 * SENSOR.centroid_sigma_px)
     assert found(
-        "validation-rms", sensor=noisier, held_out={"validation-rms": score, "frames": 50}
+        "validation-rms", sensor=noisier, validation={"validation-rms": score, "frames": 50}
     ).value == pytest.approx(1)
 
 
@@ -370,13 +370,13 @@ def test_where_no_frame_changed_sides_the_change_is_known_no_better_than_so_many
 def test_a_runs_own_validation_gives_the_scores_that_seeing_the_frames_again_gives(catalogue):
     scenario = dataclasses.replace(calibration_scenario(1), frames=20)
     telemetry = simulate(scenario, np.random.default_rng(11), catalogue)
-    held_out = frames_of(12, 20, catalogue)
-    result = calibrate(telemetry, SENSOR, catalogue, GIVEN, validation=held_out)
+    validation = frames_of(12, 20, catalogue)
+    result = calibrate(telemetry, SENSOR, catalogue, GIVEN, validation=validation)
     own = of_result(result)
-    assert own == compute_validation_scores(held_out, SENSOR, catalogue, ground_set(SENSOR), result, GIVEN)
+    assert own == compute_validation_scores(validation, SENSOR, catalogue, ground_set(SENSOR), result, GIVEN)
     incumbent = ground_set(SENSOR)
     by_result, by_frames = (
-        assess(result, SENSOR, incumbent, parse_profile({}), frames) for frames in (None, (held_out, catalogue))
+        assess(result, SENSOR, incumbent, parse_profile({}), frames) for frames in (None, (validation, catalogue))
     )
     assert by_result == by_frames
     assert of_result({**result, "validation": None}) is None

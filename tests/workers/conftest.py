@@ -1,4 +1,4 @@
-"""A real store with a telemetry set, and engines with real worker processes on it."""
+"""A real store with a telemetry set, and dispatchers with real worker processes on it."""
 
 import contextlib
 import shutil
@@ -170,15 +170,15 @@ def make_store(tmp_path_factory, catalogue_folder, catalogue):  # noqa: ARG001 -
 
 
 @pytest.fixture(scope="module")
-def start_engine():
+def start_dispatcher():
     started = []
 
     def start(store, broadcast=None, **options):
-        engine = RunDispatcher(store.database, store.settings, broadcast, calculation=CALCULATION, **options)
-        engine.start()
-        started.append(engine)
-        return engine
+        dispatcher = RunDispatcher(store.database, store.settings, broadcast, calculation=CALCULATION, **options)
+        dispatcher.start()
+        started.append(dispatcher)
+        return dispatcher
 
     yield start
-    for engine in started:
-        engine.stop()
+    for dispatcher in started:
+        dispatcher.stop()

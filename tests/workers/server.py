@@ -1,4 +1,4 @@
-"""A server in the smallest form, for tests to kill: an engine on the store that the environment names."""
+"""A server in the smallest form, for tests to kill: a dispatcher on the store that the environment names."""
 
 import signal
 import threading
@@ -18,10 +18,10 @@ def main() -> None:
     cluster.WarmUp = Unwarmed
     asked = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: asked.set())
-    engine = RunDispatcher(open_engine(settings.database_url), settings, calculation="standin:calculate")
-    engine.start()
+    dispatcher = RunDispatcher(open_engine(settings.database_url), settings, calculation="standin:calculate")
+    dispatcher.start()
     asked.wait()
-    engine.stop()
+    dispatcher.stop()
 
 
 if __name__ == "__main__":

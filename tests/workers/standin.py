@@ -1,6 +1,6 @@
 """Calculations that stand in for `calibrate` in worker processes.
 
-A run's behaviour is chosen by its sensor's name, so that one engine can hold quick, endless, stubborn and deadly runs.
+A run's behaviour is chosen by its sensor's name, so that one dispatcher can hold quick, endless, stubborn and deadly runs.
 """
 
 import os

@@ -76,11 +76,11 @@ def start_cluster():
         process.wait()
 
 
-def test_a_run_on_a_killed_scheduler_is_computed_again_by_the_next(make_store, start_engine, start_cluster):
+def test_a_run_on_a_killed_scheduler_is_computed_again_by_the_next(make_store, start_dispatcher, start_cluster):
     store = make_store(scheduler=f"tcp://127.0.0.1:{free_port()}", lease_s="600")
     (run_id,) = store.launch("stuck")
     scheduler, _ = start_cluster(store)
-    engine = start_engine(store)
+    dispatcher = start_dispatcher(store)
     store.wait_for(lambda: store.begun(run_id))
     scheduler.send_signal(signal.SIGKILL)
     scheduler.wait()
@@ -90,7 +90,7 @@ def test_a_run_on_a_killed_scheduler_is_computed_again_by_the_next(make_store, s
     assert store.wait_until_ended([run_id]) == ["SUCCEEDED"]
     assert store.run(run_id).attempt == 2
     assert store.ends(run_id) == ["SUCCEEDED"]
-    engine.stop()
+    dispatcher.stop()
 
 
 def test_a_worker_of_the_same_version_that_sees_the_folder_is_fit(tmp_path):

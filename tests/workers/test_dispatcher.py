@@ -1,4 +1,4 @@
-"""Runs come to one good end, whatever dies on the way: one engine, real processes, a real database, real kills."""
+"""Runs come to one good end, whatever dies on the way: one dispatcher, real processes, a real database, real kills."""
 
 import json
 import os
@@ -17,9 +17,9 @@ EVENTS = []
 
 
 @pytest.fixture(scope="module")
-def store(make_store, start_engine):
+def store(make_store, start_dispatcher):
     made = make_store()
-    start_engine(made, EVENTS.append, cancel_grace_s=4.0)
+    start_dispatcher(made, EVENTS.append, cancel_grace_s=4.0)
     return made
 
 
@@ -130,17 +130,17 @@ def test_a_run_that_cannot_be_computed_fails_once_with_its_sentence(store, behav
     assert any("Traceback" in line for line in store.log(run_id, "log")) == (behaviour == "crash")
 
 
-def test_a_worker_that_restarts_is_not_ended_because_one_of_its_name_was_lost_before(store):  # noqa: ARG001 - its engine has set the cluster up
+def test_a_worker_that_restarts_is_not_ended_because_one_of_its_name_was_lost_before(store):  # noqa: ARG001 - its dispatcher has set the cluster up
     assert parse_timedelta(dask.config.get("distributed.deploy.lost-worker-timeout")) > 365 * 86_400
 
 
 def test_while_a_run_computes_and_nothing_is_told_the_engine_turns_four_times_a_second_at_most(store, monkeypatch):
-    engine = RunDispatcher(store.database, store.settings)
-    engine._flights.add(SimpleNamespace(members=set()))
+    dispatcher = RunDispatcher(store.database, store.settings)
+    dispatcher._tasks.add(SimpleNamespace(members=set()))
     turns = []
-    monkeypatch.setattr(engine, "_turn", lambda: turns.append(time.monotonic()))
-    engine.start()
+    monkeypatch.setattr(dispatcher, "_turn", lambda: turns.append(time.monotonic()))
+    dispatcher.start()
     time.sleep(1.1)
-    engine.stop()
+    dispatcher.stop()
     assert TURN_S >= 0.25
     assert 1 <= len(turns) <= 1.1 / TURN_S + 2

@@ -16,12 +16,12 @@ BUCKET = "s3://flight/blobs"
 
 
 @pytest.fixture(scope="module")
-def flying(make_store, start_engine, tmp_path_factory):
+def flying(make_store, start_dispatcher, tmp_path_factory):
     with serving_s3("flight"), pytest.MonkeyPatch.context() as environment:
         own = tmp_path_factory.mktemp("worker")
         environment.setenv("BORESIGHT_DATA_FOLDER", str(own))
         store = make_store(blobs=BUCKET, workers="1")
-        start_engine(store)
+        start_dispatcher(store)
         yield store, own
 
 

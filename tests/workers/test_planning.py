@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from boresight.console.runs.dry_runs import TimedRun
 from boresight.console.runs.queries import WaitingRun
-from boresight.workers import dispatcher as paces
+from boresight.workers import dispatcher
 from boresight.workers.cluster_executor import GROUP_S as PIECES_S
 from boresight.workers.cluster_executor import FailedPiece, Pieces
 from boresight.workers.dispatched_tasks import DispatchedTask, DispatchedTasks
@@ -82,25 +82,25 @@ def test_neither_a_long_run_nor_a_suspect_is_put_behind_others_nor_overtaken_by_
 THREADS = {"tcp://a": 1, "tcp://b": 2}
 
 
-def flights(*made):
+def tasks_of(*made):
     found = DispatchedTasks()
-    for flight in made:
-        found.add(flight)
+    for task in made:
+        found.add(task)
     return found
 
 
-def flight(worker, run_id, **more):
+def task(worker, run_id, **more):
     return DispatchedTask(None, worker, {(run_id, 1)}, **more)
 
 
 @given(st.lists(st.tuples(st.sampled_from(sorted(THREADS)), st.booleans()), max_size=8))
 def test_no_thread_is_ever_given_more_than_two_tasks(offers):
-    found = flights()
+    found = tasks_of()
     for run_id, (worker, short) in enumerate(offers):
         if worker in found.free(THREADS):
-            found.add(flight(worker, run_id, short=short))
+            found.add(task(worker, run_id, short=short))
         elif worker in found.followed(THREADS):
-            found.add(flight(worker, run_id, short=True, behind=True))
+            found.add(task(worker, run_id, short=True, behind=True))
     for worker, threads in THREADS.items():
         of_worker = [one for one in found if one.worker == worker]
         assert sum(not one.behind for one in of_worker) <= threads
@@ -108,15 +108,15 @@ def test_no_thread_is_ever_given_more_than_two_tasks(offers):
 
 
 def test_only_threads_with_short_runs_and_nothing_behind_are_followed():
-    assert flights(flight("tcp://a", 1)).followed(THREADS) == []
-    short = flight("tcp://a", 1, short=True)
-    assert flights(short).followed(THREADS) == ["tcp://a"]
-    assert flights(short, flight("tcp://a", 2, short=True, behind=True)).followed(THREADS) == []
+    assert tasks_of(task("tcp://a", 1)).followed(THREADS) == []
+    short = task("tcp://a", 1, short=True)
+    assert tasks_of(short).followed(THREADS) == ["tcp://a"]
+    assert tasks_of(short, task("tcp://a", 2, short=True, behind=True)).followed(THREADS) == []
 
 
 def test_what_waited_behind_comes_to_the_thread_when_that_is_free_and_its_clock_begins_then():
-    first, second = flight("tcp://a", 1, short=True), flight("tcp://a", 2, short=True, behind=True, since_s=0.0)
-    found = flights(first, second)
+    first, second = task("tcp://a", 1, short=True), task("tcp://a", 2, short=True, behind=True, since_s=0.0)
+    found = tasks_of(first, second)
     found.advance(THREADS)
     assert second.behind
     found.remove(first)
@@ -127,23 +127,23 @@ def test_what_waited_behind_comes_to_the_thread_when_that_is_free_and_its_clock_
 
 
 def test_nothing_comes_to_the_thread_of_a_worker_that_is_gone():
-    first, second = flight("tcp://a", 1, short=True), flight("tcp://a", 2, short=True, behind=True)
-    found = flights(first, second)
+    first, second = task("tcp://a", 1, short=True), task("tcp://a", 2, short=True, behind=True)
+    found = tasks_of(first, second)
     found.remove(first)
     found.advance({"tcp://b": 2})
     assert second.behind
 
 
 def test_what_waits_too_long_behind_another_is_overdue():
-    found = flights(flight("tcp://a", 1, short=True), flight("tcp://a", 2, short=True, behind=True, since_s=-1e6))
+    found = tasks_of(task("tcp://a", 1, short=True), task("tcp://a", 2, short=True, behind=True, since_s=-1e6))
     assert [one.members for one in found.overdue(10.0)] == [{(2, 1)}]
     assert found.overdue(1e12) == []
 
 
 def test_a_run_that_shares_its_task_has_the_time_of_its_group_to_answer():
     now_s = time.monotonic()
-    alone = flight("tcp://a", 1, asked_s={(1, 1): now_s}, since_s=now_s - 100)
-    grouped = flight("tcp://a", 1, short=True, expected_s=2.0, asked_s={(1, 1): now_s - 3}, since_s=now_s - 1)
+    alone = task("tcp://a", 1, asked_s={(1, 1): now_s}, since_s=now_s - 100)
+    grouped = task("tcp://a", 1, short=True, expected_s=2.0, asked_s={(1, 1): now_s - 3}, since_s=now_s - 1)
     assert 0 <= alone.unanswered_s((1, 1)) < 1
     assert grouped.unanswered_s((1, 1)) < 0  # it came to its thread a second ago
 
@@ -154,8 +154,8 @@ SMALL, LARGE = TimedRun(stars=5_000, seconds=0.4), TimedRun(stars=300_000, secon
 @pytest.fixture
 def read(monkeypatch):
     asked = []
-    monkeypatch.setattr(paces, "list_timed_runs", lambda _session, method: asked.append(method) or [SMALL, LARGE])
-    monkeypatch.setattr(paces, "estimate_seconds_per_star", lambda _session, _method: 1e-5)
+    monkeypatch.setattr(dispatcher, "list_timed_runs", lambda _session, method: asked.append(method) or [SMALL, LARGE])
+    monkeypatch.setattr(dispatcher, "estimate_seconds_per_star", lambda _session, _method: 1e-5)
     return asked
 
 
@@ -180,7 +180,7 @@ def test_a_replay_takes_as_long_as_its_frames_whatever_others_of_its_size_took(r
 
 def test_what_runs_took_is_read_anew_after_a_while(read, monkeypatch):
     known, clock = DurationModel(), [0.0]
-    monkeypatch.setattr(paces.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(dispatcher.time, "monotonic", lambda: clock[0])
     for now_s in (0.0, FRESH_S - 1, FRESH_S + 1):
         clock[0] = now_s
         known.refresh(None, {"batch"})

@@ -8,7 +8,7 @@ import pytest
 from boresight.console.runs import queries as runs
 from boresight.console.runs.queries import Line, RunEnd
 from boresight.platform.db.sessions import open_writing
-from boresight.workers import dispatcher as lookout
+from boresight.workers import dispatcher
 from boresight.workers.dispatcher import RUNS, AlarmCheck, Reconciler
 from boresight.workers.link import Report
 
@@ -189,10 +189,10 @@ def look(make_store):
 
 def test_the_sensors_of_runs_that_succeeded_are_watched_and_written_only_where_something_changed(look, monkeypatch):
     written = []
-    monkeypatch.setattr(lookout, "update_alarms", lambda _session, sensor_ids: written.append(sensor_ids))
+    monkeypatch.setattr(dispatcher, "update_alarms", lambda _session, sensor_ids: written.append(sensor_ids))
     for changed in ([], [1]):
         monkeypatch.setattr(
-            lookout, "find_changed_sensors", lambda _session, sensor_ids, changed=changed: changed and sensor_ids
+            dispatcher, "find_changed_sensors", lambda _session, sensor_ids, changed=changed: changed and sensor_ids
         )
         looking = look(1)
         looking.look()
@@ -202,7 +202,7 @@ def test_the_sensors_of_runs_that_succeeded_are_watched_and_written_only_where_s
 
 def test_a_long_list_is_looked_at_in_parts_so_that_no_turn_is_long(look, monkeypatch):
     asked = []
-    monkeypatch.setattr(lookout, "list_sensors", lambda _session, run_ids: asked.append(len(run_ids)) or [])
+    monkeypatch.setattr(dispatcher, "list_sensors", lambda _session, run_ids: asked.append(len(run_ids)) or [])
     looking = look(RUNS + 1)
     looking.look()
     assert looking
@@ -220,8 +220,8 @@ def test_a_watch_that_fails_is_logged_and_left_to_the_upkeep(look, monkeypatch):
         raise ArithmeticError("no drift can be told")
 
     said = []
-    monkeypatch.setattr(lookout.log, "exception", said.append)
-    monkeypatch.setattr(lookout, "find_changed_sensors", broken)
+    monkeypatch.setattr(dispatcher.log, "exception", said.append)
+    monkeypatch.setattr(dispatcher, "find_changed_sensors", broken)
     looking = look(1)
     looking.look()
     assert not looking

@@ -42,7 +42,7 @@ def client(tmp_path_factory, catalogue_folder):
 
 @pytest.fixture
 def start(client, tmp_path):
-    """Give a task to the first of two workers, as the engine gives a run."""
+    """Give a task to the first of two workers, as the dispatcher gives a run."""
     wait_for(lambda: len(client.nthreads()) == 2 and not any(client.processing().values()))
 
     def submit(function, *arguments, worker=0, **options):
@@ -127,10 +127,10 @@ def test_a_worker_that_does_not_see_the_folder_is_asked_once_and_no_more(start):
 @pytest.fixture(scope="module")
 def store(make_store):
     made = make_store()
-    engine = RunDispatcher(made.database, made.settings, calculation="piecework:calculate")
-    engine.start()
+    dispatcher = RunDispatcher(made.database, made.settings, calculation="piecework:calculate")
+    dispatcher.start()
     yield made
-    engine.stop()
+    dispatcher.stop()
 
 
 def marks(store, run_id: int, kind: str = "piece") -> list[int]:

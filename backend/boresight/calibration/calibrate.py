@@ -95,7 +95,7 @@ class CalibrationContext:
     report: Callable[[Progress], None] | None = None
     cache_folder: Path | None = None
     scratch_folder: Path | None = None
-    spread: Executor | None = None
+    executor: Executor | None = None
 
     @contextmanager
     def folder(self) -> Iterator[Path]:
@@ -116,7 +116,7 @@ def open_dataset(
     catalogue: Catalogue,
     parameters: Parameters,
     settings: CalibrationSettings,
-    workplace: CalibrationContext,
+    context: CalibrationContext,
 ) -> Iterator[tuple[Dataset, OffDetector]]:
     """Make a set ready, and say which stars of it lie off the detector.
 
@@ -126,13 +126,13 @@ def open_dataset(
         inside = read_whole(telemetry)
         off = check_against_sensor(inside, sensor)
         chosen = choose_match_mode(inside, settings)
-        yield Dataset(inside, sensor, catalogue, parameters, chosen, workplace.cache_folder), off
+        yield Dataset(inside, sensor, catalogue, parameters, chosen, context.cache_folder), off
         return
-    executor = workplace.spread or LocalExecutor(workplace.cancelled)
-    with workplace.folder() as folder:
-        copy = copied(telemetry, sensor, folder, executor, workplace.tell, workplace.cancelled)
+    executor = context.executor or LocalExecutor(context.cancelled)
+    with context.folder() as folder:
+        copy = copied(telemetry, sensor, folder, executor, context.tell, context.cancelled)
         chosen = choose_match_mode(copy.pieces[0].read(), settings)
-        sets = Dataset(copy, sensor, catalogue, parameters, chosen, workplace.cache_folder, workplace.tell)
+        sets = Dataset(copy, sensor, catalogue, parameters, chosen, context.cache_folder, context.tell)
         yield sets, copy.off_detector
 
 
@@ -177,7 +177,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     cancelled: Callable[[], bool] | None = None,
     cache_folder: Path | None = None,
     scratch_folder: Path | None = None,
-    spread: Executor | None = None,
+    executor: Executor | None = None,
 ) -> dict[str, Any]:
     """Estimate a sensor's parameters from a telemetry set.
 
@@ -215,9 +215,9 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     """
     clock = _Timer()
     parameters = select_free_parameters(sensor, settings)
-    place = CalibrationContext(cancelled or never, report, cache_folder, scratch_folder, spread)
-    with open_dataset(telemetry, sensor, catalogue, parameters, settings, place) as (sets, off):
-        document, ended = _calibrated(sets, parameters, sets.settings, sha256s or {}, place, clock)
+    context = CalibrationContext(cancelled or never, report, cache_folder, scratch_folder, executor)
+    with open_dataset(telemetry, sensor, catalogue, parameters, settings, context) as (sets, off):
+        document, ended = _calibrated(sets, parameters, sets.settings, sha256s or {}, context, clock)
     document["stars_off_detector"] = off.document()
     document["advice"] += off.sentences()
     if validation is not None and ended is not None and ended.estimate.status != "diverged":
@@ -241,7 +241,7 @@ def _calibrated(
     parameters: Parameters,
     settings: CalibrationSettings,
     sha256s: Mapping[str, str],
-    place: CalibrationContext,
+    context: CalibrationContext,
     clock: _Timer,
 ) -> tuple[dict[str, Any], CyclesEnd | None]:
     """Estimate and judge; returns the document, and where it ended, None where there was nothing to estimate from."""
@@ -251,8 +251,8 @@ def _calibrated(
         document = result.nothing_estimated(first.problem, parameters, settings, sha256s)
         document["advice"] = [*identification_advice(first.unidentified), *document["advice"]]
         return document, None
-    listener = ProgressReporter(first.problem, parameters, settings, sha256s, place.report, sets.prepared)
-    ended = Estimation(sets, first, parameters, settings, listener, place.cancelled).run()
+    reporter = ProgressReporter(first.problem, parameters, settings, sha256s, context.report, sets.prepared)
+    ended = Estimation(sets, first, parameters, settings, reporter, context.cancelled).run()
     ended = replace(ended, estimate=_checked(ended.matched.problem, ended.estimate))
     clock.lap("fit")
     document = result.document(ended.matched.problem, parameters, settings, ended.estimate, sha256s)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from boresight.arrays import FloatArray, IntArray
-from boresight.calibration.history_recorder import FilterCourse
+from boresight.calibration.history_recorder import RecordedHistory
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.estimation import batch, cosine
@@ -150,7 +150,7 @@ class Estimate:
     status: str
     iterations: int
     steps: tuple[batch.Step, ...] = ()
-    history: FilterCourse | None = None
+    history: RecordedHistory | None = None
     robust: Robustness | None = None
     remarks: tuple[str, ...] = ()
 

@@ -40,7 +40,7 @@ class IntervalPeaks:
     high: FloatArray
 
 
-class FilterCourse:
+class RecordedHistory:
     """The history of a filter; arrays named as in `FilterHistory`, and `frame`, the frame number of each update.
 
     `state`: before the first update.
@@ -58,7 +58,7 @@ class FilterCourse:
                 ("linearisations", "i8"),
             ]
         )
-        self._file = SpooledTemporaryFile(max_size=IN_MEMORY_BYTES)  # noqa: SIM115 - it lives as long as the course
+        self._file = SpooledTemporaryFile(max_size=IN_MEMORY_BYTES)  # noqa: SIM115 - it lives as long as the history
         weakref.finalize(self, self._file.close)
         self._squares = 0.0
         self.last, self.finite = state, True
@@ -120,9 +120,9 @@ class FilterCourse:
             begins += len(records)
         return np.concatenate(found)
 
-    def of_frames(self, frame: IntArray) -> FilterCourse:
-        """The updates of some frames as a course of its own, which ends where this one does."""
-        part = FilterCourse(self.last)
+    def of_frames(self, frame: IntArray) -> RecordedHistory:
+        """The updates of some frames as a history of its own, which ends where this one does."""
+        part = RecordedHistory(self.last)
         for records in self._chunks():
             mine = records[np.isin(records["frame"], frame)]
             part._file.write(mine.tobytes())

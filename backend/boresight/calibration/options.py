@@ -188,7 +188,7 @@ class Option:
         text = text.strip()
         if not text.isdecimal() or len(text.lstrip("0")) > MOST_DIGITS:
             raise RefusedInputError(
-                f"{self.title}: {text[:20]!r} is not a whole number; type one, such as {text_of(self.default) or 6}."
+                f"{self.title}: {text[:20]!r} is not a whole number; type one, such as {format_value(self.default) or 6}."
             )
         return int(text)
 
@@ -197,7 +197,7 @@ class Option:
             return float(text.replace(",", ".") or "0")
         except ValueError as error:
             raise RefusedInputError(
-                f"{self.title}: {text[:20]!r} is not a number; type one, such as {text_of(self.default) or 0.02}."
+                f"{self.title}: {text[:20]!r} is not a number; type one, such as {format_value(self.default) or 0.02}."
             ) from error
 
 
@@ -406,7 +406,7 @@ def _kept(declared: Option, value: Any) -> Any:
 OPTIONS = {item.name: Option(name=item.name, **item.metadata) for item in fields(CalibrationSettings)}
 
 
-def text_of(value: Any) -> str:
+def format_value(value: Any) -> str:
     """Write a value as a form or a command shows it."""
     if isinstance(value, bool):
         return "on" if value else ""
@@ -422,7 +422,7 @@ def said(name: str, value: Any) -> str:
         return "yes" if value else "no"
     if value is None:
         return "the sensor's own" if name == "free" else "as usual"
-    text = text_of(value)
+    text = format_value(value)
     return declared.words.get(text, text.replace(",", ", ") if isinstance(value, list | tuple) else text)
 
 
@@ -450,7 +450,7 @@ def listed(groups: Sequence[str] = tuple(GROUPS)) -> str:
         (
             f"`{item.flag}`",
             item.range,
-            text_of(item.default) or "none",
+            format_value(item.default) or "none",
             methods.get(item.methods) or ", ".join(item.methods),
             item.sentence,
         )

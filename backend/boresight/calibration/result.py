@@ -32,7 +32,7 @@ from boresight import __version__
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.advice import advice, too_few
 from boresight.calibration.estimate import Estimate, Parameters, robust_view
-from boresight.calibration.history_recorder import FilterCourse
+from boresight.calibration.history_recorder import RecordedHistory
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.telemetry_pieces import spread_blocks
@@ -94,7 +94,7 @@ def history_view(problem: Problem, parameters: Parameters, estimate: Estimate, a
     }
 
 
-def _between(history: FilterCourse, places: IntArray) -> dict[str, Any]:
+def _between(history: RecordedHistory, places: IntArray) -> dict[str, Any]:
     """What the updates that are not kept would have shown, for the interval that each kept one ends."""
     peaks = history.peaks(places)
     return {

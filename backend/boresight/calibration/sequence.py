@@ -16,7 +16,7 @@ import numpy as np
 
 from boresight.arrays import IntArray
 from boresight.calibration.estimate import Asked, Estimate, Parameters, ReportEstimate, claim
-from boresight.calibration.history_recorder import FilterCourse
+from boresight.calibration.history_recorder import RecordedHistory
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, whiten_at
 from boresight.errors import CancelledError
@@ -77,28 +77,28 @@ def run_sequential(
     settings: CalibrationSettings,
     listen: ReportEstimate,
     cancelled: Asked,
-) -> FilterCourse:
+) -> RecordedHistory:
     """Run a filter over frames; returns its history, empty where no frame has stars."""
     n_frames = frames.n_frames
     first_tuning, tuning = _tunings(settings)
     state = start(problem.sensor.initial, len(parameters.free), settings.initial_sigma_scale)
-    course = FilterCourse(state)
+    history = RecordedHistory(state)
     began = time.perf_counter()
     pooled, done = _first_frames(frames, problem, parameters, settings, state)
     for first, last in ((0, done), *_chunks(done, n_frames, settings.replay_frames_per_s > 0)):
         if cancelled():
             raise CancelledError(f"Stopped as asked after {first} of {n_frames} frames")
-        arcs = pooled if first == 0 else frames.arcs(first, last, course.last)
+        arcs = pooled if first == 0 else frames.arcs(first, last, history.last)
         if arcs.n_exposures:
-            chunk = whiten_at(arcs, problem.camera, course.last.x)
-            tuned = tuning if course else first_tuning
-            part = _filtered(chunk, course.last, parameters, settings, tuned)
-            course.append(part, arcs.frame)
-            listen(_on_its_way(course), last / n_frames, f"frame {arcs.frame[-1]}: {last} of {n_frames} frames")
-            if not course.finite:
+            chunk = whiten_at(arcs, problem.camera, history.last.x)
+            tuned = tuning if history else first_tuning
+            part = _filtered(chunk, history.last, parameters, settings, tuned)
+            history.append(part, arcs.frame)
+            listen(_on_its_way(history), last / n_frames, f"frame {arcs.frame[-1]}: {last} of {n_frames} frames")
+            if not history.finite:
                 break
         _keep_pace(began, last, settings.replay_frames_per_s, cancelled)
-    return course
+    return history
 
 
 def _filtered(
@@ -119,7 +119,7 @@ def _tunings(settings: CalibrationSettings) -> tuple[Tuning, Tuning]:
     return replace(tuning, linearisations=most), tuning
 
 
-def finished(problem: Problem, parameters: Parameters, history: FilterCourse) -> Estimate:
+def finished(problem: Problem, parameters: Parameters, history: RecordedHistory) -> Estimate:
     """Judge a filter's end by a whole set: its information, its chi-square and whether it improved on the start."""
     x = history.last.x
     ended = batch.normal_equations(problem.whitened(x), x, parameters.free, parameters.scale)
@@ -137,7 +137,7 @@ def finished(problem: Problem, parameters: Parameters, history: FilterCourse) ->
     )  # fmt: skip
 
 
-def _of_one_update(problem: Problem, history: FilterCourse) -> Iterator[str]:
+def _of_one_update(problem: Problem, history: RecordedHistory) -> Iterator[str]:
     """Say that a set was too small to be taken in frame by frame."""
     n_frames = problem.arcs.n_frames
     if history.finite and len(history) == 1 and n_frames > 1:
@@ -147,7 +147,7 @@ def _of_one_update(problem: Problem, history: FilterCourse) -> Iterator[str]:
         )
 
 
-def _of_blindness(problem: Problem, parameters: Parameters, history: FilterCourse) -> Iterator[str]:
+def _of_blindness(problem: Problem, parameters: Parameters, history: RecordedHistory) -> Iterator[str]:
     """Say whose spread took a filter beyond the range of the lens, and what can be done."""
     names = [problem.camera.parameter_names[parameters.free[place]] for place in history.blind]
     if names:
@@ -158,7 +158,7 @@ def _of_blindness(problem: Problem, parameters: Parameters, history: FilterCours
         )
 
 
-def _on_its_way(history: FilterCourse) -> Estimate:
+def _on_its_way(history: RecordedHistory) -> Estimate:
     """Make an estimate of a filter on its way; the set's information and chi-square are not known yet."""
     unknown = np.full_like(history.last.P, np.nan)
     return Estimate(

@@ -164,7 +164,7 @@ class Pieces:
     """A set in pieces: one in memory, or as many as it takes in a folder."""
 
     pieces: tuple[TelemetryPiece, ...]
-    spread: Executor
+    executor: Executor
     folder: Path | None = None
 
     @property
@@ -216,26 +216,26 @@ def copied(
     file: TelemetryFile | StoredTable,
     sensor: Sensor,
     folder: Path,
-    spread: Executor,
+    executor: Executor,
     told: Prepared,
     cancelled: Callable[[], bool],
 ) -> Pieces:
     """Take a stored table in its parts, which are mapped where they are; read a file into pieces.
 
-    Stretches of a file are read wherever the spread does it; from its start where it has none or is refused.
+    Stretches of a file are read wherever the executor does it; from its start where it has none or is refused.
     """
     if isinstance(file, StoredTable):
-        pieces = _mapped(file, sensor, folder, spread, told)
+        pieces = _mapped(file, sensor, folder, executor, told)
     else:
-        apart = _copied_apart(file, sensor, folder, spread, told)
+        apart = _copied_apart(file, sensor, folder, executor, told)
         pieces = apart or _copied_in_turn(file, sensor, folder, told, cancelled)
-    copy = Pieces(pieces, spread, folder)
+    copy = Pieces(pieces, executor, folder)
     copy.off_detector.refuse()
     return copy
 
 
 def _mapped(
-    file: StoredTable, sensor: Sensor, folder: Path, spread: Executor, told: Prepared
+    file: StoredTable, sensor: Sensor, folder: Path, executor: Executor, told: Prepared
 ) -> tuple[TelemetryPiece, ...]:
     """Look at the parts of a stored table; one that other machines may not see is copied as it is."""
     table = file.table
@@ -243,7 +243,7 @@ def _mapped(
         table = WorkingTable(Path(shutil.copyfile(file.path, folder / "table")), file.sha256)
     work = [(table, number, sensor, int(table.row_start[number])) for number in range(table.n_parts)]
     done = lambda k, n: told(READING * k / n, f"read {k} of {n} parts of the file")  # noqa: E731 - as for a file
-    return tuple(spread.map(look_at_part, work, done=done))
+    return tuple(executor.map(look_at_part, work, done=done))
 
 
 def look_at_part(table: WorkingTable, number: int, sensor: Sensor, begins: int) -> TelemetryPiece:
@@ -253,14 +253,14 @@ def look_at_part(table: WorkingTable, number: int, sensor: Sensor, begins: int) 
 
 
 def _copied_apart(
-    file: TelemetryFile, sensor: Sensor, folder: Path, spread: Executor, told: Prepared
+    file: TelemetryFile, sensor: Sensor, folder: Path, executor: Executor, told: Prepared
 ) -> tuple[TelemetryPiece, ...]:
     """Copy the stretches of a file; nothing when one of them cannot be used, or it has none."""
     work = [
         (stretch, file.chunk_frames, sensor, str(folder / f"telemetry-{number:06d}"))
         for number, stretch in enumerate(file.stretches())
     ]
-    parts: list[tuple[TelemetryPiece, ...] | None] = spread.map(
+    parts: list[tuple[TelemetryPiece, ...] | None] = executor.map(
         copy_stretch, work, done=lambda k, n: told(READING * k / n, f"read {k} of {n} parts of the file")
     )
     pieces: list[TelemetryPiece] = []

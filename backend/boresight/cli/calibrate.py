@@ -126,7 +126,7 @@ def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settin
     sensor = read_sensor(sensor_file)
     limits = read_settings().telemetry_limits
     stars = TelemetryFile(telemetry, limits=limits).opened()
-    held_out = None if validate is None else TelemetryFile(validate, limits=limits).opened()
+    validation = None if validate is None else TelemetryFile(validate, limits=limits).opened()
     report("loading the star catalogue")
     catalogue = load_catalogue(read_settings().catalogue_folder)
     report("building arcs and loading the compiled loops")
@@ -136,7 +136,7 @@ def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settin
         sensor,
         catalogue,
         settings,
-        validation=held_out,
+        validation=validation,
         sha256s={role: _sha256(path) for role, path in files.items()},
         report=lambda step: report(step.message, step.fraction),
         cache_folder=read_settings().catalogue_folder,

@@ -67,7 +67,7 @@ class StoredArcs:
     """The arcs of a set in pieces; what is computed of them is the same to the last bit as of an `ArcSet`."""
 
     pieces: tuple[ArcsPiece, ...]
-    spread: Executor
+    executor: Executor
     steps: tuple[Step, ...] = ()
 
     @cached_property
@@ -109,11 +109,11 @@ class StoredArcs:
         return replace(self, steps=(*self.steps, (function, arguments)))
 
     def over_blocks(self, function: Callable[..., T], *arguments: Any) -> list[T]:
-        """Call `function(block, *arguments)` for each block, a range of blocks at a time, wherever the spread computes it."""
+        """Call `function(block, *arguments)` for each block, a range of blocks at a time, wherever the executor computes it."""
         edges = range(0, self.n_frames, FRAMES * BLOCKS_A_RANGE)
         ranges = [self.part(first, min(first + edges.step, self.n_frames)) for first in edges]
         work = [(*part, self.steps, function, arguments) for part in ranges]
-        return [result for results in self.spread.map(over_range, work) for result in results]
+        return [result for results in self.executor.map(over_range, work) for result in results]
 
     def part(self, first: int, last: int) -> tuple[tuple[ArcsPiece, ...], int, int]:
         """The pieces that the frames first <= k < last lie in, and these places counted from the first of them."""

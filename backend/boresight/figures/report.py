@@ -12,7 +12,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from boresight import __version__
-from boresight.calibration.options import OPTIONS, CalibrationSettings, text_of
+from boresight.calibration.options import OPTIONS, CalibrationSettings, format_value
 from boresight.errors import RefusedInputError
 from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.chart import Result, Trace, figure_json
@@ -153,7 +153,7 @@ def calibrate_command(
     for name, default in CalibrationSettings().document().items():
         flag, value = OPTIONS[name].flag, settings.get(name, default)
         if flag and value is not None and (value != default or name in ALWAYS):
-            words.append(flag if value is True else f"{flag} {quote(text_of(value))}")
+            words.append(flag if value is True else f"{flag} {quote(format_value(value))}")
     if validation:
         words.append(f"--validate {quote(validation)}")
     return [*words, f"--json {quote(json_file)}"]

@@ -296,7 +296,7 @@ def sigma_of_rms(rms_rad: float | None, arcs: float | None) -> float | None:
     return None if rms_rad is None or not arcs else float(rms_rad / np.sqrt(2 * arcs))
 
 
-def summary_of(result: Mapping[str, Any]) -> dict[str, Any]:
+def summarise_run(result: Mapping[str, Any]) -> dict[str, Any]:
     """Pick the figures for lists from a calibration JSON; what it does not have, or is no number there, is None."""
     judged = make_verdict(result)
     advice = [*(result.get("advice") or ()), *(judged.reasons if judged.level != "normal" else ())]

@@ -1,4 +1,4 @@
-"""The dask cluster as the engine uses it: its client, scheduler and workers, submitted to, asked to stop, killed, missed."""
+"""The dask cluster as the dispatcher uses it: its client, scheduler and workers, submitted to, asked to stop, killed, missed."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ log = logging.getLogger(__name__)
 CONNECT_S = 5
 CLOSE_S = 5
 FETCH_S = 2
-CHATTY = ("distributed", "distributed.client")  # what they tell, the engine writes to the run it concerns
+CHATTY = ("distributed", "distributed.client")  # what they tell, the dispatcher writes to the run it concerns
 DIED = "its worker process died while computing it (killed, or out of memory)"
 LENT_S = 5.0  # so long after pieces were on a worker its death may be theirs
 NEVER = "3650 days"
@@ -167,7 +167,7 @@ class Cluster:
         future.add_done_callback(lambda _: done())
         return future
 
-    def ends_of(self, future: Any, worker: str) -> list[RunEnd] | LostTaskError | None:
+    def fetch_ends(self, future: Any, worker: str) -> list[RunEnd] | LostTaskError | None:
         """Return how a task's attempts ended, that it was lost, or None when it has not ended or ended for no fault of its own."""
         if not future.done():
             return None

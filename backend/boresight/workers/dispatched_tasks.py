@@ -38,7 +38,7 @@ class DispatchedTask:
 
 
 class DispatchedTasks:
-    """All tasks in flight, oldest first."""
+    """All tasks that were given to workers, oldest first."""
 
     def __init__(self) -> None:
         self._all: list[DispatchedTask] = []
@@ -65,20 +65,20 @@ class DispatchedTasks:
 
     def held(self) -> set[HeldRun]:
         """Return all attempts that are on the cluster for us."""
-        return {held for flight in self._all for held in flight.members}
+        return {held for task in self._all for held in task.members}
 
     def of(self, held: HeldRun) -> DispatchedTask:
         """Return the task of an attempt."""
-        return next(flight for flight in self._all if held in flight.members)
+        return next(task for task in self._all if held in task.members)
 
     def any_done(self) -> bool:
         """Whether any task has ended, well or not."""
-        return any(flight.future.done() for flight in self._all)
+        return any(task.future.done() for task in self._all)
 
     def advance(self, threads: Mapping[str, int]) -> None:
         """Let tasks that waited behind come to the threads that are free now; `threads` counts those of the workers there are."""
         free = Counter(threads)
-        free.subtract(flight.worker for flight in self._all if not flight.behind)
+        free.subtract(task.worker for task in self._all if not task.behind)
         for task in self._all:
             if task.behind and free[task.worker] > 0:
                 task.behind, task.since_s = False, time.monotonic()
@@ -86,19 +86,19 @@ class DispatchedTasks:
 
     def free(self, threads: Mapping[str, int]) -> list[str]:
         """Return the address of a worker for each of its threads that has no task."""
-        busy = Counter(flight.worker for flight in self._all)
+        busy = Counter(task.worker for task in self._all)
         return [worker for worker, count in threads.items() for _ in range(count - busy[worker])]
 
     def followed(self, threads: Mapping[str, int]) -> list[str]:
         """Return the address of a worker for each of its threads that computes short runs with nothing behind them."""
-        short = Counter(flight.worker for flight in self._all if flight.short and not flight.behind)
-        short.subtract(flight.worker for flight in self._all if flight.behind)
+        short = Counter(task.worker for task in self._all if task.short and not task.behind)
+        short.subtract(task.worker for task in self._all if task.behind)
         return [worker for worker in threads for _ in range(short[worker])]
 
     def overdue(self, patience_s: float) -> list[DispatchedTask]:
         """Return the tasks that have waited longer behind others than those should have taken."""
         now_s = time.monotonic()
-        return [flight for flight in self._all if flight.behind and now_s - flight.since_s > patience_s]
+        return [task for task in self._all if task.behind and now_s - task.since_s > patience_s]
 
 
 log = logging.getLogger(__name__)
@@ -110,7 +110,7 @@ LEAVE_AFTER_S = 0.5  # its sentence goes first
 class WorkerCheck(WorkerPlugin):  # type: ignore[misc]  # distributed ships no types
     """Ask every worker whether it may compute for this server."""
 
-    name = "boresight-fitness"
+    name = "boresight-worker-check"
 
     def __init__(self, version: str, folder: str) -> None:
         self.version = version

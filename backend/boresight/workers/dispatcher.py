@@ -1,9 +1,9 @@
-"""The engine: a thread in the server process that hands waiting runs to the workers and writes how they end.
+"""The dispatcher: a thread in the server process that hands waiting runs to the workers and writes how they end.
 
 The row is the truth, the cluster only computes. Each turn: settle finished tasks, give runs to the threads, and only then, while
 they compute, renew leases, write progress, pass on wishes to stop, and look whether what was found raises an alarm. A task is
 pinned to its worker and a thread computes one task at a time, so when a worker dies it is known which run may have been guilty.
-The engine itself may die at any point: what it had claimed lapses with the lease, what its workers had finished lies in the blob
+It may die at any point: what it had claimed lapses with the lease, what its workers had finished lies in the blob
 folder under its own address, and a write-back of an attempt that no longer holds its run matches nothing.
 
 Everything it writes to the database is one short transaction each. What we hold we renew three times a lease; what lapses belonged
@@ -153,21 +153,21 @@ class Reconciler:
     durations: DurationModel = field(default_factory=DurationModel)
 
     @cached_property
-    def _marks(self) -> DataVersionReader:
+    def _data_versions(self) -> DataVersionReader:
         """Tells whether anything was committed: what is asked every turn is read only then."""
         return DataVersionReader(self.database)
 
     @cached_property
     def _waiting(self) -> VersionedCache[list[WaitingRun]]:
-        return VersionedCache(self._marks)
+        return VersionedCache(self._data_versions)
 
     @cached_property
     def _stops(self) -> VersionedCache[set[HeldRun]]:
-        return VersionedCache(self._marks)
+        return VersionedCache(self._data_versions)
 
     def close(self) -> None:
         """Let go of the store."""
-        self._marks.close()
+        self._data_versions.close()
 
     def settle(self, ends: Sequence[RunEnd]) -> None:
         """Write how attempts ended, unless they no longer hold their runs."""
@@ -261,7 +261,7 @@ RUNS = 16  # looked at together
 
 
 class AlarmCheck:
-    """The runs of one engine that were not looked at yet."""
+    """The runs of one dispatcher that were not looked at yet."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -291,7 +291,7 @@ class AlarmCheck:
             return find_changed_sensors(session, list_sensors(session, run_ids))
 
 
-TURN_S = 0.25  # while nothing is told: an end, a launch and a wish to stop here wake the engine at once
+TURN_S = 0.25  # while nothing is told: an end, a launch and a wish to stop here wake the dispatcher at once
 LOOK_EVERY_S = 0.5  # at the workers, while no task has ended or none is there
 PAUSE_AFTER_ERROR_S = 1.0
 CANCEL_GRACE_S, GONE_S = 5.0, 1.0
@@ -302,7 +302,7 @@ JOIN_S = 30.0
 
 
 class RunDispatcher:
-    """Runs the runs of one database; several engines may share it."""
+    """Runs the runs of one database; several dispatchers may share it."""
 
     def __init__(
         self,
@@ -322,14 +322,14 @@ class RunDispatcher:
         self._calculation = calculation
         self._grace_s = cancel_grace_s
         self._cluster: Cluster | None = None
-        self._flights = DispatchedTasks()
+        self._tasks = DispatchedTasks()
         self._threads: dict[str, int] = {}
         self._joined = False  # whether any worker ever was there
-        self._lookout = AlarmCheck(database)
+        self._alarm_check = AlarmCheck(database)
         self._reports = ProgressInbox()
         self._renewed_s = self._looked_s = 0.0
         self._wake, self._stopping = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run, name="boresight-engine", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="boresight-dispatcher", daemon=True)
 
     def start(self) -> None:
         """Begin, where the settings give any workers; returns at once, the workers start beside."""
@@ -337,7 +337,7 @@ class RunDispatcher:
             self._thread.start()
 
     def stop(self) -> None:
-        """End in order: what is still computing is queued again for the next engine, the workers end."""
+        """End in order: what is still computing is queued again for the next dispatcher, the workers end."""
         self._stopping.set()
         self._wake.set()
         if self._thread.is_alive():
@@ -350,7 +350,7 @@ class RunDispatcher:
     def state(self) -> dict[str, Any]:
         """Say who this is, whether it turns, its cluster is there and ever had a worker; its threads at last, and tasks."""
         connected = self._cluster is not None and self._cluster.connected
-        counts = {"joined": self._joined, "threads": sum(self._threads.values()), "tasks": len(self._flights)}
+        counts = {"joined": self._joined, "threads": sum(self._threads.values()), "tasks": len(self._tasks)}
         return {"owner": self.owner, "turns": self._thread.is_alive(), "connected": connected, **counts}
 
     def _run(self) -> None:
@@ -362,7 +362,7 @@ class RunDispatcher:
                 log.warning("The scheduler was lost while it was asked something")
                 self._stopping.wait(TURN_S)
             except Exception:
-                log.exception("The engine's turn failed and is tried again")
+                log.exception("The dispatcher's turn failed and is tried again")
                 self._stopping.wait(PAUSE_AFTER_ERROR_S)
             self._wake.wait(TURN_S)
             self._wake.clear()
@@ -375,7 +375,7 @@ class RunDispatcher:
             self._renew()
             self._tell_progress()
             self._pass_on_stops()
-            self._lookout.look()
+            self._alarm_check.look()
 
     def _attach(self) -> bool:
         """Have a cluster; after its loss queue what was on it and make a new connection."""
@@ -391,8 +391,8 @@ class RunDispatcher:
     def _detach(self, cause: str) -> None:
         """Let go of the cluster and queue again what was on it."""
         cluster, self._cluster = self._cluster, None
-        held = self._flights.held()
-        self._flights.clear()
+        held = self._tasks.held()
+        self._tasks.clear()
         try:
             self._rows.put_back(held, cause)
             self._tell_moved(held)
@@ -406,24 +406,24 @@ class RunDispatcher:
             if self._cluster is not None:
                 self._settle()
         except Exception:
-            log.exception("The engine could not write all that had ended; it is computed again")
+            log.exception("The dispatcher could not write all that had ended; it is computed again")
         try:
             self._detach("its server was stopped")
         except Exception:
-            log.exception("The engine could not queue its runs again; their leases will lapse")
+            log.exception("The dispatcher could not queue its runs again; their leases will lapse")
         self._rows.close()
 
     def _settle(self) -> None:
         """Write the ends of finished and of lost tasks."""
-        is_due = time.monotonic() - self._looked_s > LOOK_EVERY_S and (self._flights or not self._threads)
-        if is_due or self._flights.any_done():
+        is_due = time.monotonic() - self._looked_s > LOOK_EVERY_S and (self._tasks or not self._threads)
+        if is_due or self._tasks.any_done():
             self._threads, self._looked_s = self._on_cluster().workers(), time.monotonic()
         self._joined = self._joined or bool(self._threads)
-        self._flights.advance(self._threads)
+        self._tasks.advance(self._threads)
         self._recall()
-        for task in self._flights:
+        for task in self._tasks:
             if self._is_settled(task, alive=task.worker in self._threads):
-                self._flights.remove(task)
+                self._tasks.remove(task)
                 self._tell_moved(task.members)
                 for held in task.asked_s:
                     self._on_cluster().forget_stop(held)
@@ -437,7 +437,7 @@ class RunDispatcher:
         if task.future.cancelled():
             self._rows.put_back(task.members, "the scheduler dropped it")
             return True
-        answer = self._on_cluster().ends_of(task.future, task.worker)
+        answer = self._on_cluster().fetch_ends(task.future, task.worker)
         if answer is None and alive:
             return False
         if answer is None:  # the news of the end may still be on its way
@@ -451,7 +451,7 @@ class RunDispatcher:
             self._rows.give_up(task.members, str(answer), begun=not task.behind)
         else:
             self._rows.settle(answer)
-            self._lookout.note(answer)
+            self._alarm_check.note(answer)
             for sha256 in {end.corrupt_sha256 for end in answer} - {None}:
                 self._suspect(str(sha256))
         return True
@@ -460,9 +460,9 @@ class RunDispatcher:
         """Renew our leases three times a lease; drop what is no longer ours."""
         if time.monotonic() - self._renewed_s < self._settings.lease_s / 3:
             return
-        lost = self._rows.renew(self._flights.held())
+        lost = self._rows.renew(self._tasks.held())
         self._renewed_s = time.monotonic()
-        for task in self._flights:
+        for task in self._tasks:
             for held in task.members & lost:
                 task.members.discard(held)
                 task.asked_s[held] = time.monotonic()
@@ -470,7 +470,7 @@ class RunDispatcher:
 
     def _tell_progress(self) -> None:
         """Pass reports on, and write them to the rows at most twice a second."""
-        reports = self._reports.take(self._flights.held())
+        reports = self._reports.take(self._tasks.held())
         for held, report in reports.items():
             self._broadcast({"kind": "progress", **self._reports.news(held, report)})
         if due := self._reports.due(reports):
@@ -478,9 +478,9 @@ class RunDispatcher:
 
     def _pass_on_stops(self) -> None:
         """Ask attempts to stop whose rows say so; end by force what did not answer in time."""
-        asked = self._rows.stops(self._flights.held()) if self._flights else set()
+        asked = self._rows.stops(self._tasks.held()) if self._tasks else set()
         for held in asked:
-            task = self._flights.of(held)
+            task = self._tasks.of(held)
             if held not in task.asked_s:
                 task.asked_s[held] = time.monotonic()
                 self._on_cluster().ask_to_stop(held)
@@ -503,37 +503,37 @@ class RunDispatcher:
 
     def _launch(self) -> None:
         """Give waiting runs to the free threads, and more to those that will soon be free."""
-        if self._flights and not (self._flights.free(self._threads) or self._flights.followed(self._threads)):
+        if self._tasks and not (self._tasks.free(self._threads) or self._tasks.followed(self._threads)):
             return
         threads = sum(self._threads.values())
         waiting = self._rows.waiting(LOOK_AHEAD * max(1, threads))
-        if waiting and not self._flights:
+        if waiting and not self._tasks:
             self._threads = self._on_cluster().workers()
             threads = sum(self._threads.values())
-        free = self._flights.free(self._threads) if waiting else []
-        followed = self._flights.followed(self._threads) if len(waiting) > threads else []
+        free = self._tasks.free(self._threads) if waiting else []
+        followed = self._tasks.followed(self._threads) if len(waiting) > threads else []
         claimed = self._rows.take(waiting, len(free), len(followed), threads) if free or followed else []
         try:
             for place, (worker, (group, runs)) in enumerate(zip(free + followed, claimed, strict=False)):
                 self._hand_over(worker, group, runs, behind=place >= len(free))
         except Exception:
             taken = {(run.run_id, run.attempt) for _, runs in claimed for run in runs}
-            self._rows.put_back(taken - self._flights.held(), "it could not be handed to the scheduler")
+            self._rows.put_back(taken - self._tasks.held(), "it could not be handed to the scheduler")
             raise
 
     def _hand_over(self, worker: str, group: RunGroup, runs: list[ClaimedRun], *, behind: bool) -> None:
         members = {(run.run_id, run.attempt) for run in runs}
         work = [(run.run_id, run.attempt, gather_inputs(self._settings, run)) for run in runs]
         future = self._on_cluster().submit(worker, work, self._calculation, self._wake.set)
-        self._flights.add(DispatchedTask(future, worker, members, group.short, group.seconds, behind))
+        self._tasks.add(DispatchedTask(future, worker, members, group.short, group.seconds, behind))
         self._tell_moved(members)
 
     def _recall(self) -> None:
         """Queue again what waits behind a task that takes longer than was foreseen; another thread may be free sooner."""
-        for task in self._flights.overdue(OVERDUE_S):
+        for task in self._tasks.overdue(OVERDUE_S):
             task.future.cancel()
             self._rows.put_back(task.members, "the runs before it took longer than foreseen")
-            self._flights.remove(task)
+            self._tasks.remove(task)
             self._tell_moved(task.members)
 
     def _tell_moved(self, members: Collection[HeldRun]) -> None:

@@ -81,7 +81,7 @@ class ProgressInbox:
         return {held: report for held, report in reports.items() if held in ours}
 
     def news(self, held: HeldRun, report: Report) -> dict[str, Any]:
-        """Say what a report tells, with the points of the course that were not told before; they are taken as told now."""
+        """Say what a report tells, with the points of the history that were not told before; they are taken as told now."""
         points = points_after((report.calibration or {}).get("history") or {}, self._told_frame.get(held))
         if points is not None:
             self._told_frame[held] = points["frame"][-1]
@@ -109,7 +109,7 @@ class ProgressInbox:
 
 
 def points_after(history: Mapping[str, Any], after: int | None) -> dict[str, Any] | None:
-    """Return the points of a course after a frame, or None where there are none."""
+    """Return the points of a history after a frame, or None where there are none."""
     frames: Sequence[int] = history.get("frame") or ()
     if after is not None and frames and frames[-1] < after:
         after = None

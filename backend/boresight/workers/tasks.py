@@ -46,7 +46,7 @@ from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import Catalogue, load_catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor, parse_sensor
-from boresight.verdicts.verdict import summary_of
+from boresight.verdicts.verdict import summarise_run
 from boresight.workers.cluster_executor import ClusterExecutor, make_scratch_folder
 from boresight.workers.link import Link
 
@@ -106,7 +106,7 @@ def _few_stars(sensor: Sensor) -> Telemetry:
 
 
 CALCULATION = "boresight.calibration.calibrate:calibrate"
-TABLES = 2  # kept in a worker process; none is so large that it is spread
+TABLES = 2  # kept in a worker process; none is so large that it is computed in pieces
 
 
 class Inputs(TypedDict):
@@ -192,7 +192,7 @@ def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tupl
     content = orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
     seconds, cpu_seconds = time.perf_counter() - begun_s, time.thread_time() - begun_cpu_s
     took = {"seconds": round(seconds, 4), "cpu_seconds": round(cpu_seconds, 4)}
-    summary = summary_of(document) | took
+    summary = summarise_run(document) | took
     told = Line.log(f"Computed in {seconds:.2f} s: {summary['status']}.", took)
     end = RunEnd(link.run_id, link.attempt, "SUCCEEDED", summary=summary, result_bytes=len(content), log=[told])
     return end, keep(lambda: blobs.put(content))
@@ -202,7 +202,7 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
     """Read the inputs and call the calculation; a large set is left in its file, and computed by whoever is idle."""
     validation = inputs["validation_sha256"]
     source = _table(blobs, inputs["table_sha256"])
-    held_out = None if validation is None else _table(blobs, validation)
+    validation_table = None if validation is None else _table(blobs, validation)
     large = source.large()
     with ExitStack() as stack:
         folders: dict[str, Any] = {}
@@ -210,13 +210,15 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
             scratch = Path(inputs["catalogue_folder"]).parent / "scratch"
             folder = stack.enter_context(make_scratch_folder(scratch, link.run_id, link.attempt))
             executor = ClusterExecutor(f"{link.run_id}-{link.attempt}", folder, link.cancelled)
-            folders = {"scratch_folder": folder, "spread": executor}
+            folders = {"scratch_folder": folder, "executor": executor}
         return _function(calculation)(
             source if large else _telemetry(source),
             parse_sensor(inputs["sensor_document"]),
             _catalogue(inputs["catalogue_folder"]),
             CalibrationSettings.parse(inputs["settings"]),
-            validation=held_out if held_out is None or held_out.large() else _telemetry(held_out),
+            validation=validation_table
+            if validation_table is None or validation_table.large()
+            else _telemetry(validation_table),
             report=link.report,
             cancelled=link.cancelled,
             cache_folder=Path(inputs["catalogue_folder"]),

@@ -219,7 +219,7 @@ def _alarms(store: Engine) -> list[Alarm]:
 
 def _round(upkeep: Maintenance) -> None:
     upkeep.read_files()
-    upkeep.watch()
+    upkeep.apply_alarm_rules()
 
 
 def _spoil(blobs: BlobStore) -> str:

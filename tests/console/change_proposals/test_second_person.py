@@ -9,7 +9,7 @@ import sqlalchemy as sa
 
 from boresight.console.access import api_keys, users
 from boresight.console.access.tables import User
-from boresight.console.alarms import rules as clock
+from boresight.console.alarms import rules as alarm_rules
 from boresight.console.approvals import gate_profiles, proposals
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.tables import Approval, ChangeProposal, GateProfile
@@ -255,7 +255,7 @@ def test_of_many_that_confirm_at_once_one_does(race):
 
 def test_a_jump_of_the_clock_expires_no_proposal_before_somebody_has_acknowledged_it(engine, two, monkeypatch):
     wall_s, steady_s = [1.8e9], 1000.0
-    monkeypatch.setattr(clock, "OURS", clock.Clock(lambda: wall_s[0], lambda: steady_s))
+    monkeypatch.setattr(alarm_rules, "OURS", alarm_rules.Clock(lambda: wall_s[0], lambda: steady_s))
     with open_writing(engine) as session:
         at_once = Policy(second_person=True, approval_days=0.0)
         row = second_person.change(session, two["root"], "gate-profile", 1, SHIFT, "To be tried.", 0, policy=at_once)

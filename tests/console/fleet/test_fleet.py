@@ -37,8 +37,8 @@ from boresight.platform.db.sessions import Engine, Session, open_reading, open_w
 from boresight.resources import folder
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
-from boresight.verdicts.verdict import summary_of
-from tests.console.uplinks.services import climb, promote_by_hand
+from boresight.verdicts.verdict import summarise_run
+from tests.console.uplinks.services import advance, promote_by_hand
 from tests.missions import add_run, add_set, make_baseline
 
 NOTHING = SensorFacts(baseline=None, last_run=None, onboard=(), waiting=None, telemetry_sets=0, days=None)
@@ -107,7 +107,7 @@ WEAK = {"sigma_of_direction": [0.1, 0.7], "singular_values": [10.0, 1.4], "weake
 def test_a_fit_that_its_page_doubts_is_not_normal_for_the_fleet(engine, finished_run, found, status, says):
     with open_writing(engine) as session:
         run = finished_run(session)
-        run.summary = summary_of({"status": "converged", "chi2_per_dof": 1.0, **CONSISTENT, **found})
+        run.summary = summarise_run({"status": "converged", "chi2_per_dof": 1.0, **CONSISTENT, **found})
     tile = tile_of(engine)
     assert tile.status == status
     assert says in tile.sentence
@@ -146,7 +146,7 @@ def test_age_a_waiting_request_and_a_mismatch_speak_louder_than_an_older_run(
 
 def test_an_active_set_that_is_not_the_baseline_is_a_caution(engine, people, candidate):
     row = candidate()
-    climb(engine, people["dee"], "SENT", "LOADED", "VERIFIED", "ACTIVE")
+    advance(engine, people["dee"], "SENT", "LOADED", "VERIFIED", "ACTIVE")
     with open_writing(engine) as session:
         promote_by_hand(session, session.get_one(ParameterSet, row.id), utc_after(0.0))
     tile = tile_of(engine)

@@ -126,8 +126,8 @@ def _until_told(house: House) -> None:
     with open_reading(house.app.state.engine) as session:
         stored = EventCursor.now(session, broadcast.progress)
     until_s = time.monotonic() + 10
-    while not broadcast.place.covers(stored):
-        assert time.monotonic() < until_s, (broadcast.place, stored)
+    while not broadcast.cursor.covers(stored):
+        assert time.monotonic() < until_s, (broadcast.cursor, stored)
         time.sleep(0.01)
 
 

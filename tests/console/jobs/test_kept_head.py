@@ -51,7 +51,7 @@ def _upkeep(store: Engine, file: Path | None, every_s: float = 0.0) -> Maintenan
 def _round(upkeep: Maintenance) -> None:
     upkeep.verify()
     upkeep.keep_head()
-    upkeep.watch()
+    upkeep.apply_alarm_rules()
 
 
 def _kinds(store: Engine) -> list[str]:
@@ -114,7 +114,7 @@ def test_records_lost_between_two_walks_keep_the_next_head_from_being_written(st
     _round(upkeep)
     write_head(file, lost)
     upkeep.keep_head()
-    upkeep.watch()
+    upkeep.apply_alarm_rules()
     assert read_head(file) == lost
     assert _kinds(store) == ["CHAIN"]
 
@@ -129,7 +129,7 @@ def test_a_head_file_that_is_gone_is_a_finding_and_is_not_begun_anew(store, tmp_
     _round(upkeep)
     file.parent.rename(tmp_path / "unmounted")
     upkeep.keep_head()  # before the next walk
-    upkeep.watch()
+    upkeep.apply_alarm_rules()
     assert (upkeep.light().state, _kinds(store)) == ("broken", ["CHAIN"])
     file.parent.mkdir()
     _round(_upkeep(store, file))  # another server, and an empty folder in its place

@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from boresight.console import list_queries as lists
 from boresight.console.access import api_keys, users
 from boresight.console.access.tables import ApiKey
-from boresight.console.alarms import rules as clock
+from boresight.console.alarms import rules as alarm_rules
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals import service as approvals
@@ -116,7 +116,7 @@ def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_r
         connection.exec_driver_sql("UPDATE users SET roles = '[\"administrator\"]'")
     upkeep.verify()
     for _ in range(2):
-        upkeep.watch()
+        upkeep.apply_alarm_rules()
     with open_reading(store) as session:
         (raised,) = alarms.list_alarms(session)
     assert (raised.kind, raised.level, raised.version) == ("CHAIN", "critical", 1)
@@ -124,7 +124,7 @@ def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_r
     with store.begin() as connection:
         connection.execute(sa.text("UPDATE users SET roles = :roles"), {"roles": before})
     upkeep.verify()
-    upkeep.watch()
+    upkeep.apply_alarm_rules()
     with open_reading(store) as session:
         (over,) = alarms.list_alarms(session)
         assert alarms.get_alarm_state(over) == "unacknowledged, returned to normal"
@@ -158,7 +158,7 @@ class Hands:
 @pytest.fixture
 def hands(monkeypatch) -> Hands:
     hands = Hands()
-    monkeypatch.setattr(clock, "OURS", clock.Clock(lambda: hands.wall_s, lambda: hands.steady_s))
+    monkeypatch.setattr(alarm_rules, "OURS", alarm_rules.Clock(lambda: hands.wall_s, lambda: hands.steady_s))
     return hands
 
 

@@ -109,10 +109,12 @@ def test_errors_stand_with_their_three_sigma_and_held_out_ones_by_themselves(res
     value, _, reach = numbers["Fitted data, new parameters"].partition(" ± ")
     assert float(value) == pytest.approx(final, rel=1e-3)
     assert float(reach) == pytest.approx(3 * final / (2 * result["pairs"]) ** 0.5, rel=0.05)
-    held_out = 1e6 * result["validation"]["rms_arc_rad"]["final"]
+    validation_set = 1e6 * result["validation"]["rms_arc_rad"]["final"]
     value, _, reach = numbers["Validation data, new parameters"].partition(" ± ")
-    assert float(value) == pytest.approx(held_out, rel=1e-3)
-    assert float(reach) == pytest.approx(3 * held_out / (2 * result["validation"]["common_pairs"]) ** 0.5, rel=0.05)
+    assert float(value) == pytest.approx(validation_set, rel=1e-3)
+    assert float(reach) == pytest.approx(
+        3 * validation_set / (2 * result["validation"]["common_pairs"]) ** 0.5, rel=0.05
+    )
     assert (tail.start, tail.chosen) == (30.0, True)
 
 

@@ -16,7 +16,7 @@ def define(site: Any) -> None:
         table_definitions.set_definition(session, site.actor("ada"), 1, DOCUMENT, "As flown.", 0)
 
 
-def climb(site: Any, *states: str, set_id: int = 1) -> None:
+def advance(site: Any, *states: str, set_id: int = 1) -> None:
     for state in states:
         with open_reading(site.engine) as session:
             undefined = table_definitions.definition_in_force(session, 1) is None

@@ -36,7 +36,7 @@ def define(engine: Engine, actor: Actor, **changed: Any) -> TableDefinition:
         return table_definitions.set_definition(session, actor, 1, DOCUMENT | changed, "As flown.", seen)
 
 
-def climb(engine: Engine, actor: Actor, *states: str, set_id: int = 1) -> None:
+def advance(engine: Engine, actor: Actor, *states: str, set_id: int = 1) -> None:
     for state in states:
         if state == "VERIFIED":
             _tell_crc(engine, actor, set_id)

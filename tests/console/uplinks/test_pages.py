@@ -29,7 +29,7 @@ from boresight.console.uplinks.service import add_entry
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.uplink.table_definition import plain_definition
-from tests.console.uplinks.pages import climb, define, send_dump, table, version
+from tests.console.uplinks.pages import advance, define, send_dump, table, version
 from tests.sites import PASSWORD
 
 NAMES = RunNames({}, {}, {1: "Olga Operator"})
@@ -55,7 +55,7 @@ def _records(*states: str) -> list[Uplink]:
         (LADDER, ["next", "done", "done", "done", "done"]),
     ],
 )
-def test_the_ladder_shows_the_present_climb(states, words):
+def test_the_ladder_shows_the_present_progress(states, words):
     assert [step.word for step in list_steps(None, _records(*states), NAMES)] == words
 
 
@@ -76,24 +76,24 @@ def test_the_fleet_shows_ground_and_board_side_by_side_and_active_only_where_it_
     assert "ACTIVE" not in page
     for address in ("/uplink", STEPS):
         assert "This tool does not command the spacecraft." in read(visitor.get(address))
-    climb(site, *LADDER)
+    advance(site, *LADDER)
     assert re.search(r"THE SAME .*PS-ST16-1-0 .*ACTIVE .*pass for ACTIVE signed", read(visitor.get("/uplink")))
 
 
 @pytest.fixture
 def fleet(site):
     visitor = site.visitor("ada")
-    climbs = {
+    progresses = {
         "B-sent": ("SENT",),
         "C-mismatch": ("SENT", "MISMATCH"),
         "D-unknown": ("SENT", "UNKNOWN"),
         "E-loaded": LADDER[:2],
     }
-    for name, states in climbs.items():
+    for name, states in progresses.items():
         assert visitor.post("/sensors", document=EXAMPLE.replace("ST16-7", name)).status_code == 303
         with open_reading(site.engine) as session:
             (row,) = session.scalars(select(ParameterSet).where(ParameterSet.name == f"PS-{name}-0"))
-        climb(site, *states, set_id=row.id)
+        advance(site, *states, set_id=row.id)
     return ["C-mismatch", "D-unknown", "B-sent", "E-loaded", "ST16-1"]
 
 
@@ -132,7 +132,7 @@ def test_a_large_fleet_comes_page_by_page(site, fleet, monkeypatch):
 
 def test_a_dump_with_a_flipped_bit_is_a_mismatch_that_the_page_names(site, read):
     define(site)
-    climb(site, "SENT", "LOADED")
+    advance(site, "SENT", "LOADED")
     visitor, sent = site.visitor("olga"), table(site)
     answer = send_dump(site, visitor, sent[:17] + bytes([sent[17] ^ 0x10]) + sent[18:])
     assert answer.status_code == 303
@@ -146,7 +146,7 @@ def test_a_dump_with_a_flipped_bit_is_a_mismatch_that_the_page_names(site, read)
 
 
 def test_the_page_says_who_defines_the_table_and_that_a_typed_crc_verified_by_crc(site, read):
-    climb(site, "SENT", "LOADED")
+    advance(site, "SENT", "LOADED")
     visitor = site.visitor("olga")
     assert "have an analyst or an administrator set one" in read(visitor.get(STEPS))
     define(site)
@@ -157,7 +157,7 @@ def test_the_page_says_who_defines_the_table_and_that_a_typed_crc_verified_by_cr
 
 
 def test_a_signed_entry_makes_it_active_with_name_and_meaning(site, read):
-    climb(site, "SENT", "LOADED", "VERIFIED")
+    advance(site, "SENT", "LOADED", "VERIFIED")
     visitor = site.visitor("olga")
     page = visitor.get(STEPS)
     assert "VERIFIED by statement" not in read(page)
@@ -172,7 +172,7 @@ def test_a_signed_entry_makes_it_active_with_name_and_meaning(site, read):
 
 
 def test_what_was_verified_by_word_alone_is_to_be_read_back_before_it_is_signed(site, read):
-    climb(site, "SENT", "LOADED")
+    advance(site, "SENT", "LOADED")
     with open_writing(site.engine) as session:
         add_entry(session, site.actor("olga"), session.get_one(ParameterSet, 1), "VERIFIED", "pass 1")
     visitor = site.visitor("olga")
@@ -181,18 +181,18 @@ def test_what_was_verified_by_word_alone_is_to_be_read_back_before_it_is_signed(
 
 def test_loaded_is_not_offered_while_a_dump_stands_against_it(site):
     define(site)
-    climb(site, "SENT", "LOADED")
+    advance(site, "SENT", "LOADED")
     visitor, sent = site.visitor("olga"), table(site)
     send_dump(site, visitor, bytes([sent[0] ^ 1]) + sent[1:])
-    climb(site, "UNKNOWN")
+    advance(site, "UNKNOWN")
     assert '<option value="LOADED"' not in visitor.get(STEPS)
     send_dump(site, visitor, sent)
-    climb(site, "UNKNOWN")
+    advance(site, "UNKNOWN")
     assert '<option value="LOADED"' in visitor.get(STEPS)
 
 
 def test_a_refused_step_says_why_in_place_and_keeps_what_was_typed(site):
-    climb(site, "SENT")
+    advance(site, "SENT")
     visitor = site.visitor("olga")
     stale = visitor.post(f"{STEPS}/record", onboard_state="LOADED", source="pass 9", version="1")
     assert stale.status_code == 412
@@ -204,7 +204,7 @@ def test_a_refused_step_says_why_in_place_and_keeps_what_was_typed(site):
 
 @pytest.mark.parametrize("name", ["victor", "ada", "alan", "adele"])
 def test_who_is_no_operator_is_told_who_may_and_refused_by_the_server(site, name):
-    climb(site, "SENT")
+    advance(site, "SENT")
     visitor = site.visitor(name)
     page = visitor.get(STEPS)
     assert 'action="/parameter-sets/1/uplink/record"' not in page

@@ -22,7 +22,7 @@ from boresight.errors import (
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading, open_writing, utc_after
-from tests.console.uplinks.services import DOCUMENT, climb, define, newest, onboard, promote_by_hand, sent_table
+from tests.console.uplinks.services import DOCUMENT, advance, define, newest, onboard, promote_by_hand, sent_table
 
 People = Mapping[str, Actor]
 Read = Callable[..., Uplink]
@@ -41,7 +41,7 @@ def read(engine, people, blobs) -> Read:
 @pytest.fixture
 def loaded(engine, people) -> bytes:
     define(engine, people["ana"])
-    climb(engine, people["dee"], "SENT", "LOADED")
+    advance(engine, people["dee"], "SENT", "LOADED")
     return sent_table(engine).content
 
 
@@ -91,7 +91,7 @@ def test_a_dump_that_is_another_sets_table_is_told_by_name(engine, people, read,
     row = candidate()
     with open_writing(engine) as session:
         promote_by_hand(session, session.get_one(ParameterSet, row.id), utc_after(0.0))
-    climb(engine, people["dee"], "SENT", "LOADED", set_id=row.id)
+    advance(engine, people["dee"], "SENT", "LOADED", set_id=row.id)
     found = read(sent_table(engine, 1).content, set_id=row.id)
     assert found.evidence["same_as"] == "PS-ST16-1-0"
     assert found.evidence["sentence"].endswith("The dump is PS-ST16-1-0, byte for byte.")
@@ -105,7 +105,7 @@ def test_what_bytes_have_shown_only_bytes_take_back(engine, read, loaded):
 
 
 def test_an_active_set_that_reads_back_well_stays_active_and_else_is_a_mismatch(engine, people, read, loaded):
-    climb(engine, people["dee"], "VERIFIED", "ACTIVE")
+    advance(engine, people["dee"], "VERIFIED", "ACTIVE")
     assert (read(loaded).onboard_state, onboard(engine)) == ("ACTIVE", "ACTIVE")
     assert read(flip(loaded, 3, 2)).onboard_state == "MISMATCH"
 
@@ -122,7 +122,7 @@ def test_what_a_package_carried_is_what_a_dump_is_held_against(engine, people, r
     with open_writing(engine) as session:
         package = packages.build(session, people["dee"], blobs, 1)
         uplinks.record(session, people["dee"], 1, "SENT", "pass 1", package_id=package.id)
-    climb(engine, people["dee"], "LOADED")
+    advance(engine, people["dee"], "LOADED")
     with open_reading(engine) as session:
         reference = get_sent_table(session, blobs, session.get_one(ParameterSet, 1))
     with zipfile.ZipFile(blobs.path(package.sha256)) as packed:
@@ -160,13 +160,13 @@ def test_only_what_is_loaded_and_defined_with_a_crc_is_read_back_by_crc(engine, 
     define(engine, people["ana"], crc=None)
     with pytest.raises(ConflictError, match="is NOT SENT on board; record it as LOADED"):
         read("0x1")
-    climb(engine, people["dee"], "SENT", "LOADED")
+    advance(engine, people["dee"], "SENT", "LOADED")
     with pytest.raises(RefusedInputError, match="names no CRC"):
         read("0x1")
 
 
 def test_without_a_table_definition_nothing_can_be_compared(engine, people, read):
-    climb(engine, people["dee"], "SENT", "LOADED")
+    advance(engine, people["dee"], "SENT", "LOADED")
     with pytest.raises(RefusedInputError, match="no table definition"):
         read("0x1")
 

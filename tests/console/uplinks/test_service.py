@@ -31,7 +31,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Engine, Session, mark_dry_run, open_reading, open_writing, utc_after, utc_now
 from tests.console.conftest import PASSWORD
-from tests.console.uplinks.services import climb, define, newest, onboard, promote_by_hand, sent_table
+from tests.console.uplinks.services import advance, define, newest, onboard, promote_by_hand, sent_table
 from tests.passwords import new_password, proved
 
 People = Mapping[str, Actor]
@@ -43,8 +43,8 @@ def _record(engine: Engine, actor: Actor, state: str, source: str = "pass 4711",
         uplinks.record(session, actor, set_id, state, source)
 
 
-def test_the_ladder_is_climbed_step_by_step_with_a_record_each(engine, people):
-    climb(engine, people["dee"], *LADDER)
+def test_the_ladder_is_gone_up_step_by_step_with_a_record_each(engine, people):
+    advance(engine, people["dee"], *LADDER)
     assert onboard(engine) == "ACTIVE"
     with open_reading(engine) as session:
         records = lists.newest(session, Uplink, set=1)
@@ -80,9 +80,9 @@ def test_a_step_off_the_ladder_leaves_no_record(engine, people, state, source, e
         assert not lists.newest(session, Uplink)
 
 
-@pytest.mark.parametrize("climbed", [(), ("SENT", "LOADED"), ("SENT", "LOADED", "VERIFIED"), ("SENT", "UNKNOWN")])
-def test_nobodys_word_makes_a_set_verified_or_active_and_the_door_is_named(engine, people, climbed):
-    climb(engine, people["dee"], *climbed)
+@pytest.mark.parametrize("reached", [(), ("SENT", "LOADED"), ("SENT", "LOADED", "VERIFIED"), ("SENT", "UNKNOWN")])
+def test_nobodys_word_makes_a_set_verified_or_active_and_the_door_is_named(engine, people, reached):
+    advance(engine, people["dee"], *reached)
     before = onboard(engine)
     with pytest.raises(
         ConflictError, match=r"VERIFIED is not recorded by statement: .* `:read-back`, which compares\."
@@ -111,10 +111,10 @@ def test_only_the_baseline_is_sent_one_set_is_active_and_the_one_before_becomes_
     row: ParameterSet = candidate()
     with pytest.raises(ConflictError, match="is CANDIDATE; only the baseline is sent"):
         _record(engine, people["dee"], "SENT", set_id=row.id)
-    climb(engine, people["dee"], *LADDER)
+    advance(engine, people["dee"], *LADDER)
     with open_writing(engine) as session:
         promote_by_hand(session, session.get_one(ParameterSet, row.id), utc_after(0.0))
-    climb(engine, people["dee"], *LADDER, set_id=row.id)
+    advance(engine, people["dee"], *LADDER, set_id=row.id)
     assert (onboard(engine, 1), onboard(engine, row.id)) == ("UNKNOWN", "ACTIVE")
     with open_reading(engine) as session:
         newest = lists.newest(session, Uplink, set=1)[0]
@@ -148,7 +148,7 @@ def test_a_time_on_the_second_counts_what_happened_within_it_as_later(engine):
 def test_what_was_on_board_is_answered_for_any_time(engine, people):
     _record(engine, people["dee"], "SENT")
     between = utc_after(0.0)
-    climb(engine, people["dee"], "LOADED", "VERIFIED")
+    advance(engine, people["dee"], "LOADED", "VERIFIED")
     with open_reading(engine) as session:
         assert list(uplinks.onboard_at(session, 1, "2000-01-01")) == []
         then = [(row.name, record.onboard_state) for row, record in uplinks.onboard_at(session, 1, between)]
@@ -169,7 +169,7 @@ def activate(engine: Engine, actor: Actor, **given: Any) -> Uplink:
 
 @pytest.fixture
 def verified(engine, people) -> None:
-    climb(engine, people["dee"], "SENT", "LOADED", "VERIFIED")
+    advance(engine, people["dee"], "SENT", "LOADED", "VERIFIED")
 
 
 @pytest.mark.usefixtures("verified")
@@ -216,12 +216,12 @@ def test_whose_password_somebody_else_set_does_not_sign(engine, people):
 
 
 def test_what_an_earlier_version_took_for_verified_on_somebodys_word_is_read_back_before_it_is_signed(engine, people):
-    climb(engine, people["dee"], "SENT", "LOADED")
+    advance(engine, people["dee"], "SENT", "LOADED")
     with open_writing(engine) as session:
         add_entry(session, people["dee"], session.get_one(ParameterSet, 1), "VERIFIED", "pass 4711")
     with pytest.raises(ConflictError, match="is VERIFIED by statement alone; read it back by dump or CRC"):
         activate(engine, people["dee"])
-    climb(engine, people["dee"], "VERIFIED")
+    advance(engine, people["dee"], "VERIFIED")
     assert activate(engine, people["dee"]).onboard_state == "ACTIVE"
 
 

@@ -29,7 +29,7 @@ from boresight.platform.db.sessions import (
     utc_text,
 )
 from tests.console.uplinks import pages as board
-from tests.console.uplinks.services import climb, define, promote_by_hand
+from tests.console.uplinks.services import advance, define, promote_by_hand
 from tests.effort import effort
 from tests.passwords import approve
 
@@ -169,7 +169,7 @@ def test_an_answer_names_who_asked_who_signed_and_who_promoted(engine, people, p
 
 def test_the_timeline_tells_every_step_with_who_and_their_words(engine, people, promoted):
     define(engine, people["ana"])
-    climb(engine, people["dee"], "SENT", set_id=promoted.id)
+    advance(engine, people["dee"], "SENT", set_id=promoted.id)
     with open_reading(engine) as session:
         told = [(event.kind, event.who, event.said) for event in timeline.events(session, 1)]
     assert told[:5] == [
@@ -183,7 +183,7 @@ def test_the_timeline_tells_every_step_with_who_and_their_words(engine, people, 
 
 
 def test_a_roll_back_on_the_ground_leaves_the_board_as_it_was_and_says_so(engine, people, blobs, promoted):
-    climb(engine, people["dee"], "SENT", "LOADED", "VERIFIED", "ACTIVE", set_id=promoted.id)
+    advance(engine, people["dee"], "SENT", "LOADED", "VERIFIED", "ACTIVE", set_id=promoted.id)
     with open_reading(engine) as session:
         assert (
             timeline.get_state_at(session, 1).sentence
@@ -210,7 +210,7 @@ def test_what_was_learned_later_is_told_apart_from_what_was_known_and_a_mismatch
     assert [record.onboard_state for _, record in then.learned_later] == ["SENT"]
     assert (list(then.on_board), list(earlier.learned_later), list(now.learned_later)) == ([], [], [])
     assert [record.onboard_state for _, record in now.on_board] == ["SENT"]
-    climb(engine, people["dee"], "MISMATCH")
+    advance(engine, people["dee"], "MISMATCH")
     with open_reading(engine) as session:
         sentence = timeline.get_state_at(session, 1).sentence
     assert sentence == "baseline PS-ST16-1-0, on board no set known to be active; PS-ST16-1-0 MISMATCH"
@@ -245,7 +245,7 @@ PAGE = "/sensors/1/timeline"
 
 def test_the_answer_for_now_names_baseline_board_and_definition(site, read):
     board.define(site)
-    board.climb(site, "SENT", "LOADED", "VERIFIED", "ACTIVE")
+    board.advance(site, "SENT", "LOADED", "VERIFIED", "ACTIVE")
     words = read(site.visitor("victor").get(PAGE))
     assert "As of now" in words
     assert "Baseline PS-ST16-1-0, on board PS-ST16-1-0 ACTIVE: the same." in words
@@ -254,9 +254,9 @@ def test_the_answer_for_now_names_baseline_board_and_definition(site, read):
 
 
 def test_the_answer_for_a_time_is_of_that_time_and_in_the_address(site, read):
-    board.climb(site, "SENT")
+    board.advance(site, "SENT")
     between = utc_after(0.0)
-    board.climb(site, "LOADED")
+    board.advance(site, "LOADED")
     page = site.visitor("victor").get(f"{PAGE}?at={quote(between)}")
     answer = read(page).split("What happened")[0]
     assert f"As of {between}" in answer
@@ -283,7 +283,7 @@ def test_what_was_learned_later_is_shown_apart(site, read):
 
 def test_the_events_are_paged_and_keep_the_question(site, read):
     for _ in range(20):
-        board.climb(site, "SENT", "UNKNOWN", "VERIFIED")
+        board.advance(site, "SENT", "UNKNOWN", "VERIFIED")
     at = quote(utc_after(0.0))
     visitor = site.visitor("victor")
     page = visitor.get(f"{PAGE}?at={at}")
@@ -303,7 +303,7 @@ def test_a_source_that_is_markup_is_shown_as_text(site):
 
 
 def test_every_state_of_the_store_is_left_as_it_was_by_looking(site):
-    board.climb(site, "SENT")
+    board.advance(site, "SENT")
     with open_reading(site.engine) as session:
         before = [row.id for row in lists.newest(session, Uplink)]
     for address in (PAGE, "/uplink", "/parameter-sets/1/uplink"):

@@ -283,6 +283,6 @@ def test_only_the_store_knows_where_a_file_of_an_address_lies() -> None:
     readers = {
         str(path.relative_to(sources))
         for path in sources.rglob("*.py")
-        if ".place_of(" in path.read_text(encoding="utf-8") or "._located(" in path.read_text(encoding="utf-8")
+        if ".locate(" in path.read_text(encoding="utf-8") or "._located(" in path.read_text(encoding="utf-8")
     }
     assert readers == known

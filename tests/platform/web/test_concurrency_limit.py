@@ -14,7 +14,7 @@ from boresight.platform.web.concurrency_limit import COME_BACK_S, ConcurrencyLim
 from tests.served import House
 
 
-def gate_of(app: Any) -> ConcurrencyLimit:
+def get_limit(app: Any) -> ConcurrencyLimit:
     layer = app.middleware_stack
     while not isinstance(layer, ConcurrencyLimit):
         layer = layer.app
@@ -25,7 +25,7 @@ def test_who_comes_when_too_many_are_under_way_is_told_when_to_come_back(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     client = house.person("ada")
-    monkeypatch.setattr(gate_of(house.app).known, "most", 0)
+    monkeypatch.setattr(get_limit(house.app).known, "most", 0)
     answer = client.get("/api/v1/presets")
     assert (answer.status_code, answer.headers["retry-after"]) == (503, str(COME_BACK_S))
     assert answer.headers["content-type"] == "application/problem+json"
@@ -38,7 +38,7 @@ def test_who_comes_when_too_many_are_under_way_is_told_when_to_come_back(
 def test_those_who_watch_and_the_files_of_pages_are_always_let_in(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(gate_of(house.app).known, "most", 0)
+    monkeypatch.setattr(get_limit(house.app).known, "most", 0)
     for path in ("/healthz", "/readyz", "/metrics", "/static/shared/style.css"):
         assert house.anybody().get(path).status_code == 200, path
 
@@ -48,7 +48,7 @@ def test_what_stands_ready_is_given_though_too_many_are_under_way(
 ) -> None:
     client = house.person("ada")
     assert client.get("/api/v1/runs").status_code == 200
-    monkeypatch.setattr(gate_of(house.app).known, "most", 0)
+    monkeypatch.setattr(get_limit(house.app).known, "most", 0)
     assert client.get("/api/v1/runs").status_code == 200
 
 
@@ -73,7 +73,7 @@ def test_whoever_was_let_in_is_counted_out_again(house: House) -> None:
     client = house.person("ada")
     for path in ("/api/v1/presets", "/api/v1/sensors/999999", "/nowhere"):
         client.get(path)
-    wait_until(lambda: gate_of(house.app).known.taken == 0, 5)
+    wait_until(lambda: get_limit(house.app).known.taken == 0, 5)
 
 
 def test_no_more_have_a_turn_at_once_than_there_are_and_they_come_in_order() -> None:

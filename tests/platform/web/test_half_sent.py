@@ -20,7 +20,7 @@ from boresight.platform.web import connections as connections_module
 from boresight.platform.web.concurrency_limit import ConcurrencyLimits, Slots
 from boresight.platform.web.connections import MOST_OPEN, OTHER_FILES, Connections, Deadlines, open_file_limit
 from boresight.platform.web.request_bodies import BodyRate, RequestBody
-from tests.platform.web.test_concurrency_limit import gate_of
+from tests.platform.web.test_concurrency_limit import get_limit
 from tests.served import PASSWORD, add_people, serving, settings_in
 
 LOG_IN = {"name": "ada", "password": PASSWORD}
@@ -98,8 +98,8 @@ def test_540_half_sent_requests_shut_out_nobody(tmp_path: Any) -> None:
         assert httpx.get(site.address + "/login").status_code == 200
         assert httpx.post(site.address + "/api/v1/sessions", json=LOG_IN).status_code == 201
         assert time.monotonic() - began_s < 5
-        gate = gate_of(site.app)
-        assert (gate.known.taken, gate.unknown.taken, gate.large.taken) == (0, 0, 0)
+        limit = get_limit(site.app)
+        assert (limit.known.taken, limit.unknown.taken, limit.large.taken) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("begun", [b"", b"\r\n", HALF_HEAD, HALF_BODY])
@@ -154,7 +154,7 @@ def test_who_is_known_has_a_deadline_too(quick: Site) -> None:
         began_s = time.monotonic()
         assert answer_of(connection)[0] == 408
     assert time.monotonic() - began_s < 2
-    assert gate_of(quick.app).large.taken == 0
+    assert get_limit(quick.app).large.taken == 0
 
 
 def test_a_slow_body_that_goes_on_is_taken(quick: Site) -> None:
@@ -265,22 +265,22 @@ def test_where_all_connections_are_of_people_who_are_known_a_newcomer_is_told_to
 
 
 def test_places_of_who_is_not_known_are_others_than_of_who_is(quick: Site, monkeypatch: pytest.MonkeyPatch) -> None:
-    gate = gate_of(quick.app)
-    monkeypatch.setattr(gate.unknown, "most", 0)
+    limit = get_limit(quick.app)
+    monkeypatch.setattr(limit.unknown, "most", 0)
     assert quick.ada.get("/api/v1/presets").status_code == 200
     forged = {"Cookie": "boresight_session=forged"}
     assert httpx.get(quick.address + "/login").status_code == 503
     assert httpx.get(quick.address + "/api/v1/presets", headers=forged).status_code == 503
     monkeypatch.undo()
-    monkeypatch.setattr(gate.known, "most", 0)
+    monkeypatch.setattr(limit.known, "most", 0)
     assert quick.ada.get("/api/v1/webhooks").status_code == 503
     assert httpx.get(quick.address + "/login").status_code == 200
 
 
 def test_an_address_has_its_share_of_places_also_behind_a_proxy(quick: Site) -> None:
-    gate = gate_of(quick.app)
+    limit = get_limit(quick.app)
     for _ in range(QUICK.unknown_each):
-        assert gate.unknown.take("203.0.113.7")
+        assert limit.unknown.take("203.0.113.7")
     try:
         for address, status in [("203.0.113.7", 503), ("203.0.113.8", 200), ("6.6.6.6, 203.0.113.7", 503)]:
             answer = httpx.get(quick.address + "/login", headers={"X-Forwarded-For": address})
@@ -289,8 +289,8 @@ def test_an_address_has_its_share_of_places_also_behind_a_proxy(quick: Site) -> 
         assert proxied.status_code == 200
     finally:
         for _ in range(QUICK.unknown_each):
-            gate.unknown.give_back("203.0.113.7")
-    assert gate.unknown.taken == 0
+            limit.unknown.give_back("203.0.113.7")
+    assert limit.unknown.taken == 0
 
 
 def test_one_person_may_not_hold_every_place_of_large_bodies() -> None:

@@ -27,7 +27,7 @@ from boresight.platform.db.sessions import open_engine, open_writing, utc_after
 from boresight.platform.web import response_cache as standing
 from boresight.platform.web.response_cache import NAME_GAP, TOKEN_GAP, CompressedPage
 from tests.effort import effort
-from tests.platform.web.test_concurrency_limit import gate_of
+from tests.platform.web.test_concurrency_limit import get_limit
 from tests.served import PASSWORD, House, serving
 
 T = TypeVar("T")
@@ -50,11 +50,11 @@ def shown(answer: httpx.Response) -> dict[str, Any]:
 
 
 def undisturbed(house: House, ask: Callable[[], T], before_each: Callable[[], object] = lambda: None) -> T:
-    marks = house.app.state.response_cache.changes._marks
+    reader = house.app.state.response_cache.changes._reader
     for _ in range(20):
         before_each()
-        before, found = marks.look(), ask()
-        if before is not None and marks.look() == before:
+        before, found = reader.look(), ask()
+        if before is not None and reader.look() == before:
             return found
     pytest.fail("something was committed all the time")
 
@@ -149,19 +149,19 @@ def test_log_ins_of_one_person_share_the_making_of_a_page_and_each_has_its_own_t
 def test_who_asks_while_an_answer_waits_for_its_turn_shares_it_whatever_is_committed_meanwhile(house: House) -> None:
     client = house.person("ada")
     client.get(RUNS)
-    gate = gate_of(house.app)
+    limit = get_limit(house.app)
     others = [house.key("ada") for _ in range(4)]
-    free, gate.readers._free = gate.readers._free, 0
+    free, limit.readers._free = limit.readers._free, 0
     with ThreadPoolExecutor(8) as pool:
         asked = [pool.submit(one.get, RUNS) for one in others]
         time.sleep(0.5)
-        waiting = list(gate.readers._waiting)
+        waiting = list(limit.readers._waiting)
         run = house.launched()
         asked.append(pool.submit(house.person("victor").get, RUNS))
         time.sleep(0.5)
-        assert list(gate.readers._waiting) == waiting
+        assert list(limit.readers._waiting) == waiting
         for _ in range(free):
-            waiting[0].get_loop().call_soon_threadsafe(gate.readers._next)
+            waiting[0].get_loop().call_soon_threadsafe(limit.readers._next)
         answers = [one.result(20) for one in asked]
     assert len(waiting) == 1
     assert {answer.json()["items"][0]["id"] for answer in answers} == {run["id"]}
@@ -389,8 +389,8 @@ def test_a_refusal_and_a_page_with_a_flash_line_hold_no_gap(house: House) -> Non
 def test_a_look_at_the_fleet_of_before_a_commit_is_given_to_nobody_who_asks_after_it(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    gate = gate_of(house.app)
-    begin, held, go = gate._begin, threading.Event(), threading.Event()
+    limit = get_limit(house.app)
+    begin, held, go = limit._begin, threading.Event(), threading.Event()
 
     async def hold(scope: Scope) -> None:
         if (b"x-hold", b"1") in scope["headers"]:
@@ -398,7 +398,7 @@ def test_a_look_at_the_fleet_of_before_a_commit_is_given_to_nobody_who_asks_afte
             await asyncio.to_thread(go.wait, 10)
         await begin(scope)
 
-    monkeypatch.setattr(gate, "_begin", hold)
+    monkeypatch.setattr(limit, "_begin", hold)
     early, late, ada = house.log_in("victor"), house.log_in("victor"), house.person("ada")
     for client in (early, late, ada):
         client.get("/")

@@ -195,15 +195,15 @@ def validate(
     cache_folder: Path | None,
 ) -> None:
     """Judge an estimate on a set that took no part; adds its sentence to the advice."""
-    held_out = Dataset(telemetry, sensor, catalogue, parameters, settings, cache_folder)
-    first, last = held_out.at_start(), held_out.at_covariance(estimate.x, estimate.P)
+    validation = Dataset(telemetry, sensor, catalogue, parameters, settings, cache_folder)
+    first, last = validation.at_start(), validation.at_covariance(estimate.x, estimate.P)
     if last.problem.arcs.n_exposures == 0:
         document["advice"] += identification_advice(last.unidentified)
         document["advice"].append(
             f"The validation set has no exposure with {settings.minimum_stars} usable stars: nothing was checked by it."
         )
         return
-    verdict, document["shadow"]["validation"] = _flown(held_out, first, last, estimate.x, settings)
+    verdict, document["shadow"]["validation"] = _flown(validation, first, last, estimate.x, settings)
     document["validation"] = verdict
     document["advice"] += _of_validation(verdict)
 

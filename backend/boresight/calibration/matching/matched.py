@@ -270,9 +270,9 @@ def _sky(catalogue: Columns, magnitude_limit: float, blend: float) -> MatchingSk
     return matching_sky(read_catalogue(catalogue), magnitude_limit, blend)
 
 
-def magnitude_limit(pieces: Sequence[TelemetryPiece], sensor: Sensor, catalogue: Columns, spread: Executor) -> float:
+def magnitude_limit(pieces: Sequence[TelemetryPiece], sensor: Sensor, catalogue: Columns, executor: Executor) -> float:
     """Faintest star that may be matched, Hp, as `rematch.compute_magnitude_limit` finds it of a set in memory."""
-    parts: list[tuple[int, NDArray[np.int64]]] = spread.map(seen_in_piece, [(piece, catalogue) for piece in pieces])
+    parts: list[tuple[int, NDArray[np.int64]]] = executor.map(seen_in_piece, [(piece, catalogue) for piece in pieces])
     longest = max(len(counts) for _, counts in parts)
     counts = np.sum([np.pad(part, (0, longest - len(part))) for _, part in parts], axis=0)
     faintest = np.array(sorted({star for star, _ in parts if star > 0}), np.int64)
@@ -426,7 +426,7 @@ class Dataset:
 
     def changed(self, before: Matched, after: Matched) -> int:
         """Count the detections whose star differs between two of its matchings."""
-        return sum(self._pieces.spread.map(changed_in_range, list(zip(before.ranges, after.ranges, strict=True))))
+        return sum(self._pieces.executor.map(changed_in_range, list(zip(before.ranges, after.ranges, strict=True))))
 
     def judged(self, first: Matched, last: Matched) -> EvaluatedSet:
         """What of two of its matchings is judged in memory."""
@@ -455,11 +455,11 @@ class Dataset:
             (self._how, self._pieces.frames(*ends), under, str(folder / f"{k:06d}"))
             for k, ends in enumerate(self._ranges)
         ]
-        ranges: list[MatchedRange] = self._pieces.spread.map(match_range, work, done=done)
+        ranges: list[MatchedRange] = self._pieces.executor.map(match_range, work, done=done)
         parts = [part.ordered for part in ranges if part.ordered is not None]
         timeless = sum(part.timeless for part in parts)
-        refuse_timeless(self._pieces.pieces, timeless, self._how.catalogue, self._pieces.spread)
-        problem = problem_of_parts(parts, self.sensor, self._pieces.spread)
+        refuse_timeless(self._pieces.pieces, timeless, self._how.catalogue, self._pieces.executor)
+        problem = problem_of_parts(parts, self.sensor, self._pieces.executor)
         self._states.append(Matched(problem, tuple(ranges), folder))
         return self._states[-1]
 
@@ -504,7 +504,7 @@ class Dataset:
     def _how(self) -> Matching:
         pieces, folder = self._pieces, self._pieces.folder or Path()
         stars = write_catalogue(self.catalogue, folder)
-        limit = magnitude_limit(pieces.pieces, self.sensor, stars, pieces.spread)
+        limit = magnitude_limit(pieces.pieces, self.sensor, stars, pieces.executor)
         return Matching(self.sensor, stars, self.settings, self._cache_folder, limit, pieces.epoch)
 
     @cached_property
@@ -515,7 +515,7 @@ class Dataset:
             return Matched(problem, (MatchedRange(MatchedRows(self.telemetry, given, given.star_id)),))
         stars = write_catalogue(self.catalogue, self._pieces.folder)
         problem = order_set(
-            self._pieces.pieces, self.sensor, stars, self.settings.minimum_stars, self._pieces.folder, self._pieces.spread,
+            self._pieces.pieces, self.sensor, stars, self.settings.minimum_stars, self._pieces.folder, self._pieces.executor,
             self._first_done("ordered"),
         )  # fmt: skip
         return Matched(problem, ())

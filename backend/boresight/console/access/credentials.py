@@ -150,26 +150,26 @@ class Identity:
     until_s: float
     use: CredentialUse
     rows: CredentialRows
-    mark: DataVersion | None = None  # as of which this is known
+    data_version: DataVersion | None = None  # as of which this is known
 
 
 class CredentialCache:
     """Who was identified lately by which credentials."""
 
-    def __init__(self, marks: DataVersionReader) -> None:
-        self._marks = marks
+    def __init__(self, data_versions: DataVersionReader) -> None:
+        self._data_versions = data_versions
         self._lock = threading.Lock()
         self._known: OrderedDict[Carried, Identity] = OrderedDict()
 
-    def find(self, scope: Scope, mark: DataVersion | None, *, active: bool) -> Identity | None:
+    def find(self, scope: Scope, data_version: DataVersion | None, *, active: bool) -> Identity | None:
         """Return who carries these credentials, where that holds now, at this data version."""
         known = self._known.get(carried(scope))
         if known is None or time.time() >= known.until_s or not known.use(active=active):
             return None
-        if mark is None or known.mark != mark:
-            if not known.rows.say_so_still(self._marks):
+        if data_version is None or known.data_version != data_version:
+            if not known.rows.say_so_still(self._data_versions):
                 return None
-            self.keep(scope, replace(known, mark=mark))
+            self.keep(scope, replace(known, data_version=data_version))
         return known
 
     def keep(self, scope: Scope, known: Identity) -> None:
@@ -276,7 +276,7 @@ def _note(request: Request, known: Identity) -> Actor:
 
 def _look_up(request: Request) -> Identity:
     known = _of_key(request) or _of_log_in(request)
-    known = replace(known, mark=request.scope["state"].get(DATA_VERSION))
+    known = replace(known, data_version=request.scope["state"].get(DATA_VERSION))
     if known.sharing is not None:
         request.app.state.known.keep(request.scope, known)
     return known

@@ -90,16 +90,16 @@ class PasswordWorker:
         self._prompt: set[FailedAttempt] = set()
         self._told: set[FailedAttempt] = set()
         self._told_s = time.monotonic()
-        self._rounds = PeriodicThread("record of wrong passwords", [self.record_failures], self._rest_s)
+        self._thread = PeriodicThread("record of wrong passwords", [self.record_failures], self._rest_s)
 
     def start(self) -> None:
         """Begin to tell the audit log of failures."""
-        self._rounds.start()
+        self._thread.start()
 
     def close(self) -> None:
         """Stop, and tell what was not told yet; safe to call twice."""
-        self._rounds.close()
-        self._rounds.take(partial(self.record_failures, whole=True))
+        self._thread.close()
+        self._thread.take(partial(self.record_failures, whole=True))
         self._known.close()
         self._returning.close()
         self._anybody.close()
@@ -206,7 +206,7 @@ class PasswordWorker:
                 self._told.add(attempt)
                 self._prompt.add(attempt)
         if prompt:
-            self._rounds.nudge()
+            self._thread.nudge()
 
     def _rest_s(self) -> float:
         """Return how long until everything is told."""

@@ -135,6 +135,6 @@ class CredentialRows:
         row = session.connection().execute(sa.text(_QUESTIONS[kind]), {"number": number}).one_or_none()
         return cls(kind, number, None if row is None else tuple(row))
 
-    def say_so_still(self, marks: DataVersionReader) -> bool:
+    def say_so_still(self, data_versions: DataVersionReader) -> bool:
         """Whether the rows say the same now; False where that cannot be had at once."""
-        return self.said is not None and self.said == marks.row(_QUESTIONS[self.kind], {"number": self.number})
+        return self.said is not None and self.said == data_versions.row(_QUESTIONS[self.kind], {"number": self.number})

@@ -39,18 +39,18 @@ FILES_NAMED = 100
 
 
 @dataclass(frozen=True)
-class AlarmCondition:
-    """Something that is not as it should be."""
+class AlarmCause:
+    """What a rule found that is not as it should be."""
 
     source: str
     sensor_id: int | None
     kind: str
     level: str
     sentence: str
-    evidence: Mapping[str, Any] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)
 
 
-def evaluate_rules(session: Session, sensor_ids: Sequence[int] | None = None) -> list[AlarmCondition]:
+def evaluate_rules(session: Session, sensor_ids: Sequence[int] | None = None) -> list[AlarmCause]:
     """Return what is wrong with the fleet, or with some of its sensors."""
     baselines, stamps = sensors_rows.baseline_heads(session, sensor_ids), trends.stamps(session, sensor_ids)
     onboard, fleet = sensors_rows.onboard_heads(session, sensor_ids), sensors_rows.sensor_heads(session, sensor_ids)
@@ -71,17 +71,17 @@ def name_source(sensor_id: int, kind: str) -> str:
     return f"sensors/{sensor_id}/{kind}"
 
 
-def check_chain(state: str, sentence: str) -> AlarmCondition | None:
+def check_chain(state: str, sentence: str) -> AlarmCause | None:
     """Return what is wrong with the audit log, from what its last verification found."""
-    return AlarmCondition(CHAIN, None, "CHAIN", "critical", sentence) if state == "broken" else None
+    return AlarmCause(CHAIN, None, "CHAIN", "critical", sentence) if state == "broken" else None
 
 
-def check_head(fault: str) -> AlarmCondition | None:
+def check_head(fault: str) -> AlarmCause | None:
     """Return that the head cannot be kept; None where it can."""
-    return AlarmCondition(HEAD, None, "HEAD", "serious", fault) if fault else None
+    return AlarmCause(HEAD, None, "HEAD", "serious", fault) if fault else None
 
 
-def check_files(bad: Sequence[BadFile]) -> AlarmCondition | None:
+def check_files(bad: Sequence[BadFile]) -> AlarmCause | None:
     """Return what is wrong with the stored files, from those that were found bad and that rows name."""
     if not bad:
         return None
@@ -89,35 +89,35 @@ def check_files(bad: Sequence[BadFile]) -> AlarmCondition | None:
     sentence = (
         f"The stored file {bad[0]}{more}: nothing is made of it; bring it back from a backup, and look at the disk."
     )
-    evidence = {
+    details = {
         "files": [{"sha256": one.sha256, "what": one.what, "used_by": list(one.used_by)} for one in bad[:FILES_NAMED]]
     }
-    return AlarmCondition(FILES, None, "FILES", "critical", sentence, evidence)
+    return AlarmCause(FILES, None, "FILES", "critical", sentence, details)
 
 
-def _check_drift(sensor: Any, found: DriftVerdict) -> Iterator[AlarmCondition]:
+def _check_drift(sensor: Any, found: DriftVerdict) -> Iterator[AlarmCause]:
     if found.verdict == "DRIFT":
         sentence = f"{sensor.name} drifts. {found.sentence}"
-        yield AlarmCondition(name_source(sensor.id, "DRIFT"), sensor.id, "DRIFT", "serious", sentence, found.document)
+        yield AlarmCause(name_source(sensor.id, "DRIFT"), sensor.id, "DRIFT", "serious", sentence, found.document)
 
 
-def _check_age(sensor: Any, baseline: Any) -> Iterator[AlarmCondition]:
+def _check_age(sensor: Any, baseline: Any) -> Iterator[AlarmCause]:
     age_d = count_days_since(baseline)
     if baseline is None or baseline.baseline_from_utc is None or age_d is None or age_d <= OLD_DAYS:
         return
     due_utc = utc_text(datetime.fromisoformat(baseline.baseline_from_utc) + timedelta(days=OLD_DAYS))
     sentence = f"{baseline.name} of {sensor.name} is over its {OLD_DAYS:.0f} days since {due_utc[:10]}: recalibrate."
-    evidence = {"parameter_set_id": baseline.id, "due_utc": due_utc}
-    yield AlarmCondition(name_source(sensor.id, "AGE"), sensor.id, "AGE", "caution", sentence, evidence)
+    details = {"parameter_set_id": baseline.id, "due_utc": due_utc}
+    yield AlarmCause(name_source(sensor.id, "AGE"), sensor.id, "AGE", "caution", sentence, details)
 
 
-def _check_mismatches(sensor: Any, onboard: Sequence[Any]) -> Iterator[AlarmCondition]:
+def _check_mismatches(sensor: Any, onboard: Sequence[Any]) -> Iterator[AlarmCause]:
     bad = [row for row in onboard if row.onboard_state == "MISMATCH"]
     if bad:
         names = ", ".join(row.name for row in bad)
         sentence = f"The read-back of {names} does not match what was sent: look at the difference, then send it again."
-        evidence = {"parameter_set_ids": [row.id for row in bad]}
-        yield AlarmCondition(name_source(sensor.id, "MISMATCH"), sensor.id, "MISMATCH", "critical", sentence, evidence)
+        details = {"parameter_set_ids": [row.id for row in bad]}
+        yield AlarmCause(name_source(sensor.id, "MISMATCH"), sensor.id, "MISMATCH", "critical", sentence, details)
 
 
 GRAVITY = {"caution": 0, "serious": 1, "critical": 2}
@@ -128,7 +128,7 @@ def update_alarms(session: Session, sensor_ids: Sequence[int] | None = None) -> 
     return _settle(session, *_compare_sensors(session, sensor_ids)) + _unshelve_overdue(session)
 
 
-def update_installation_alarms(session: Session, found: Mapping[str, AlarmCondition | None]) -> int:
+def update_installation_alarms(session: Session, found: Mapping[str, AlarmCause | None]) -> int:
     """Evaluate the rules on what is of no sensor: what was found wrong just now by its source, None where nothing is."""
     return _settle(session, *_compare_installation(session, found))
 
@@ -141,7 +141,7 @@ def find_changed_sensors(session: Session, sensor_ids: Sequence[int] | None = No
     return sorted(sensor_id for sensor_id in shelved | moved if sensor_id is not None)
 
 
-def has_installation_changed(session: Session, found: Mapping[str, AlarmCondition | None]) -> bool:
+def has_installation_changed(session: Session, found: Mapping[str, AlarmCause | None]) -> bool:
     """Whether `update_installation_alarms` would change an alarm; reads only."""
     overdue = any(row.sensor_id is None for row in queries.overdue_shelves(session))
     return overdue or bool(_find_differences(*_compare_installation(session, found)))
@@ -159,10 +159,10 @@ def list_files_in_alarm(session: Session) -> list[str]:
     return [] if row is None else [str(one["sha256"]) for one in row.evidence["files"]]
 
 
-Compared = tuple[Mapping[str, AlarmCondition], Mapping[str, Alarm]]
+Compared = tuple[Mapping[str, AlarmCause], Mapping[str, Alarm]]
 
 
-def _find_differences(found: Mapping[str, AlarmCondition], known: Mapping[str, Alarm]) -> set[str]:
+def _find_differences(found: Mapping[str, AlarmCause], known: Mapping[str, Alarm]) -> set[str]:
     """Return the sources of which what is so now and what the alarms say differ."""
     news = {source for source, one in found.items() if source not in known or _is_news(known[source], one)}
     return news | {source for source, row in known.items() if row.active and source not in found}
@@ -178,13 +178,13 @@ def _compare_sensors(session: Session, sensor_ids: Sequence[int] | None) -> Comp
     return {one.source: one for one in evaluate_rules(session, sensor_ids)}, known
 
 
-def _compare_installation(session: Session, found: Mapping[str, AlarmCondition | None]) -> Compared:
+def _compare_installation(session: Session, found: Mapping[str, AlarmCause | None]) -> Compared:
     """Return what is wrong with the installation, and its open alarms of these sources."""
     known = {source: row for source, row in queries.open_alarms(session).items() if source in found}
     return {source: one for source, one in found.items() if one is not None}, known
 
 
-def _settle(session: Session, found: Mapping[str, AlarmCondition], known: Mapping[str, Alarm]) -> int:
+def _settle(session: Session, found: Mapping[str, AlarmCause], known: Mapping[str, Alarm]) -> int:
     """Raise, renew or return what differs."""
     changed = [_raise(session, one) for source, one in found.items() if source not in known]
     changed += [_renew(session, known[source], one) for source, one in found.items() if source in known]
@@ -192,19 +192,19 @@ def _settle(session: Session, found: Mapping[str, AlarmCondition], known: Mappin
     return sum(changed)
 
 
-def _is_news(row: Alarm, found: AlarmCondition) -> bool:
+def _is_news(row: Alarm, found: AlarmCause) -> bool:
     """Whether an open alarm says something else than is so now."""
     return not row.active or (row.sentence, row.level) != (found.sentence, found.level)
 
 
-def _raise(session: Session, found: AlarmCondition) -> bool:
+def _raise(session: Session, found: AlarmCause) -> bool:
     row = Alarm(
         source=found.source,
         sensor_id=found.sensor_id,
         kind=found.kind,
         level=found.level,
         sentence=found.sentence,
-        evidence=dict(found.evidence),
+        evidence=dict(found.details),
         active=1,
         acknowledged=0,
         raised_utc=utc_now(),
@@ -215,12 +215,12 @@ def _raise(session: Session, found: AlarmCondition) -> bool:
     return True
 
 
-def _renew(session: Session, row: Alarm, found: AlarmCondition) -> bool:
+def _renew(session: Session, row: Alarm, found: AlarmCause) -> bool:
     """Say what is so now of an open alarm; one that came back or became graver wants to be seen again."""
     again = not row.active or GRAVITY[found.level] > GRAVITY[row.level]
     if not _is_news(row, found):
         return False
-    row.level, row.sentence, row.evidence = found.level, found.sentence, dict(found.evidence)
+    row.level, row.sentence, row.evidence = found.level, found.sentence, dict(found.details)
     if again:
         row.active, row.acknowledged, row.returned_utc = 1, 0, None
     step(session, SYSTEM, row, "RAISED AGAIN" if again else "COMMENTED", found.sentence)
@@ -294,20 +294,20 @@ def is_acknowledged(session: Session) -> bool:
     return row is not None and bool(row.acknowledged)
 
 
-def condition_now(seen_s: float | None) -> AlarmCondition | None:
+def check_clock(seen_s: float | None) -> AlarmCause | None:
     """Return that the clock jumped, or that this server was last seen long ago; None where neither is so."""
     now = _text(OURS.now_s())
     if OURS.has_jumped():
         moved_s = OURS.moved_s()
         way = "forward" if moved_s > 0 else "back"
         sentence = f"The clock was set {way} by {abs(moved_s):.0f} s, and says {now}: no request expires until you acknowledge it."
-        return AlarmCondition(CLOCK, None, "CLOCK", "serious", sentence, {"moved_s": round(moved_s), "now_utc": now})
+        return AlarmCause(CLOCK, None, "CLOCK", "serious", sentence, {"moved_s": round(moved_s), "now_utc": now})
     if seen_s is not None and abs(OURS.now_s() - seen_s) > AWAY_S:
         seen = _text(seen_s)
         sentence = (
             f"The clock says {now}, and a server ran last at {seen}: no request expires until you acknowledge it."
         )
-        return AlarmCondition(CLOCK, None, "CLOCK", "serious", sentence, {"seen_utc": seen, "now_utc": now})
+        return AlarmCause(CLOCK, None, "CLOCK", "serious", sentence, {"seen_utc": seen, "now_utc": now})
     return None
 
 

@@ -23,7 +23,7 @@ def assess_before_submission(
             return None
         case = read_gate_inputs(session, parameter_set_id)
         report = gates.latest_report(session, parameter_set_id)
-    if report is not None and (case.held_out is None or report.document.get("held_out")):
+    if report is not None and (case.validation is None or report.document.get("held_out")):
         return None
     return gates.examine(case, sight.blobs, sight.catalogue(), sight.catalogue_folder)
 

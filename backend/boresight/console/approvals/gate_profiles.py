@@ -184,15 +184,15 @@ def _measured(blobs: BlobStore, run: Run) -> dict[str, Measurement]:
     try:
         result = read_result(blobs, str(run.result_sha256), run.id)
         sensor = parse_sensor(run.sensor_document)
-        evidence = gates.GateInputs(
+        inputs = gates.GateInputs(
             sensor=sensor,
             candidate={**result, "sensor": sensor.name},  # as a set that was made of it would say
             incumbent=ground_set(sensor),
             result=result,
             made_with=run.sensor_document,
-            held_out=of_result(result),
-            no_held_out=NO_VALIDATION,
+            validation=of_result(result),
+            no_validation=NO_VALIDATION,
         )
     except (BoresightError, ValueError):
         return {}
-    return gates.measure(evidence)
+    return gates.measure(inputs)

@@ -71,7 +71,7 @@ class StoredGateInputs:
     result_sha256: str | None
     made_with: Mapping[str, Any] | None
     settings: Mapping[str, Any] | None
-    held_out: tuple[str, str] | None
+    validation: tuple[str, str] | None
     profile: Mapping[str, Any]
     definition: Mapping[str, Any] | None
     bound: dict[str, str | None]
@@ -83,7 +83,7 @@ def read_gate_inputs(session: Session, parameter_set_id: int) -> StoredGateInput
     run = None if row.run_id is None else session.get_one(Run, row.run_id)
     incumbent = _incumbent(session, row)
     definition = table_definitions.definition_in_force(session, row.sensor_id)
-    held_out = _choose_validation_frames(session, row, run, incumbent)
+    validation = _choose_validation_frames(session, row, run, incumbent)
     return StoredGateInputs(
         parameter_set_id=row.id,
         name=row.name,
@@ -93,7 +93,7 @@ def read_gate_inputs(session: Session, parameter_set_id: int) -> StoredGateInput
         result_sha256=None if run is None else run.result_sha256,
         made_with=None if run is None else run.sensor_document,
         settings=None if run is None else run.settings,
-        held_out=None if held_out is None else (held_out.name, held_out.table_sha256),
+        validation=None if validation is None else (validation.name, validation.table_sha256),
         profile=profile_in_force(session, row.sensor_id).document,
         definition=None if definition is None else definition.document,
         bound=compute_bound_hashes(session, row),
@@ -159,22 +159,22 @@ def examine(
     """Measure and judge a case."""
     sensor = parse_sensor(stored.sensor_document)
     result = None if stored.result_sha256 is None else read_result(blobs, stored.result_sha256)
-    held_out, why = _seen(stored, blobs, sensor, result, catalogue, cache_folder)
+    validation, why = _seen(stored, blobs, sensor, result, catalogue, cache_folder)
     inputs = gates.GateInputs(
         sensor=sensor,
         candidate=stored.candidate,
         incumbent=stored.incumbent,
         result=result,
         made_with=stored.made_with,
-        held_out=held_out,
-        no_held_out=why,
+        validation=validation,
+        no_validation=why,
         definition=stored.definition,
     )
     report = gates.judge(gates.parse_profile(stored.profile), gates.measure(inputs))
     seen = (
         None
-        if held_out is None or stored.held_out is None
-        else {"name": stored.held_out[0], "sha256": stored.held_out[1]}
+        if validation is None or stored.validation is None
+        else {"name": stored.validation[0], "sha256": stored.validation[1]}
     )
     return GateAssessment(stored.parameter_set_id, {**report, "held_out": seen, "bound": stored.bound})
 
@@ -192,11 +192,11 @@ def _seen(
         own = of_result(result)
         if own is not None:
             return own, ""
-    if stored.held_out is None:
+    if stored.validation is None:
         return None, NO_SET
     if catalogue is None:
         return None, NOT_SEEN
-    name, sha256 = stored.held_out
+    name, sha256 = stored.validation
     incumbent = stored.candidate if stored.incumbent is None else stored.incumbent
     try:
         settings = CalibrationSettings.parse(stored.settings or {})

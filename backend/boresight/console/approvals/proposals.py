@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from boresight.console import list_queries as lists
-from boresight.console.alarms import rules as clock
+from boresight.console.alarms import rules as alarm_rules
 from boresight.console.approvals import queries as rows
 from boresight.console.approvals.tables import PROPOSAL_KINDS, PROPOSAL_STATES, ChangeProposal
 from boresight.console.transitions import move, require_seen, who_changed
@@ -69,7 +69,7 @@ def why_closed(session: Session, row: ChangeProposal) -> str | None:
     """Say why nobody can decide on a proposal any more; None while somebody can."""
     if row.state != "OPEN":
         return f"Proposal {row.id} is {row.state}: {who_changed(session, row)}. Propose the change anew."
-    if row.expires_utc <= utc_now() and not clock.is_held(session):
+    if row.expires_utc <= utc_now() and not alarm_rules.is_held(session):
         return f"Proposal {row.id} expired at {row.expires_utc}. Propose the change anew."
     return None
 
@@ -113,12 +113,12 @@ def make_stale(session: Session, actor: Actor, sensor_id: int, kind: str, number
 
 def any_due(session: Session) -> bool:
     """Whether there are proposals whose time is over and that still stand open."""
-    return bool(rows.due_proposals(session, utc_now())) and not clock.is_held(session)
+    return bool(rows.due_proposals(session, utc_now())) and not alarm_rules.is_held(session)
 
 
 def expire_due(session: Session) -> Sequence[ChangeProposal]:
     """Close every proposal whose time is over, and return them."""
-    found = () if clock.is_held(session) else rows.due_proposals(session, utc_now())
+    found = () if alarm_rules.is_held(session) else rows.due_proposals(session, utc_now())
     for row in found:
         _expire(session, row)
     return found

@@ -16,7 +16,7 @@ from functools import partial
 from boresight.console.access import users
 from boresight.console.access.passwords import PasswordProof, password_by
 from boresight.console.access.tables import User
-from boresight.console.alarms import rules as clock
+from boresight.console.alarms import rules as alarm_rules
 from boresight.console.alarms.rules import update_alarms
 from boresight.console.approvals import gates
 from boresight.console.approvals import queries as rows
@@ -29,12 +29,12 @@ from boresight.console.approvals.signers import (
     second_persons,
 )
 from boresight.console.approvals.staleness import (
-    bind_evidence,
+    compute_binding,
     compute_binding_sha256,
     is_expired,
     make_others_stale,
     refuse_blocked,
-    refuse_changed_evidence,
+    refuse_changed_binding,
     refuse_expired,
 )
 from boresight.console.approvals.tables import Approval, Opening, Remark, Signature
@@ -92,7 +92,7 @@ def signatory(session: Session, actor: Actor, *, policy: Policy = POLICY) -> Sig
         user_id = refuse_who_never_signs(session, actor)
     except ForbiddenError:
         return None
-    now_utc = "" if clock.is_held(session) else utc_now()  # before every time there is: nothing has expired
+    now_utc = "" if alarm_rules.is_held(session) else utc_now()  # before every time there is: nothing has expired
     return Signatory(user_id, now_utc, policy.four_eyes)
 
 
@@ -104,7 +104,7 @@ def why_not_sign(session: Session, actor: Actor, approval_id: int, *, policy: Po
         refuse_signer(session, actor, approval, policy)
     except (ForbiddenError, ConflictError, StaleError) as refusal:
         return str(refusal)
-    if is_expired(approval) and not clock.is_held(session):
+    if is_expired(approval) and not alarm_rules.is_held(session):
         return f"Request {approval.id} expired at {approval.expires_utc}; the set must be submitted again."
     return None
 
@@ -195,7 +195,7 @@ def _sign(
 ) -> Signature:
     parameter_set = session.get_one(ParameterSet, approval.parameter_set_id)
     refuse_expired(session, approval, parameter_set)
-    refuse_changed_evidence(session, actor, approval, parameter_set)
+    refuse_changed_binding(session, actor, approval, parameter_set)
     if decided.decision == "APPROVE":
         refuse_blocked(session, parameter_set)
     user_id = require_person(actor, "sign")
@@ -341,7 +341,7 @@ def promote(
     if row.ground_state != "APPROVED" or approval is None:
         raise ConflictError(f"{row.name} is {row.ground_state}, not APPROVED: {who_changed(session, row)}.")
     refuse_expired(session, approval, row)
-    refuse_changed_evidence(session, actor, approval, row)
+    refuse_changed_binding(session, actor, approval, row)
     refuse_blocked(session, row)
     _refuse_lone(session, approval, policy)
     incumbent = set_rows.baseline(session, row.sensor_id)
@@ -419,7 +419,7 @@ def _submittable(
 
 
 def _open(session: Session, actor: Actor, row: ParameterSet, reason: str, policy: Policy) -> Approval:
-    bound = bind_evidence(session, row)
+    bound = compute_binding(session, row)
     is_rollback = row.baseline_from_utc is not None
     days = policy.rollback_days if is_rollback else policy.approval_days
     approval = Approval(

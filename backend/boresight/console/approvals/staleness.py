@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from boresight.console.alarms import rules as clock
+from boresight.console.alarms import rules as alarm_rules
 from boresight.console.approvals import queries as rows
 from boresight.console.approvals.tables import Approval
 from boresight.console.parameter_sets import queries as set_rows
@@ -34,7 +34,7 @@ WORDS = {
 OF_GATES = ("gate_report_sha256", "profile_sha256")  # absent from requests of before there were gates
 
 
-def bind_evidence(session: Session, parameter_set: ParameterSet) -> dict[str, Any]:
+def compute_binding(session: Session, parameter_set: ParameterSet) -> dict[str, Any]:
     """Return the hashes of what an approver of this set is shown now, and the waivers in force."""
     run = None if parameter_set.run_id is None else session.get(Run, parameter_set.run_id)
     report = rows.newest_report(session, parameter_set.id)
@@ -52,9 +52,9 @@ def bind_evidence(session: Session, parameter_set: ParameterSet) -> dict[str, An
     }
 
 
-def find_changed_evidence(session: Session, approval: Approval, parameter_set: ParameterSet) -> list[str]:
+def find_changed_bindings(session: Session, approval: Approval, parameter_set: ParameterSet) -> list[str]:
     """Name what is not any more as the request binds it."""
-    bound, current = approval.bound, bind_evidence(session, parameter_set)
+    bound, current = approval.bound, compute_binding(session, parameter_set)
     held = [name for name in bound if name in current and not (name in OF_GATES and bound[name] is None)]
     return [WORDS[name] for name in WORDS if name in held and bound[name] != current[name]]
 
@@ -125,9 +125,9 @@ def _make_stale(session: Session, actor: Actor, approval: Approval, reason: str)
     move(session, actor, row, resting_state(row, "CANDIDATE"), "returned", reason=f"its request became stale: {reason}")
 
 
-def refuse_changed_evidence(session: Session, actor: Actor, approval: Approval, row: ParameterSet) -> None:
+def refuse_changed_binding(session: Session, actor: Actor, approval: Approval, row: ParameterSet) -> None:
     """Make a request stale and refuse, when anything that it binds is not what it was when submitted."""
-    names = find_changed_evidence(session, approval, row)
+    names = find_changed_bindings(session, approval, row)
     if not names:
         return
     since = whose_baseline(session, row.sensor_id)
@@ -143,12 +143,12 @@ def is_expired(approval: Approval) -> bool:
 
 def is_any_request_due(session: Session) -> bool:
     """Whether there are requests whose time is over and that still stand open."""
-    return bool(rows.due(session, utc_now())) and not clock.is_held(session)
+    return bool(rows.due(session, utc_now())) and not alarm_rules.is_held(session)
 
 
 def expire_due_requests(session: Session) -> Sequence[Approval]:
     """Close every request whose time is over, and return them; their sets may be submitted again."""
-    due = () if clock.is_held(session) else rows.due(session, utc_now())
+    due = () if alarm_rules.is_held(session) else rows.due(session, utc_now())
     for approval in due:
         _expire(session, approval)
     return due
@@ -166,7 +166,7 @@ def _expire(session: Session, approval: Approval) -> None:
 
 def refuse_expired(session: Session, approval: Approval, row: ParameterSet) -> None:
     """Close a request as EXPIRED and refuse, when its time is over."""
-    if not is_expired(approval) or clock.is_held(session):
+    if not is_expired(approval) or alarm_rules.is_held(session):
         return
     _expire(session, approval)
     keep_despite_refusal(session)

@@ -1,7 +1,7 @@
 """Broadcasting the event feed of one server: no event is lost and a slow subscriber delays nobody.
 
 One thread follows the rows of `run_events` and `audit`, so changes by other processes are told too; progress comes from
-the worker engine, numbered from the server's start on. A place in the feed is `<run event>.<audit record>.<progress>`,
+the dispatcher, numbered from the server's start on. A cursor is `<run event>.<audit record>.<progress>`,
 the id of every event: who comes back with it misses nothing. Events are written once and go out together, after a pause
 of 0.1 ms for each listener; who reads too slowly is let go.
 """
@@ -45,11 +45,11 @@ class EventCursor:
     progress: int = 0
 
     def __str__(self) -> str:
-        """Write the place as an event id."""
+        """Write the cursor as an event id."""
         return f"{self.run_event}.{self.record}.{self.progress}"
 
     def covers(self, other: EventCursor) -> bool:
-        """Whether everything before another place is before this one too."""
+        """Whether everything before another cursor is before this one too."""
         return self.run_event >= other.run_event and self.record >= other.record and self.progress >= other.progress
 
     @classmethod
@@ -60,7 +60,7 @@ class EventCursor:
 
     @classmethod
     def now(cls, session: Session, progress: int = 0) -> EventCursor:
-        """Return the place after everything stored, and after this progress."""
+        """Return the cursor after everything stored, and after this progress."""
         return cls(run_events.newest_event_id(session), audit.newest_id(session), progress)
 
 
@@ -77,12 +77,12 @@ class Event:
     history: dict[str, Any] | None = None
 
     def is_after(self, cursor: EventCursor) -> bool:
-        """Whether somebody at a place has not been told this yet."""
+        """Whether somebody at a cursor has not been told this yet."""
         told: int = getattr(cursor, PART_OF_KIND[self.kind])
         return self.number > told
 
     def move(self, cursor: EventCursor) -> EventCursor:
-        """Return the place of somebody who has now been told this."""
+        """Return the cursor of somebody who has now been told this."""
         return replace(cursor, **{PART_OF_KIND[self.kind]: self.number})
 
     @cached_property
@@ -96,7 +96,7 @@ class Event:
         return orjson.dumps(self.data | {"history": self.history}).decode()
 
     def wire(self, cursor: EventCursor, *, with_history: bool = False) -> bytes:
-        """Write it as a server-sent event, its id the place after it."""
+        """Write it as a server-sent event, its id the cursor after it."""
         text = self.text_with_history if with_history and self.history is not None else self.text
         return f"event: {self.kind}\ndata: {text}\nid: {cursor}\n\n".encode()
 
@@ -123,7 +123,7 @@ class RecentProgress:
 
 
 def events_after(session: Session, cursor: EventCursor) -> list[Event]:
-    """Return the rows after a place as events, those of either kind in their order, at most a page of each."""
+    """Return the rows after a cursor as events, those of either kind in their order, at most a page of each."""
     lines = [_make_run_event(row) for row in run_events.events_after(session, cursor.run_event, PAGE)]
     records = [_make_record_event(row) for row in audit.heads_after(session, cursor.record, PAGE)]
     return list(heapq.merge(lines, records, key=lambda event: str(event.data["at_utc"])))
@@ -151,15 +151,15 @@ PAUSE_A_LISTENER_S = 1e-4
 
 @dataclass(frozen=True)
 class DeliveredEvent:
-    """An event with the place of the feed after it."""
+    """An event with the cursor of the feed after it."""
 
     event: Event
-    place: EventCursor
+    cursor: EventCursor
 
     @cached_property
     def wire(self) -> bytes:
         """The event as it is sent."""
-        return self.event.wire(self.place)
+        return self.event.wire(self.cursor)
 
 
 class EventBatch:
@@ -222,35 +222,35 @@ class Broadcast:
         self._lock = threading.Lock()
         self._ring = RecentProgress(KEPT)
         self._found = EventCursor(0, 0, self._ring.newest)  # how far events were found
-        self.place = self._found  # how far they were told
+        self.cursor = self._found  # how far they were told
         self._pending: list[DeliveredEvent] = []
         self._told_s = 0.0
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._marks = DataVersionReader(database)
-        self._mark: DataVersion | None = None
+        self._data_versions = DataVersionReader(database)
+        self._data_version: DataVersion | None = None
         self._ended_utc = utc_now()  # the newest end of a log-in that was noticed
         self._revoked: tuple[str | None, str | None] = (None, None)  # when a key was last revoked, a person disabled
-        self._rounds = PeriodicThread("event feed", [self._follow], lambda: LOOK_EVERY_S, LOOK_AFTER_S)
+        self._thread = PeriodicThread("event feed", [self._follow], lambda: LOOK_EVERY_S, LOOK_AFTER_S)
         self._is_closed = False
 
     def start(self) -> None:
         """Begin to follow the rows, from where they end now."""
         self._is_closed = False
         with open_reading(self._database) as session:
-            self.place = self._found = EventCursor.now(session, self._ring.newest)
+            self.cursor = self._found = EventCursor.now(session, self._ring.newest)
             self._revoked = login_sessions.newest_revocation(session)
         self._ended_utc = utc_now()
-        self._rounds.start()
+        self._thread.start()
 
     def close(self) -> None:
         """End every stream and stop following; safe to call twice."""
         self._is_closed = True
         self._on_the_loop(self._end)
-        self._rounds.close()
-        self._marks.close()
+        self._thread.close()
+        self._data_versions.close()
 
     def hear(self, event: dict[str, Any]) -> None:
-        """Take an event of the worker engine: progress is passed on, a change of state is a row to be looked up."""
+        """Take an event of the dispatcher: progress is passed on, a change of state is a row to be looked up."""
         if event.get("kind") != "progress":
             self.nudge()
             return
@@ -260,7 +260,7 @@ class Broadcast:
 
     def nudge(self) -> None:
         """Look at the rows now."""
-        self._rounds.nudge()
+        self._thread.nudge()
 
     @property
     def listeners(self) -> int:
@@ -279,7 +279,7 @@ class Broadcast:
 
     @contextmanager
     def listening(self, actor: Actor) -> Iterator[Subscriber]:
-        """Hear everything after `place` from now on, as who acts; to be called on the event loop."""
+        """Hear everything after `cursor` from now on, as who acts; to be called on the event loop."""
         self._loop = asyncio.get_running_loop()
         listener = Subscriber(actor)
         self._listeners.add(listener)
@@ -292,8 +292,8 @@ class Broadcast:
 
     def _follow(self) -> None:
         """Tell the rows that are new, page by page until there is none, where anything was committed."""
-        mark = self._marks.look()
-        found = mark is None or mark != self._mark
+        data_version = self._data_versions.look()
+        found = data_version is None or data_version != self._data_version
         if found:
             self._find_endings()
         while found and not self._is_closed:
@@ -302,7 +302,7 @@ class Broadcast:
             found = len(events) >= PAGE  # otherwise neither kind has more
             with self._lock:
                 self._find(events)
-        self._mark = mark
+        self._data_version = data_version
 
     def _find_endings(self) -> None:
         """Have the streams ask again whose log-in has ended, and all of them after a key was revoked or a person disabled."""
@@ -322,13 +322,13 @@ class Broadcast:
                 listener.doubt()
 
     def _find(self, events: Sequence[Event]) -> None:
-        """Give events, under the lock and so in one order, the places after them, and hand them to the event loop."""
+        """Give events, under the lock and so in one order, the cursors after them, and hand them to the event loop."""
         told = []
         for event in events:
             self._found = event.move(self._found)
             told.append(DeliveredEvent(event, self._found))
         if told and not self._on_the_loop(self._take, told):
-            self.place = self._found  # nobody has listened yet
+            self.cursor = self._found  # nobody has listened yet
 
     def _on_the_loop(self, act: Callable[..., None], *given: Any) -> bool:
         """Let something be done on the event loop; whether there is one."""
@@ -349,7 +349,7 @@ class Broadcast:
         if not self._pending:
             return
         telling, self._pending = EventBatch(self._pending), []
-        self.place = telling.told[-1].place
+        self.cursor = telling.told[-1].cursor
         for listener in self._listeners:
             listener.put(telling)
         self._told_s = time.monotonic()

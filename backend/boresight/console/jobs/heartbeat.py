@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from boresight.console.alarms import rules as clock
+from boresight.console.alarms import rules as alarm_rules
 from boresight.console.approvals import proposals, staleness
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from boresight.platform.jobs.periodic_thread import PeriodicThread
@@ -22,32 +22,35 @@ class Heartbeat:
         self._tell = tell
         self._seen_file = seen_file
         self._looked_back = False
-        self._rounds = PeriodicThread("heartbeat", [self.beat], lambda: BEAT_S)
+        self._thread = PeriodicThread("heartbeat", [self.beat], lambda: BEAT_S)
 
     def start(self) -> None:
         """Begin to beat; the first beat is at once, for what became due while no server ran."""
-        self._rounds.start()
+        self._thread.start()
 
     def close(self) -> None:
         """Stop; safe to call twice."""
-        self._rounds.close()
+        self._thread.close()
 
     def look_at_clock(self) -> None:
         """Raise an alarm where the clock jumped, and let it be over once somebody has acknowledged it."""
         seen_s = None if self._looked_back else self._seen_s()
         with open_reading(self._database) as session:
-            held, acknowledged = clock.find_active(session, clock.CLOCK) is not None, clock.is_acknowledged(session)
-        found = None if held else clock.condition_now(seen_s)
+            held, acknowledged = (
+                alarm_rules.find_active(session, alarm_rules.CLOCK) is not None,
+                alarm_rules.is_acknowledged(session),
+            )
+        found = None if held else alarm_rules.check_clock(seen_s)
         if found is not None or acknowledged:
             with open_writing(self._database) as session:
-                clock.update_installation_alarms(session, {clock.CLOCK: found})
+                alarm_rules.update_installation_alarms(session, {alarm_rules.CLOCK: found})
             self._tell()
         if found is not None or held:
-            clock.OURS.agree()  # the alarm holds what would expire from now on
+            alarm_rules.OURS.agree()  # the alarm holds what would expire from now on
         self._looked_back = True
         if self._seen_file is not None:
             with suppress(OSError):
-                self._seen_file.write_text(str(clock.OURS.now_s()), encoding="ascii")
+                self._seen_file.write_text(str(alarm_rules.OURS.now_s()), encoding="ascii")
 
     def _seen_s(self) -> float | None:
         """Return when a server of this installation was last seen to run."""
@@ -60,7 +63,7 @@ class Heartbeat:
         """Let everything expire whose time is over, unless the clock that says so jumped."""
         self.look_at_clock()
         with open_reading(self._database) as session:
-            if clock.is_held(session):
+            if alarm_rules.is_held(session):
                 return
             waiting = staleness.is_any_request_due(session) or proposals.any_due(session)
         if waiting:

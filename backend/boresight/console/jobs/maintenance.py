@@ -21,7 +21,7 @@ from boresight.console.alarms.rules import (
     CHAIN,
     FILES,
     HEAD,
-    AlarmCondition,
+    AlarmCause,
     check_chain,
     check_files,
     check_head,
@@ -89,20 +89,27 @@ class Maintenance:
         self._found = NOT_YET
         self._looked_s = 0.0
         self._pause_s = ROUND_S
-        self._rounds = PeriodicThread(
+        self._thread = PeriodicThread(
             "upkeep",
-            [self.write_uses, self.tidy_sessions, self._verify_when_due, self.keep_head, self.read_files, self.watch],
+            [
+                self.write_uses,
+                self.tidy_sessions,
+                self._verify_when_due,
+                self.keep_head,
+                self.read_files,
+                self.apply_alarm_rules,
+            ],
             lambda: ROUND_S,
         )
 
     def start(self) -> None:
         """Begin; the first walk is at once."""
-        self._rounds.start()
+        self._thread.start()
 
     def close(self) -> None:
         """Stop, and write the last uses; safe to call twice."""
-        self._rounds.close(PATIENCE_S)
-        self._rounds.take(self.write_uses)
+        self._thread.close(PATIENCE_S)
+        self._thread.take(self.write_uses)
 
     def used(self, credential: str, *, active: bool = True) -> bool:  # noqa: ARG002 - a key is used by what only listens too
         """Remember that a key was used now, which is always allowed."""
@@ -206,7 +213,7 @@ class Maintenance:
             is_new = sha256 not in self._suspects
             self._suspects.add(sha256)
         if is_new:
-            self._rounds.nudge()
+            self._thread.nudge()
 
     def read_files(self) -> None:
         """Read stored files again: those that are suspected, and some of the others, on from where the last round ended."""
@@ -232,10 +239,10 @@ class Maintenance:
         except BoresightError:
             return sha256 in self._suspects
 
-    def watch(self) -> None:
+    def apply_alarm_rules(self) -> None:
         """Bring the alarms of the fleet, of the audit log and of the stored files in line with what is so now."""
         with open_reading(self._database) as session:
-            found = self._conditions(session)
+            found = self._check_installation(session)
             sensor_ids, installation = (
                 rules.find_changed_sensors(session),
                 rules.has_installation_changed(session, found),
@@ -247,7 +254,7 @@ class Maintenance:
             if installation:
                 rules.update_installation_alarms(session, found)
 
-    def _conditions(self, session: Session) -> dict[str, AlarmCondition | None]:
+    def _check_installation(self, session: Session) -> dict[str, AlarmCause | None]:
         """Return what is wrong with the installation, by source."""
         named = files.sizes(session, sorted(self._suspects))
         wrong = [

@@ -37,7 +37,7 @@ class EventStream(StreamingResponse):
 
 @dataclass(frozen=True)
 class _Wish:
-    """What one listener wants to hear: of one run or of all, and whose course is to be drawn."""
+    """What one listener wants to hear: of one run or of all, and whose history is to be drawn."""
 
     run: int | None
     history: int | None
@@ -48,7 +48,7 @@ class _Wish:
         return self.run is None and self.history is None
 
     def written(self, event: Event, cursor: EventCursor) -> bytes:
-        """Write an event, with the new points of its course for who draws it; nothing where it is not wished for."""
+        """Write an event, with the new points of its history for who draws it; nothing where it is not wished for."""
         about = event.data.get("run_id") == self.run or event.data.get("object") == f"runs/{self.run}"
         if self.run is not None and not about:
             return b""
@@ -84,7 +84,7 @@ async def _stream(
     """Write a stream: where it begins, what was missed, then what happens."""
     broadcast, database = told_by
     with broadcast.listening(actor) as listener:
-        brought, newest, told = EventCursor.parse(last_event_id or ""), broadcast.progress, broadcast.place
+        brought, newest, told = EventCursor.parse(last_event_id or ""), broadcast.progress, broadcast.cursor
         cursor = brought or told
         yield f": connected\nid: {cursor}\nretry: {RETRY_MS}\n\n".encode()
         if brought is not None:
@@ -104,7 +104,7 @@ def _said(word: str, cursor: EventCursor) -> bytes:
 
 
 async def _past(database: Engine, broadcast: Broadcast, cursor: EventCursor) -> AsyncIterator[Event]:
-    """Return the rows after a place, page by page, and the progress after it, none where some is kept no more."""
+    """Return the rows after a cursor, page by page, and the progress after it, none where some is kept no more."""
     while events := await run_in_threadpool(_missed, database, cursor):
         for event in events:
             cursor = event.move(cursor)
@@ -114,7 +114,7 @@ async def _past(database: Engine, broadcast: Broadcast, cursor: EventCursor) -> 
 
 
 def _missed(database: Engine, cursor: EventCursor) -> Iterable[Event]:
-    """Return a page of the rows after a place."""
+    """Return a page of the rows after a cursor."""
     with open_reading(database) as session:
         return events_after(session, cursor)
 
@@ -123,18 +123,18 @@ class _Live:
     """Writes what is told for one listener.
 
     What a listener heard of the past may lie ahead of what the feed has told: until the feed has caught up, each event is held
-    against the listener's own place. From then on the feed's places are the listener's, and its bytes are sent as they are.
+    against the listener's own cursor. From then on the feed's cursors are the listener's, and its bytes are sent as they are.
     """
 
     def __init__(self, cursor: EventCursor, wish: _Wish, told: EventCursor) -> None:
-        self.place = cursor
+        self.cursor = cursor
         self._wish = wish
         self._is_level = told.covers(cursor)
 
     def written(self, telling: EventBatch) -> bytes:
         """Write a telling."""
         if self._is_level and self._wish.is_everything:
-            self.place = telling.told[-1].place
+            self.cursor = telling.told[-1].cursor
             return telling.wire
         return b"".join(self._each(telling))
 
@@ -142,13 +142,13 @@ class _Live:
         """Write each event that was not heard yet."""
         for one in telling.told:
             if self._is_level:
-                self.place = one.place
-            elif one.event.is_after(self.place):
-                self.place = one.event.move(self.place)
+                self.cursor = one.cursor
+            elif one.event.is_after(self.cursor):
+                self.cursor = one.event.move(self.cursor)
             else:
                 continue
-            yield self._wish.written(one.event, self.place)
-            self._is_level = self._is_level or one.place.covers(self.place)
+            yield self._wish.written(one.event, self.cursor)
+            self._is_level = self._is_level or one.cursor.covers(self.cursor)
 
 
 async def _live(request: Request, listener: Subscriber, live: _Live) -> AsyncIterator[bytes]:
@@ -158,7 +158,7 @@ async def _live(request: Request, listener: Subscriber, live: _Live) -> AsyncIte
         found = await listener.next(min(PING_S, ASK_AGAIN_S))
         piece = _piece(live, found)
         if found and found[-1] is None:
-            yield piece + _said("dropped" if listener.dropped else "closing", live.place)
+            yield piece + _said("dropped" if listener.dropped else "closing", live.cursor)
             return
         if not piece and time.monotonic() - said_s >= PING_S:
             piece = PING
@@ -168,7 +168,7 @@ async def _live(request: Request, listener: Subscriber, live: _Live) -> AsyncIte
         if listener.doubted or time.monotonic() - asked_s > ASK_AGAIN_S:
             listener.doubted = False
             if not await run_in_threadpool(is_still_valid, request):
-                yield _said("logged-out", live.place)
+                yield _said("logged-out", live.cursor)
                 return
             asked_s = time.monotonic()
 

@@ -39,19 +39,19 @@ class WebhookSender:
         self._database = database
         self.targets = targets
         self._box = box
-        self._rounds = PeriodicThread("delivery", [self.deliver], lambda: LOOK_EVERY_S, LOOK_AFTER_S)
+        self._thread = PeriodicThread("delivery", [self.deliver], lambda: LOOK_EVERY_S, LOOK_AFTER_S)
 
     def start(self) -> None:
         """Begin to look for messages."""
-        self._rounds.start()
+        self._thread.start()
 
     def close(self) -> None:
         """Stop after the attempt that is under way; safe to call twice."""
-        self._rounds.close(TIMEOUT_S + 1.0)
+        self._thread.close(TIMEOUT_S + 1.0)
 
     def nudge(self) -> None:
         """Look now."""
-        self._rounds.nudge()
+        self._thread.nudge()
 
     def deliver(self) -> None:
         """Send everything that is due now."""
@@ -72,7 +72,7 @@ class WebhookSender:
         """Send a webhook's messages until one gets no answer; the others wait for the next look."""
         began_s = time.monotonic()
         for message in messages:
-            if self._rounds.closing or time.monotonic() - began_s > TIMEOUT_S:
+            if self._thread.closing or time.monotonic() - began_s > TIMEOUT_S:
                 return
             status, outcome = self._send(message)
             with open_writing(self._database) as session:

@@ -90,14 +90,14 @@ def histogram(
     largest = HEADROOM * max([*counts, 1])
     plot_width, plot_height = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
 
-    def x_of(value: float) -> float:
+    def scale_x(value: float) -> float:
         return LEFT + plot_width * (value - low) / ((high - low) or 1.0)
 
     bars, rows = [], []
     for left, right, count in zip(edges, edges[1:], counts, strict=False):
         height = plot_height * count / largest
         label = f"{left:.4g} to {right:.4g}"
-        x, width = x_of(left) + 0.5, max(x_of(right) - x_of(left) - 1.0, 0.5)
+        x, width = scale_x(left) + 0.5, max(scale_x(right) - scale_x(left) - 1.0, 0.5)
         bars.append(ChartBar(x, TOP + plot_height - height, width, height, count, 1.0, f"{label}: {count}"))
         rows.append((label, count))
     return Drawing(
@@ -106,7 +106,7 @@ def histogram(
         x_title=x_title,
         y_title=y_title,
         bars=bars,
-        x_ticks=[AxisTick(x_of(value), f"{value:g}") for value in round_steps(low, high, 8)],
+        x_ticks=[AxisTick(scale_x(value), f"{value:g}") for value in round_steps(low, high, 8)],
         y_ticks=[
             AxisTick(TOP + plot_height * (1.0 - value / largest), f"{value:,.0f}".replace(",", "\u202f"))
             for value in round_steps(0.0, largest, 3)
@@ -117,7 +117,7 @@ def histogram(
         right=WIDTH - RIGHT,
         bottom=HEIGHT - BOTTOM,
         rows=rows,
-        mark_x=x_of(mark[0]) if mark else None,
+        mark_x=scale_x(mark[0]) if mark else None,
         mark_title=mark[1] if mark else "",
     )
 

@@ -78,8 +78,8 @@ class FleetReading:
 class FleetStatusCache:
     """What the top bar says, read anew only after a commit, and of a large fleet less often; by one thread for all that ask."""
 
-    def __init__(self, engine: Engine, marks: DataVersionReader) -> None:
-        self._engine, self._marks = engine, marks
+    def __init__(self, database: Engine, data_versions: DataVersionReader) -> None:
+        self._database, self._data_versions = database, data_versions
         self._looking = threading.Lock()
         self._known: tuple[DataVersion, float, float, tuple[FleetStatus, int, int]] | None = (
             None  # when its look began and ended
@@ -88,17 +88,17 @@ class FleetStatusCache:
 
     def known_now(self, asked_s: float) -> FleetReading | None:
         """Return what `standing` would without a look at the fleet; None where it takes one, or to tell takes a thread."""
-        return self._remembered(self._marks.look(), asked_s) if self._marks.at_once else None
+        return self._remembered(self._data_versions.look(), asked_s) if self._data_versions.at_once else None
 
-    def _remembered(self, mark: DataVersion | None, asked_s: float) -> FleetReading | None:
+    def _remembered(self, data_version: DataVersion | None, asked_s: float) -> FleetReading | None:
         """Return what the last look found, where that holds for who asked at a time of the monotonic clock."""
         now_s = time.monotonic()
         if self._known is None:
             return None
-        of_mark, began_s, ended_s, found = self._known
+        of_version, began_s, ended_s, found = self._known
         if now_s - ended_s >= HELD_S:
             return None
-        if mark == of_mark or now_s < self._resting_until_s:
+        if data_version == of_version or now_s < self._resting_until_s:
             return FleetReading(found)
         return FleetReading(found, is_older=True) if began_s > asked_s else None
 
@@ -106,15 +106,15 @@ class FleetStatusCache:
         """Return what `read_fleet_status` does, from a look no older than question or newest commit; of a large fleet older."""
         with self._looking:
             now_s = time.monotonic()
-            mark = self._marks.look()
-            if (remembered := self._remembered(mark, asked_s)) is not None:
+            data_version = self._data_versions.look()
+            if (remembered := self._remembered(data_version, asked_s)) is not None:
                 return remembered
-            with open_reading(self._engine) as session:
+            with open_reading(self._database) as session:
                 found = read_fleet_status(session)
                 is_large = sensors.count(session) > LARGE
             ended_s = time.monotonic()
             took_s = ended_s - now_s
-            self._known = None if mark is None else (mark, now_s, ended_s, found)
+            self._known = None if data_version is None else (data_version, now_s, ended_s, found)
             self._resting_until_s = ended_s + min(HELD_S, REST * took_s) if is_large else 0.0
             return FleetReading(found)
 

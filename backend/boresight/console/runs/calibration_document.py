@@ -90,7 +90,7 @@ class Evaluation(_Part):
 
 
 class History(_Part):
-    """A filter's course, an entry an update."""
+    """A filter's history, an entry an update."""
 
     frame: list[int]
     parameters: Matrix

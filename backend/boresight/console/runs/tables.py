@@ -15,7 +15,7 @@ TERMINAL_RUN_STATES = ("SUCCEEDED", "FAILED", "CANCELLED", "LOST")
 
 
 class Run(Base):
-    """A calibration. The row is the truth; engines only compute. Terminal states are written once."""
+    """A calibration. The row is the truth; workers only compute. Terminal states are written once."""
 
     __tablename__ = "runs"
     noun = "run"

@@ -185,7 +185,7 @@ def _refuse_unsigned(session: Session, actor: Actor, row: ParameterSet) -> None:
     approval = approval_rows.find_latest(session, row.id, "APPROVED") if row.ground_state == "APPROVED" else None
     if approval is not None:
         staleness.refuse_expired(session, approval, row)
-        staleness.refuse_changed_evidence(session, actor, approval, row)
+        staleness.refuse_changed_binding(session, actor, approval, row)
 
 
 def _refuse_other_versions(

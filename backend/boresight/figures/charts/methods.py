@@ -145,20 +145,20 @@ POINT_BUDGET = 8000  # of all runs together
 class _Convergence:
     """A run's way to the bound: claimed and true error (n_steps,) in its sigmas, NaN where not known."""
 
-    course: History
+    history: History
     claimed: FloatArray
     true: FloatArray
 
 
 def draw(drawn: Sequence[Part]) -> go.Figure:
     """Draw every run's claimed and true error over frames, or over iterations when every run is a batch."""
-    axis = "frame" if any(way.course.axis == "frame" for _, _, way in drawn) else "iteration"
-    x = np.concatenate([way.course.x for _, _, way in drawn if way.course.axis == axis])
+    axis = "frame" if any(way.history.axis == "frame" for _, _, way in drawn) else "iteration"
+    x = np.concatenate([way.history.x for _, _, way in drawn if way.history.axis == axis])
     span = np.array([x.min(), x.max()])
     figure = go.Figure()
     limit = POINT_BUDGET // (2 * len(drawn))
     for trace, style, way in drawn:
-        _draw_run(figure, trace, style, way if way.course.axis == axis else _level(way), span, limit)
+        _draw_run(figure, trace, style, way if way.history.axis == axis else _level(way), span, limit)
     known = any(np.isfinite(way.true).any() for _, _, way in drawn)
     title = "Error over the Cramér-Rao bound: claimed" + (", and true (dotted)" if known else "")
     theme.dress(figure, title=title, height_px=460, hovermode="closest")
@@ -186,13 +186,13 @@ def _approach(result: Result) -> _Convergence | None:
 
 def _level(way: _Convergence) -> _Convergence:
     """Keep the end of a batch, to be drawn over the frames of the filters beside it."""
-    return _Convergence(way.course, way.claimed[[-1, -1]], way.true[[-1, -1]])
+    return _Convergence(way.history, way.claimed[[-1, -1]], way.true[[-1, -1]])
 
 
 def _draw_run(
     figure: go.Figure, trace: Trace, style: theme.RunStyle, way: _Convergence, span: FloatArray, limit: int
 ) -> None:
-    x = way.course.x if len(way.claimed) == len(way.course.x) else span
+    x = way.history.x if len(way.claimed) == len(way.history.x) else span
     kept = keep_extremes([way.claimed, way.true], limit)
     cost = method_scores(trace.result).ms_per_frame
     name = style.label if cost is None else f"{style.label} ({number(cost, 2)} ms a frame)"
@@ -210,7 +210,7 @@ def _draw_run(
 def table(way: _Convergence) -> Table:
     """List every step: claimed and true error in sigmas of the bound."""
     return {
-        way.course.axis: [int(step) for step in way.course.x],
+        way.history.axis: [int(step) for step in way.history.x],
         "claimed_over_bound": theme.plain(way.claimed),
         "true_over_bound": theme.plain(way.true),
     }

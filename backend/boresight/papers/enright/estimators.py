@@ -174,14 +174,14 @@ def _catalogue(folder: Path | None) -> Catalogue:
 
 def _data(trial: Trial, catalogue: Catalogue) -> _Data:
     scenario = calibration_scenario(trial.sensor, trial.frames)
-    held_out = validation_scenario(trial.sensor, trial.validation_frames)
+    validation = validation_scenario(trial.sensor, trial.validation_frames)
     named = _simulated(replace(scenario, blanked_share=0.0), trial, catalogue)
     known = build_problem(named, scenario.sensor, catalogue)
     return _Data(
         sensor=scenario.sensor,
         truth=scenario.truth,
         calibration=_simulated(scenario, trial, catalogue),
-        validation=_simulated(held_out, trial, catalogue),
+        validation=_simulated(validation, trial, catalogue),
         catalogue=catalogue,
         known=known,
         F=_information(known, scenario.truth),

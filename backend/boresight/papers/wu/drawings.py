@@ -23,7 +23,7 @@ from boresight.simulation.sensors import WU_TRUTH
 
 FIELD = ("no field data", "the night-sky images are not public; the run is simulated")
 ORDER = ("f", "k2", "k1", "u0", "v0", "s")
-#: Factor by which two courses may differ and still be called similar.
+#: Factor by which two histories may differ and still be called similar.
 SIMILAR = 2.0
 DRAWN_ONLY = (
     "unstated setting",
@@ -78,10 +78,10 @@ def _numbers(columns: Sequence[Sequence[float | None]]) -> np.ndarray[Any, np.dt
 
 
 def _figures_6(pooled: Pooled) -> list[Drawing]:
-    courses = {place: pooled.of(*place)[0]["course"] for place in LABELS}
-    svd, angular = (np.array(courses[key, "full"]["A"]) for key in ("svd-4-23", "angular"))
+    histories = {place: pooled.of(*place)[0]["course"] for place in LABELS}
+    svd, angular = (np.array(histories[key, "full"]["A"]) for key in ("svd-4-23", "angular"))
     ratio = svd / angular
-    ended = {place: course["B"][-1] for place, course in courses.items()}
+    ended = {place: history["B"][-1] for place, history in histories.items()}
     apart = max(ended.values()) / min(ended.values()) - 1
     similar = Conclusion(
         bool(ratio.max() <= SIMILAR and ratio.min() >= 1 / SIMILAR),
@@ -91,8 +91,8 @@ def _figures_6(pooled: Pooled) -> list[Drawing]:
     same = Conclusion(apart <= 0.01, f"the ends of criterion B differ by {100 * apart:.2f} %.", *NO_Q)
     curves = {
         which: [
-            {"label": LABELS[place], "frame": course["frame"], "criterion_arcsec": course[which]}
-            for place, course in courses.items()
+            {"label": LABELS[place], "frame": history["frame"], "criterion_arcsec": history[which]}
+            for place, history in histories.items()
         ]
         for which in "AB"
     }
@@ -103,14 +103,14 @@ def _figures_6(pooled: Pooled) -> list[Drawing]:
 
 
 def _figure_8(pooled: Pooled) -> Drawing:
-    course = pooled.of("svd-4-23")[0]["course"]
-    states, sigmas = np.array(course["states"]), np.array(course["sigmas"], dtype=np.float64)
+    history = pooled.of("svd-4-23")[0]["course"]
+    states, sigmas = np.array(history["states"]), np.array(history["sigmas"], dtype=np.float64)
     curves = [
         {
             "label": symbol,
             "unit": unit,
             "truth": float(truth),
-            "frame": course["frame"],
+            "frame": history["frame"],
             "value": states[:, p].tolist(),
             "three_sigma": (3 * sigmas[:, p]).tolist(),
         }
@@ -118,7 +118,7 @@ def _figure_8(pooled: Pooled) -> Drawing:
             zip(PINHOLE_RADIAL.symbols, PINHOLE_RADIAL.units, WU_TRUTH, strict=True)
         )
     ]
-    settled = dict(zip(PINHOLE_RADIAL.symbols, course["settled"], strict=True))
+    settled = dict(zip(PINHOLE_RADIAL.symbols, history["settled"], strict=True))
     ours = sorted(settled, key=lambda symbol: settled[symbol])
     said = ", ".join(f"{symbol} {settled[symbol]}" for symbol in ours)
     return drawing(

@@ -257,7 +257,7 @@ def _judged(head: Record, arcs: ArcSet, judges: Judges) -> list[Record]:
         }  # fmt: skip
         drawn = head["set"] == 0 and head["magnitude_limit"] == 5.5 and head["noise_px"] == WU_IMPLIED_SIGMA_PX
         if drawn and estimator.key in {"svd-4-23", "angular"}:
-            record["course"] = _course(run, judges)
+            record["course"] = _history(run, judges)
         records.append(record)
     if head["set"] == 0 and head["magnitude_limit"] == 5.5 and head["noise_px"] == WU_IMPLIED_SIGMA_PX:
         truth["observability"] = _observability(arcs, len(judges.fields))
@@ -268,7 +268,7 @@ def _criteria(x: FloatArray, judges: Judges) -> Record:
     return {"A": list(judges.criterion_a(x)), "B": list(judges.criterion_b(x))}
 
 
-def _course(run: Run, judges: Judges) -> Record:
+def _history(run: Run, judges: Judges) -> Record:
     """States, sigmas and criteria at places along a run, closer at its start."""
     places = np.unique(np.geomspace(1, len(run.states), CHECKPOINTS).round().astype(int)) - 1
     return {

@@ -100,7 +100,7 @@ class BucketBlobStore(BlobStore):
 
     def path(self, sha256: str) -> Path:
         """Return a file with the bytes of an address, fetched the first time, to be read only."""
-        place = self._here.place_of(sha256)
+        place = self._here.locate(sha256)
         try:
             if not integrity.is_intact(place, sha256):
                 place.unlink(missing_ok=True)

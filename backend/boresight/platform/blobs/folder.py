@@ -71,14 +71,14 @@ class FolderBlobStore(BlobStore):
 
     def discard(self, sha256: str) -> None:
         """Remove what was put and that no row will name, for what belongs to it could not be put."""
-        self.place_of(sha256).unlink(missing_ok=True)
+        self.locate(sha256).unlink(missing_ok=True)
 
     def send_ahead(self, *files: Path) -> None:
         """Bring nothing: here there is no network."""
 
     def keep(self, written: Path, sha256: str) -> None:
         """Give a complete file its address, in the place of a corrupt one too, and make the name itself survive a power cut."""
-        location = self.place_of(sha256)
+        location = self.locate(sha256)
         if location.exists() and integrity.is_intact(location, sha256):
             return
         location.parent.mkdir(parents=True, exist_ok=True)
@@ -89,7 +89,7 @@ class FolderBlobStore(BlobStore):
         finally:
             os.close(folder)
 
-    def place_of(self, sha256: str) -> Path:
+    def locate(self, sha256: str) -> Path:
         """Where the bytes of an address belong."""
         return self.folder / sha256[:2] / sha256[2:4] / sha256
 
@@ -99,7 +99,7 @@ class FolderBlobStore(BlobStore):
 
     def _located(self, sha256: str) -> Path:
         """Return the file of an address, whatever is in it."""
-        location = self.place_of(sha256)
+        location = self.locate(sha256)
         if not location.is_file():
             if self._opened is not None:
                 self._opened.refuse_another()

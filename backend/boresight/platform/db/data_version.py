@@ -1,10 +1,10 @@
 """The data version: a value that changes with every commit of any process.
 
-Two equal marks of one `DataVersionReader` mean that both times the same rows were to be seen, so what was read after the first
+Two equal versions of one `DataVersionReader` mean that both times the same rows were to be seen, so what was read after the first
 still holds at the second. SQLite counts for each connection the commits of all others (`PRAGMA data_version`), so one connection
 that never writes sees every one: a look costs some microseconds. PostgreSQL names its snapshot (`pg_current_snapshot()`): its text
 changes when a transaction that wrote anything ends, in this database or another of the cluster, and a look costs a question to the
-server. A mark carries the number of its connection too: those of a later connection might meet it by chance.
+server. A version carries the number of its connection too: those of a later connection might meet it by chance.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class DataVersionReader:
         return self._engine.dialect.name == "sqlite"
 
     def look(self) -> DataVersion | None:
-        """Return the mark of now; None where the store cannot say."""
+        """Return the version of now; None where the store cannot say."""
         with self._lock:
             try:
                 if self._connection is None:
@@ -92,7 +92,7 @@ class DataVersionReader:
             self._file.refuse_another()
 
     def _let_go(self) -> None:
-        """Close what is left of a connection; the next look opens another, whose marks are others too."""
+        """Close what is left of a connection; the next look opens another, whose versions are others too."""
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.close()
@@ -110,16 +110,16 @@ class DataVersionPoller:
     the next, for that one may have been answered before something that they know of was committed; all who wait share the answer.
     """
 
-    def __init__(self, marks: DataVersionReader) -> None:
-        self._marks = marks
+    def __init__(self, reader: DataVersionReader) -> None:
+        self._reader = reader
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="boresight-changes")
         self._under_way: asyncio.Task[DataVersion | None] | None = None
         self._next: asyncio.Task[DataVersion | None] | None = None
 
     async def now(self) -> DataVersion | None:
-        """Return a mark that was looked for after this was called; None where the store cannot say."""
-        if self._marks.at_once:
-            return self._marks.look()
+        """Return a version that was looked for after this was called; None where the store cannot say."""
+        if self._reader.at_once:
+            return self._reader.look()
         loop = asyncio.get_running_loop()
         if self._next is None or self._next.get_loop() is not loop:
             self._next = loop.create_task(self._ask(self._under_way))
@@ -130,19 +130,19 @@ class DataVersionPoller:
         if before is not None and before.get_loop() is asyncio.get_running_loop():
             await asyncio.wait([before])
         self._under_way, self._next = self._next, None
-        return await asyncio.get_running_loop().run_in_executor(self._thread, self._marks.look)
+        return await asyncio.get_running_loop().run_in_executor(self._thread, self._reader.look)
 
     def close(self) -> None:
         """Stop polling."""
         self._thread.shutdown(wait=False)
-        self._marks.close()
+        self._reader.close()
 
 
 class VersionedCache(Generic[T]):
     """A cache of query results, valid until the next commit."""
 
-    def __init__(self, data_versions: DataVersionReader) -> None:
-        self._marks = data_versions
+    def __init__(self, reader: DataVersionReader) -> None:
+        self._reader = reader
         self._last: tuple[Hashable, DataVersion, float, T] | None = None
 
     def answer(self, question: Hashable, read: Callable[[], T]) -> T:
@@ -152,7 +152,7 @@ class VersionedCache(Generic[T]):
     def answer_to(self, question: Hashable, read: Callable[[], T], asked_s: float) -> tuple[T, bool]:
         """Return the same for who asked at a time of the monotonic clock, and whether it was read before the newest commit."""
         began_s, last = time.monotonic(), self._last
-        data_version = self._marks.look()  # before reading: what is committed in between is read twice, and not missed
+        data_version = self._reader.look()  # before reading: what is committed in between is read twice, and not missed
         if last is not None and last[0] == question and data_version is not None:
             if data_version == last[1]:
                 return last[3], False

@@ -130,7 +130,7 @@ class CacheRequest:
 
     address: Address
     known_tags: bytes
-    mark: DataVersion | None = None
+    data_version: DataVersion | None = None
     beside: Hashable = None
 
     @classmethod
@@ -149,7 +149,7 @@ class CachedResponse:
     body: bytes | CompressedPage
     tag: bytes
     whole: bool
-    mark: DataVersion | None = None
+    data_version: DataVersion | None = None
     beside: Hashable = None
     made_s: float = 0.0
     route: Any = None
@@ -246,16 +246,16 @@ class ResponseCache:
 
     async def find(self, scope: Scope, asked: CacheRequest) -> CachedResponse | None:
         """Return the answer that is kept for who asks, waiting for it when it is being made."""
-        asked.mark = scope["state"].get(DATA_VERSION)
+        asked.data_version = scope["state"].get(DATA_VERSION)
         key = self._key(scope, asked)
-        if key is None or asked.mark is None:
+        if key is None or asked.data_version is None:
             return None
         kept = self._kept.get(key)
-        if kept is not None and kept.mark == asked.mark and self._is_young(kept):
+        if kept is not None and kept.data_version == asked.data_version and self._is_young(kept):
             self._kept.move_to_end(key)
             return kept
         coming = self._coming.get(key)
-        making = coming or self._making.get((key, asked.mark))
+        making = coming or self._making.get((key, asked.data_version))
         if making is not None:
             return await self._wait(scope, asked, making, has_begun=coming is None)
         making = PendingResponse(key, asyncio.get_running_loop().create_future())
@@ -326,18 +326,18 @@ class ResponseCache:
         asked: CacheRequest | None = scope["state"].get(ASKED)
         if asked is None:
             return
-        asked.mark, asked.beside = scope["state"].get(DATA_VERSION), self.beside()
+        asked.data_version, asked.beside = scope["state"].get(DATA_VERSION), self.beside()
         if making is not None:  # what is read for all of them must tell what the last to come may know
             scope["state"]["came_s"] = making.newest_s
-            if asked.mark is not None:
-                self._making.setdefault((making.key, asked.mark), making)
+            if asked.data_version is not None:
+                self._making.setdefault((making.key, asked.data_version), making)
 
     def over(self, scope: Scope) -> None:
         """Say that a request was answered, however: who still waits for its answer makes one."""
         making: PendingResponse | None = scope["state"].get(COMING)
         if making is None:
             return
-        began = (making.key, scope["state"][ASKED].mark)
+        began = (making.key, scope["state"][ASKED].data_version)
         if self._coming.get(making.key) is making:
             del self._coming[making.key]
         if self._making.get(began) is making:
@@ -420,7 +420,7 @@ class _OutgoingResponse:
         asked: CacheRequest = state[ASKED]
         same_for, sharing = state.get(SAME_FOR), state.get(SHARING)
         kept = self._written(start, body, asked, same_for)
-        if same_for is not None and asked.mark is not None:
+        if same_for is not None and asked.data_version is not None:
             self._cache.keep(self._scope, asked, kept, same_for)
         await kept.send(self._send, asked.known_tags, sharing.gaps if sharing else ())
 
@@ -450,7 +450,7 @@ class _OutgoingResponse:
             body=content,
             tag=tag if storable else b"",
             whole=whole,
-            mark=asked.mark,
+            data_version=asked.data_version,
             is_older=OLDER in state,
             beside=asked.beside if same_for in {FOR_ONE, FOR_ROLES} else None,
             made_s=time.monotonic(),

@@ -183,18 +183,18 @@ def assess(
     frames: tuple[Telemetry, Catalogue] | None = None,
 ) -> dict[str, Any]:
     """Judge a calibration JSON."""
-    held_out, why = None, NO_FRAMES
+    validation, why = None, NO_FRAMES
     if frames is not None:
         settings = CalibrationSettings.parse((result.get("inputs") or {}).get("settings") or {})
-        held_out = compute_validation_scores(frames[0], sensor, frames[1], incumbent, result, settings)
+        validation = compute_validation_scores(frames[0], sensor, frames[1], incumbent, result, settings)
     elif started_from(result, incumbent):
-        held_out = of_result(result)
-    evidence = GateInputs(
+        validation = of_result(result)
+    inputs = GateInputs(
         sensor=sensor,
         candidate=result,
         incumbent=incumbent,
         result=result,
-        held_out=held_out,
-        no_held_out="" if held_out else why,
+        validation=validation,
+        no_validation="" if validation else why,
     )
-    return judge(profile, measure(evidence))
+    return judge(profile, measure(inputs))

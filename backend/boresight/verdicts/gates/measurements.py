@@ -63,8 +63,8 @@ class GateInputs:
     incumbent: Document | None
     result: Document | None = None
     made_with: Document | None = None
-    held_out: Document | None = None
-    no_held_out: str = ""
+    validation: Document | None = None
+    no_validation: str = ""
     definition: Document | None = None
 
     @property
@@ -87,7 +87,7 @@ class GateInputs:
         """(n_parameters,) the incumbent's; None where there is no incumbent."""
         return None if self.incumbent is None else parse_parameters(self.incumbent, self.sensor, "The incumbent")[0]
 
-    def covariance_of(self, document: Document) -> FloatArray:
+    def read_covariance(self, document: Document) -> FloatArray:
         """Spread a set's covariance over all parameters, (n_parameters, n_parameters) SI, 0 for those it held fixed."""
         covariance = document["covariance"]
         places = [self.names.index(name) for name in covariance["names"]]
@@ -146,10 +146,10 @@ def ends(pair: Sequence[float | None] | None) -> Ends | None:
     return None if low is None and high is None else (low, high)
 
 
-def _score(name: str, evidence: GateInputs) -> Measurement:
-    if evidence.held_out is None:
-        return absent(evidence.no_held_out)
-    score, frames = evidence.held_out[name], evidence.held_out["frames"]
+def _score(name: str, inputs: GateInputs) -> Measurement:
+    if inputs.validation is None:
+        return absent(inputs.no_validation)
+    score, frames = inputs.validation[name], inputs.validation["frames"]
     if score["value"] is None:
         return absent(f"None of the {frames:,} held-out frames gives this number: choose frames with more stars.")
     return Measurement(
@@ -160,18 +160,18 @@ def _score(name: str, evidence: GateInputs) -> Measurement:
     )
 
 
-def _against(name: str, evidence: GateInputs) -> Measurement:
-    if evidence.incumbent is None:
+def _against(name: str, inputs: GateInputs) -> Measurement:
+    if inputs.incumbent is None:
         return absent(IS_INCUMBENT)
-    return _score(name, evidence)
+    return _score(name, inputs)
 
 
-def _rms_in_noise(evidence: GateInputs) -> Measurement:
+def _rms_in_noise(inputs: GateInputs) -> Measurement:
     """Take the RMS in multiples of what the stated centroid noise alone would cause in an arc, sqrt(2) sigmas of a pixel."""
-    measured = _score("validation-rms", evidence)
+    measured = _score("validation-rms", inputs)
     if measured.value is None:
         return measured
-    noise = float(np.sqrt(2) * evidence.sensor.centroid_sigma_px * evidence.pixel_rad)
+    noise = float(np.sqrt(2) * inputs.sensor.centroid_sigma_px * inputs.pixel_rad)
     low, high = measured.interval or (None, None)
     return Measurement(
         measured.value / noise,
@@ -181,14 +181,14 @@ def _rms_in_noise(evidence: GateInputs) -> Measurement:
     )
 
 
-def finite(evidence: GateInputs) -> Measurement:
+def finite(inputs: GateInputs) -> Measurement:
     """Ask for a plausible number for every parameter, and for a finite one or none for every sigma."""
     try:
-        evidence.x  # noqa: B018 - reading it is the check
+        inputs.x  # noqa: B018 - reading it is the check
     except RefusedInputError as refusal:
         return answer("FAIL", str(refusal))
-    sigma = evidence.candidate.get("sigma") or {}
-    bad = [name for name in evidence.names if sigma.get(name) is not None and not _is_sigma(sigma[name])]
+    sigma = inputs.candidate.get("sigma") or {}
+    bad = [name for name in inputs.names if sigma.get(name) is not None and not _is_sigma(sigma[name])]
     if bad:
         return answer("FAIL", f"The sigma of {', '.join(bad)} is no positive number: calibrate again.")
     return answer("PASS", "Every parameter is a finite number in its model's range.")
@@ -198,19 +198,19 @@ def _is_sigma(value: object) -> bool:
     return isinstance(value, int | float) and bool(np.isfinite(value)) and value >= 0
 
 
-def covariance(evidence: GateInputs) -> Measurement:
+def covariance(inputs: GateInputs) -> Measurement:
     """Ask for a symmetric, positive definite covariance whose roots are the sigmas."""
     try:
-        P = evidence.covariance_of(evidence.candidate)
+        P = inputs.read_covariance(inputs.candidate)
     except (KeyError, TypeError, ValueError):
         return answer("FAIL", "The covariance is not names and a square matrix of numbers: calibrate again.")
-    places = [evidence.names.index(name) for name in evidence.candidate["covariance"]["names"]]
+    places = [inputs.names.index(name) for name in inputs.candidate["covariance"]["names"]]
     if not places:
         return answer("FAIL", "There is no covariance, so no sigma can be trusted: calibrate again with more frames.")
-    return _of_matrix(evidence, P[np.ix_(places, places)], [evidence.names[place] for place in places])
+    return _of_matrix(inputs, P[np.ix_(places, places)], [inputs.names[place] for place in places])
 
 
-def _of_matrix(evidence: GateInputs, P: np.ndarray, names: list[str]) -> Measurement:
+def _of_matrix(inputs: GateInputs, P: np.ndarray, names: list[str]) -> Measurement:
     """Judge the covariance of the free parameters (n_free, n_free)."""
     variance = np.diag(P)
     if not np.isfinite(P).all() or (variance <= 0).any():
@@ -221,7 +221,7 @@ def _of_matrix(evidence: GateInputs, P: np.ndarray, names: list[str]) -> Measure
     least = float(np.linalg.eigvalsh((correlation + correlation.T) / 2)[0])
     if least <= 0:
         return answer("FAIL", f"The covariance is not positive definite (least eigenvalue {least:.2g}): free fewer.")
-    sigma = evidence.candidate.get("sigma") or {}
+    sigma = inputs.candidate.get("sigma") or {}
     stated = [(name, sigma[name], root) for name, root in zip(names, np.sqrt(variance), strict=True) if sigma.get(name)]
     off = [name for name, given, root in stated if abs(given - root) > 1e-3 * root]
     if off:
@@ -229,9 +229,9 @@ def _of_matrix(evidence: GateInputs, P: np.ndarray, names: list[str]) -> Measure
     return answer("PASS", f"Symmetric and positive definite; least eigenvalue of the correlations {least:.2g}.")
 
 
-def sensor(evidence: GateInputs) -> Measurement:
+def sensor(inputs: GateInputs) -> Measurement:
     """Ask whether set, run and sensor speak of one camera."""
-    candidate, here = evidence.candidate, evidence.sensor
+    candidate, here = inputs.candidate, inputs.sensor
     if candidate.get("sensor") not in (None, here.name):
         return answer(
             "FAIL", f"The set is of the sensor {candidate['sensor']}, not of {here.name}: choose the right one."
@@ -241,7 +241,7 @@ def sensor(evidence: GateInputs) -> Measurement:
             "FAIL",
             f"The set is of the camera model {candidate.get('camera_model')}, the sensor of {here.camera_model}.",
         )
-    made = evidence.made_with
+    made = inputs.made_with
     if made is None:
         return answer("PASS", f"Set and sensor are {here.name}, {here.camera_model}.")
     detector = {"rows": here.rows, "columns": here.columns, "pixel_pitch_m": here.pixel_pitch_m}
@@ -254,46 +254,46 @@ def sensor(evidence: GateInputs) -> Measurement:
     )
 
 
-def parameter_shift(evidence: GateInputs) -> Measurement:
+def parameter_shift(inputs: GateInputs) -> Measurement:
     """Measure the largest shift from the incumbent, in sigmas of the difference."""
-    x_0 = evidence.x_incumbent
-    if evidence.incumbent is None or x_0 is None:
+    x_0 = inputs.x_incumbent
+    if inputs.incumbent is None or x_0 is None:
         return absent("There is no incumbent that it could have moved from.")
-    P, P_0 = (evidence.covariance_of(document) for document in (evidence.candidate, evidence.incumbent))
-    sigma = np.sqrt(np.diag(P) + np.diag(P_0) + (FLOOR * evidence.sensor.typical_sigma) ** 2)
-    shift = (evidence.x - x_0) / sigma
+    P, P_0 = (inputs.read_covariance(document) for document in (inputs.candidate, inputs.incumbent))
+    sigma = np.sqrt(np.diag(P) + np.diag(P_0) + (FLOOR * inputs.sensor.typical_sigma) ** 2)
+    shift = (inputs.x - x_0) / sigma
     i = int(np.argmax(np.abs(shift)))
     moved = sum(np.abs(shift) > 3)
     return Measurement(
         float(abs(shift[i])),
-        f"{evidence.names[i]} moved farthest, by {shift[i]:+.1f} sigmas of the difference; "
+        f"{inputs.names[i]} moved farthest, by {shift[i]:+.1f} sigmas of the difference; "
         f"{moved} of {len(shift)} parameters moved by more than 3.",
     )
 
 
-def convergence(evidence: GateInputs) -> Measurement:
+def convergence(inputs: GateInputs) -> Measurement:
     """Ask whether the estimate came to rest."""
-    status = str(evidence.candidate.get("status"))
+    status = str(inputs.candidate.get("status"))
     return answer(
         *ENDED.get(status, ("FAIL", f"The run ended {status.replace('_', ' ')}: its numbers are no estimate."))
     )
 
 
-def chi_square(evidence: GateInputs) -> Measurement:
+def chi_square(inputs: GateInputs) -> Measurement:
     """Measure the residuals against the stated noise."""
-    result = evidence.result or {}
+    result = inputs.result or {}
     value, test = result.get("chi2_per_dof"), result.get("chi2")
     if value is None or not test:
-        return absent(NO_RUN if evidence.result is None else "The run kept no chi-square: run it again.")
+        return absent(NO_RUN if inputs.result is None else "The run kept no chi-square: run it again.")
     return _around_one(value, test, "Residuals")
 
 
-def nis(evidence: GateInputs) -> Measurement:
+def nis(inputs: GateInputs) -> Measurement:
     """Measure a filter's innovations against what it expected; a batch has residuals in their place."""
-    result = evidence.result or {}
+    result = inputs.result or {}
     test = result.get("nis")
     if not test or test.get("mean") is None:
-        return absent(NO_RUN if evidence.result is None else "The run kept no innovations: run it again.")
+        return absent(NO_RUN if inputs.result is None else "The run kept no innovations: run it again.")
     what = "Innovations" if result.get("method") in FILTERS else "A batch has no innovations; its residuals"
     return _around_one(test["mean"], test, what)
 
@@ -308,50 +308,50 @@ def _around_one(value: float, test: Document, what: str) -> Measurement:
     )
 
 
-def arc_uncertainty(evidence: GateInputs) -> Measurement:
+def arc_uncertainty(inputs: GateInputs) -> Measurement:
     """Measure what the covariance does to an arc at the worst place of the detector."""
-    worst, degrees = _worst_arc(evidence, evidence.candidate, evidence.x)
+    worst, degrees = _worst_arc(inputs, inputs.candidate, inputs.x)
     incumbent = None
-    if evidence.incumbent is not None and evidence.x_incumbent is not None:
-        incumbent = _worst_arc(evidence, evidence.incumbent, evidence.x_incumbent)[0] / evidence.pixel_rad
+    if inputs.incumbent is not None and inputs.x_incumbent is not None:
+        incumbent = _worst_arc(inputs, inputs.incumbent, inputs.x_incumbent)[0] / inputs.pixel_rad
     return Measurement(
-        worst / evidence.pixel_rad,
+        worst / inputs.pixel_rad,
         f"An arc of {degrees:.2g}° may be {worst * ARCSEC:.2g} arcsec off (1 sigma) at the worst place of the detector.",
         incumbent=incumbent,
     )
 
 
-def _worst_arc(evidence: GateInputs, document: Document, x: Any) -> tuple[float, float]:
+def _worst_arc(inputs: GateInputs, document: Document, x: Any) -> tuple[float, float]:
     """Largest sigma of an arc over the detector, rad, and the length of the arcs, degrees."""
-    sigma, length = field_arc_sigma(evidence.sensor, x, evidence.covariance_of(document))
+    sigma, length = field_arc_sigma(inputs.sensor, x, inputs.read_covariance(document))
     return float(np.nanmax(sigma)), float(np.degrees(length))
 
 
-def condition_number(evidence: GateInputs) -> Measurement:
+def condition_number(inputs: GateInputs) -> Measurement:
     """Measure how unevenly the data see the parameters."""
-    seen = (evidence.result or {}).get("observability")
+    seen = (inputs.result or {}).get("observability")
     if not seen or seen.get("condition_number") is None:
-        return absent(NO_RUN if evidence.result is None else "The data leave a direction open: free fewer parameters.")
+        return absent(NO_RUN if inputs.result is None else "The data leave a direction open: free fewer parameters.")
     free = len(seen["singular_values"])
     return Measurement(float(seen["condition_number"]), f"Largest over smallest of {free} singular values.")
 
 
-def weak_directions(evidence: GateInputs) -> Measurement:
+def weak_directions(inputs: GateInputs) -> Measurement:
     """Measure how well the weakest direction is known, and name it."""
-    seen = (evidence.result or {}).get("observability")
+    seen = (inputs.result or {}).get("observability")
     if not seen or not seen.get("sigma_of_direction"):
-        return absent(NO_RUN if evidence.result is None else "The run kept no observability: run it again.")
+        return absent(NO_RUN if inputs.result is None else "The run kept no observability: run it again.")
     spread = seen["sigma_of_direction"]
     if any(sigma is None for sigma in spread):
         return absent("The data leave a direction open: free fewer parameters.")
     return Measurement(float(max(spread)), str(seen["weakest"]["sentence"]))
 
 
-def coverage(evidence: GateInputs) -> Measurement:
+def coverage(inputs: GateInputs) -> Measurement:
     """Measure in how many regions of the detector there were stars."""
-    seen = (evidence.result or {}).get("coverage")
+    seen = (inputs.result or {}).get("coverage")
     if not seen:
-        return absent(NO_RUN if evidence.result is None else "The run kept no coverage: run it again.")
+        return absent(NO_RUN if inputs.result is None else "The run kept no coverage: run it again.")
     counts = np.array(seen["counts"])
     regions = counts.reshape(ROWS, counts.shape[0] // ROWS, COLUMNS, counts.shape[1] // COLUMNS).sum(axis=(1, 3))
     held = int((regions > 0).sum())
@@ -361,17 +361,17 @@ def coverage(evidence: GateInputs) -> Measurement:
     )
 
 
-def quantisation(evidence: GateInputs) -> Measurement:
+def quantisation(inputs: GateInputs) -> Measurement:
     """Measure how far directions move when the table's number format rounds the parameters."""
-    if evidence.definition is None:
+    if inputs.definition is None:
         return absent(NO_DEFINITION)
-    parameters = dict(zip(evidence.names, map(float, evidence.x), strict=True))
+    parameters = dict(zip(inputs.names, map(float, inputs.x), strict=True))
     try:
-        definition = table_definition.parse_definition(evidence.definition, evidence.sensor)
+        definition = table_definition.parse_definition(inputs.definition, inputs.sensor)
         held = table_definition.quantised(definition, parameters)
     except RefusedInputError as refusal:
         return answer("FAIL", f"The table on board cannot hold this set: {refusal}")
-    effect = table_definition.quantisation_effect(evidence.camera, evidence.sensor, parameters, held)
+    effect = table_definition.quantisation_effect(inputs.camera, inputs.sensor, parameters, held)
     return Measurement(
         float(effect["max_px"]),
         f"The table's number format moves directions by up to {effect['max_arcsec']:.2g} arcsec over the detector.",
@@ -559,15 +559,15 @@ GATES = {
 }
 
 
-def measure(evidence: GateInputs) -> dict[str, Measurement]:
+def measure(inputs: GateInputs) -> dict[str, Measurement]:
     """Measure everything that the gates ask, by gate."""
-    return {gate.name: _measured(gate.measure, evidence) for gate in GATES.values()}
+    return {gate.name: _measured(gate.measure, inputs) for gate in GATES.values()}
 
 
-def _measured(function: Callable[[GateInputs], Measurement], evidence: GateInputs) -> Measurement:
+def _measured(function: Callable[[GateInputs], Measurement], inputs: GateInputs) -> Measurement:
     """Measure for one gate; what cannot be had is absent, with the reason."""
     try:
-        return _finite(function(evidence))
+        return _finite(function(inputs))
     except RefusedInputError as refusal:
         return absent(str(refusal))
     except (AttributeError, LookupError, TypeError, ValueError, np.linalg.LinAlgError):

@@ -298,22 +298,22 @@ def _counts(standings: Sequence[SensorStatus]) -> dict[str, int]:
     return {level: sum(one.status == level for one in standings) for level in reversed(LEVELS)}
 
 
-Kept = Annotated[VersionedCache[FleetView], of_server("overview")]
+OverviewCache = Annotated[VersionedCache[FleetView], of_server("overview")]
 
 
 @router.get("/", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
 def overview_page(
-    request: Request, session: Reading, actor: Who, policy: ServerPolicy, kept: Kept, engine: Workers
+    request: Request, session: Reading, actor: Who, policy: ServerPolicy, cache: OverviewCache, dispatcher: Workers
 ) -> HTMLResponse:
     """Show the fleet."""
     ages = time.monotonic() // HELD_S  # what the rows say of time is read anew with these
-    desk, is_older = kept.answer_to(
+    desk, is_older = cache.answer_to(
         ages, partial(_fleet, session), request.state.came_s
     )  # before anything else is read
     if is_older:
         mark_outdated(request)
     signatures, actions = _mine(session, actor, policy, desk)
-    workers = engine.state() if engine else None
+    workers = dispatcher.state() if dispatcher else None
     return render(
         request,
         "fleet/overview.html",

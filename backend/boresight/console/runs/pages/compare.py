@@ -349,7 +349,7 @@ def differences(compared: Sequence[ComparedRun], names: RunNames) -> list[Differ
 def _description(one: ComparedRun, names: RunNames) -> dict[str, str]:
     run, result = one.run, one.result
     rms, nis = result.get("rms_arc_rad") or {}, result.get("nis") or {}
-    held_out = (result.get("validation") or {}).get("rms_arc_rad") or {}
+    validation = (result.get("validation") or {}).get("rms_arc_rad") or {}
     return {
         "State": run.state,
         "Sensor": names.sensors.get(run.sensor_id, str(run.sensor_id)),
@@ -362,7 +362,7 @@ def _description(one: ComparedRun, names: RunNames) -> dict[str, str]:
         "Frames used": _text(result.get("frames")),
         "RMS before (µrad)": urad(rms.get("initial")),
         "RMS after (µrad)": urad(rms.get("final")),
-        "Validation RMS after (µrad)": urad(held_out.get("final")),
+        "Validation RMS after (µrad)": urad(validation.get("final")),
         "χ² / dof": number(result.get("chi2_per_dof")),
         "NIS mean": number(nis.get("mean")) if run.method in FILTERS else "not applicable",
         "Condition number": number((result.get("observability") or {}).get("condition_number"), 3),

@@ -18,7 +18,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, QueryParams
 
-from boresight.calibration.options import METHODS, OPTIONS, CalibrationSettings, get_method_title, said, text_of
+from boresight.calibration.options import METHODS, OPTIONS, CalibrationSettings, format_value, get_method_title, said
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.access.dependencies import DryRunSight, Reading, Who, csrf
 from boresight.console.fleet import queries as sensor_queries
@@ -45,7 +45,7 @@ FIELDS = tuple(name for name in OPTIONS if name != "free")
 
 def typed_settings(document: Mapping[str, Any]) -> dict[str, str]:
     """Write the settings of a run as the form's fields show them."""
-    return {name: text_of(document[name]) for name in FIELDS if name in document}
+    return {name: format_value(document[name]) for name in FIELDS if name in document}
 
 
 DEFAULTS = typed_settings(CalibrationSettings().document())

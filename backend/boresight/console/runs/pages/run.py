@@ -195,17 +195,17 @@ def tail_facts(result: Result | None, view: RunView) -> tuple[RmsTail | None, Ro
 
 
 def _list_validation_facts(result: Result) -> Rows:
-    held_out = result.get("validation") or {}
-    rms = held_out.get("rms_arc_rad") or {}
+    validation = result.get("validation") or {}
+    rms = validation.get("rms_arc_rad") or {}
     if not rms:
         return [("Validation data", MISSING, "No validation set was given: launch with one to have this answer.")]
-    arcs, share = held_out.get("common_pairs"), percent((held_out.get("availability") or {}).get("final"))
+    arcs, share = validation.get("common_pairs"), percent((validation.get("availability") or {}).get("final"))
     kept = f" {count(arcs)} arcs." if arcs is not None else " σ not kept."
     return [
         (
             "Validation data, old parameters",
             _with_reach(rms.get("initial"), arcs),
-            f"{count(held_out.get('frames'))} frames never fitted.{kept}",
+            f"{count(validation.get('frames'))} frames never fitted.{kept}",
         ),
         (
             "Validation data, new parameters",
@@ -269,7 +269,7 @@ class RunReview:
 
 
 def make_summary_part(desk: RunReview) -> dict[str, Any]:
-    """Gather old and new values; while the run computes its course stands beside them."""
+    """Gather old and new values; while the run computes its history stands beside them."""
     live = () if desk.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
     has_estimate = bool(desk.result and desk.result.get("parameters"))
     return {

@@ -1,4 +1,4 @@
-"""Evidence made by hand: a sound set of a sensor, and anything that a test wants otherwise."""
+"""Gate inputs made by hand: a sound set of a sensor, and anything that a test wants otherwise."""
 
 from typing import Any
 
@@ -44,12 +44,12 @@ def a_result(**changed: Any) -> dict[str, Any]:
     } | changed
 
 
-def evidence(**changed: Any) -> GateInputs:
+def gate_inputs(**changed: Any) -> GateInputs:
     values: dict[str, Any] = {
         "sensor": SENSOR,
         "candidate": a_set(),
         "incumbent": ground_set(SENSOR),
         "result": a_result(),
-        "no_held_out": "There are none.",
+        "no_validation": "There are none.",
     }
     return GateInputs(**(values | changed))
