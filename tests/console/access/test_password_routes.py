@@ -21,7 +21,7 @@ from boresight.platform.actors import SYSTEM, Actor
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import open_reading, open_writing
 from tests.passwords import new_password
-from tests.served import PASSWORD, PEOPLE, add_people, serving, settings_in
+from tests.served import PASSWORD, PEOPLE, PLAIN, add_people, serving, settings_in
 
 HERE, THERE = "127.0.0.1", "127.0.0.2"
 
@@ -35,7 +35,7 @@ def served(tmp_path_factory) -> Iterator[tuple[str, Any]]:
 
 
 def _client(address: str, source: str = HERE) -> httpx.Client:
-    return httpx.Client(base_url=address, transport=httpx.HTTPTransport(local_address=source), timeout=30)
+    return httpx.Client(base_url=address, transport=httpx.HTTPTransport(local_address=source, verify=PLAIN), timeout=30)
 
 
 def _log_in(client: httpx.Client, name: str, password: str = PASSWORD) -> httpx.Response:

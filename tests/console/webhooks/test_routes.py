@@ -56,7 +56,7 @@ class Receiver:
 
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self.url = f"http://localhost:{self.server.server_address[1]}/hook?team=1"
-        self.thread = threading.Thread(target=self.server.serve_forever, daemon=True)
+        self.thread = threading.Thread(target=self.server.serve_forever, args=(0.01,), daemon=True)
         self.thread.start()
 
     def close(self) -> None:
@@ -145,7 +145,7 @@ def test_nobody_there_is_an_outcome_and_no_error(store, hook, receiver, deliver)
     assert (found.state, found.status, found.attempts) == ("PENDING", None, 1)
     assert str(found.outcome).startswith("No answer: ")
     receiver.server = ThreadingHTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler)
-    receiver.thread = threading.Thread(target=receiver.server.serve_forever, daemon=True)
+    receiver.thread = threading.Thread(target=receiver.server.serve_forever, args=(0.01,), daemon=True)
     receiver.thread.start()
 
 
