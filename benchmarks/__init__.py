@@ -78,6 +78,6 @@ def held(limit: float, measured: float | None, unit: str | None = None, *, at_le
     return words | ({"at_least": True} if at_least else {}) | ({} if unit is None else {"unit": unit})
 
 
-def limits_of(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+def collect_limits(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Every limit of every part, `part.name` by name."""
     return {f"{part}.{name}": limit for part, found in parts.items() for name, limit in found.get("limits", {}).items()}

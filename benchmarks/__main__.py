@@ -21,7 +21,7 @@ from typing import Any
 import click
 import orjson
 
-from benchmarks import PARTS, ROOT, limits_of
+from benchmarks import PARTS, ROOT, collect_limits
 from benchmarks.pages.tables import figures, promise
 from benchmarks.servers import end_in_order
 from boresight.cli.output import aligned, check_writable, json_option, progress, write_json
@@ -111,7 +111,7 @@ def bench(parts: tuple[str, ...], frames: int | None, sizes: dict[str, dict[str,
         for name in names:
             alone = len(names) == 1
             found[name] = (_measured if alone else _in_its_own_process)(name, frames, sizes)
-        measured = {"machine": here, **found, "limits": limits_of(found)}
+        measured = {"machine": here, **found, "limits": collect_limits(found)}
         rows = [(name, *promise(limit)) for name, limit in measured["limits"].items()]
         shown = ["", aligned([("promise", "limit", "measured", ""), *rows])] if rows else []
     write_json(measured, json_file)

@@ -79,7 +79,7 @@ class Answer:
     notes: dict[str, float | str] = field(default_factory=dict)
 
 
-def answer_of(views: Views, x: FloatArray, P: FloatArray | None, arcs: ArcSet) -> Answer:
+def make_answer(views: Views, x: FloatArray, P: FloatArray | None, arcs: ArcSet) -> Answer:
     """Dress an estimate of the eight parameters; the residual is that of the arcs, each of two ends, in pixels."""
     squares = batch.normal_equations(arcs, x, np.arange(len(x)), views.sensor.typical_sigma).sum_of_squares
     n_arcs = 2 * len(arcs.row_px) - 3 * (len(arcs.star_start) - 1)
@@ -103,7 +103,7 @@ def batch_fit(views: Views) -> Answer:
         fitted = batch.fit(arcs, x, np.arange(len(x)), scale)
         x = fitted.x
     P = np.asarray(np.linalg.inv(batch.normal_equations(arcs, x, np.arange(len(x)), scale).A))
-    return answer_of(views, x, P, arcs)
+    return make_answer(views, x, P, arcs)
 
 
 def square_root(views: Views) -> Answer:
@@ -112,7 +112,7 @@ def square_root(views: Views) -> Answer:
     arcs = whiten_at(_ordered(views), views.camera, x)
     pooled = pool_start(arcs, START_ARCS_PER_PARAMETER * len(x))
     last = FILTERS["sqrf"](pooled, start(x, len(x), START_SIGMA), np.arange(len(x)), scale, Tuning()).last
-    return answer_of(views, last.x, last.P, arcs)
+    return make_answer(views, last.x, last.P, arcs)
 
 
 def _ordered(views: Views) -> ArcSet:
@@ -130,7 +130,7 @@ def scipy_least_squares(views: Views) -> Answer:
     data, x_0, scale = prepared(views)
     x, evaluations = peers.scipy_fit(data, x_0, scale)
     A, _ = peers.numpy_evaluation(data, x, scale)
-    found = answer_of(views, x, np.asarray(np.linalg.inv(A)), views.whitened())
+    found = make_answer(views, x, np.asarray(np.linalg.inv(A)), views.whitened())
     found.notes["evaluations"] = evaluations
     return found
 
@@ -138,7 +138,7 @@ def scipy_least_squares(views: Views) -> Answer:
 def numpy_extended(views: Views) -> Answer:
     """Vector extended filter as the textbook has it."""
     x, P = peers.numpy_extended_filter(*prepared(views), START_SIGMA)
-    return answer_of(views, x, P, views.whitened())
+    return make_answer(views, x, P, views.whitened())
 
 
 def filterpy_extended(views: Views) -> Answer:
@@ -153,7 +153,7 @@ def filterpy_extended(views: Views) -> Answer:
     for first in range(0, len(data.phi), EXPOSURES_A_FRAME):
         e, H = data.part(first, first + EXPOSURES_A_FRAME).rows(x_0 + filtered.x * scale, scale)
         filtered.update(nothing, lambda _x, H=H: H, lambda _x, e=e: e)
-    return answer_of(views, x_0 + filtered.x * scale, filtered.P, views.whitened())
+    return make_answer(views, x_0 + filtered.x * scale, filtered.P, views.whitened())
 
 
 def filterpy_square_root(views: Views) -> Answer:
@@ -168,7 +168,7 @@ def filterpy_square_root(views: Views) -> Answer:
         e, H = data.part(first, first + EXPOSURES_A_FRAME).rows(x_0 + filtered.x[:, 0] * scale, scale)
         filtered.H = H
         filtered.update(H @ filtered.x - e[:, None])
-    return answer_of(views, x_0 + filtered.x[:, 0] * scale, filtered.P, views.whitened())
+    return make_answer(views, x_0 + filtered.x[:, 0] * scale, filtered.P, views.whitened())
 
 
 def ceres(views: Views) -> Answer:
@@ -193,7 +193,7 @@ def ceres(views: Views) -> Answer:
     summary = pyceres.SolverSummary()
     pyceres.solve(options, problem, summary)
     x = x_0 + camera * scale
-    found = answer_of(views, x, _covariance(costs, camera, turns), views.whitened())
+    found = make_answer(views, x, _covariance(costs, camera, turns), views.whitened())
     found.notes["status"] = str(summary.termination_type).rpartition(".")[2].lower()
     return found
 

@@ -34,7 +34,7 @@ from rich.console import Console
 from rich.progress import track
 
 from benchmarks.accuracy import peak_rss_mb
-from benchmarks.monte_carlo import table_of
+from benchmarks.monte_carlo import make_table
 from benchmarks.pages.drawings import chromium
 from benchmarks.servers import Server, serving
 from benchmarks.stores import fill, opened, settings_in
@@ -206,7 +206,7 @@ def pages(client: httpx.Client, overlaid: int) -> Rows:
 
 def show(title: str, rows: Rows) -> Rows:
     """Print a table of measured numbers, and return them."""
-    table = table_of(title, "what", *next(iter(rows.values())))
+    table = make_table(title, "what", *next(iter(rows.values())))
     for name, row in rows.items():
         table.add_row(name, *(f"{value:,.1f}" if isinstance(value, float) else f"{value:,}" for value in row.values()))
     Console(width=160, stderr=True).print(table)

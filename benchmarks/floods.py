@@ -139,7 +139,7 @@ async def again(ask: Callable[[], Coroutine[Any, Any, None]], every_s: float, un
 def one_analyst(checkout: Path | None) -> Iterator[tuple[Server, dict[str, str]]]:
     """Serve a store with one person; yields the server and the headers of a log-in."""
     allow_open_files()
-    path = _path_of(checkout)
+    path = _make_path(checkout)
     with tempfile.TemporaryDirectory(prefix="boresight-flood-", ignore_cleanup_errors=True) as place:
         add = [*COMMAND, "user", "add", NAME, "--role", "analyst", "--printed-name", "Ada", "--password-stdin"]
         environment = (
@@ -153,7 +153,7 @@ def one_analyst(checkout: Path | None) -> Iterator[tuple[Server, dict[str, str]]
             yield server, {"Cookie": cookie, "X-CSRF-Token": token}
 
 
-def _path_of(checkout: Path | None) -> dict[str, str]:
+def _make_path(checkout: Path | None) -> dict[str, str]:
     return {} if checkout is None else {"PYTHONPATH": str(checkout.resolve() / "backend")}
 
 
@@ -291,7 +291,7 @@ def readers_writers(
     with tempfile.TemporaryDirectory(prefix="boresight-load-", ignore_cleanup_errors=True) as place:
         filled = fill(Path(place), RUNS, readers + writers, people)
         add_sensors(Path(place), filled, SENSORS, 1)
-        with serving(Path(place), workers=0, environment=_path_of(checkout)) as server:
+        with serving(Path(place), workers=0, environment=_make_path(checkout)) as server:
             log_ins = [dict(one) for one in filled.log_ins]
             with httpx.Client(base_url=server.address, timeout=60) as client:
                 path = f"/api/v1/sensors/{filled.sensor_id}"

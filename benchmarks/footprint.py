@@ -33,8 +33,8 @@ import numpy as np
 import sqlalchemy as sa
 
 from benchmarks import Report
-from benchmarks.servers import Installation, PostgreSQL, environment_of, wait_until
-from benchmarks.stores import analysts, key_of, uploaded
+from benchmarks.servers import Installation, PostgreSQL, make_environment, wait_until
+from benchmarks.stores import analysts, make_key, uploaded
 from boresight.console.fleet import service as sensors
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import TERMINAL_RUN_STATES
@@ -133,7 +133,7 @@ class Ledger:
     """A store that is filled step by step, and what each step adds to its rows, pages, files and processes' time."""
 
     def __init__(self, folder: Path, address: str) -> None:
-        self._environment = environment_of(folder, 1, LEASE_S, external=False) | {"BORESIGHT_DATABASE_URL": address}
+        self._environment = make_environment(folder, 1, LEASE_S, external=False) | {"BORESIGHT_DATABASE_URL": address}
         self._settings = read_settings(self._environment)
         self.engine = open_engine(self._settings.database_url)
         self._blobs = open_blobs(self._settings.blob_place)
@@ -143,7 +143,7 @@ class Ledger:
         self._installation: Installation | None = None
         migrate(self.engine)
         self._analyst = analysts(self.engine, 1)[0]
-        self._key = key_of(self.engine, self._analyst)
+        self._key = make_key(self.engine, self._analyst)
 
     @classmethod
     @contextmanager

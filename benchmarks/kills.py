@@ -32,7 +32,7 @@ import numpy as np
 import psutil
 
 from benchmarks.queue import Site, faults
-from benchmarks.servers import end_in_order, environment_of
+from benchmarks.servers import end_in_order, make_environment
 from benchmarks.stores import furnish
 from boresight.cli.output import json_option, write_json
 from boresight.console.runs import service as runs
@@ -60,7 +60,7 @@ class Pass:
     def __init__(self, kind: str, folder: Path, counts: tuple[int, int], rng: np.random.Generator) -> None:
         self.kind, self.folder, self.rng = kind, folder, rng
         self.kills, self.runs = counts
-        environment = environment_of(folder, WORKERS, LEASE_S, external=kind == "services")
+        environment = make_environment(folder, WORKERS, LEASE_S, external=kind == "services")
         environment["BORESIGHT_MAX_ATTEMPTS"] = str(MAX_ATTEMPTS)
         settings = read_settings(environment)
         self.site = Site(settings, environment, furnish(settings, TRACKERS, FRAMES, SETTINGS), WORKERS)

@@ -97,7 +97,7 @@ sensors_option = click.option(
 )
 
 
-def table_of(title: str, *heads: str) -> Table:
+def make_table(title: str, *heads: str) -> Table:
     """Make an empty table, its first column to the left."""
     table = Table(title=title)
     for head in heads:
@@ -169,7 +169,7 @@ def estimators(*, seeds: int, sensors: Sequence[int]) -> None:
 
 def _show_estimators(name: str, trials: list[tuple[FloatArray, Judged]]) -> None:
     for begin in ("far", "near"):
-        table = table_of(
+        table = make_table(
             f"{name}, {begin} start, {len(trials)} sets; {nees_bounds(8, len(trials))}", "estimator", "RMSE / bound",
             "worst parameter", "mean NEES", "median NEES", "sigma predicted / empirical", "us a frame",
         )  # fmt: skip
@@ -215,7 +215,7 @@ def more_data(*, seeds: int, sensors: Sequence[int]) -> None:
     """What more data buys: predicted sigma after further frames, checked by running them."""
     catalogue, worst = load_catalogue(None), np.zeros(len(FURTHER))
     title = f"predicted / found sigma after further frames, from {FRAMES}; {seeds} sets a sensor"
-    table = table_of(title, "sensor", "estimator", *(f"+{further}: mean, worst" for further in FURTHER))
+    table = make_table(title, "sensor", "estimator", *(f"+{further}: mean, worst" for further in FURTHER))
     for number in tracked(sensors, "sensors"):
         for method in ("batch", "sqrf"):
             of = np.mean([sigma_ratios(number, seed, method, catalogue) for seed in range(seeds)], axis=0)
@@ -264,7 +264,7 @@ def matched(number: int, begin: str, frames: int, catalogue: Catalogue, folder: 
 def matching(*, frames: int, sensors: Sequence[int]) -> None:
     """What comes back, what is wrong, and how many frames are solved, with 95 % intervals."""
     catalogue, title = load_catalogue(None), f"{frames} frames a sensor, one false star an exposure; 95 % intervals"
-    table = table_of(title, "start", "sensor", "recovered", "wrong", "frames solved", "promise kept")
+    table = make_table(title, "start", "sensor", "recovered", "wrong", "frames solved", "promise kept")
     with tempfile.TemporaryDirectory() as folder:
         for begin, promised in PROMISED.items():
             if begin == "nothing" and not identification.available():
@@ -312,7 +312,7 @@ def subsets(*, sets: int, frames: int, stars: float, noise_px: float) -> None:
         for values, rows in found.items():
             rows.append(subset(field, values))
     title = f"{sets} sets of {frames} frames, {stars:g} stars, {noise_px:g} px; {nees_bounds(6, sets)}"
-    table = table_of(title, "values", "rows a frame", "sigma / sigma of {2, 3}", "mean NEES", "NIS / dof")
+    table = make_table(title, "values", "rows a frame", "sigma / sigma of {2, 3}", "mean NEES", "NIS / dof")
     usual = np.mean(found[2, 3], axis=0)[:6]
     for values, rows in found.items():
         mean = np.mean(rows, axis=0)

@@ -38,8 +38,8 @@ from typing import Any
 import httpx
 
 from benchmarks import Report, held
-from benchmarks.servers import Installation, environment_of
-from benchmarks.stores import Constellation, digest_of, furnish, result_of
+from benchmarks.servers import Installation, make_environment
+from benchmarks.stores import Constellation, compute_digest, furnish, wait_for_result
 from boresight.console.campaigns.service import MOST_SENSORS
 from boresight.console.runs import service as run_service
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
@@ -173,7 +173,7 @@ def _installed(
 ) -> Iterator[tuple[Site, tuple[float, float]]]:
     """Install Boresight in a temporary folder, and take it away again; yields it with what a run costs alone."""
     with tempfile.TemporaryDirectory(prefix="boresight-queue-") as folder:
-        environment = environment_of(Path(folder), THREADS, LEASE_S, external=external)
+        environment = make_environment(Path(folder), THREADS, LEASE_S, external=external)
         settings = read_settings(environment)
         constellation = furnish(settings, trackers, frames, SETTINGS)
         report(0.03, "computing alone")
@@ -207,7 +207,7 @@ def _computed(folder: Path, tables: Sequence[Path], settings: Mapping[str, Any],
         if turn == 1:
             began_s, began_cpu_s = time.perf_counter(), time.thread_time()
         place = turn % len(tables)
-        result_of(tables[place], SENSOR_NUMBERS[place], catalogue, settings, folder)
+        wait_for_result(tables[place], SENSOR_NUMBERS[place], catalogue, settings, folder)
     return time.perf_counter() - began_s, time.thread_time() - began_cpu_s
 
 
@@ -243,4 +243,4 @@ def faults(session: Session, constellation: Constellation, row: Run) -> list[str
     found = ["doubled"] if len(ends) != 1 else []
     right = constellation.expected[session.get_known(TelemetrySet, row.telemetry_set_id).table_sha256]
     content = constellation.blobs.read(row.result_sha256) if row.state == "SUCCEEDED" and row.result_sha256 else b"{}"
-    return found + (["lost"] if digest_of(content) != right else [])
+    return found + (["lost"] if compute_digest(content) != right else [])

@@ -534,7 +534,7 @@ def choices(rng: np.random.Generator, method: str, names: list[str]) -> dict[str
 # --- files
 
 
-def table_of(path: Path) -> Table:
+def read_table(path: Path) -> Table:
     """Read a good CSV as texts."""
     header, *lines = path.read_text().replace('"', "").splitlines()
     cells = [line.split(",") for line in lines]
@@ -588,7 +588,7 @@ def good_sets(catalogue: Catalogue, folder: Path) -> list[Base]:
             telemetry = simulate(replace(scenario, frames=frames), rng, catalogue)
             path = folder / f"good-{number}-{frames}.csv"
             write_csv(with_directions(telemetry, catalogue) if number == 1 else telemetry, path)
-            tables.append(table_of(path))
+            tables.append(read_table(path))
         bases.append(Base(scenario.sensor, *tables))
     return bases
 
@@ -600,7 +600,7 @@ def with_directions(telemetry: Telemetry, catalogue: Catalogue) -> Telemetry:
     return replace(telemetry, ra_rad=ra, dec_rad=dec)
 
 
-def case_of(number_of_case: int, bases: list[Base], folder: Path, seed: int = SEED) -> Case:
+def make_case(number_of_case: int, bases: list[Base], folder: Path, seed: int = SEED) -> Case:
     """Make a case: the same for its number and seed, whatever other cases there are."""
     rng = np.random.default_rng([seed, number_of_case])
     base = bases[int(rng.integers(len(bases)))]
@@ -640,7 +640,7 @@ def run(case: Case, catalogue: Catalogue, cache: Path | None) -> Ended:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             document = calibrated(case, catalogue, cache)
-            wrong = faults_of(document)
+            wrong = find_faults(document)
             if not wrong and case.number % SHOWN_EVERY == 0:
                 shown(document, parse_sensor(case.sensor))
     except RefusedInputError as error:
@@ -664,7 +664,7 @@ def calibrated(case: Case, catalogue: Catalogue, cache: Path | None) -> dict[str
     )
 
 
-def faults_of(document: Mapping[str, Any]) -> list[str]:
+def find_faults(document: Mapping[str, Any]) -> list[str]:
     """What is wrong with a result."""
     read, advice, found = json.loads(orjson.dumps(document)), document["advice"], []
     if document["status"] not in STATUSES:
@@ -683,7 +683,7 @@ def faults_of(document: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def options_of(case: Case, sensor_file: Path) -> list[str]:
+def list_options(case: Case, sensor_file: Path) -> list[str]:
     """Write a case as the words of `boresight calibrate`."""
     sensor_file.write_text(json.dumps(case.sensor))
     words = ["calibrate", str(case.telemetry), "--sensor", str(sensor_file)]
@@ -698,7 +698,7 @@ def options_of(case: Case, sensor_file: Path) -> list[str]:
 
 def through_the_door(case: Case, sensor_file: Path) -> str | None:
     """Calibrate a case by the command line in this process; returns what is wrong with how it ended."""
-    done = CliRunner().invoke(boresight_command, options_of(case, sensor_file))
+    done = CliRunner().invoke(boresight_command, list_options(case, sensor_file))
     if "unexpected" in done.output or "Traceback" in done.output or "Warning" in done.output:
         return f"the command line broke down: {done.output[-2000:]}"
     told = [line for line in done.stderr.splitlines() if not line.startswith("  ")]  # a fault a line is indented
@@ -736,7 +736,7 @@ def main(*, edits: int, seed: int, only: str, first: int, json_file: str | None)
         catalogue = load_catalogue(folder / "catalogue")
         bases = good_sets(catalogue, folder)
         for case_number in numbers:
-            case = case_of(case_number, bases, folder, seed)
+            case = make_case(case_number, bases, folder, seed)
             end = run(case, catalogue, folder / "catalogue")
             if case_number % DOOR_EVERY == 0 and (wrong := through_the_door(case, folder / "sensor.json")) is not None:
                 end = replace(end, kind="defect", words=wrong)

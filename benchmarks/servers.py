@@ -235,7 +235,7 @@ class Installation:
             service.stop()
 
 
-def environment_of(folder: Path, workers: int, lease_s: float, *, external: bool) -> dict[str, str]:
+def make_environment(folder: Path, workers: int, lease_s: float, *, external: bool) -> dict[str, str]:
     """Return the settings of an installation as variables; an external scheduler's links have certificates."""
     scheduler = f"tls://127.0.0.1:{free_port()}" if external else ""
     named = variables(data_folder=folder, port=free_port(), workers=workers, lease_s=lease_s, scheduler=scheduler)

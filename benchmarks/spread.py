@@ -185,11 +185,11 @@ class Kill:
 
     def _groups(self) -> dict[str, int]:
         """Groups that the worker has computed since it started, and those that it has now."""
-        found: dict[str, int] = self._client.run(_groups_of, workers=[self._worker])[self._worker]
+        found: dict[str, int] = self._client.run(_count_groups, workers=[self._worker])[self._worker]
         return found
 
 
-def _groups_of(dask_worker: Any) -> dict[str, int]:
+def _count_groups(dask_worker: Any) -> dict[str, int]:
     """Count in the worker's process; what it has in hand computes, or waits for that."""
     state = dask_worker.state
     return {"groups_done": state.executed_count, "groups_in_hand": len(state.executing) + len(state.ready)}

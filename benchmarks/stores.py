@@ -87,7 +87,7 @@ def analysts(engine: Engine, count: int) -> list[Actor]:
     return made
 
 
-def key_of(engine: Engine, actor: Actor, label: str = "measurement") -> dict[str, str]:
+def make_key(engine: Engine, actor: Actor, label: str = "measurement") -> dict[str, str]:
     """Make a key that may launch runs; returns the header that sends it."""
     with open_writing(engine) as session:
         return {"Authorization": f"Bearer {api_keys.create_key(session, actor, label=label, scopes=('runs',))[1]}"}
@@ -138,7 +138,7 @@ def fill(folder: Path, runs: int, clients: int, people_in_all: int = PEOPLE) -> 
                 session.add_all(_run(number, runs, sensor_id, set_id, document) for number in numbers)
                 audit.append(session, SYSTEM, "imported", "runs", None, {"runs": len(numbers)})
         each = [people[number % len(people)] for number in range(clients)]
-        keys = [key_of(engine, person, f"client {number}") for number, person in enumerate(each)]
+        keys = [make_key(engine, person, f"client {number}") for number, person in enumerate(each)]
         with open_writing(engine) as session:
             log_ins = [_log_in(session, settings, person) for person in each]
     return Filled(sensor_id, set_id, log_ins, list(keys))
@@ -228,18 +228,18 @@ def furnish(installed: Settings, trackers: int, frames: int, settings: Mapping[s
     for address, number in addresses.items():
         content, seconds = min(
             (
-                result_of(blobs.path(address), number, catalogue, settings, installed.catalogue_folder)
+                wait_for_result(blobs.path(address), number, catalogue, settings, installed.catalogue_folder)
                 for _ in range(REPEATS)
             ),
             key=lambda run: run[1],
         )
-        expected[address] = digest_of(content)
+        expected[address] = compute_digest(content)
         times_s.append(seconds)
-    headers, mean_s = key_of(database, analyst), sum(times_s) / len(times_s)
+    headers, mean_s = make_key(database, analyst), sum(times_s) / len(times_s)
     return Constellation(database, blobs, sorted(sensor_ids), headers, settings, expected, mean_s, stars / tables)
 
 
-def result_of(
+def wait_for_result(
     table: Path, number: int, catalogue: Catalogue, settings: Mapping[str, Any], cache: Path
 ) -> tuple[bytes, float]:
     """Calibrate sensor `number` by a table as a worker does: the result as JSON, and the seconds until it was computed."""
@@ -249,7 +249,7 @@ def result_of(
     return orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS), seconds
 
 
-def digest_of(result: bytes) -> str:
+def compute_digest(result: bytes) -> str:
     """Return the digest of what two runs of the same work share of their results."""
     document = {name: value for name, value in orjson.loads(result).items() if name not in OWN}
     return hashlib.sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()

@@ -21,7 +21,7 @@ HOURS = 2.0
 STARS = 4000
 
 
-def covariance_of(sensor: Sensor, share: float) -> np.ndarray:
+def compute_covariance(sensor: Sensor, share: float) -> np.ndarray:
     sigma = share * np.array(list(sensor.document["typical_sigma"].values()))
     k = len(sigma)
     return np.outer(sigma, sigma) * 0.5 ** np.abs(np.subtract.outer(np.arange(k), np.arange(k)))
@@ -72,7 +72,7 @@ def add_run(
 ) -> Run:
     sensor = session.get_one(Sensor, telemetry.sensor_id)
     names, initial = list(sensor.document["initial"]), np.array(list(sensor.document["initial"].values()))
-    typical, C = np.array(list(sensor.document["typical_sigma"].values())), covariance_of(sensor, share)
+    typical, C = np.array(list(sensor.document["typical_sigma"].values())), compute_covariance(sensor, share)
     scale = np.sqrt(np.diag(C))
     drawn = (
         initial

@@ -27,7 +27,7 @@ DUMMY_LENS = replace(PINHOLE_RADIAL, name="dummy_lens")
     f"{PACKAGE}/figures/charts/dummy_chart.py": """
 import plotly.graph_objects as go
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import make_figure
+from boresight.figures.factory import make_figure
 
 def draw(drawn):
     figure = go.Figure([go.Bar(x=["frames"], y=[frames], name=style.label) for _, style, frames in drawn])

@@ -17,14 +17,14 @@ WITHOUT = {(1, 3), (1, 13), (3, 6), (10, 1)}
 
 
 @cache
-def _tests_of(name: str) -> frozenset[str]:
+def _find_tests(name: str) -> frozenset[str]:
     tree = ast.parse((ROOT / name).read_text())
     return frozenset(node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
 
 
 @pytest.mark.parametrize(("file", "name"), NAMED, ids=[name for _, name in NAMED])
 def test_a_test_that_the_page_names_exists(file: str, name: str) -> None:
-    assert name in _tests_of(file)
+    assert name in _find_tests(file)
 
 
 def test_the_page_judges_every_section_of_the_standard_once() -> None:

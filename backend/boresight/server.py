@@ -145,8 +145,8 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.sight = ForecastSources(state.blobs, lambda: state.catalogue(), settings.catalogue_folder)  # noqa: PLW0108 - as it is when asked
     state.broadcast = Broadcast(state.engine)
     state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge, settings.data_folder / "last-seen")
-    kept = ExternalHeadFile(settings.kept_head_file, 60.0 * settings.audit_head_minutes)
-    state.upkeep = Maintenance(state.engine, settings.session_limits, state.blobs, kept)
+    external_head = ExternalHeadFile(settings.kept_head_file, 60.0 * settings.audit_head_minutes)
+    state.upkeep = Maintenance(state.engine, settings.session_limits, state.blobs, external_head)
     state.passwords = PasswordWorker(state.engine, settings.login_attempts)
     state.blobs.tell_corrupt = state.upkeep.suspect
     state.secret_box = settings.secret_box
@@ -218,12 +218,12 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 def _encrypt_secrets(app: FastAPI) -> None:
     """Encrypt what an older version stored plain, and say which webhooks cannot be told anything from here."""
     try:
-        kept = encrypt_all(app.state.engine, app.state.secret_box)
+        encryption = encrypt_all(app.state.engine, app.state.secret_box)
     except (BoresightError, OSError) as error:
         log.error("Webhooks are not told anything: %s", error)  # noqa: TRY400 - the sentence says it all
         return
-    if kept.sentence is not None:
-        log.warning("%s", kept.sentence)
+    if encryption.sentence is not None:
+        log.warning("%s", encryption.sentence)
 
 
 def _warm(catalogue: Callable[[], Catalogue]) -> None:

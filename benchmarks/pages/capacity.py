@@ -176,7 +176,7 @@ def page(document: Mapping[str, Found]) -> str:
 
 
 def _measured(by_database: Mapping[str, Costs]) -> str:
-    rows = [[name, *row] for name, costs in by_database.items() for row in _costs_of(costs)]
+    rows = [[name, *row] for name, costs in by_database.items() for row in _list_costs(costs)]
     lines = [
         [name, method, number(line["worker_cpu_s"]["constant"]), number(line["worker_cpu_s"]["per_frame"] * 1e3),
          kilobytes(line["blob_bytes"]["constant"]), kilobytes(line["blob_bytes"]["per_frame"])]
@@ -203,7 +203,7 @@ def _measured(by_database: Mapping[str, Costs]) -> str:
     )
 
 
-def _costs_of(costs: Costs) -> Iterator[list[str]]:
+def _list_costs(costs: Costs) -> Iterator[list[str]]:
     def row(thing: str, cost: Found, size: float, *spent: float | str) -> list[str]:
         return [
             thing,

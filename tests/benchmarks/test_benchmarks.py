@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 import benchmarks.__main__ as command
-from benchmarks import PARTS, ROOT, Part, clients, footprint, growth, held, limits_of, queue, whole
+from benchmarks import PARTS, ROOT, Part, clients, collect_limits, footprint, growth, held, queue, whole
 from benchmarks.pages import __main__ as program
 from benchmarks.pages import benchmarks, capacity
 from benchmarks.pages.drawings import DOCS, growth_figure
@@ -100,7 +100,7 @@ def test_several_parts_run_each_in_a_process_of_its_own_and_one_that_fails_takes
 @pytest.mark.parametrize("name", PARTS)
 def test_every_part_has_a_measurement_that_reports_and_whose_sizes_have_defaults(name):
     assert all(default is not None or key == "peers" for key, default in PARTS[name].sizes.items())
-    assert limits_of({name: {"limits": LIMITS}}).keys() == {f"{name}.{limit}" for limit in LIMITS}
+    assert collect_limits({name: {"limits": LIMITS}}).keys() == {f"{name}.{limit}" for limit in LIMITS}
 
 
 def test_the_command_is_there_in_a_checkout_and_gone_from_the_product():

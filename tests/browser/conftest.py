@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import expect, sync_playwright
 
 from tests.browser.installation import Installation
-from tests.browser.people import PRINTED_NAMES, People, password_of
+from tests.browser.people import PRINTED_NAMES, People, get_password
 from tests.browser.work import choose_filter, ends_as, make_set, queue, sign, submit, upload
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -66,7 +66,7 @@ def installation(tmp_path_factory, pytestconfig):
     made = Installation(tmp_path_factory.mktemp("browser"), kernels)
     name = "administrator"
     words = ("user", "add", name, "--role", name, "--printed-name", PRINTED_NAMES[name], "--password-stdin")
-    made.command(*words, typed=password_of(name))
+    made.command(*words, typed=get_password(name))
     made.start()
     yield made
     made.stop()
@@ -98,7 +98,7 @@ def people(installation, browser):
             form = window.page.get_by_role("region", name="Add a person")
             form.get_by_label("Log-in name").fill(name)
             form.get_by_label("Name as it is printed").fill(PRINTED_NAMES[name])
-            form.get_by_label("First password").fill(password_of(name))
+            form.get_by_label("First password").fill(get_password(name))
             form.get_by_role("checkbox", name=name).check()
             form.get_by_role("checkbox", name="They set a password of their own").uncheck()
             form.get_by_role("button", name="Add this person").click()
@@ -208,7 +208,7 @@ def promoted(people, batch_run):
         window.open(f"/approvals/{request_id}")
         window.figures_drawn()
         window.shoot("06-to-sign", wide=True)
-        sign(window, "Approve", password_of("approver"))
+        sign(window, "Approve", get_password("approver"))
         expect(window.page.get_by_role("status").filter(has_text="Approved")).to_be_visible()
     with people.seat("operator") as window:
         window.open(f"/approvals/{request_id}")

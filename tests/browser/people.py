@@ -17,7 +17,7 @@ PRINTED_NAMES = {
 }
 
 
-def password_of(name: str) -> str:
+def get_password(name: str) -> str:
     return f"on-the-night-shift-{zlib.crc32(name.encode()):08x}"
 
 
@@ -36,7 +36,7 @@ class People:
     @contextmanager
     def seat(self, name: str | None = None, *, new: bool = False) -> Iterator[Window]:
         """Sit at a window that is cleared, or at a new one, where a picture must not tell what was drawn there before."""
-        window = self._window_of(name, new=new)
+        window = self._get_window(name, new=new)
         try:
             yield window
         except BaseException:
@@ -51,14 +51,14 @@ class People:
             self._windows[name].append(window)
         assert not complaints, "\n".join(complaints)
 
-    def _window_of(self, name: str | None, *, new: bool) -> Window:
+    def _get_window(self, name: str | None, *, new: bool) -> Window:
         if name is None:
             return Window(self.stranger())
         if name not in self._contexts:
             context = self._contexts[name] = self.stranger()
             window = Window(context)
             window.open("/login")
-            window.enter(name, password_of(name))
+            window.enter(name, get_password(name))
             window.page.wait_for_url("**/")
             self._windows[name] = [window]
         return self._windows[name].pop() if self._windows[name] and not new else Window(self._contexts[name])

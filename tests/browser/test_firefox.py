@@ -15,7 +15,7 @@ import time
 import pytest
 
 from benchmarks.servers import free_port, wait_until
-from tests.browser.people import password_of
+from tests.browser.people import get_password
 
 pytestmark = pytest.mark.browser
 
@@ -96,7 +96,7 @@ def test_firefox_logs_in_hears_the_server_and_goes_by_keys(firefox, people, batc
     firefox.ask("WebDriver:Navigate", url=f"{people.address}/login")
     firefox.run(
         "document.querySelector('[name=name]').value = 'analyst';"
-        f"document.querySelector('[name=password]').value = '{password_of('analyst')}';"
+        f"document.querySelector('[name=password]').value = '{get_password('analyst')}';"
         "document.querySelector('main form').requestSubmit();"
     )
     firefox.until("return document.getElementById('link-state')?.dataset.state === 'live'")

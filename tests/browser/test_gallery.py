@@ -57,7 +57,7 @@ def judged(window):
 
 def looked_at(window, theme):
     judged(window)
-    window.page.wait_for_function(WRITTEN, arg=words_of(TOKENS[theme]["ink-2"]), timeout=PATIENCE_MS)
+    window.page.wait_for_function(WRITTEN, arg=format_rgb(TOKENS[theme]["ink-2"]), timeout=PATIENCE_MS)
     window.settle()
     canvas = window.page.context.new_page()
     seen = looks(window.page, canvas, TOKENS[theme]["surface-1"])
@@ -88,7 +88,7 @@ def differences(seen, kept, part):
     return sorted(found)
 
 
-def words_of(rgb):
+def format_rgb(rgb):
     return f"rgb({', '.join(str(int(rgb[i : i + 2], 16)) for i in (1, 3, 5))})"
 
 
@@ -126,7 +126,7 @@ def test_the_gallery_and_its_drawings_keep_nobody_out(views, view):
 
 @EVERY_VIEW
 def test_a_plot_changes_its_ink_with_the_page_without_being_loaded_again(views, view):
-    assert views[view][2] == [words_of(TOKENS[view.partition("-")[2]]["ink-2"])]
+    assert views[view][2] == [format_rgb(TOKENS[view.partition("-")[2]]["ink-2"])]
 
 
 def test_every_figure_of_the_registry_is_looked_at(views):
@@ -163,8 +163,8 @@ def test_paper_is_white_whatever_the_theme_and_nothing_moves_for_who_asks_for_ca
     judged(seat)
     assert seat.page.locator(".skeleton").evaluate("element => getComputedStyle(element).animationName") == "none"
     seat.page.emulate_media(media="print")
-    seat.page.wait_for_function(WRITTEN, arg=words_of(TOKENS["light"]["ink-2"]))
-    assert seat.page.evaluate("getComputedStyle(document.body).backgroundColor") == words_of(
+    seat.page.wait_for_function(WRITTEN, arg=format_rgb(TOKENS["light"]["ink-2"]))
+    assert seat.page.evaluate("getComputedStyle(document.body).backgroundColor") == format_rgb(
         TOKENS["print"]["surface-0"]
     )
     seat.page.emulate_media(media="screen")

@@ -7,7 +7,7 @@ from contextlib import suppress
 import pytest
 from playwright.sync_api import Error, expect
 
-from tests.browser.people import password_of
+from tests.browser.people import get_password
 from tests.browser.work import choose_filter, ends_as, queue
 
 pytestmark = pytest.mark.browser
@@ -40,7 +40,7 @@ def test_from_the_log_in_to_a_run_by_tab_and_enter(people, batch_run):
         expect(window.page.get_by_label("Log-in name")).to_be_focused()
         keyboard.type("analyst")
         keyboard.press("Tab")
-        keyboard.type(password_of("analyst"))
+        keyboard.type(get_password("analyst"))
         keyboard.press("Enter")
         expect(window.page.get_by_role("heading", name="Fleet")).to_be_visible()
         tab_to(window, "Skip to content")
@@ -166,7 +166,7 @@ def test_a_sensor_its_telemetry_and_its_run_are_made_and_read_by_keys_alone(peop
         window.open("/login")
         keyboard.type("analyst")
         press(window, "Tab")
-        keyboard.type(password_of("analyst"))
+        keyboard.type(get_password("analyst"))
         press(window, "Enter")
         window.page.wait_for_url("**/")
 

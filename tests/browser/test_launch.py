@@ -11,7 +11,7 @@ from boresight.platform.db.sessions import open_engine, open_writing
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
 from tests.browser.installation import Installation
-from tests.browser.people import PRINTED_NAMES, People, password_of
+from tests.browser.people import PRINTED_NAMES, People, get_password
 from tests.browser.work import ends_as, queue
 from tests.console.fleet.fleets import add_fleet
 from tests.stores import url_in
@@ -152,15 +152,15 @@ def test_the_panel_of_methods_sets_both_beside_the_batch_on_one_set(people, batc
         window.open(f"/compare?runs={batch_run},{svd_run},{angular_run}")
         table = window.page.get_by_role("region", name="Methods of the runs")
         for title in ("Batch", "Singular values", "All angular distances"):
-            expect(row_of(table, "Method")).to_contain_text(title)
-        shown = {name: row_of(table, name).locator("td.num").all_inner_texts() for name in CHOSEN_BY}
+            expect(find_row(table, "Method")).to_contain_text(title)
+        shown = {name: find_row(table, name).locator("td.num").all_inner_texts() for name in CHOSEN_BY}
         assert all(len(texts) == 3 and all(re.search(r"\d", text) for text in texts) for texts in shown.values()), shown
         assert all(0.9 < first_number(text) < 1.5 for text in shown["Claimed error"]), shown
         assert all(first_number(text) > 0 for text in shown["Cost"]), shown
         assert [text.split()[-1] for text in shown["Converged after"]] == ["iterations", "frames", "frames"]
 
 
-def row_of(table, name):
+def find_row(table, name):
     return table.locator("tbody tr").filter(has=table.page.get_by_role("rowheader", name=name, exact=True))
 
 
@@ -173,7 +173,7 @@ def analyst(tmp_path_factory, pytestconfig, browser):
     kernels = os.environ.get("NUMBA_CACHE_DIR") or str(pytestconfig.cache.mkdir("kernels"))
     made = Installation(tmp_path_factory.mktemp("large"), kernels)
     printed = ("--printed-name", PRINTED_NAMES["analyst"], "--password-stdin")
-    made.command("user", "add", "analyst", "--role", "analyst", *printed, typed=password_of("analyst"))
+    made.command("user", "add", "analyst", "--role", "analyst", *printed, typed=get_password("analyst"))
     engine = open_engine(url_in(made.folder / "data"))
     with open_writing(engine) as session:
         add_fleet(session, FolderBlobStore(made.folder / "data" / "blobs"), sensor_document(st16_sensor(1)), 250)

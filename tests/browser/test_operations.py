@@ -18,7 +18,7 @@ from boresight.platform.db.sessions import open_engine, open_writing
 from boresight.settings import read_settings
 from boresight.simulation.sensors import st16_sensor
 from boresight.telemetry.sensors import sensor_document
-from tests.browser.people import PRINTED_NAMES, password_of
+from tests.browser.people import PRINTED_NAMES, get_password
 from tests.missions import add_run, add_set, make_baseline
 
 pytestmark = pytest.mark.browser
@@ -102,7 +102,7 @@ def test_a_set_goes_from_export_to_active_through_a_dump_that_was_damaged(people
         expect(window.page.get_by_role("status").filter(has_text="byte for byte")).to_be_visible()
         form = window.page.get_by_role("region", name="Sign that it is active")
         form.get_by_label("Known from").fill("TM page STR-2")
-        form.locator("#password").fill(password_of("operator"))
+        form.locator("#password").fill(get_password("operator"))
         window.shoot("32-to-sign-active")
         form.get_by_role("button", name=re.compile("^Sign")).click()
         expect(ladder.get_by_role("listitem").last).to_contain_text("Olga Operator")

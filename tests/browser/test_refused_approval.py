@@ -3,7 +3,7 @@
 import pytest
 from playwright.sync_api import expect
 
-from tests.browser.people import password_of
+from tests.browser.people import get_password
 from tests.browser.work import make_set, sign, submit
 
 pytestmark = pytest.mark.browser
@@ -38,7 +38,7 @@ def test_the_server_refuses_a_signature_that_no_button_offered(people, request_i
     with people.seat("analyst") as window:
         window.open(f"/approvals/{request_id}")
         before = window.read(f"/api/v1/approvals/{request_id}")
-        form = {"decision": "APPROVE", "meaning": MEANING, "password": password_of("analyst"), "version": "1"}
+        form = {"decision": "APPROVE", "meaning": MEANING, "password": get_password("analyst"), "version": "1"}
         answer = window.send(f"/approvals/{request_id}/sign", form)
         assert answer.status == 403
         assert "role approver" in answer.text()
@@ -69,7 +69,7 @@ def test_a_wrong_password_is_refused_in_place_and_what_was_typed_stays(people, r
 def test_a_refusal_needs_a_comment(people, request_id):
     with people.seat("approver") as window:
         window.open(f"/approvals/{request_id}")
-        sign(window, "Refuse", password_of("approver"))
+        sign(window, "Refuse", get_password("approver"))
         expect(window.page.locator("#sign").get_by_role("alert")).to_contain_text("comment")
         assert window.read(f"/api/v1/approvals/{request_id}")["state"] == "OPEN"
         window.forgive("422")
@@ -78,7 +78,7 @@ def test_a_refusal_needs_a_comment(people, request_id):
 def test_a_refused_set_is_rejected_and_the_analyst_reads_why(people, request_id, set_id, promoted):
     with people.seat("approver") as window:
         window.open(f"/approvals/{request_id}")
-        sign(window, "Refuse", password_of("approver"), WHY)
+        sign(window, "Refuse", get_password("approver"), WHY)
         expect(window.page.get_by_role("status").filter(has_text="Refused")).to_be_visible()
     with people.seat("analyst") as window:
         window.open(f"/approvals/{request_id}")

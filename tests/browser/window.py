@@ -193,7 +193,7 @@ class Window:
 
     def wear(self, name: str) -> None:
         """Show every page from now on in the look that is this name's own: one that is drawn anew costs as much again."""
-        theme, size, _ = _look_of(name)
+        theme, size, _ = _read_look(name)
         self._themed = True
         self.page.route("**/nothing", lambda route: route.fulfill(content_type="text/html", body=NOTHING))
         self.page.goto("/nothing")
@@ -206,7 +206,7 @@ class Window:
         Axe looks around the drawings: the gallery's test has it look at every figure there is, drawn, in every theme.
         """
         charts = self.page.locator(".main-svg").count()
-        for place, (theme, size, asked) in enumerate(LOOKS if effort(0, 1) else [_look_of(name)]):
+        for place, (theme, size, asked) in enumerate(LOOKS if effort(0, 1) else [_read_look(name)]):
             self.use_theme(theme)
             self.page.set_viewport_size(size)
             self.fits()
@@ -232,7 +232,7 @@ class Window:
         assert sent == []
 
 
-def _look_of(name: str) -> tuple[str, dict[str, int], dict[str, Any]]:
+def _read_look(name: str) -> tuple[str, dict[str, int], dict[str, Any]]:
     theme, size, _ = LOOKS[zlib.crc32(name.encode()) % len(LOOKS)]
     return theme, size, {}
 

@@ -19,7 +19,7 @@ def calibrated(sensor, catalogue):
 
 
 @pytest.fixture
-def telemetry_of():
+def make_telemetry():
     return telemetry
 
 

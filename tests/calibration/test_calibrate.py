@@ -31,8 +31,8 @@ CONTRACT = {
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_writes_the_contracts_document_and_finds_the_truth(method, calibrated, telemetry_of):
-    document = calibrated(telemetry_of(1, frames=80), method=method, validation=telemetry_of(2))
+def test_every_method_writes_the_contracts_document_and_finds_the_truth(method, calibrated, make_telemetry):
+    document = calibrated(make_telemetry(1, frames=80), method=method, validation=make_telemetry(2))
     assert set(document) >= CONTRACT
     json.dumps(document, allow_nan=False)
     assert (document["schema"], document["status"]) == ("boresight.calibration/1", "converged")
@@ -48,16 +48,16 @@ def test_every_method_writes_the_contracts_document_and_finds_the_truth(method, 
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_the_matrix_of_the_document_is_the_square_of_its_sigmas(method, sensor, calibrated, telemetry_of):
-    document = calibrated(telemetry_of(3), method=method, free=("f_m", "b2_per_m2"))
+def test_the_matrix_of_the_document_is_the_square_of_its_sigmas(method, sensor, calibrated, make_telemetry):
+    document = calibrated(make_telemetry(3), method=method, free=("f_m", "b2_per_m2"))
     assert document["covariance"]["names"] == document["free"] == ["f_m", "b2_per_m2"]
     sigmas = [document["sigma"][name] for name in document["free"]]
     np.testing.assert_allclose(np.sqrt(np.diag(document["covariance"]["matrix"])), sigmas, rtol=1e-12)
     assert (document["sigma"]["m0_px"], document["parameters"]["m0_px"]) == (None, sensor.initial[1])
 
 
-def test_a_history_follows_the_frames_with_bounds_and_both_rms_and_a_long_one_stays_small(calibrated, telemetry_of):
-    document = calibrated(telemetry_of(4), method="sqrf", variant="q")
+def test_a_history_follows_the_frames_with_bounds_and_both_rms_and_a_long_one_stays_small(calibrated, make_telemetry):
+    document = calibrated(make_telemetry(4), method="sqrf", variant="q")
     history = document["history"]
     n = len(history["frame"])
     assert history["frame"][-1] == 39
@@ -66,28 +66,28 @@ def test_a_history_follows_the_frames_with_bounds_and_both_rms_and_a_long_one_st
     assert [len(history[key]) for key in ("tail_rms_rad", "aggregate_rms_rad", "nis", "nis_dof")] == [n] * 4
     assert history["tail_rms_rad"][-1] == pytest.approx(document["rms_arc_rad"]["final"], rel=1e-9)
     np.testing.assert_allclose(history["parameters"][-1], list(document["parameters"].values()), rtol=1e-12)
-    kept = calibrated(telemetry_of(5, frames=2500, stars=5, exposures=1), method="sqrf")["history"]["frame"]
+    kept = calibrated(make_telemetry(5, frames=2500, stars=5, exposures=1), method="sqrf")["history"]["frame"]
     assert len(kept) <= 1000
     assert kept[-1] == 2499
 
 
-def test_over_confidence_and_wrong_noise_are_said_with_the_sigma_that_would_fit(calibrated, telemetry_of, sensor):
-    said = " ".join(calibrated(telemetry_of(6, frames=80, stars=5), method="sqrf", linearisations=1)["advice"])
+def test_over_confidence_and_wrong_noise_are_said_with_the_sigma_that_would_fit(calibrated, make_telemetry, sensor):
+    said = " ".join(calibrated(make_telemetry(6, frames=80, stars=5), method="sqrf", linearisations=1)["advice"])
     assert "as printed, makes the filter over-confident" in said
     assert "times the information that the data hold" in said
-    document = calibrated(telemetry_of(10), replace(sensor, centroid_sigma_px=0.2))
+    document = calibrated(make_telemetry(10), replace(sensor, centroid_sigma_px=0.2))
     sentence = next(sentence for sentence in document["advice"] if "centroid sigma of" in sentence)
     assert float(sentence.split("centroid sigma of ")[1].split(" px")[0]) == pytest.approx(0.437, rel=0.05)
 
 
-def test_too_few_stars_and_stars_on_one_line_leave_nothing_estimated_and_are_counted(calibrated, telemetry_of):
-    document = calibrated(telemetry_of(7, stars=3))
+def test_too_few_stars_and_stars_on_one_line_leave_nothing_estimated_and_are_counted(calibrated, make_telemetry):
+    document = calibrated(make_telemetry(7, stars=3))
     assert document["status"] == "too_few_stars"
     assert set(document["sigma"].values()) == {None}
     assert "No exposure has 4 usable matched stars" in document["advice"][0]
     assert set(document) >= CONTRACT
     json.dumps(document, allow_nan=False)
-    telemetry = telemetry_of(8, frames=3)
+    telemetry = make_telemetry(8, frames=3)
     line = np.linspace(-0.1, 0.1, len(telemetry))
     document = calibrated(replace(telemetry, ra_rad=line, dec_rad=np.zeros(len(telemetry))), match="given")
     assert document["status"] == "too_few_stars"
@@ -95,47 +95,47 @@ def test_too_few_stars_and_stars_on_one_line_leave_nothing_estimated_and_are_cou
 
 
 def test_a_start_or_telemetry_that_is_not_this_sensor_is_said_to_be_so_and_not_called_converged(
-    calibrated, telemetry_of
+    calibrated, make_telemetry
 ):
-    rng, telemetry = np.random.default_rng(0), telemetry_of(9)
+    rng, telemetry = np.random.default_rng(0), make_telemetry(9)
     ra, dec = rng.uniform(0, 6.28, len(telemetry)), rng.uniform(-1.5, 1.5, len(telemetry))
     document = calibrated(replace(telemetry, ra_rad=ra, dec_rad=dec))
     given_up = {"diverged", "max_iterations", "too_few_stars"}
     assert document["status"] in given_up or not document["chi2"]["consistent"]
     assert document["advice"]
     json.dumps(document, allow_nan=False)
-    document = calibrated(telemetry_of(15, truth=TRUTH * np.where(np.arange(8) == 0, 2, 1)))
+    document = calibrated(make_telemetry(15, truth=TRUTH * np.where(np.arange(8) == 0, 2, 1)))
     assert document["status"] == "diverged" or "hardly comes from this sensor" in document["advice"][0]
 
 
-def test_an_unknown_free_parameter_is_refused_with_the_names_there_are(sensor, catalogue, telemetry_of):
+def test_an_unknown_free_parameter_is_refused_with_the_names_there_are(sensor, catalogue, make_telemetry):
     with pytest.raises(RefusedInputError, match="'k1' is not one of the camera model inverted_wang: choose from f_m"):
-        calibrate(telemetry_of(11), sensor, catalogue, CalibrationSettings(free=("k1",)))
+        calibrate(make_telemetry(11), sensor, catalogue, CalibrationSettings(free=("k1",)))
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_cancel_stops_every_method(method, sensor, catalogue, telemetry_of):
+def test_a_cancel_stops_every_method(method, sensor, catalogue, make_telemetry):
     with pytest.raises(CancelledError):
-        calibrate(telemetry_of(12), sensor, catalogue, CalibrationSettings(method=method), cancelled=lambda: True)
+        calibrate(make_telemetry(12), sensor, catalogue, CalibrationSettings(method=method), cancelled=lambda: True)
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_progress_carries_a_document_from_which_figures_can_draw(method, calibrated, telemetry_of, monkeypatch):
+def test_progress_carries_a_document_from_which_figures_can_draw(method, calibrated, make_telemetry, monkeypatch):
     heard = []
     monkeypatch.setattr("boresight.calibration.calibrate.REPORT_EVERY_S", 0.0)
-    calibrated(telemetry_of(13), method=method, report=heard.append)
+    calibrated(make_telemetry(13), method=method, report=heard.append)
     assert 0 <= heard[0].fraction <= 1
     assert heard[0].partial["status"] == "running"
     json.dumps(heard[0].partial, allow_nan=False)
 
 
-def test_a_filter_on_its_way_says_how_many_frames_it_has_taken_in_at_its_pace(calibrated, telemetry_of):
+def test_a_filter_on_its_way_says_how_many_frames_it_has_taken_in_at_its_pace(calibrated, make_telemetry):
     heard = []
-    calibrated(telemetry_of(13, frames=30), method="sqrf", replay_frames_per_s=30.0, report=heard.append)
+    calibrated(make_telemetry(13, frames=30), method="sqrf", replay_frames_per_s=30.0, report=heard.append)
     for told in (one for one in heard if one.partial):
         if told.partial["status"] == "running":
             assert told.partial["frames_done"] == round(told.fraction * told.partial["frames"])
-    document = calibrated(telemetry_of(14, frames=30), method="sqrf", replay_frames_per_s=100.0)
+    document = calibrated(make_telemetry(14, frames=30), method="sqrf", replay_frames_per_s=100.0)
     assert document["timing_s"]["fit"] >= 0.9 * (len(document["history"]["frame"]) - 1) / 100
 
 
@@ -160,10 +160,10 @@ def test_with_all_eight_free_the_real_sky_says_in_words_that_principal_point_and
     assert min(document["sigma"]["m0_px"], document["sigma"]["n0_px"]) > 5
 
 
-def test_what_is_over_in_a_moment_makes_no_document_on_its_way(calibrated, telemetry_of, monkeypatch):
+def test_what_is_over_in_a_moment_makes_no_document_on_its_way(calibrated, make_telemetry, monkeypatch):
     heard = []
     monkeypatch.setattr("boresight.calibration.calibrate.REPORT_EVERY_S", 3600.0)
-    calibrated(telemetry_of(13), report=heard.append)
+    calibrated(make_telemetry(13), report=heard.append)
     assert heard == []
 
 
@@ -184,21 +184,21 @@ def _with_wrong_stars(telemetry, share):
 
 
 def test_on_clean_data_the_view_says_that_least_squares_agrees_and_without_sigma_there_is_no_shift(
-    sensor, catalogue, telemetry_of
+    sensor, catalogue, make_telemetry
 ):
-    estimate, sigma = _estimate(telemetry_of(1, frames=60), sensor, catalogue, robust="huber")
+    estimate, sigma = _estimate(make_telemetry(1, frames=60), sensor, catalogue, robust="huber")
     view = robust_view(estimate.robust, NAMES, sigma)
     assert view["share"] == pytest.approx(view["expected_share"], abs=0.02)
     assert view["downweighted"] == round(view["share"] * estimate.robust.arcs)
     assert max(map(abs, view["shift_in_sigma"].values())) < 1
     assert "least squares agrees" in view["sentence"]
-    estimate, sigma = _estimate(telemetry_of(3), sensor, catalogue, robust="huber")
+    estimate, sigma = _estimate(make_telemetry(3), sensor, catalogue, robust="huber")
     sigma[0] = np.nan
     assert robust_view(estimate.robust, NAMES, sigma)["shift_in_sigma"]["f_m"] is None
 
 
-def test_with_wrong_stars_the_view_shows_where_least_squares_would_have_ended(sensor, catalogue, telemetry_of):
-    telemetry = _with_wrong_stars(telemetry_of(2, frames=60), 0.03)
+def test_with_wrong_stars_the_view_shows_where_least_squares_would_have_ended(sensor, catalogue, make_telemetry):
+    telemetry = _with_wrong_stars(make_telemetry(2, frames=60), 0.03)
     estimate, sigma = _estimate(telemetry, sensor, catalogue, robust="huber")
     plain, _ = _estimate(telemetry, sensor, catalogue)
     view = robust_view(estimate.robust, NAMES, sigma)
@@ -209,9 +209,9 @@ def test_with_wrong_stars_the_view_shows_where_least_squares_would_have_ended(se
     assert "look for wrong matches" in view["sentence"]
 
 
-def test_the_cosine_error_gives_sigmas_that_hold_and_says_what_it_costs(sensor, catalogue, telemetry_of):
-    estimate, sigma = _estimate(telemetry_of(4, frames=60), sensor, catalogue, error="cosine")
-    _, of_arcs = _estimate(telemetry_of(4, frames=60), sensor, catalogue)
+def test_the_cosine_error_gives_sigmas_that_hold_and_says_what_it_costs(sensor, catalogue, make_telemetry):
+    estimate, sigma = _estimate(make_telemetry(4, frames=60), sensor, catalogue, error="cosine")
+    _, of_arcs = _estimate(make_telemetry(4, frames=60), sensor, catalogue)
     assert estimate.status == "converged"
     assert np.abs((estimate.x - TRUTH) / sigma).max() < 4
     assert (sigma > of_arcs).all()
@@ -219,7 +219,7 @@ def test_the_cosine_error_gives_sigmas_that_hold_and_says_what_it_costs(sensor, 
     cost = np.exp(np.mean(np.log(sigma / of_arcs)))
     assert f"give sigmas {cost:.2f} times smaller" in remark
     assert "not valid" in remark
-    arcs = build_problem(telemetry_of(4, frames=60), sensor, catalogue).whitened(estimate.x)
+    arcs = build_problem(make_telemetry(4, frames=60), sensor, catalogue).whitened(estimate.x)
     assert estimate.chi2 == pytest.approx(batch.normal_equations(arcs, estimate.x, FREE, SCALE).chi2)
 
 
@@ -297,14 +297,14 @@ RESULT: dict[str, Any] = {
 }
 
 
-def kept_of(**changed: Any) -> dict[str, Any]:
+def keep_entry(**changed: Any) -> dict[str, Any]:
     entry = trend_entry({**RESULT, **changed})
     assert entry is not None
     return entry
 
 
 def test_an_honest_covariance_is_kept_as_it_is_and_nothing_estimated_is_nothing_to_keep() -> None:
-    kept = kept_of()
+    kept = keep_entry()
     assert [kept[key] for key in ("covariance", "variance_factor", "said", "left_out")] == [[[4e-12]], 1.0, None, None]
     assert trend_entry({**RESULT, "covariance": {"names": [], "matrix": []}}) is None
     assert trend_entry({"status": "running"}) is None
@@ -322,7 +322,7 @@ def test_an_honest_covariance_is_kept_as_it_is_and_nothing_estimated_is_nothing_
 def test_a_covariance_that_is_too_small_is_widened_by_the_worst_sign_of_it(
     changed: dict[str, Any], factor: float, word: str
 ) -> None:
-    entry = kept_of(**changed)
+    entry = keep_entry(**changed)
     assert entry["variance_factor"] == pytest.approx(factor)
     assert entry["covariance"][0][0] == pytest.approx(4e-12 * factor)
     assert word in entry["said"]
@@ -339,4 +339,4 @@ def test_a_covariance_that_is_too_small_is_widened_by_the_worst_sign_of_it(
     ],
 )
 def test_what_no_factor_makes_comparable_is_left_out(changed: dict[str, Any], why: str) -> None:
-    assert why in kept_of(**changed)["left_out"]
+    assert why in keep_entry(**changed)["left_out"]

@@ -49,10 +49,10 @@ CLOSE = GROUND + 0.7 * (TRUTH - GROUND)
 
 
 @pytest.fixture
-def evaluated(telemetry_of, sensor, catalogue):
+def evaluated(make_telemetry, sensor, catalogue):
     def run(telemetry, initial, final, seed=0):
         rng = None if seed is None else np.random.default_rng(seed)
-        whole = telemetry_of(telemetry) if isinstance(telemetry, int) else telemetry
+        whole = make_telemetry(telemetry) if isinstance(telemetry, int) else telemetry
         return evaluate_parameters(whole, sensor, catalogue, initial, final, GIVEN, rng=rng)
 
     return run
@@ -95,8 +95,8 @@ def test_every_frame_that_is_not_available_has_its_reason(evaluated):
     assert found["availability"]["initial"] < 0.5 < found["availability"]["final"]
 
 
-def test_both_states_are_judged_on_the_pairs_of_the_larger_set_whichever_side_it_is_on(telemetry_of, evaluated):
-    telemetry = telemetry_of(3)
+def test_both_states_are_judged_on_the_pairs_of_the_larger_set_whichever_side_it_is_on(make_telemetry, evaluated):
+    telemetry = make_telemetry(3)
     there, back = evaluated(telemetry, CLOSE, TRUTH, None), evaluated(telemetry, TRUTH, CLOSE, None)
     assert there["matched_star_ratio"] > 1
     assert there["common_pairs"] == back["common_pairs"] == 2 * len(telemetry) - 3 * 80
@@ -104,8 +104,8 @@ def test_both_states_are_judged_on_the_pairs_of_the_larger_set_whichever_side_it
     assert there["matched_star_ratio"] == pytest.approx(1 / back["matched_star_ratio"])
 
 
-def test_the_rms_is_the_plain_root_mean_square_of_the_arcs(telemetry_of, evaluated):
-    telemetry = telemetry_of(4, frames=1, exposures=1)
+def test_the_rms_is_the_plain_root_mean_square_of_the_arcs(make_telemetry, evaluated):
+    telemetry = make_telemetry(4, frames=1, exposures=1)
     ra, dec = telemetry.ra_rad, telemetry.dec_rad
     s_i = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
     places, _ = arcsets.order(np.array([0, 12]), s_i)
@@ -117,14 +117,14 @@ def test_the_rms_is_the_plain_root_mean_square_of_the_arcs(telemetry_of, evaluat
         assert found["rms_arc_rad"][side] == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-9)
 
 
-def test_the_interval_of_the_rms_holds_what_the_centroid_noise_says(telemetry_of, sensor, catalogue):
+def test_the_interval_of_the_rms_holds_what_the_centroid_noise_says(make_telemetry, sensor, catalogue):
     row, col = np.meshgrid(np.arange(0, sensor.rows, 8.0), np.arange(0, sensor.columns, 8.0))
     pixel = INVERTED_WANG.solid_angle(TRUTH, row.ravel(), col.ravel(), PITCH)
     # the arc's ends have different variances each way, but an arc over the field sees them all; their mean is the solid angle's
     expected = np.sqrt(2 * NOISE_PX**2 * pixel.mean())
     rng, hits = np.random.default_rng(9), 0
     for seed in range(60):
-        whole = telemetry_of(100 + seed, frames=30)
+        whole = make_telemetry(100 + seed, frames=30)
         found = evaluate_parameters(whole, sensor, catalogue, TRUTH, TRUTH, GIVEN, rng=rng)
         low, high = found["intervals"]["rms_arc_rad"]["final"]
         hits += low <= expected <= high
@@ -145,8 +145,8 @@ def test_half_the_stars_come_back_by_matching_anew_and_sensor_three_becomes_avai
 
 
 @pytest.fixture
-def seen(telemetry_of, sensor, catalogue):
-    telemetry = telemetry_of(21, frames=30)
+def seen(make_telemetry, sensor, catalogue):
+    telemetry = make_telemetry(21, frames=30)
     telemetry.row_px[::170] += 40.0
     states = [(sensor.initial, None), (TRUTH, None)]
     ordered = build_problem(telemetry, sensor, catalogue).arcs
@@ -183,7 +183,7 @@ class Given:
     frame: np.ndarray
 
 
-def given_of(telemetry, catalogue=None):
+def match_given(telemetry, catalogue=None):
     exposures = find_exposures(telemetry)
     s_i = star_directions(
         telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
@@ -218,10 +218,10 @@ def test_the_tolerance_is_five_sigmas_of_an_arc_or_what_is_asked_for(sensor):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("x", [GROUND, TRUTH], ids=["ground", "truth"])
 def test_the_compiled_check_equals_the_plain_search_and_no_two_accepted_matches_disagree(
-    telemetry_of, sensor, catalogue, checked, seed, x
+    make_telemetry, sensor, catalogue, checked, seed, x
 ):
-    telemetry = telemetry_of(seed, frames=5)
-    matches, tolerance = given_of(telemetry, catalogue), compute_flight_tolerance(sensor, SETTINGS)
+    telemetry = make_telemetry(seed, frames=5)
+    matches, tolerance = match_given(telemetry, catalogue), compute_flight_tolerance(sensor, SETTINGS)
     seen, s_d = checked(telemetry, matches, x), INVERTED_WANG.directions(x, telemetry.row_px, telemetry.col_px, PITCH)
     for first, last in itertools.pairwise(matches.exposure_start):
         expected = plain_agreement(s_d[first:last], matches.s_i[first:last], tolerance)
@@ -232,9 +232,9 @@ def test_the_compiled_check_equals_the_plain_search_and_no_two_accepted_matches_
         assert np.all(np.abs(error) <= tolerance)
 
 
-def test_a_wrong_match_is_dropped_and_costs_nothing_else(telemetry_of, catalogue, checked):
-    telemetry = telemetry_of(2, frames=10)
-    matches = given_of(telemetry, catalogue)
+def test_a_wrong_match_is_dropped_and_costs_nothing_else(make_telemetry, catalogue, checked):
+    telemetry = make_telemetry(2, frames=10)
+    matches = match_given(telemetry, catalogue)
     s_i = matches.s_i.copy()
     s_i[::12] = s_i[6::12]  # the first detection of each exposure is called another star of it
     seen = checked(telemetry, replace(matches, s_i=s_i))
@@ -243,9 +243,9 @@ def test_a_wrong_match_is_dropped_and_costs_nothing_else(telemetry_of, catalogue
     assert (len(dropped), seen.availability, seen.matched_stars) == (20, 1, 20 * 11)
 
 
-def test_a_frame_is_available_by_either_exposure_and_counts_the_stars_of_valid_ones(telemetry_of, catalogue, checked):
-    telemetry = telemetry_of(5, frames=3)
-    matches = given_of(telemetry, catalogue)
+def test_a_frame_is_available_by_either_exposure_and_counts_the_stars_of_valid_ones(make_telemetry, catalogue, checked):
+    telemetry = make_telemetry(5, frames=3)
+    matches = match_given(telemetry, catalogue)
     s_i = matches.s_i.copy()
     s_i[3:12] = np.nan  # frame 0, exposure 0 keeps three
     s_i[24:48] = np.nan  # frame 1 keeps none
@@ -259,9 +259,9 @@ def test_a_frame_is_available_by_either_exposure_and_counts_the_stars_of_valid_o
 @pytest.mark.parametrize(
     ("stars", "matched", "wrong", "reason"), [(12, 3, 0, 1), (12, 5, 2, 2), (12, 12, 4, 3), (12, 12, 3, 0)]
 )
-def test_every_reason_is_given_where_it_is_due(telemetry_of, catalogue, checked, stars, matched, wrong, reason):
-    telemetry = telemetry_of(3, frames=1, stars=stars, exposures=1)
-    matches = given_of(telemetry, catalogue)
+def test_every_reason_is_given_where_it_is_due(make_telemetry, catalogue, checked, stars, matched, wrong, reason):
+    telemetry = make_telemetry(3, frames=1, stars=stars, exposures=1)
+    matches = match_given(telemetry, catalogue)
     s_i = matches.s_i.copy()
     s_i[matched:] = np.nan
     s_i[:wrong] = np.random.default_rng(4).normal(size=(wrong, 3))
@@ -279,7 +279,7 @@ def test_sensors_three_and_four_are_seldom_available_at_their_ground_calibration
 ):
     scenario = calibration_scenario(number)
     telemetry = simulate(scenario, np.random.default_rng(scenario.seed), catalogue)
-    matches, tolerance = given_of(telemetry, catalogue), compute_flight_tolerance(scenario.sensor, SETTINGS)
+    matches, tolerance = match_given(telemetry, catalogue), compute_flight_tolerance(scenario.sensor, SETTINGS)
     ground = check_flight(telemetry, scenario.sensor, matches, scenario.sensor.initial, tolerance, 4)
     truth = check_flight(telemetry, scenario.sensor, matches, scenario.truth, tolerance, 4)
     assert ground.availability < 0.4
@@ -292,8 +292,8 @@ def seen_under(sensor, catalogue):
     return lambda telemetry, x: match_under_states(telemetry, sensor, catalogue, [(x, None)], GIVEN)[0]
 
 
-def test_what_one_side_loses_the_other_gains(telemetry_of, seen_under):
-    telemetry = telemetry_of(1)
+def test_what_one_side_loses_the_other_gains(make_telemetry, seen_under):
+    telemetry = make_telemetry(1)
     ground, truth = seen_under(telemetry, GROUND), seen_under(telemetry, TRUTH)
     there, back = shadow_view(telemetry, ground, truth), shadow_view(telemetry, truth, ground)
     assert orjson.loads(orjson.dumps(there)) == there
@@ -305,9 +305,9 @@ def test_what_one_side_loses_the_other_gains(telemetry_of, seen_under):
 
 
 def test_the_counts_of_stars_and_the_lists_of_frames_agree_and_a_state_beside_itself_changes_nothing(
-    telemetry_of, seen_under
+    make_telemetry, seen_under
 ):
-    telemetry = telemetry_of(2)
+    telemetry = make_telemetry(2)
     ground, truth = seen_under(telemetry, GROUND), seen_under(telemetry, TRUTH)
     found = shadow_view(telemetry, ground, truth)
     assert [frame["frame"] for frame in found["frames"]] == list(range(40))
@@ -334,8 +334,8 @@ def test_the_counts_of_stars_and_the_lists_of_frames_agree_and_a_state_beside_it
     assert found["frames"][1]["time_utc"] is None
 
 
-def test_a_long_set_keeps_the_frames_that_differ_and_counts_them_all(telemetry_of, seen_under, monkeypatch):
-    telemetry = telemetry_of(4)
+def test_a_long_set_keeps_the_frames_that_differ_and_counts_them_all(make_telemetry, seen_under, monkeypatch):
+    telemetry = make_telemetry(4)
     seen = seen_under(telemetry, TRUTH)
     failing = seen.view.valid_frames.copy()
     failing[[5, 17]] = False
@@ -448,7 +448,7 @@ def test_a_share_without_exceptions_has_an_interval_and_an_end_that_is_not_finit
     assert bootstrap.interval(1.5, scores, 200) == [pytest.approx(1.03, abs=0.02), None]
 
 
-def foretold_of(telemetry, sensor, catalogue, tmp_path, frames=MOST_FRAMES, **settings):
+def forecast_table(telemetry, sensor, catalogue, tmp_path, frames=MOST_FRAMES, **settings):
     table = tmp_path / str(len(list(tmp_path.iterdir())))  # a stored table never changes under its path
     write_working_table(telemetry, table)
     sample = read_sample(table, frames, MOST_STARS)
@@ -466,7 +466,7 @@ def over_sigma(foretold, judged):
 @pytest.mark.parametrize("number", [1, 2, 3, 4, 5, 6])
 def test_sigmas_foretold_from_a_tenth_of_the_frames_are_those_of_the_run(number, catalogue, tmp_path):
     run = simulated(catalogue, number, frames=1000, seed=7)
-    foretold = foretold_of(run.telemetry, run.problem.sensor, catalogue, tmp_path, frames=100)
+    foretold = forecast_table(run.telemetry, run.problem.sensor, catalogue, tmp_path, frames=100)
     assert (foretold["frames_sampled"], foretold["frames"]) == (100, 1000)
     np.testing.assert_allclose(over_sigma(foretold, run), 1, atol=0.1)
 
@@ -486,7 +486,7 @@ def test_sigmas_foretold_from_a_tenth_of_the_frames_are_those_of_the_run(number,
 def test_every_method_s_sigmas_are_foretold_within_a_tenth(settings, sensor, catalogue, tmp_path):
     telemetry = field(1, frames=160)
     run = case(telemetry, sensor, catalogue, **settings)
-    foretold = foretold_of(telemetry, sensor, catalogue, tmp_path, frames=80, **settings)
+    foretold = forecast_table(telemetry, sensor, catalogue, tmp_path, frames=80, **settings)
     atol = 0.2 if settings.get("variant") == "q" or settings.get("forgetting_factor") else 0.1  # the last frames' own
     np.testing.assert_allclose(over_sigma(foretold, run), 1, atol=atol)
 
@@ -496,7 +496,7 @@ def test_directions_foretold_to_be_weak_are_those_the_run_names_and_holding_what
 ):
     run = simulated(catalogue, 3, frames=8, seed=2)
     sensor = run.problem.sensor
-    foretold = foretold_of(run.telemetry, sensor, catalogue, tmp_path)
+    foretold = forecast_table(run.telemetry, sensor, catalogue, tmp_path)
     made = calibrate(run.telemetry, sensor, catalogue, CalibrationSettings(match="given"))
     weak = [sigma for sigma in made["observability"]["sigma_of_direction"] if sigma > WEAK]
     assert foretold["weak"] == len(weak) > 0
@@ -504,7 +504,7 @@ def test_directions_foretold_to_be_weak_are_those_the_run_names_and_holding_what
     assert foretold["weak_directions"][0] == made["observability"]["weakest"]["sentence"]
     held = to_hold(run.estimate.A)
     left = tuple(name for place, name in enumerate(sensor.free) if place not in held)
-    after = foretold_of(run.telemetry, sensor, catalogue, tmp_path, free=left)
+    after = forecast_table(run.telemetry, sensor, catalogue, tmp_path, free=left)
     assert foretold["help"][0].startswith("Hold ")
     assert 0 < len(held) < 8
     assert after["weak"] == 0
@@ -513,12 +513,12 @@ def test_directions_foretold_to_be_weak_are_those_the_run_names_and_holding_what
 
 
 def test_so_many_frames_as_the_forecast_says_leave_no_weak_direction(sensor, catalogue, tmp_path):
-    few = foretold_of(field(3, frames=6), sensor, catalogue, tmp_path)
+    few = forecast_table(field(3, frames=6), sensor, catalogue, tmp_path)
     words = few["help"][-1].split()
     needed = int(words[1].replace(",", ""))
     assert few["help"][-1].startswith("About ")
-    assert foretold_of(field(3, frames=int(1.2 * needed)), sensor, catalogue, tmp_path)["weak"] == 0
-    assert foretold_of(field(3, frames=needed // 2), sensor, catalogue, tmp_path)["weak"] > 0
+    assert forecast_table(field(3, frames=int(1.2 * needed)), sensor, catalogue, tmp_path)["weak"] == 0
+    assert forecast_table(field(3, frames=needed // 2), sensor, catalogue, tmp_path)["weak"] > 0
 
 
 def test_stars_in_the_middle_alone_are_said_to_be_so(sensor, catalogue, tmp_path):
@@ -529,7 +529,7 @@ def test_stars_in_the_middle_alone_are_said_to_be_so(sensor, catalogue, tmp_path
         name: getattr(telemetry, name)[inner]
         for name in ("frame", "exposure", "row_px", "col_px", "star_id", "ra_rad", "dec_rad")
     }
-    foretold = foretold_of(replace(telemetry, **kept), sensor, catalogue, tmp_path)
+    foretold = forecast_table(replace(telemetry, **kept), sensor, catalogue, tmp_path)
     assert foretold["weak"] > 0
     assert any("% of the way to the corner and lie in 16 of 36 parts" in sentence for sentence in foretold["help"])
 
@@ -537,11 +537,11 @@ def test_stars_in_the_middle_alone_are_said_to_be_so(sensor, catalogue, tmp_path
 def test_a_set_without_enough_stars_foretells_nothing_and_a_fit_that_does_not_rest_the_present_parameters(
     sensor, catalogue, tmp_path
 ):
-    foretold = foretold_of(field(5, frames=3, stars=3), sensor, catalogue, tmp_path)
+    foretold = forecast_table(field(5, frames=3, stars=3), sensor, catalogue, tmp_path)
     assert set(foretold["sigma"].values()) == {None}
     assert foretold["weak"] is None
     assert "nothing was estimated; match more stars" in foretold["sentence"]
-    foretold = foretold_of(field(6, frames=20), sensor, catalogue, tmp_path, max_iterations=1)
+    foretold = forecast_table(field(6, frames=20), sensor, catalogue, tmp_path, max_iterations=1)
     assert foretold["at"] == "present"
     assert all(value is None or value > 0 for value in foretold["sigma"].values())
 

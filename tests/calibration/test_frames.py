@@ -73,7 +73,7 @@ def reader(telemetry, frame):
     return read
 
 
-def view_of(telemetry, sensor, catalogue, result, frame, **settings):
+def make_view(telemetry, sensor, catalogue, result, frame, **settings):
     states = read_run_states(result, sensor, CalibrationSettings(**{"match": "given", **settings}))
     return frame_view(states, reader(telemetry, frame), catalogue)
 
@@ -87,7 +87,7 @@ def test_residuals_of_a_frame_are_those_that_trust_takes_of_the_set(parity, sens
     telemetry, sensor = field(1, frames=12, parity=parity), replace(sensor, parity=parity)
     result = calibrate(telemetry, sensor, catalogue, CalibrationSettings(match="given"))
     found = compute_star_residuals(case(telemetry, sensor, catalogue).ground)
-    view = view_of(telemetry, sensor, catalogue, result, 5)
+    view = make_view(telemetry, sensor, catalogue, result, 5)
     of_frame = found.arcs.source_row[found.frame == 5]
     order = np.argsort(of_frame)
     stars = [star["new"] for _, star in rows_under(view, "new")]
@@ -98,7 +98,7 @@ def test_residuals_of_a_frame_are_those_that_trust_takes_of_the_set(parity, sens
 @pytest.mark.parametrize("parity", [1, -1])
 def test_at_the_true_parameters_residuals_over_their_sigmas_are_the_centroid_noise(parity, sensor, catalogue):
     telemetry, sensor = field(2, frames=60, parity=parity), replace(sensor, parity=parity, initial=np.asarray(TRUTH))
-    views = [view_of(telemetry, sensor, catalogue, {}, frame) for frame in range(60)]
+    views = [make_view(telemetry, sensor, catalogue, {}, frame) for frame in range(60)]
     z = np.array([star["old"]["normalised"] for view in views for _, star in rows_under(view, "old")])
     assert np.mean(z**2) == pytest.approx(1, abs=4 * np.sqrt(2 / z.size))
     chi2 = [attitude["old"]["chi2"] for view in views for attitude in (e["attitude"] for e in view["exposures"])]
@@ -113,7 +113,7 @@ def test_a_predicted_position_is_the_projection_of_the_star_by_the_printed_quate
         [np.cos(telemetry.dec_rad) * np.cos(telemetry.ra_rad), np.cos(telemetry.dec_rad) * np.sin(telemetry.ra_rad),
          np.sin(telemetry.dec_rad)]
     )  # fmt: skip
-    view = view_of(telemetry, sensor, catalogue, {}, 0)
+    view = make_view(telemetry, sensor, catalogue, {}, 0)
     for exposure, star in rows_under(view, "old"):
         row = star["row"]
         seen = Rotation.from_quat(exposure["attitude"]["old"]["quaternion"]).apply(s_i[row]) * [1, parity, 1]
@@ -130,7 +130,7 @@ def test_a_predicted_position_is_the_projection_of_the_star_by_the_printed_quate
 def test_the_attitudes_of_a_frame_scatter_about_the_truth_as_their_sigmas_say(catalogue):
     telemetry = simulate(calibration_scenario(1, 60), np.random.default_rng(4), catalogue)
     sensor = replace(st16_sensor(1), initial=st16_truth(1))
-    views = [view_of(telemetry, sensor, catalogue, {}, int(frame)) for frame in np.unique(telemetry.frame)]
+    views = [make_view(telemetry, sensor, catalogue, {}, int(frame)) for frame in np.unique(telemetry.frame)]
     turns = [
         np.array(e["attitude"]["old"]["from_telemetry_arcsec"]) / e["attitude"]["old"]["sigma_arcsec"]
         for view in views for e in view["exposures"] if e["attitude"]["old"]
@@ -173,7 +173,7 @@ def test_a_wrong_name_in_the_file_is_rejected_and_its_star_shown_far_away(catalo
     star_id[rows[0]] = star_id[rows[1]]
     wrong = replace(telemetry, star_id=star_id)
     result = calibrate(wrong, st16_sensor(1), catalogue, CalibrationSettings())
-    view = view_of(wrong, st16_sensor(1), catalogue, result, 3, match="rematch")
+    view = make_view(wrong, st16_sensor(1), catalogue, result, 3, match="rematch")
     star = view["exposures"][0]["stars"][int(rows[0] - np.flatnonzero(telemetry.frame == 3)[0])]
     assert star["given_star_id"] == star_id[rows[1]]
     assert star["star_id"] == telemetry.star_id[rows[0]]  # found again under its true name
@@ -187,7 +187,7 @@ def test_a_detection_whose_star_is_not_there_is_rejected_with_how_far_away_it_is
     row_px[rows[0]] += 30 if row_px[rows[0]] < 900 else -30
     wrong = replace(telemetry, row_px=row_px)
     result = calibrate(wrong, st16_sensor(1), catalogue, CalibrationSettings())
-    view = view_of(wrong, st16_sensor(1), catalogue, result, 3, match="rematch")
+    view = make_view(wrong, st16_sensor(1), catalogue, result, 3, match="rematch")
     star = view["exposures"][0]["stars"][int(rows[0] - np.flatnonzero(telemetry.frame == 3)[0])]
     assert (star["fate"], star["star_id"]) == ("rejected", None)
     assert star["reason"]
@@ -198,7 +198,7 @@ def test_a_detection_whose_star_is_not_there_is_rejected_with_how_far_away_it_is
 def test_an_exposure_with_one_star_says_why_it_has_no_attitude(sensor, catalogue):
     telemetry = field(7, frames=3, exposures=1)
     star_id = np.where((telemetry.frame == 1) & (np.arange(len(telemetry)) % 12 > 0), 0, telemetry.star_id)
-    view = view_of(replace(telemetry, star_id=star_id), sensor, catalogue, {}, 1)
+    view = make_view(replace(telemetry, star_id=star_id), sensor, catalogue, {}, 1)
     exposure = view["exposures"][0]
     assert exposure["attitude"] == {"old": None, "new": None}
     assert exposure["why_no_attitude"].startswith("1 of its detections is matched and an attitude needs 2")
@@ -212,7 +212,7 @@ def test_undetected_stars_are_bright_stars_of_the_field_without_a_detection(cata
     kept = np.arange(len(telemetry)) != brightest
     without = rows_of_mask(telemetry, kept)
     result = calibrate(telemetry, st16_sensor(1), catalogue, CalibrationSettings())
-    view = view_of(without, st16_sensor(1), catalogue, result, 2, match="rematch")
+    view = make_view(without, st16_sensor(1), catalogue, result, 2, match="rematch")
     missed = {star["star_id"]: star for star in view["exposures"][0]["undetected"]}
     lost = missed[int(telemetry.star_id[brightest])]
     assert np.hypot(lost["row_px"] - telemetry.row_px[brightest], lost["col_px"] - telemetry.col_px[brightest]) < 2
@@ -253,7 +253,7 @@ def seen(judged):
     return frame_observability(judged.problem, judged.parameters, judged.estimate)
 
 
-def share_of(seen, reference):
+def compute_share(seen, reference):
     return next(entry["share"] for entry in seen["information"] if entry["reference"] == reference)
 
 
@@ -281,11 +281,11 @@ def test_the_curves_are_the_smallest_singular_values_of_the_plain_jacobian_of_ev
 def test_no_reference_holds_more_than_the_bound_arcs_all_and_the_first_singular_value_adds_nothing(seen, judged):
     shares = [entry["share"] for entry in seen["information"]]
     assert all(0 < share < 1.02 for share in shares)
-    assert share_of(seen, "arcs") == pytest.approx(share_of(seen, "angular"), abs=0.005)
-    assert share_of(seen, "arcs") > share_of(seen, "model_4")
-    assert share_of(seen, "sigma_123") == pytest.approx(share_of(seen, "model_4"), abs=0.005)
+    assert compute_share(seen, "arcs") == pytest.approx(compute_share(seen, "angular"), abs=0.005)
+    assert compute_share(seen, "arcs") > compute_share(seen, "model_4")
+    assert compute_share(seen, "sigma_123") == pytest.approx(compute_share(seen, "model_4"), abs=0.005)
     assert "σ1 adds nothing to them" in seen["sentence"]
-    assert max(share_of(seen, "sigma_2"), share_of(seen, "sigma_3")) < share_of(seen, "model_4")
+    assert max(compute_share(seen, "sigma_2"), compute_share(seen, "sigma_3")) < compute_share(seen, "model_4")
     names = judged.problem.camera.parameter_names
     for entry in seen["information"]:
         assert entry["least"] in names
@@ -327,7 +327,7 @@ def test_the_camera_of_the_paper_is_judged_alike(catalogue):
     seen = frame_observability(few.problem, few.parameters, few.estimate)
     medians = {name: np.nanmedian(np.array(curve, float)) for name, curve in seen["minimum_singular_value"].items()}
     assert medians["sigma_1"] < min(medians["sigma_2"], medians["sigma_3"])
-    assert 0.95 < share_of(seen, "arcs") < 1.02
+    assert 0.95 < compute_share(seen, "arcs") < 1.02
     assert {entry["least"] for entry in seen["information"]} <= set(PINHOLE_RADIAL.parameter_names)
 
 
@@ -343,7 +343,7 @@ KNOWN = np.zeros((8, 8))
 
 
 @pytest.fixture
-def problem_of(sensor):
+def make_frame_problem(sensor):
     def problem(seed, frames=40, noise_px=NOISE_PX, parity=1):
         arcs = star_field(np.random.default_rng(seed), frames=frames, noise_px=noise_px)
         arcs = arcs if parity == 1 else replace(arcs, s_i=arcs.s_i * [1, -1, 1])
@@ -353,8 +353,8 @@ def problem_of(sensor):
 
 
 @pytest.fixture
-def population(problem_of):
-    return align(problem_of(1, 4000, 0.0), GROUND, TRUTH, KNOWN)
+def population(make_frame_problem):
+    return align(make_frame_problem(1, 4000, 0.0), GROUND, TRUTH, KNOWN)
 
 
 def attitudes_under(problem, x):
@@ -365,8 +365,8 @@ def attitudes_under(problem, x):
 
 
 @pytest.mark.parametrize("parity", [1, -1])
-def test_with_the_update_of_c_sd_the_sensor_attitude_stays_on_average(problem_of, parity):
-    problem = problem_of(2, parity=parity)
+def test_with_the_update_of_c_sd_the_sensor_attitude_stays_on_average(make_frame_problem, parity):
+    problem = make_frame_problem(2, parity=parity)
     found = align(problem, GROUND, TRUTH, KNOWN)
     old, new = attitudes_under(problem, GROUND), attitudes_under(problem, TRUTH)
     C_sd_old = to_matrix(np.array([0.1, -0.3, 0.2, 0.9]))
@@ -379,16 +379,16 @@ def test_with_the_update_of_c_sd_the_sensor_attitude_stays_on_average(problem_of
 
 
 @pytest.mark.parametrize("parity", [1, -1])
-def test_a_shift_of_the_principal_point_turns_about_the_axis_it_must(problem_of, parity):
+def test_a_shift_of_the_principal_point_turns_about_the_axis_it_must(make_frame_problem, parity):
     shifted = TRUTH.copy()
     shifted[1] -= 10.0
-    theta = align(problem_of(3, parity=parity), TRUTH, shifted, KNOWN).rotation
+    theta = align(make_frame_problem(3, parity=parity), TRUTH, shifted, KNOWN).rotation
     assert theta[1] == pytest.approx(10.0 * PITCH / TRUTH[0], rel=0.05)
     assert abs(theta[0]) < 0.02 * theta[1]
 
 
-def test_the_sensitivity_is_what_differences_of_attitudes_show(problem_of):
-    problem = problem_of(4, 150)
+def test_the_sensitivity_is_what_differences_of_attitudes_show(make_frame_problem):
+    problem = make_frame_problem(4, 150)
     J = sensitivity(problem, TRUTH, angular_sigma(INVERTED_WANG, TRUTH, problem.arcs))
     for p in range(8):
         step = 1e-2 * SCALE[p] * np.eye(8)[p]
@@ -397,10 +397,10 @@ def test_the_sensitivity_is_what_differences_of_attitudes_show(problem_of):
         np.testing.assert_allclose(J[:, p] * SCALE[p], difference, atol=1e-3 * np.abs(J * SCALE).max())
 
 
-def test_the_turn_between_ground_and_estimate_is_as_uncertain_as_it_says(problem_of, population):
+def test_the_turn_between_ground_and_estimate_is_as_uncertain_as_it_says(make_frame_problem, population):
     nees, runs = [], effort(30, 120)
     for seed in range(100, 100 + runs):
-        problem = problem_of(seed)
+        problem = make_frame_problem(seed)
         fit = batch.fit(problem.whitened(TRUTH), TRUTH, FREE, SCALE)
         found = align(problem, GROUND, fit.x, np.linalg.inv(fit.A) * np.outer(SCALE, SCALE))
         error = turns_from(population.quaternion, found.quaternion[None])[0]
@@ -409,9 +409,9 @@ def test_the_turn_between_ground_and_estimate_is_as_uncertain_as_it_says(problem
     assert chi2.ppf(0.005, 3 * runs) < np.sum(nees) < 1.25 * chi2.ppf(0.995, 3 * runs)
 
 
-def test_the_mean_of_a_set_scatters_as_it_says(problem_of, population):
+def test_the_mean_of_a_set_scatters_as_it_says(make_frame_problem, population):
     sets = effort(75, 300)
-    found = [align(problem_of(seed), GROUND, TRUTH, KNOWN) for seed in range(400, 400 + sets)]
+    found = [align(make_frame_problem(seed), GROUND, TRUTH, KNOWN) for seed in range(400, 400 + sets)]
     errors = np.array([turns_from(population.quaternion, one.quaternion[None])[0] for one in found])
     claimed = np.mean([one.covariance_of_mean for one in found], axis=0)
     whiten = np.linalg.inv(np.linalg.cholesky(claimed))
@@ -419,8 +419,8 @@ def test_the_mean_of_a_set_scatters_as_it_says(problem_of, population):
     assert np.mean([one.consistent for one in found]) > 0.95
 
 
-def test_frames_that_share_their_stars_are_not_counted_as_independent(problem_of):
-    alone = problem_of(5, 20)
+def test_frames_that_share_their_stars_are_not_counted_as_independent(make_frame_problem):
+    alone = make_frame_problem(5, 20)
     arcs = alone.arcs
     stars = np.concatenate([np.tile(np.arange(*arcs.star_start[[2 * k, 2 * k + 2]]), 8) for k in range(20)])
     counts = np.concatenate([np.tile(np.diff(arcs.star_start)[2 * k : 2 * k + 2], 8) for k in range(20)])
@@ -434,8 +434,8 @@ def test_frames_that_share_their_stars_are_not_counted_as_independent(problem_of
     )
 
 
-def test_a_set_whose_second_half_turns_otherwise_is_not_consistent(problem_of):
-    problem = problem_of(6, 100, 0.01)
+def test_a_set_whose_second_half_turns_otherwise_is_not_consistent(make_frame_problem):
+    problem = make_frame_problem(6, 100, 0.01)
     arcs = problem.arcs
     moved = replace(arcs, row_px=arcs.row_px.copy())
     late = np.arange(len(arcs.row_px)) > len(arcs.row_px) // 2
@@ -443,26 +443,26 @@ def test_a_set_whose_second_half_turns_otherwise_is_not_consistent(problem_of):
     assert not align(replace(problem, arcs=moved), GROUND, TRUTH, KNOWN).consistent
 
 
-def test_the_same_parameters_turn_nothing_and_one_frame_has_no_scatter_and_so_no_alignment(problem_of):
-    view = alignment_view(problem_of(7), TRUTH, TRUTH, KNOWN)
+def test_the_same_parameters_turn_nothing_and_one_frame_has_no_scatter_and_so_no_alignment(make_frame_problem):
+    view = alignment_view(make_frame_problem(7), TRUTH, TRUTH, KNOWN)
     assert np.abs(view["rotation_arcsec"]).max() < 1e-6
     assert view["consistent"]
     assert "C_SD may stay" in view["sentence"]
     np.testing.assert_allclose(view["c_sd_update"], np.eye(3), atol=1e-12)
-    assert alignment_view(problem_of(8, 1), GROUND, TRUTH, KNOWN) is None
+    assert alignment_view(make_frame_problem(8, 1), GROUND, TRUTH, KNOWN) is None
 
 
 def test_the_view_holds_the_numbers_that_its_sentence_says_and_open_sigmas_where_parameters_are_undetermined(
-    problem_of,
+    make_frame_problem,
 ):
-    problem = problem_of(9)
+    problem = make_frame_problem(9)
     view = alignment_view(problem, GROUND, TRUTH, np.diag((0.1 * SCALE) ** 2))
     assert view["frames"] == 40
     np.testing.assert_allclose(to_matrix(np.array(view["quaternion"])).T, view["c_sd_update"], atol=1e-15)
     assert (np.array(view["sigma_arcsec"]) > view["sigma_of_mean_arcsec"]).all()
     assert f"{np.linalg.norm(view['rotation_arcsec']):.0f}"[:3] in view["sentence"]
     assert "multiply C_SD from the right" in view["sentence"]
-    view = alignment_view(problem_of(10), GROUND, TRUTH, np.full((8, 8), np.nan))
+    view = alignment_view(make_frame_problem(10), GROUND, TRUTH, np.full((8, 8), np.nan))
     assert view["sigma_arcsec"] == [None] * 3
     assert "another such calibration" not in view["sentence"]
 
@@ -480,8 +480,8 @@ def test_the_axis_is_named(theta, words):
     assert words in sentence(found)
 
 
-def test_twenty_thousand_frames_take_well_under_a_second(problem_of):
-    problem = problem_of(11, 20)
+def test_twenty_thousand_frames_take_well_under_a_second(make_frame_problem):
+    problem = make_frame_problem(11, 20)
     arcs = problem.arcs
     arrays = {name: np.concatenate([getattr(arcs, name)] * 1000) for name in ("row_px", "col_px", "sigma_px", "s_i")}
     starts = np.append(0, np.tile(np.diff(arcs.star_start), 1000).cumsum())

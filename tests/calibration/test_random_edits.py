@@ -28,7 +28,7 @@ def bases(catalogue, folder):
 def defects(numbers, bases, catalogue, folder):
     found = []
     for number in numbers:
-        case = edits.case_of(number, bases, folder)
+        case = edits.make_case(number, bases, folder)
         ended = edits.run(case, catalogue, folder / "catalogue")
         if ended.kind == "defect":
             found.append(f"{number} {case.names} {case.settings}\n{ended.words}")
@@ -49,15 +49,15 @@ def test_edits_through_the_command_line_end_with_a_result_or_a_line(bases, folde
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # the compiled loops stay where they are
     for name, value in environment_in(folder).items():
         monkeypatch.setenv(name, value)
-    cases = [edits.case_of(number, bases, folder) for number in range(62, 62 + THROUGH_THE_DOOR)]
+    cases = [edits.make_case(number, bases, folder) for number in range(62, 62 + THROUGH_THE_DOOR)]
     assert [edits.through_the_door(case, folder / "sensor.json") for case in cases] == [None] * THROUGH_THE_DOOR
 
 
 def test_a_case_is_the_same_whether_it_is_made_alone_or_among_others(bases, folder):
-    first = edits.case_of(7, bases, folder)
+    first = edits.make_case(7, bases, folder)
     content = first.telemetry.read_bytes()
-    edits.case_of(8, bases, folder)
-    again = edits.case_of(7, bases, folder)
+    edits.make_case(8, bases, folder)
+    again = edits.make_case(7, bases, folder)
     assert (again.settings, again.sensor, again.names) == (first.settings, first.sensor, first.names)
     if again.telemetry.suffix == ".csv":
         assert again.telemetry.read_bytes() == content

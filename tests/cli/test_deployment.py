@@ -47,7 +47,7 @@ def blocks(kind: str) -> list[str]:
     return re.findall(rf"^```{kind}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
 
-def words_of(service: str) -> list[str]:
+def split_command(service: str) -> list[str]:
     return COMPOSE["services"][service]["command"]
 
 
@@ -61,7 +61,7 @@ def every_command() -> list[list[str]]:
     lines += [line.rpartition(" server ")[2] for line in PAGE.splitlines() if line.startswith("$ docker compose run")]
     shown = [shlex.split(line.partition(" < ")[0]) for line in lines if line.startswith("boresight ")]
     (last,) = re.findall(r"^CMD (\[.*\])$", IMAGE, re.MULTILINE)
-    return [*shown, *map(words_of, OURS), yaml.safe_load(last)]
+    return [*shown, *map(split_command, OURS), yaml.safe_load(last)]
 
 
 @pytest.mark.parametrize("words", every_command(), ids=" ".join)
@@ -76,7 +76,7 @@ def test_the_compose_file_starts_what_the_plain_commands_start():
     names = {"scheduler": "scheduler", "worker": "worker", "server": "serve"}
     assert {names[service] for service in OURS} == set(told())
     for service in OURS:
-        options = dict(zip(words_of(service)[2::2], words_of(service)[3::2], strict=True))
+        options = dict(zip(split_command(service)[2::2], split_command(service)[3::2], strict=True))
         plain = told()[names[service]]
         assert options.keys() == dict(zip(plain[2::2], plain[3::2], strict=True)).keys()
         assert options.get("--port") == dict(zip(plain[2::2], plain[3::2], strict=True)).get("--port")

@@ -10,9 +10,9 @@ import pytest
 from boresight.figures import FIGURES, Trace
 from boresight.figures.charts import radial as radial_contrast
 from boresight.figures.charts.methods import method_scores
+from boresight.figures.factory import column
 from boresight.figures.history import settled_step, summarise_tail, tailed
 from boresight.figures.style.axes import EXTRAPOLATED
-from boresight.figures.trust_parts import column
 from boresight.verdicts.verdict import sigma_of_rms
 
 

@@ -115,7 +115,7 @@ def changed(result, part, **values):
     return result | {"trust": trust | {part: made}}
 
 
-def mark_of(result, question):
+def find_mark(result, question):
     return next(mark for mark in trust_marks(result) if mark.question == question)
 
 
@@ -131,8 +131,8 @@ def mark_of(result, question):
     ],
 )
 def test_a_test_that_fails_is_a_caution_with_its_sentence(part, question, values, sequential_result):
-    assert mark_of(sequential_result, question).level == "normal"
-    mark = mark_of(changed(sequential_result, part, **values), question)
+    assert find_mark(sequential_result, question).level == "normal"
+    mark = find_mark(changed(sequential_result, part, **values), question)
     assert mark.level == "caution"
     assert mark.reason.endswith(".")
 

@@ -267,7 +267,7 @@ def test_the_rms_map_leaves_cells_without_stars_open(sequential_result):
     assert np.isnan(values(cells, "z")).sum() == sum(row.count(None) for row in rms)
 
 
-def shadow_of(n_frames=40, lost=(7,), gained=(1, 2, 3)):
+def make_shadow(n_frames=40, lost=(7,), gained=(1, 2, 3)):
     return shadow(n_frames, lost, gained)["validation"]
 
 
@@ -276,12 +276,12 @@ def flown(**sets):
 
 
 def test_the_validation_set_is_shown_first_and_the_table_lists_every_frame_with_the_stars_that_moved():
-    both = SHADOW.draw([Trace("run", flown(calibration=shadow_of(10), validation=shadow_of(20)))])
-    one = SHADOW.draw([Trace("run", flown(calibration=shadow_of(10)))])
+    both = SHADOW.draw([Trace("run", flown(calibration=make_shadow(10), validation=make_shadow(20)))])
+    one = SHADOW.draw([Trace("run", flown(calibration=make_shadow(10)))])
     assert both.layout.title.text == "Validation set: 3 frames gained, 1 lost"
     assert one.layout.title.text.startswith("Calibration set")
     assert len(both.data[0].x) == 20
-    columns = SHADOW.table(flown(calibration=shadow_of()))
+    columns = SHADOW.table(flown(calibration=make_shadow()))
     assert {len(column) for column in columns.values()} == {40}
     assert columns["lost"][7] == "1 2"
     assert columns["candidate_reason"][7] == "too few stars"
@@ -289,7 +289,7 @@ def test_the_validation_set_is_shown_first_and_the_table_lists_every_frame_with_
 
 
 def test_both_sides_are_named_and_frames_that_one_alone_solves_have_their_own_shapes():
-    drawn, kept = (SHADOW.draw([Trace("run", flown(calibration=shadow_of(lost=lost)))]).data for lost in ((7,), ()))
+    drawn, kept = (SHADOW.draw([Trace("run", flown(calibration=make_shadow(lost=lost)))]).data for lost in ((7,), ()))
     alone = {trace.marker.symbol: list(trace.x) for trace in drawn if trace.mode == "markers"}
     assert alone == {"triangle-up-open": [1, 2, 3], "x-thin-open": [7]}
     marks = ["only the candidate solves it (3)", "only the baseline solves it: lost (1)"]
@@ -298,7 +298,7 @@ def test_both_sides_are_named_and_frames_that_one_alone_solves_have_their_own_sh
 
 
 def test_a_comparison_gives_each_candidate_its_colour_and_stays_small():
-    long = flown(validation=shadow_of(2000, range(500), range(500, 1000)))
+    long = flown(validation=make_shadow(2000, range(500), range(500, 1000)))
     text = figure_json(SHADOW.draw([Trace(f"run {i}", long) for i in range(8)]))
     assert b"#3b8fe0" in text
     assert b"#d9730d" in text

@@ -75,7 +75,7 @@ def expected_directions(telemetry, scenario, catalogue, rows):
     return s_i, s_d
 
 
-def columns_of(telemetry):
+def read_columns(telemetry):
     columns = {field.name: getattr(telemetry, field.name) for field in fields(telemetry)}
     return {name: column for name, column in columns.items() if isinstance(column, np.ndarray)}
 
@@ -156,7 +156,7 @@ def test_false_stars_and_blanked_names_come_in_the_asked_number_and_false_stars_
 def test_a_set_has_every_column_with_its_rows_in_contract_order_on_the_detector(catalogue, number):
     scenario = calibration_scenario(number, frames=40)
     telemetry = simulated(scenario, catalogue)
-    columns = columns_of(telemetry)
+    columns = read_columns(telemetry)
     assert telemetry.ra_rad is None
     assert len(columns) == 11
     assert telemetry.unknown == {}
@@ -211,7 +211,7 @@ def test_the_validation_set_is_later_shorter_and_mostly_of_other_stars(catalogue
 @given(number=numbers, seed=st.integers(0, 2**63 - 2))
 def test_the_same_seed_gives_the_same_set_to_the_last_bit_and_another_another(catalogue, number, seed):
     scenario = replace(calibration_scenario(number, frames=4), seed=seed)
-    first, second = (columns_of(simulated(scenario, catalogue)) for _ in range(2))
+    first, second = (read_columns(simulated(scenario, catalogue)) for _ in range(2))
     assert first.keys() == second.keys()
     for name, column in first.items():
         np.testing.assert_array_equal(column, second[name])

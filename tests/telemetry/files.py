@@ -40,7 +40,7 @@ def parquet_bytes(columns):
 MINIMAL = {"frame": [0, 0], "exposure": [0, 0], "row_px": [1.0, 2.0], "col_px": [3.0, 4.0]}
 
 
-def texts_of(telemetry: Telemetry) -> dict[str, list[str]]:
+def format_cells(telemetry: Telemetry) -> dict[str, list[str]]:
     return {name: cells.to_pylist() for name, cells in telemetry.unknown.items()}
 
 
@@ -56,4 +56,4 @@ def assert_same(one, other):
                 np.testing.assert_allclose(mine, theirs, rtol=1e-15, atol=1e-300, err_msg=name)
             else:
                 np.testing.assert_array_equal(mine, theirs, err_msg=name)
-    assert texts_of(one) == texts_of(other)
+    assert format_cells(one) == format_cells(other)

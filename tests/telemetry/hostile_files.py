@@ -173,13 +173,13 @@ def parquet(columns: dict[str, object] | pa.Table, **options: object) -> bytes:
     return sink.getvalue()
 
 
-def rows_of(rows: int) -> dict[str, object]:
+def make_rows(rows: int) -> dict[str, object]:
     k = np.arange(rows)
     return {"frame": k // 20, "exposure": np.zeros(rows, np.int64), "row_px": (k % 20) * 1.5, "col_px": (k % 700) * 1.0}
 
 
 def with_column(rows: int, column: str, cells: object, **options: object) -> bytes:
-    return parquet({**rows_of(rows), column: cells}, **options)
+    return parquet({**make_rows(rows), column: cells}, **options)
 
 
 def text_column(length: int, rows: int) -> pa.Array:
@@ -246,7 +246,7 @@ add(
     "rows beyond number.parquet",
     lambda: parquet({"frame": pa.array(np.zeros(60_000_000, np.int8)), "exposure": pa.nulls(60_000_000)}),
 )
-add("rows that are not there.parquet", lambda: patched(parquet(rows_of(40_000)), 40_000, 1_000_000))
+add("rows that are not there.parquet", lambda: patched(parquet(make_rows(40_000)), 40_000, 1_000_000))
 add(
     "pages larger than they are.parquet",
     lambda: patched(
@@ -263,16 +263,16 @@ add(
 )
 add(
     "columns of nothing.parquet",
-    lambda: parquet(pa.table({**rows_of(200_000), **{f"c{k}": pa.nulls(200_000) for k in range(900)}})),
+    lambda: parquet(pa.table({**make_rows(200_000), **{f"c{k}": pa.nulls(200_000) for k in range(900)}})),
 )
 add("columns beyond number.parquet", lambda: parquet({f"c{k}": [1] for k in range(20_000)}))
-add("1,001 columns.parquet", lambda: parquet({**rows_of(2), **{f"c{k}": [1, 2] for k in range(997)}}))
-add("name of 1 MB.parquet", lambda: parquet({**rows_of(2), "n" * 1_000_000: [1, 2]}))
+add("1,001 columns.parquet", lambda: parquet({**make_rows(2), **{f"c{k}": [1, 2] for k in range(997)}}))
+add("name of 1 MB.parquet", lambda: parquet({**make_rows(2), "n" * 1_000_000: [1, 2]}))
 add("one name repeated.parquet", lambda: parquet(pa.Table.from_arrays([pa.array([1, 2])] * 900, names=["frame"] * 900)))
-add("groups of a row.parquet", lambda: parquet(rows_of(4_000), row_group_size=1))
-add("pages of a row.parquet", lambda: parquet(rows_of(20_000), max_rows_per_page=1, use_dictionary=False))
-add("no rows.parquet", lambda: parquet(rows_of(0)))
-add("footer of 30 MB.parquet", lambda: parquet(pa.table(rows_of(2)).replace_schema_metadata({"x": "y" * 30_000_000})))
+add("groups of a row.parquet", lambda: parquet(make_rows(4_000), row_group_size=1))
+add("pages of a row.parquet", lambda: parquet(make_rows(20_000), max_rows_per_page=1, use_dictionary=False))
+add("no rows.parquet", lambda: parquet(make_rows(0)))
+add("footer of 30 MB.parquet", lambda: parquet(pa.table(make_rows(2)).replace_schema_metadata({"x": "y" * 30_000_000})))
 add("lists of a million.parquet", lambda: with_column(2, "note", [[1] * 1_000_000, []]))
 add("nested structs.parquet", lambda: with_column(1, "note", pa.array([nested(40)])))
 add(
@@ -290,13 +290,13 @@ add(
     lambda: with_column(2, "time_utc", pa.array([-(2**63) + 1, 2**63 - 1], pa.timestamp("ns"))),
 )
 add("truth for numbers.parquet", lambda: with_column(100_000, "magnitude", pa.array([True, False] * 50_000)))
-add("half a file.parquet", lambda: parquet(rows_of(100_000))[:50_000])
-add("encrypted in name.parquet", lambda: b"PARE" + parquet(rows_of(100))[4:-4] + b"PARE")
-add("footer longer than the file.parquet", lambda: parquet(rows_of(100))[:-8] + b"\xff\xff\xff\x7fPAR1")
+add("half a file.parquet", lambda: parquet(make_rows(100_000))[:50_000])
+add("encrypted in name.parquet", lambda: b"PARE" + parquet(make_rows(100))[4:-4] + b"PARE")
+add("footer longer than the file.parquet", lambda: parquet(make_rows(100))[:-8] + b"\xff\xff\xff\x7fPAR1")
 for flips in (1, 4, 64):
-    file(f"{flips} bits flipped.parquet")(lambda rng, flips=flips: flipped(parquet(rows_of(100_000)), rng, flips))
+    file(f"{flips} bits flipped.parquet")(lambda rng, flips=flips: flipped(parquet(make_rows(100_000)), rng, flips))
     file(f"{flips} bits flipped in the footer.parquet")(
-        lambda rng, flips=flips: flipped(parquet(rows_of(100_000)), rng, flips, footer_only=True)
+        lambda rng, flips=flips: flipped(parquet(make_rows(100_000)), rng, flips, footer_only=True)
     )
 file("noise.parquet")(lambda rng: b"PAR1" + rng.bytes(5_000_000) + b"\0\x10\0\0PAR1")
 file("noise.csv")(lambda rng: rng.integers(1, 128, 5_000_000, np.uint8).tobytes())

@@ -85,7 +85,7 @@ def mutated(rng):
             {"row_group_size": 7},
         ]
         columns = {
-            **hostile_files.rows_of(60),
+            **hostile_files.make_rows(60),
             "note": ["a", "bb", "ccc"] * 20,
             "time_utc": ["2026-01-01T00:00:00Z"] * 60,
         }
@@ -127,7 +127,7 @@ def test_fifty_mutated_files_are_read_or_refused_in_words(seed, tmp_path):
 FORMS = ["csv", "jsonl", "parquet"]
 
 
-def columns_of(rows=2, **more):
+def make_columns(rows=2, **more):
     k = np.arange(rows)
     return {"frame": k // 2, "exposure": 0 * k, "row_px": k * 1.5, "col_px": k * 2.5} | more
 
@@ -151,7 +151,7 @@ def refusal(path, limits=LIMITS):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_a_thousand_columns_are_read_and_one_more_is_refused(form, tmp_path):
-    wide = columns_of(**{f"c{k}": ["a", "b"] for k in range(996)})
+    wide = make_columns(**{f"c{k}": ["a", "b"] for k in range(996)})
     assert len(read_telemetry(write(tmp_path / f"wide.{form}", wide)).unknown) == 996
     path = write(tmp_path / f"wider.{form}", wide | {"more": ["a", "b"]})
     assert "1,001 columns, at most 1,000 are read" in str(refusal(path))
@@ -169,21 +169,21 @@ def test_a_header_of_a_hundred_thousand_columns_is_refused_in_no_time(tmp_path):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_too_many_rows_too_long_texts_and_names_are_refused(form, tmp_path):
-    long = write(tmp_path / f"long.{form}", columns_of(9))
+    long = write(tmp_path / f"long.{form}", make_columns(9))
     assert len(read_telemetry(long, limits=Limits(rows=9))) == 9
     assert "has over 8 rows" in str(refusal(long, Limits(rows=8)))
-    path = write(tmp_path / f"note.{form}", columns_of(note=["short", "x" * 4096]))
+    path = write(tmp_path / f"note.{form}", make_columns(note=["short", "x" * 4096]))
     assert read_telemetry(path).unknown["note"].to_pylist() == ["short", "x" * 4096]
-    error = str(refusal(write(tmp_path / f"note.{form}", columns_of(note=["short", "x" * 4097]))))
+    error = str(refusal(write(tmp_path / f"note.{form}", make_columns(note=["short", "x" * 4097]))))
     assert "4,096" in error
     assert "note" in error
-    named = refusal(write(tmp_path / f"name.{form}", columns_of(**{"n" * 256: [1, 2]})))
+    named = refusal(write(tmp_path / f"name.{form}", make_columns(**{"n" * 256: [1, 2]})))
     assert "the name of column 5 is over 255 bytes long" in str(named)
 
 
 @pytest.mark.parametrize("form", ["csv", "jsonl"])
 def test_a_line_that_is_too_long_is_refused_by_its_row(form, tmp_path):
-    error = refusal(write(tmp_path / f"line.{form}", columns_of(note=["short", "x" * 1_000_000])))
+    error = refusal(write(tmp_path / f"line.{form}", make_columns(note=["short", "x" * 1_000_000])))
     assert f"row {3 if form == 'csv' else 2}: is over 1,000,000 bytes long" in str(error)
 
 
@@ -192,7 +192,7 @@ def test_a_small_parquet_file_that_repeats_a_long_text_is_refused_before_it_is_e
     rows = 1_000_000
     note = pa.DictionaryArray.from_arrays(np.zeros(rows, np.int32), pa.array(["x" * length]))
     path = tmp_path / "bomb.parquet"
-    arrow_parquet.write_table(pa.table(columns_of(rows, note=note)), path, compression="zstd")
+    arrow_parquet.write_table(pa.table(make_columns(rows, note=note)), path, compression="zstd")
     before = pa.default_memory_pool().max_memory()
     error = refusal(path)
     assert path.stat().st_size < 10e6
@@ -229,7 +229,7 @@ def test_a_damaged_page_header_is_told(damage):
 )
 def test_columns_whose_size_nothing_bounds_are_refused(column, options, words, tmp_path):
     path = tmp_path / "pass.parquet"
-    arrow_parquet.write_table(pa.table(columns_of(note=column)), path, **options)
+    arrow_parquet.write_table(pa.table(make_columns(note=column)), path, **options)
     assert words in str(refusal(path))
 
 
@@ -246,7 +246,7 @@ def test_exposures_that_cannot_be_compared_and_sparse_json_are_refused(tmp_path)
 
 def test_texts_of_parquet_stay_shared_and_are_written_as_they_came(tmp_path):
     notes = ["alpha", None, "beta", "alpha"]
-    path = write(tmp_path / "pass.parquet", columns_of(4, note=notes))
+    path = write(tmp_path / "pass.parquet", make_columns(4, note=notes))
     unknown = read_telemetry(path).unknown["note"]
     assert pa.types.is_dictionary(unknown.type)
     assert unknown.to_pylist() == ["alpha", "", "beta", "alpha"]
@@ -261,7 +261,7 @@ def test_an_ordinary_large_file_is_far_from_every_limit_and_settings_raise_them(
     noise = {name: rng.uniform(0, 1000, rows) for name in ("row_px", "col_px")}
     path = tmp_path / "pass.parquet"
     times = {"time_utc": ["2026-01-01T00:00:00Z"] * rows, "star_id": k % 20}
-    arrow_parquet.write_table(pa.table(columns_of(rows) | noise | constant | times), path, compression="zstd")
+    arrow_parquet.write_table(pa.table(make_columns(rows) | noise | constant | times), path, compression="zstd")
     read_telemetry(path)
     layout = read_layout(path, path.name)
     assert layout.batch_rows == 131_072

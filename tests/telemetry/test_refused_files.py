@@ -33,9 +33,9 @@ from tests.telemetry.files import (
     ROWS,
     assert_same,
     assert_single_fault,
+    format_cells,
     parquet_bytes,
     refused,
-    texts_of,
     with_columns,
 )
 
@@ -442,7 +442,7 @@ def test_units_become_si_and_unknown_columns_are_kept_as_they_came(read):
     assert telemetry.dec_rad[0] == pytest.approx(-np.pi / 4)
     assert telemetry.velocity_m_s[0] == pytest.approx([7500.0, 0.0, -1.0])
     telemetry = read(with_columns("flux,note", '0012.50,"a, b"'))
-    assert texts_of(telemetry) == {"flux": ["0012.50"], "note": ["a, b"]}
+    assert format_cells(telemetry) == {"flux": ["0012.50"], "note": ["a, b"]}
 
 
 @settings(

@@ -18,7 +18,7 @@ from boresight.telemetry.read import formats, parquet, readers
 from boresight.telemetry.read.frames import evenly, frame_index, read_sample
 from boresight.telemetry.read.limits import Limits
 from boresight.telemetry.read.readers import read_chunks, read_telemetry, rows_in, stretches, write_csv, write_parquet
-from boresight.telemetry.sampling import exposure_marks, shared_exposures
+from boresight.telemetry.sampling import exposure_keys, shared_exposures
 from boresight.telemetry.schema import Telemetry, joined, select_rows
 from boresight.telemetry.working_table import WorkingTable, WorkingTableParts, is_working_table, write_working_table
 from tests.calibration.conftest import telemetry as simulated
@@ -95,7 +95,7 @@ def test_a_damaged_table_is_refused_with_what_to_do_by_index_sample_and_marks(tm
         read_sample(damaged, 10, 100)
     (tmp_path / "broken").write_bytes(b"no table")
     with pytest.raises(RefusedInputError, match="damaged"):
-        exposure_marks(tmp_path / "broken")
+        exposure_keys(tmp_path / "broken")
 
 
 def test_a_table_that_names_no_stars_or_has_no_rows_is_read(tmp_path):

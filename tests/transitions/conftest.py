@@ -14,15 +14,15 @@ from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
-from tests.transitions.installation import Evidence
+from tests.transitions.installation import ExampleRun
 
 SCENARIO = dataclasses.replace(calibration_scenario(1), frames=30)
 
 
 @pytest.fixture(scope="session")
-def evidence(tmp_path_factory: pytest.TempPathFactory, catalogue: Catalogue) -> Evidence:
+def example_run(tmp_path_factory: pytest.TempPathFactory, catalogue: Catalogue) -> ExampleRun:
     path: Path = tmp_path_factory.mktemp("evidence") / "telemetry.csv"
     telemetry = simulate(SCENARIO, np.random.default_rng(1), catalogue)
     write_csv(telemetry, path)
     result = calibrate(telemetry, SCENARIO.sensor, catalogue, CalibrationSettings(method="batch"))
-    return Evidence(sensor_document(SCENARIO.sensor), path, result)
+    return ExampleRun(sensor_document(SCENARIO.sensor), path, result)

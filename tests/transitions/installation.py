@@ -39,7 +39,7 @@ WORDS = {"meaning": "I reviewed the evidence.", "comment": "Seen.", "password": 
 
 
 @dataclass
-class Evidence:
+class ExampleRun:
     sensor: dict[str, Any]
     telemetry: Path
     result: dict[str, Any]
@@ -48,7 +48,7 @@ class Evidence:
 @dataclass
 class Installation:
     settings: Settings
-    evidence: Evidence
+    example_run: ExampleRun
     people: Mapping[str, tuple[str, ...]]
     address: str = ""
     engine: Engine = field(init=False)
@@ -71,10 +71,10 @@ class Installation:
             return users.get_actor(session, row.id)
 
     def sensor(self) -> int:
-        document = {**self.evidence.sensor, "name": f"ST-{next(self._numbers)}"}
+        document = {**self.example_run.sensor, "name": f"ST-{next(self._numbers)}"}
         with open_writing(self.engine) as session:
             row = sensors.register_sensor(session, COMMAND_LINE, document)
-            path, name = self.evidence.telemetry, self.evidence.telemetry.name
+            path, name = self.example_run.telemetry, self.example_run.telemetry.name
             telemetry_sets.add_telemetry_set(session, COMMAND_LINE, self.blobs, None, row.id, path, name)
             return row.id
 
@@ -84,7 +84,7 @@ class Installation:
             return parameter_sets.create_from_run(session, creator or launcher, self.blobs, run.id)
 
     def _run(self, session: Session, sensor_id: int, analyst: Actor) -> Run:
-        found = self.evidence.result
+        found = self.example_run.result
         nudged = {**found["parameters"], "f_m": found["parameters"]["f_m"] * (1.0 + 1e-7 * next(self._numbers))}
         sha256 = self.blobs.put(orjson.dumps({**found, "parameters": nudged}, option=orjson.OPT_SERIALIZE_NUMPY))
         register_blob(session, self.blobs, sha256, "application/json")
@@ -105,7 +105,7 @@ class Installation:
         audit.append(session, analyst, "launched", f"runs/{run.id}")
         return run
 
-    def set_of(self, set_id: int) -> ParameterSet:
+    def find_set(self, set_id: int) -> ParameterSet:
         with open_reading(self.engine) as session:
             return session.get_known(ParameterSet, set_id)
 

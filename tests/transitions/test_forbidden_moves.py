@@ -29,7 +29,7 @@ from boresight.sky.catalogue import Catalogue
 from tests.console.operations import OPENAPI
 from tests.passwords import new_password, proved
 from tests.served import serving, settings_in
-from tests.transitions.installation import CHEAP_HASH, PASSWORD, WORDS, Evidence, Installation, tag
+from tests.transitions.installation import CHEAP_HASH, PASSWORD, WORDS, ExampleRun, Installation, tag
 from tests.transitions.moves import ACTORS, ALLOWED, FORBIDDEN, MOVES, OF_REQUEST, PLACES, TRANSITIONS, Move
 
 PEOPLE = {
@@ -67,16 +67,16 @@ class Board:
             self.clients[name] = self.installation.client(name) if owner == name else self.installation.key(owner)
         return self.clients[name]
 
-    def request_of(self, place: str) -> Approval | None:
+    def find_request(self, place: str) -> Approval | None:
         with open_reading(self.installation.engine) as session:
             return next(iter(lists.newest(session, Approval, set=self.sets[place])), None)
 
     @cache  # noqa: B019 - no move of this file is made, and one board is made
     def seen(self, place: str, kind: str) -> tuple[str, int]:
         if kind == "set":
-            row = self.installation.set_of(self.sets[place])
+            row = self.installation.find_set(self.sets[place])
             return f"/api/v1/parameter-sets/{row.id}", row.version
-        request = self.request_of(place)
+        request = self.find_request(place)
         return (f"/api/v1/approvals/{request.id}", request.version) if request else NO_REQUEST
 
     @cached_property
@@ -123,11 +123,11 @@ def _open(board: Board, place: str, policy: Policy = POLICY, sensor_id: int | No
     with open_writing(house.engine) as session:
         asked = (house.blobs, row.id, "It moved.", row.version)
         approvals.submit(session, board.actor("submitter"), *asked, policy=policy)
-    return house.set_of(row.id)
+    return house.find_set(row.id)
 
 
 def _sign(board: Board, place: str, decision: str = "APPROVE") -> None:
-    request = board.request_of(place)
+    request = board.find_request(place)
     assert request is not None
     with open_writing(board.installation.engine) as session:
         proof = proved(session, board.actor("signer"), PASSWORD)
@@ -137,7 +137,7 @@ def _sign(board: Board, place: str, decision: str = "APPROVE") -> None:
 
 def _promote(board: Board, place: str) -> None:
     _sign(board, place)
-    row = board.installation.set_of(board.sets[place])
+    row = board.installation.find_set(board.sets[place])
     with open_writing(board.installation.engine) as session:
         approvals.promote(session, board.actor("promoter"), row.id, row.version)
 
@@ -168,9 +168,9 @@ def _place(board: Board, place: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def board(tmp_path_factory: pytest.TempPathFactory, evidence: Evidence, catalogue: Catalogue) -> Iterator[Board]:
+def board(tmp_path_factory: pytest.TempPathFactory, example_run: ExampleRun, catalogue: Catalogue) -> Iterator[Board]:
     settings = settings_in(tmp_path_factory.mktemp("moves"), login_attempts="1000")
-    made = Board(Installation(settings, evidence, PEOPLE))
+    made = Board(Installation(settings, example_run, PEOPLE))
     for place in PLACES:
         _place(made, place)
     root, newcomer = made.actor("administrator"), made.actor("newcomer")
@@ -205,8 +205,8 @@ def _transitions_of_the_document() -> list[str]:
 
 
 def test_every_place_holds_what_its_name_says(board: Board) -> None:
-    states = {place: board.installation.set_of(board.sets[place]).ground_state for place in PLACES}
-    requests = {place: board.request_of(place) for place in PLACES}
+    states = {place: board.installation.find_set(board.sets[place]).ground_state for place in PLACES}
+    requests = {place: board.find_request(place) for place in PLACES}
     assert states == {place: place for place in GROUND_STATES} | {"STALE": "CANDIDATE", "HALF": "SUBMITTED"}
     assert {place: request.state for place, request in requests.items() if request} == {
         "SUBMITTED": "OPEN",
@@ -267,18 +267,18 @@ def test_what_was_bound_and_moved_is_refused_and_only_its_request_becomes_stale(
     assert board.try_move(move, validate_only="true").status_code == 412
     assert board.digest() == before
     answer = board.try_move(move)
-    request = board.request_of("MOVED")
+    request = board.find_request("MOVED")
     assert answer.status_code == 412
     assert "The table definition moved since" in answer.json()["detail"]
     assert request is not None
-    assert (request.state, board.installation.set_of(row.id).ground_state) == ("STALE", "CANDIDATE")
+    assert (request.state, board.installation.find_set(row.id).ground_state) == ("STALE", "CANDIDATE")
 
 
 def test_a_signature_that_comes_too_late_is_refused_whoever_lets_the_request_expire(board: Board) -> None:
     _open(board, "LATE", Policy(approval_days=0.0))
     board.seen.cache_clear()
     answer = board.try_move(Move("approver", "approve", "LATE"))
-    request = board.request_of("LATE")
+    request = board.find_request("LATE")
     assert answer.status_code in {409, 412}
     assert "expire" in answer.json()["detail"]
     assert request is not None

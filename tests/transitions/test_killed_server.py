@@ -27,7 +27,7 @@ from boresight.platform.db.sessions import Session, open_reading
 from tests.effort import effort
 from tests.served import settings_in
 from tests.stores import environment_in
-from tests.transitions.installation import WORDS, Evidence, Installation, tag
+from tests.transitions.installation import WORDS, ExampleRun, Installation, tag
 
 TRANSITIONS, KILLS, DRIVERS = effort(60, 200), effort(1, 3), 4
 SENSORS, SETS = 2, 6
@@ -69,9 +69,9 @@ class Comings:
 
 
 @pytest.fixture
-def server(tmp_path: Path, catalogue_folder: Path, evidence: Evidence) -> Iterator[Comings]:
+def server(tmp_path: Path, catalogue_folder: Path, example_run: ExampleRun) -> Iterator[Comings]:
     """Prepare a server on an empty data folder; it is ended at the end."""
-    assert evidence.result  # the catalogue was trimmed for it
+    assert example_run.result  # the catalogue was trimmed for it
     shutil.copytree(catalogue_folder, tmp_path / "data" / "catalogue")
     made = Comings(tmp_path / "data")
     yield made
@@ -133,9 +133,9 @@ class Traffic:
 
 
 def test_a_server_killed_in_the_middle_of_transitions_leaves_each_done_or_not_begun(
-    server: Comings, evidence: Evidence
+    server: Comings, example_run: ExampleRun
 ) -> None:
-    house = Installation(settings_in(server.folder), evidence, PEOPLE)
+    house = Installation(settings_in(server.folder), example_run, PEOPLE)
     for sensor_id in [house.sensor() for _ in range(SENSORS)]:
         for _ in range(SETS):
             house.candidate(sensor_id, house.actor("ana"))

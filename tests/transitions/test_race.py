@@ -24,7 +24,7 @@ from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.sky.catalogue import Catalogue
 from tests.passwords import proved
 from tests.served import serving, settings_in
-from tests.transitions.installation import PASSWORD, WORDS, Evidence, Installation, tag
+from tests.transitions.installation import PASSWORD, WORDS, ExampleRun, Installation, tag
 
 AT_ONCE = 50
 FORMER, READY = 6, 14  # sets that were baseline, and that are asked for
@@ -160,10 +160,10 @@ def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 
 def test_fifty_at_once_leave_one_baseline_and_one_chain(
-    database_url: str, tmp_path: Path, evidence: Evidence, catalogue: Catalogue
+    database_url: str, tmp_path: Path, example_run: ExampleRun, catalogue: Catalogue
 ) -> None:
     settings = settings_in(tmp_path / "data", database_url=database_url)
-    house = Installation(settings, evidence, PEOPLE)
+    house = Installation(settings, example_run, PEOPLE)
     sensor_id, rng = _filled(house), np.random.default_rng(20260114)
     answers: list[tuple[Shot, httpx.Response]] = []
     with serving(settings, catalogue) as (address, _):

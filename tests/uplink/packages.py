@@ -20,7 +20,7 @@ INTEGERS = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 12, 16, 24,
 KINDS = ("float32", "float64", *INTEGERS)
 
 
-def sensor_of(model="pinhole_radial", parity=-1, name="FM1"):
+def make_sensor(model="pinhole_radial", parity=-1, name="FM1"):
     camera = CAMERA_MODELS[model]
     return parse_sensor(
         {
@@ -35,7 +35,7 @@ def sensor_of(model="pinhole_radial", parity=-1, name="FM1"):
     )
 
 
-def definition_of(model="pinhole_radial", kind="float32", **others):
+def make_definition(model="pinhole_radial", kind="float32", **others):
     fields = [{"name": "VERSION", "constant": 3, "offset_bytes": 0, "type": "uint16"}]
     size = 8 if kind == "float64" else 4
     for place, name in enumerate(INITIAL[model]):
@@ -101,7 +101,7 @@ WAIVER = {
 GATE = {"name": "coverage", "title": "Detector coverage", "status": "FAIL", "value": 0.4, "limit": 0.6, "unit": "1"}
 
 
-def set_of(model, number, shift=0.0, ground_state="SUPERSEDED", **others):
+def make_set(model, number, shift=0.0, ground_state="SUPERSEDED", **others):
     parameters = INITIAL[model] | {"f_m": INITIAL[model]["f_m"] + shift}
     names = list(parameters)
     document = {
@@ -119,17 +119,17 @@ def set_of(model, number, shift=0.0, ground_state="SUPERSEDED", **others):
     return base | {"run": None, "gates": None, "approval": None} | others
 
 
-def inputs_of(model="pinhole_radial", definition=None, **others):
+def make_inputs(model="pinhole_radial", definition=None, **others):
     approval = {"id": 1, "kind": "PROMOTION", "reason": "f moved", "submitted_by": "Ana", "needed": 2, "bound": {}}
     approval |= {"submitted_utc": "2026-11-21T08:30:00.000000Z", "signatures": [SIGNATURE]}
     gates = {"sha256": "d" * 64, "verdict": "FAIL", "words": "FAIL (1 gate waived)", "waived": ["coverage"]}
     gates |= {"waivers": [WAIVER], "document": {"gates": [GATE]}}
-    document = definition_of(model) if definition is None else definition
+    document = make_definition(model) if definition is None else definition
     return {
-        "sensor": sensor_document(sensor_of(model)),
+        "sensor": sensor_document(make_sensor(model)),
         "simulated": False,
-        "subject": set_of(model, 2, 1e-6, "APPROVED", approval=approval, gates=gates),
-        "backout": set_of(model, 1, 0.0, "BASELINE"),
+        "subject": make_set(model, 2, 1e-6, "APPROVED", approval=approval, gates=gates),
+        "backout": make_set(model, 1, 0.0, "BASELINE"),
         "active": None,
         "definition": {"number": 1, "sha256": "e" * 64, "document": document} if document else None,
         "four_eyes": {"enforced": True, "kept": True, "sentence": "Four eyes."},

@@ -23,7 +23,7 @@ from boresight.telemetry.sensors import parse_sensor
 from boresight.uplink.comparison import FILL, compare
 from boresight.uplink.package import build_package
 from boresight.uplink.table_definition import encode, parse_definition
-from tests.uplink.packages import GATE, INITIAL, definition_of, inputs_of, set_of
+from tests.uplink.packages import GATE, INITIAL, make_definition, make_inputs, make_set
 
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = sorted(INITIAL)
@@ -42,12 +42,12 @@ def _rows(content):
 
 @pytest.fixture(scope="module", params=MODELS)
 def files(request):
-    return _files(inputs_of(request.param))
+    return _files(make_inputs(request.param))
 
 
 def test_processes_in_other_places_build_the_same_bytes_and_other_inputs_make_others():
-    content, hashes = build_package(inputs_of()), set()
-    assert content != build_package(inputs_of() | {"backout": set_of("pinhole_radial", 0)})
+    content, hashes = build_package(make_inputs()), set()
+    assert content != build_package(make_inputs() | {"backout": make_set("pinhole_radial", 0)})
     command = [sys.executable, "-m", "tests.uplink.packages"]
     for seed, zone, language in (
         ("0", "UTC", "C.UTF-8"),
@@ -56,13 +56,13 @@ def test_processes_in_other_places_build_the_same_bytes_and_other_inputs_make_ot
     ):
         environment = os.environ | {"PYTHONHASHSEED": seed, "TZ": zone, "LC_ALL": language}
         environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(ROOT / "backend")])
-        given = {"input": json.dumps(inputs_of()), "env": environment, "cwd": ROOT}
+        given = {"input": json.dumps(make_inputs()), "env": environment, "cwd": ROOT}
         hashes.add(subprocess.run(command, **given, capture_output=True, text=True, check=True).stdout)
     assert hashes == {hashlib.sha256(content).hexdigest()}
 
 
 def test_the_archive_knows_no_clock_and_no_machine():
-    with zipfile.ZipFile(io.BytesIO(build_package(inputs_of()))) as packed:
+    with zipfile.ZipFile(io.BytesIO(build_package(make_inputs()))) as packed:
         entries = packed.infolist()
     assert {entry.date_time for entry in entries} == {(1980, 1, 1, 0, 0, 0)}
     assert {(entry.compress_type, entry.create_system) for entry in entries} == {(zipfile.ZIP_STORED, 3)}
@@ -82,13 +82,13 @@ def test_sums_name_every_file_and_the_way_back_has_the_same_files_of_the_other_s
 
 @pytest.mark.parametrize("model", MODELS)
 def test_it_can_be_built_again_of_its_own_manifest(model):
-    content = build_package(inputs_of(model))
-    manifest = json.loads(_files(inputs_of(model))["MANIFEST.json"])
+    content = build_package(make_inputs(model))
+    manifest = json.loads(_files(make_inputs(model))["MANIFEST.json"])
     assert build_package(manifest["inputs"]) == content
 
 
 def test_the_sheet_marks_a_gate_that_is_only_observed():
-    inputs = inputs_of()
+    inputs = make_inputs()
     said = []
     for observed in (False, True):
         gates = inputs["subject"]["gates"] | {"document": {"gates": [GATE | {"observe_only": observed}]}}
@@ -98,7 +98,7 @@ def test_the_sheet_marks_a_gate_that_is_only_observed():
 
 
 def test_what_is_active_on_board_is_there_too_where_it_is_neither():
-    files = _files(inputs_of() | {"active": set_of("pinhole_radial", 0, -1e-6)})
+    files = _files(make_inputs() | {"active": make_set("pinhole_radial", 0, -1e-6)})
     manifest = json.loads(files["MANIFEST.json"])
     assert json.loads(files["on_board/parameters.json"])["parameter_set"]["name"] == "PS-FM1-0"
     assert "PS-FM1-0 is recorded as active" in manifest["backout"]["sentence"]
@@ -130,8 +130,8 @@ def test_the_hex_text_is_the_image_and_quantisation_is_small_for_single_precisio
 
 
 def test_the_manifest_names_the_crc_with_all_its_parameters():
-    document = definition_of() | {"crc": {"name": "CRC-32"}}
-    files = _files(inputs_of(definition=document))
+    document = make_definition() | {"crc": {"name": "CRC-32"}}
+    files = _files(make_inputs(definition=document))
     crc = json.loads(files["MANIFEST.json"])["tables"]["."]["crc"]
     assert int(crc["value"], 16) == zlib.crc32(files["table.bin"])
     assert (crc["width"], crc["poly"], crc["check"]) == (32, "0x04C11DB7", "0xCBF43926")
@@ -151,25 +151,25 @@ def test_the_sheet_escapes_what_people_wrote_and_has_changes_signatures_waivers_
 
 
 def test_without_a_definition_nothing_is_made_up_and_a_way_back_that_does_not_fit_is_refused():
-    files = _files(inputs_of() | {"definition": None})
+    files = _files(make_inputs() | {"definition": None})
     assert not [name for name in files if "table" in name or "pus" in name or "quantisation" in name]
     assert all(row["type"] == "float64" for row in _rows(files["parameters.csv"]))
     assert json.loads(files["MANIFEST.json"])["flight_software_version"] is None
-    document = definition_of()
+    document = make_definition()
     document["fields"][2] |= {"type": "uint16", "scale": 1e-9, "offset": 0.05}
     with pytest.raises(RefusedInputError, match="PS-FM1-1 does not fit into the table STR_CAM"):
-        build_package(inputs_of(definition=document) | {"backout": set_of("pinhole_radial", 1, -1e-3)})
+        build_package(make_inputs(definition=document) | {"backout": make_set("pinhole_radial", 1, -1e-3)})
 
 
 def test_pus_is_listed_only_where_it_is_configured(files):
     assert "pus_st20.csv" not in files
-    listed = _rows(_files(inputs_of(definition=definition_of(pus={"parameter_ids": IDS})))["pus_st20.csv"])
+    listed = _rows(_files(make_inputs(definition=make_definition(pus={"parameter_ids": IDS})))["pus_st20.csv"])
     assert [row["parameter_id"] for row in listed[:-1]] == [f"0x{number:04X}" for number in IDS.values()]
     assert "decided by the on-board software" in listed[-1]["note"]
 
 
 def test_a_simulated_sensor_is_said_to_be_one_and_the_way_back_is_named_with_its_crc(files):
-    simulated = _files(inputs_of() | {"simulated": True})
+    simulated = _files(make_inputs() | {"simulated": True})
     assert json.loads(simulated["MANIFEST.json"])["simulated"] is True
     assert b"SIMULATED: " in simulated["verification_sheet.html"]
     assert b"SIMULATED: " not in files["verification_sheet.html"]

@@ -22,7 +22,7 @@ from boresight.uplink.parameter_service import application_data, type_code
 from boresight.uplink.table_definition import crc_told, decode, encode, parse_definition, quantised, table_crc
 from boresight.uplink.table_files import table_files
 from tests.effort import effort
-from tests.uplink.packages import INITIAL, definition_of, definitions, sensor_of, set_of
+from tests.uplink.packages import INITIAL, definitions, make_definition, make_sensor, make_set
 
 PINHOLE = INITIAL["pinhole_radial"]
 
@@ -48,21 +48,21 @@ ALGORITHMS = {
 
 
 def _definition(document, model="pinhole_radial"):
-    return parse_definition(document, sensor_of(model))
+    return parse_definition(document, make_sensor(model))
 
 
 @pytest.mark.parametrize(
     ("name", "check"), [("CRC-16/ARC", 0xBB3D), ("CRC-16/CCITT-FALSE", 0x29B1), ("CRC-32", 0xCBF43926)]
 )
 def test_named_crcs_have_the_published_check_values(name, check):
-    crc = _definition(definition_of(crc={"name": name})).crc
+    crc = _definition(make_definition(crc={"name": name})).crc
     assert crc.value(b"123456789") == check == _bitwise(b"123456789", *ALGORITHMS[name])
     assert int(crc.document()["check"], 16) == check
 
 
 @given(st.binary(max_size=200), st.sampled_from(sorted(ALGORITHMS)))
 def test_a_crc_is_that_of_its_definition_on_any_bytes(content, name):
-    crc = _definition(definition_of(crc={"name": name})).crc
+    crc = _definition(make_definition(crc={"name": name})).crc
     assert crc.value(content) == _bitwise(content, *ALGORITHMS[name])
 
 
@@ -76,32 +76,32 @@ def test_a_crc_of_the_missions_own_parameters_is_computed_by_them(content, width
     poly, init, xorout = (data.draw(number) for _ in range(3))
     refin, refout = data.draw(st.booleans()), data.draw(st.booleans())
     own = {"name": "own", "width": width, "poly": poly | 1, "init": init, "refin": refin, "refout": refout}
-    crc = _definition(definition_of(crc=own | {"xorout": xorout})).crc
+    crc = _definition(make_definition(crc=own | {"xorout": xorout})).crc
     assert crc.value(content) == _bitwise(content, width, poly | 1, init, refin, refout, xorout)
 
 
 def test_a_table_is_the_bytes_that_struct_makes_in_either_order_fixed_point_or_inside_a_byte():
-    document = definition_of()
+    document = make_definition()
     body = struct.pack(">H2s6f2s", 3, b"\xa5\xa5", *PINHOLE.values(), b"\xa5\xa5")
     crc = _bitwise(body[:30], *ALGORITHMS["CRC-16/CCITT-FALSE"])
     assert encode(_definition(document), PINHOLE) == body[:30] + struct.pack(">H", crc)
-    document = definition_of(byte_order="little", crc=None)
+    document = make_definition(byte_order="little", crc=None)
     document["fields"][2] |= {"type": "int32", "scale": 1e-9}
     values = list(PINHOLE.values())
     expected = struct.pack("<H2sfi4f4s", 3, b"\xa5" * 2, values[0], 50_000_000, *values[2:], b"\xa5" * 4)
     assert encode(_definition(document), PINHOLE) == expected
-    inside = definition_of(crc=None, length_bytes=32, fill=0)
+    inside = make_definition(crc=None, length_bytes=32, fill=0)
     inside["fields"][0] = {"name": "FLAGS", "constant": 5, "offset_bits": 3, "type": "uint7"}
     assert encode(_definition(inside), PINHOLE)[:2] == (5 << 6).to_bytes(2, "big")
 
 
 def test_a_number_that_does_not_fit_and_an_image_of_another_length_are_refused():
-    document = definition_of()
+    document = make_definition()
     document["fields"][2] |= {"type": "int16", "scale": 1e-9}
     with pytest.raises(RefusedInputError, match=r"F_M cannot hold 0\.05: a int16 of scale 1e-09.* to 3\.2767e-05"):
         encode(_definition(document), PINHOLE)
     with pytest.raises(RefusedInputError, match="has 3 bytes and the table STR_CAM has 32"):
-        decode(_definition(definition_of()), b"abc")
+        decode(_definition(make_definition()), b"abc")
 
 
 @settings(max_examples=effort(30, 150), deadline=None)
@@ -145,15 +145,15 @@ def test_what_the_table_holds_it_holds_for_ever(made):
 
 
 def test_a_crc_that_is_not_in_the_table_is_of_the_whole_image_and_cfe_tells_its_own():
-    definition = _definition(definition_of(crc={"name": "CRC-16/ARC"}))
+    definition = _definition(make_definition(crc={"name": "CRC-16/ARC"}))
     image = encode(definition, PINHOLE)
     assert table_crc(definition, image) == _bitwise(image, *ALGORITHMS["CRC-16/ARC"])
     assert decode(definition, image).crc_ok is None
-    with_cfe, without = (_definition(definition_of() | more) for more in ({"cfe": {"table_name": "A.B"}}, {}))
+    with_cfe, without = (_definition(make_definition() | more) for more in ({"cfe": {"table_name": "A.B"}}, {}))
     image = encode(without, PINHOLE)
     assert crc_told(with_cfe, image)[1] == _bitwise(image, *ALGORITHMS["CRC-16/ARC"])
     assert crc_told(without, image)[1] == _bitwise(image[:30], *ALGORITHMS["CRC-16/CCITT-FALSE"])
-    assert crc_told(_definition(definition_of(crc=None)), image) is None
+    assert crc_told(_definition(make_definition(crc=None)), image) is None
 
 
 IDS = {name: 4096 + place for place, name in enumerate(PINHOLE)}
@@ -235,23 +235,23 @@ WRONG = {
 @pytest.mark.parametrize("name", WRONG)
 def test_a_slip_is_refused_where_it_stands(name):
     change, sentence = WRONG[name]
-    document = copy.deepcopy(definition_of())
+    document = copy.deepcopy(make_definition())
     change(document)
     with pytest.raises(RefusedInputError, match=sentence):
-        parse_definition(document, sensor_of())
+        parse_definition(document, make_sensor())
 
 
 def test_what_is_no_object_another_camera_s_table_or_a_type_without_a_pus_code_is_refused():
-    document = definition_of()
+    document = make_definition()
     document["fields"][1] |= {"type": "uint20", "scale": 1e-3}
-    parse_definition(document, sensor_of())
+    parse_definition(document, make_sensor())
     refused = [(None, "one JSON object"), ([], "one JSON object"), ("x", "one JSON object"), (3, "one JSON object")]
     whole = r"TC\[20,3\] cannot be made of whole bytes"
     for given_document, sentence in (*refused, (document | {"pus": {"parameter_ids": IDS}}, whole)):
         with pytest.raises(RefusedInputError, match=sentence):
-            parse_definition(given_document, sensor_of())
+            parse_definition(given_document, make_sensor())
     with pytest.raises(RefusedInputError, match="parameter is 's': choose f_m"):
-        parse_definition(definition_of(), sensor_of("inverted_wang"))
+        parse_definition(make_definition(), make_sensor("inverted_wang"))
 
 
 JUNK = st.recursive(
@@ -271,13 +271,13 @@ PLACES += [("crc", key) for key in ("name", "width", "poly", "offset_bytes", "ov
 @settings(max_examples=effort(60, 300), deadline=None)
 @given(st.sampled_from(PLACES), JUNK)
 def test_whatever_stands_anywhere_is_read_or_refused_and_nothing_else(place, junk):
-    document = copy.deepcopy(definition_of())
+    document = copy.deepcopy(make_definition())
     inside = document
     for step in place[:-1]:
         inside = inside[step]
     inside[place[-1]] = junk
     try:
-        definition = parse_definition(document, sensor_of())
+        definition = parse_definition(document, make_sensor())
     except RefusedInputError:
         return
     assert decode(definition, encode(definition, INITIAL["pinhole_radial"])).crc_ok is not False
@@ -287,7 +287,7 @@ CFE = {"table_name": "STR_APP.CAMERA", "spacecraft_id": 66, "processor_id": 1, "
 
 
 def _defined(**others):
-    return parse_definition(definition_of(**others), sensor_of())
+    return parse_definition(make_definition(**others), make_sensor())
 
 
 def test_a_cfe_file_has_the_headers_that_cfe_reads_big_endian_whatever_the_table_is():
@@ -351,7 +351,7 @@ def _rebuilt(text, length):
 @given(definitions())
 def test_openc3_s_definition_alone_makes_the_image(made):
     model, document = made
-    definition = parse_definition(document, sensor_of(model))
+    definition = parse_definition(document, make_sensor(model))
     files = table_files(definition, INITIAL[model], "PS-FM1-1")
     assert _rebuilt(files["table_def.txt"].decode(), definition.length_bytes) == files["table.bin"]
 
@@ -380,9 +380,9 @@ CODES = {"uint8": (3, 4), "uint16": (3, 12), "uint24": (3, 13), "int32": (4, 14)
 
 @pytest.mark.parametrize(("kind", "code"), [*CODES.items(), ("float64", (5, 2))])
 def test_types_are_told_by_the_codes_of_the_standard(kind, code):
-    document = definition_of(kind="float64")
+    document = make_definition(kind="float64")
     document["fields"][1] |= {"type": kind, "scale": 0.5}
-    assert type_code(parse_definition(document, sensor_of()).fields[1]) == code
+    assert type_code(parse_definition(document, make_sensor()).fields[1]) == code
 
 
 def _matrix(text, name):
@@ -412,7 +412,7 @@ def _opencv_projection(K, distortion, x, y, z):
 )
 def test_opencv_s_own_formula_finds_the_same_pixels(s, f, u0, v0, k1, k2, name):
     parameters = dict(zip(INITIAL["pinhole_radial"], (s, f, u0, v0, k1, k2), strict=True))
-    sensor = sensor_of()
+    sensor = make_sensor()
     text = camera_files(sensor, parameters, "PS-FM1-1")[name].decode()
     random = np.random.default_rng(1)
     tangents = random.uniform(-0.15, 0.15, (2, 500))
@@ -427,13 +427,13 @@ def test_opencv_s_own_formula_finds_the_same_pixels(s, f, u0, v0, k1, k2, name):
 
 
 def test_sizes_the_projection_and_exponents_are_written_as_ros_and_yaml_read_them():
-    text = camera_files(sensor_of(), INITIAL["pinhole_radial"], "PS-FM 1-1")["camera_info.yaml"].decode()
+    text = camera_files(make_sensor(), INITIAL["pinhole_radial"], "PS-FM 1-1")["camera_info.yaml"].decode()
     K, P = _matrix(text, "camera_matrix").reshape(3, 3), _matrix(text, "projection_matrix").reshape(3, 4)
     for line in ("camera_name: PS_FM_1_1\n", "image_width: 1024\n", "distortion_model: plumb_bob\n"):
         assert line in text
     np.testing.assert_array_equal(P, np.column_stack([K, np.zeros(3)]))
     parameters = INITIAL["pinhole_radial"] | {"k1": 1e-07, "k2": 2.5e-9}
-    text = camera_files(sensor_of(), parameters, "x")["camera_opencv.yaml"].decode()
+    text = camera_files(make_sensor(), parameters, "x")["camera_opencv.yaml"].decode()
     yaml_float = re.compile(r"[-+]?[0-9][0-9_]*\.[0-9]*([eE][-+][0-9]+)?")
     assert "[1.0e-07, 2.5e-09, 0.0, 0.0, 0.0]" in text
     assert all(yaml_float.fullmatch(word) for line in re.findall(r"data: \[(.*?)\]", text) for word in line.split(", "))
@@ -448,7 +448,7 @@ def test_sizes_the_projection_and_exponents_are_written_as_ros_and_yaml_read_the
     ],
 )
 def test_a_camera_that_is_none_of_theirs_is_refused_with_the_reason(model, parity, reason):
-    files = camera_files(sensor_of(model, parity), INITIAL[model], "PS-FM1-1")
+    files = camera_files(make_sensor(model, parity), INITIAL[model], "PS-FM1-1")
     assert list(files) == ["camera_files.txt"]
     assert files["camera_files.txt"].startswith(b"Refused")
     assert reason in files["camera_files.txt"].decode()
@@ -458,14 +458,18 @@ FOUND = {"sentence": "Loading these parameters turns the reported attitude by 4.
 
 
 def aligned(started_from):
-    subject = set_of("inverted_wang", 2, 1e-6, run={"started_from": started_from["document"]["parameters"]})
+    subject = make_set("inverted_wang", 2, 1e-6, run={"started_from": started_from["document"]["parameters"]})
     subject["document"]["alignment"] = FOUND
     return subject
 
 
 def test_only_a_turn_against_the_replaced_set_is_given_and_another_withheld_with_the_reason():
-    before, other, plain = set_of("inverted_wang", 1), set_of("inverted_wang", 1, 5e-6), set_of("inverted_wang", 2)
-    sets = ((aligned(before), before), (aligned(set_of("inverted_wang", 0)), other), (plain, before))
+    before, other, plain = (
+        make_set("inverted_wang", 1),
+        make_set("inverted_wang", 1, 5e-6),
+        make_set("inverted_wang", 2),
+    )
+    sets = ((aligned(before), before), (aligned(make_set("inverted_wang", 0)), other), (plain, before))
     told, withheld, unknown = (json.loads(alignment_json(*pair)) for pair in sets)
     assert told["alignment"] == FOUND
     assert told["use"].startswith("C_SD_new = C_SD_old c_sd_update")

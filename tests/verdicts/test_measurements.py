@@ -287,14 +287,14 @@ def known(x):
     return {**ground_set(SENSOR), "parameters": dict(zip(NAMES, x.tolist(), strict=True)), "covariance": covariance}
 
 
-def frames_of(number, frames, catalogue):
+def make_frames(number, frames, catalogue):
     scenario = dataclasses.replace(validation_scenario(1), frames=frames)
     return simulate(scenario, np.random.default_rng(number), catalogue)
 
 
 def scores(incumbent, candidate, number, catalogue, frames=30):
     return compute_validation_scores(
-        frames_of(number, frames, catalogue), SENSOR, catalogue, incumbent, candidate, GIVEN
+        make_frames(number, frames, catalogue), SENSOR, catalogue, incumbent, candidate, GIVEN
     )
 
 
@@ -370,7 +370,7 @@ def test_where_no_frame_changed_sides_the_change_is_known_no_better_than_so_many
 def test_a_runs_own_validation_gives_the_scores_that_seeing_the_frames_again_gives(catalogue):
     scenario = dataclasses.replace(calibration_scenario(1), frames=20)
     telemetry = simulate(scenario, np.random.default_rng(11), catalogue)
-    validation = frames_of(12, 20, catalogue)
+    validation = make_frames(12, 20, catalogue)
     result = calibrate(telemetry, SENSOR, catalogue, GIVEN, validation=validation)
     own = of_result(result)
     assert own == compute_validation_scores(validation, SENSOR, catalogue, ground_set(SENSOR), result, GIVEN)
@@ -390,7 +390,7 @@ def test_calibrations_of_good_telemetry_pass_and_are_not_blocked_however_few_the
     for number in range(6):
         scenario = dataclasses.replace(calibration_scenario(1), frames=(4, 12, 40)[number % 3])
         telemetry = simulate(scenario, np.random.default_rng(20 + number), catalogue)
-        result = calibrate(telemetry, SENSOR, catalogue, GIVEN, validation=frames_of(30 + number, 20, catalogue))
+        result = calibrate(telemetry, SENSOR, catalogue, GIVEN, validation=make_frames(30 + number, 20, catalogue))
         report = assess(result, SENSOR, ground_set(SENSOR), profile)
         assert report["blocking"] == [], number
         assert "FAIL" not in {one["status"] for one in report["gates"]}

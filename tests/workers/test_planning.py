@@ -82,7 +82,7 @@ def test_neither_a_long_run_nor_a_suspect_is_put_behind_others_nor_overtaken_by_
 THREADS = {"tcp://a": 1, "tcp://b": 2}
 
 
-def tasks_of(*made):
+def add_tasks(*made):
     found = DispatchedTasks()
     for task in made:
         found.add(task)
@@ -95,7 +95,7 @@ def task(worker, run_id, **more):
 
 @given(st.lists(st.tuples(st.sampled_from(sorted(THREADS)), st.booleans()), max_size=8))
 def test_no_thread_is_ever_given_more_than_two_tasks(offers):
-    found = tasks_of()
+    found = add_tasks()
     for run_id, (worker, short) in enumerate(offers):
         if worker in found.free(THREADS):
             found.add(task(worker, run_id, short=short))
@@ -108,15 +108,15 @@ def test_no_thread_is_ever_given_more_than_two_tasks(offers):
 
 
 def test_only_threads_with_short_runs_and_nothing_behind_are_followed():
-    assert tasks_of(task("tcp://a", 1)).followed(THREADS) == []
+    assert add_tasks(task("tcp://a", 1)).followed(THREADS) == []
     short = task("tcp://a", 1, short=True)
-    assert tasks_of(short).followed(THREADS) == ["tcp://a"]
-    assert tasks_of(short, task("tcp://a", 2, short=True, behind=True)).followed(THREADS) == []
+    assert add_tasks(short).followed(THREADS) == ["tcp://a"]
+    assert add_tasks(short, task("tcp://a", 2, short=True, behind=True)).followed(THREADS) == []
 
 
 def test_what_waited_behind_comes_to_the_thread_when_that_is_free_and_its_clock_begins_then():
     first, second = task("tcp://a", 1, short=True), task("tcp://a", 2, short=True, behind=True, since_s=0.0)
-    found = tasks_of(first, second)
+    found = add_tasks(first, second)
     found.advance(THREADS)
     assert second.behind
     found.remove(first)
@@ -128,14 +128,14 @@ def test_what_waited_behind_comes_to_the_thread_when_that_is_free_and_its_clock_
 
 def test_nothing_comes_to_the_thread_of_a_worker_that_is_gone():
     first, second = task("tcp://a", 1, short=True), task("tcp://a", 2, short=True, behind=True)
-    found = tasks_of(first, second)
+    found = add_tasks(first, second)
     found.remove(first)
     found.advance({"tcp://b": 2})
     assert second.behind
 
 
 def test_what_waits_too_long_behind_another_is_overdue():
-    found = tasks_of(task("tcp://a", 1, short=True), task("tcp://a", 2, short=True, behind=True, since_s=-1e6))
+    found = add_tasks(task("tcp://a", 1, short=True), task("tcp://a", 2, short=True, behind=True, since_s=-1e6))
     assert [one.members for one in found.overdue(10.0)] == [{(2, 1)}]
     assert found.overdue(1e12) == []
 

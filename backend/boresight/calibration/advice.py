@@ -1,11 +1,10 @@
 """What a person should know before believing a calibration: one sentence each, the gravest first.
 
-What would make weak directions known: a parameter to hold fixed, more frames, or stars elsewhere on the detector.
-
-Holding parameter p strikes its row and column from the information A. The direction that is left open longest goes first: of all
-parameters the one is held whose absence leaves the least known direction known best, until none is weak. Frames like these add to
-A in proportion, so a direction known to s typical sigmas needs (s / `WEAK`)^2 times as many. What the detector shows of its own
-coverage is how far out stars lie and how many of its parts hold any.
+A weak direction is made known by a parameter to hold fixed, more frames, or stars elsewhere on the detector. Holding parameter p
+strikes its row and column from the information A. The direction that is left open longest goes first: of all parameters the one
+is held whose absence leaves the least known direction known best, until none is weak. Frames like these add to A in proportion,
+so a direction known to s typical sigmas needs (s / `WEAK`)^2 times as many. What the detector shows of its own coverage is how
+far out stars lie and how many of its parts hold any.
 """
 
 from __future__ import annotations

@@ -5,8 +5,6 @@ centroid: the mean of n stars knows a place to centroid_sigma_px / sqrt(n), so t
 just begin to see it. The strongly distorted lens of W Table 1 misses this: its 0.1 arcsec would be as large as all that a
 calibration of 2,400 frames leaves open. Whoever needs it closer, or can do with less, says so.
 
-Parameters of one camera model written in another, where the two can say the same.
-
 `inverted_wang` gives the tangent of a ray as a polynomial of the place on the detector, `pinhole_radial` the place as a polynomial
 of the tangent. With R = rho / f (the focal lengths below) the one is the inverse series of the other::
 
@@ -19,8 +17,8 @@ and neither series ends where the other does. Exact is only the lens without dis
     s = 1 / g_y     f_pinhole = f / g_y     u_0 = n_0     v_0 = m_0.
 
 So the start is that of the series, and where it is not exact the target is fitted to the source's directions over a grid of the
-detector by Gauss and Newton. What is left is the misfit, which comes with the answer; how much of it may be is for
-`calibration.conversion` to say. Directions in D are kept as they are: a rotation, which arcs cannot see, would be a change of C_SD.
+detector by Gauss and Newton. What is left is the misfit, which comes with the answer; how much of it may be is said
+above. Directions in D are kept as they are: a rotation, which arcs cannot see, would be a change of C_SD.
 
 The covariance follows by the derivative of the fit, with J the derivatives of all directions: dx' = (J'^T J')^-1 J'^T J dx. What
 the target cannot express, (J - J' dx'/dx) dx, is lost; its largest size over the detector comes with the answer. A value or a

@@ -10,16 +10,14 @@ Attitude conventions: `quaternion` is x y z w, Hamilton, ICRS to the right-hande
 the boresight, the z axis; roll is the position angle of the x axis (increasing rows) there, from north through east; sigmas
 are about the axes x, y, z of the triad, from centroid noise at these parameters.
 
-Catalogue stars that an exposure should show and did not: projected by its attitude under the run's parameters.
+A frame is shown under two states: old are the sensor's parameters when the run was launched, new those of its result. With
+`match` "rematch" a run keeps no matches, so the frame is matched again here, on its own: what the stars of a frame say of the
+parameters serves that frame alone (`sky.matching`), so the answer is the run's, but for a frame that could only be started from a
+neighbour's attitude; for such a one its neighbours are matched too. A filter matched each frame with what it knew by then; here
+its last parameters are taken. Catalogue stars that an exposure should show and did not are projected by its attitude under the
+run's parameters.
 
-The two states that a frame of a run is shown under, and the frame's stars as the run identified them.
-
-Old are the sensor's parameters when the run was launched, new those of its result. With `match` "rematch" a run keeps no
-matches, so the frame is matched again here, on its own: what the stars of a frame say of the parameters serves that frame alone
-(`sky.matching`), so the answer is the run's, but for a frame that could only be started from a neighbour's attitude; for such
-a one its neighbours are matched too. A filter matched each frame with what it knew by then; here its last parameters are taken.
-
-What became of every detection of a frame: used, left out, rejected or unmatched, and why.
+Every detection is one of these, and says why.
 
 ==========  ==================================================================================================
 used        matched, and in the arcs that the run was fitted to

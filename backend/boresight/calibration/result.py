@@ -2,10 +2,8 @@
 
 Numbers are SI in parameter order; null stands where a number was not estimated or cannot be known, never NaN.
 
-What a trend over the mission keeps of a calibration: its parameters with the full covariance, made honest.
-
-A test of drift is as good as the covariances it is given, and a covariance that is too small cries wolf. So variances are
-multiplied by the largest of
+For a trend over the mission the parameters are kept with their full covariance, made honest: a test of drift is as good as the
+covariances it is given, and a covariance that is too small cries wolf. So variances are multiplied by the largest of
 
 - chi-square per degree of freedom, where it is above its 95 % bound: the residuals are larger than the stated noise;
 - a filter's normalised innovations per degree of freedom, where they are above theirs;
@@ -14,7 +12,7 @@ multiplied by the largest of
 and what no factor makes comparable takes no part, with the reason: filters whose estimate is of their last frames only, or
 whose matches were held to another set's parameters, or that linearise once a frame (see `estimation.filters.square_root`).
 
-What the figures draw, computed once with the result: histories, the batch's trace, the radial difference, coverage.
+What the figures draw is computed once with the result: histories, the batch's trace, the radial difference, coverage.
 """
 
 from __future__ import annotations
@@ -269,7 +267,7 @@ def document(
 
 
 def _not_yet() -> dict[str, Any]:
-    """What `judgement` fills in when the estimate has ended."""
+    """What the evaluation fills in when the estimate has ended."""
     return {
         "judged_on": None,
         "evaluation": None,

@@ -1,4 +1,4 @@
-"""How a filter is run over a set: pooled start, chunks, matching again on the way, and judgement by the whole set at its end.
+"""How a filter is run over a set: pooled start, chunks, matching again on the way, and evaluation on the whole set at its end.
 
 A filter takes its frames from a `Frames`: those of a problem whose matches stand, or frames matched again with the
 state that the filter has when it comes to them (E section II-D.2). Weights, and matches where they are made again, are taken for a

@@ -160,12 +160,12 @@ def _lines(result: dict[str, Any]) -> Iterator[str]:
     yield ""
     yield aligned([HEADINGS, *(row.cells for row in printed_rows(result))], left=(0, 1, 6))
     yield ""
-    yield aligned(list(_judgements(result)), left=(0, 1))
+    yield aligned(list(_scores(result)), left=(0, 1))
     for sentence in result["advice"]:
         yield f"\n- {sentence}"
 
 
-def _judgements(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _scores(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "RMS arc error", _pair(result["rms_arc_rad"])
     if (fit := result["chi2"]) is not None:
         yield "chi2 per degree of freedom", _test(result["chi2_per_dof"], fit)

@@ -39,7 +39,7 @@ def make_example_traces(names: tuple[str, ...]) -> list[Trace]:
 
 
 def _half_way(result: Result) -> Result:
-    """Return what a filter had told when half of its frames were in: no judgement yet, half a history."""
+    """Return what a filter had told when half of its frames were in: no evaluation yet, half a history."""
     history = result["history"]
     half = len(history["frame"]) // 2
     halved = {key: value[:half] if isinstance(value, list) else value for key, value in history.items()}

@@ -1,10 +1,9 @@
-"""The history of an estimate: how parameters and their sigmas moved, by frame or by iteration.
+"""The history of an estimate, by frame or by iteration: how parameters and their sigmas moved, and the error once it has settled.
 
-The tail of a run: what its error is once it has settled, in numbers with their sigma.
-
-An RMS of n independent arc errors of one sigma is known to rms / sqrt(2 n): the square of it is a mean of n squares, each with
-twice its variance (chi-square with n degrees of freedom). Tail and aggregate of one set share their arcs, so their
-difference is known better than either; the sigma tells how far the next set's RMS may lie from this one's.
+The settled part is the tail of a run, whose RMS is told with its sigma. An RMS of n independent arc errors of one sigma is known to
+rms / sqrt(2 n): the square of it is a mean of n squares, each with twice its variance (chi-square with n degrees of freedom). Tail
+and aggregate of one set share their arcs, so their difference is known better than either; the sigma tells how far the next set's
+RMS may lie from this one's.
 """
 
 from __future__ import annotations

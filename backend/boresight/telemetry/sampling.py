@@ -61,7 +61,7 @@ DECIMALS = 6
 
 
 @lru_cache(REMEMBERED)
-def exposure_marks(path: Path) -> NDArray[np.complex128]:
+def exposure_keys(path: Path) -> NDArray[np.complex128]:
     """Return what each exposure of a stored table is known by: sum of rows + i sum of columns, (n_exposures,)."""
     sums = [np.zeros(0, np.complex128)]
     for part in WorkingTable(path).parts():
@@ -74,6 +74,6 @@ def shared_exposures(one: Path, other: Path) -> tuple[float, float]:
     """Return the share of each table's exposures that the other table has too, 0 to 1."""
     if one == other:
         return 1.0, 1.0
-    marks = exposure_marks(one), exposure_marks(other)
-    common = len(np.intersect1d(*marks))
-    return common / max(len(marks[0]), 1), common / max(len(marks[1]), 1)
+    keys = exposure_keys(one), exposure_keys(other)
+    common = len(np.intersect1d(*keys))
+    return common / max(len(keys[0]), 1), common / max(len(keys[1]), 1)

@@ -7,7 +7,7 @@
  * at most a fifth of the time: a figure out of sight waits until it comes near the window, and all wait as drawing costs.
  */
 import { find, findAll } from "../shared/dom.js";
-import { renewPage } from "../shared/live-parts.js";
+import { renewPage } from "../shared/renew-page.js";
 import { PlotFigure } from "../shared/plot-figure.js";
 import { forget, grow, keep } from "./live-history.js";
 

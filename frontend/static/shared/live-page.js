@@ -1,5 +1,5 @@
 /** Keeps a page's live parts fresh: after an event of the server the page is read again, and they are renewed from it. */
-import { renewPage } from "./live-parts.js";
+import { renewPage } from "./renew-page.js";
 
 /** @satisfies {Partial<Record<keyof FeedEventMap, number>>} */
 const AFTER_MS = { "boresight:run": 600, "boresight:audit": 600, "boresight:missed": 600, "boresight:progress": 3000 };

@@ -35,7 +35,7 @@ People = Mapping[str, Actor]
 
 
 @pytest.fixture
-def request_of(engine, people, candidate, blobs) -> Callable[..., Approval]:
+def submit_request(engine, people, candidate, blobs) -> Callable[..., Approval]:
     def make(submitted_by: str = "ana", launched_by: str = "ana", policy: Policy = POLICY) -> Approval:
         row = candidate(launched_by)
         with open_writing(engine) as session:
@@ -74,8 +74,8 @@ def _states(engine: Engine, approval: Approval) -> tuple[str, str]:
         return row.state, session.get_one(ParameterSet, row.parameter_set_id).ground_state
 
 
-def test_one_approval_by_a_second_person_approves(engine, people, request_of):
-    approval = request_of()
+def test_one_approval_by_a_second_person_approves(engine, people, submit_request):
+    approval = submit_request()
     signature = _sign(engine, people["cy"], approval)
     assert _states(engine, approval) == ("APPROVED", "APPROVED")
     assert (signature.printed_name, signature.decision, signature.meaning) == ("Cy", "APPROVE", "I decide")
@@ -85,8 +85,8 @@ def test_one_approval_by_a_second_person_approves(engine, people, request_of):
         assert audit.verify(session).ok
 
 
-def test_one_refusal_blocks(engine, people, request_of, blobs):
-    approval = request_of()
+def test_one_refusal_blocks(engine, people, submit_request, blobs):
+    approval = submit_request()
     _sign(engine, people["cy"], approval, "REFUSE", comment="too few stars at the rim")
     assert _states(engine, approval) == ("REJECTED", "REJECTED")
     with open_reading(engine) as session:
@@ -97,8 +97,8 @@ def test_one_refusal_blocks(engine, people, request_of, blobs):
         approvals.submit(session, people["ana"], blobs, row.id, "once more", row.version)
 
 
-def test_a_refusal_stops_even_what_another_approved(engine, people, request_of):
-    approval = request_of()
+def test_a_refusal_stops_even_what_another_approved(engine, people, submit_request):
+    approval = submit_request()
     _sign(engine, people["cy"], approval)
     with pytest.raises(ConflictError, match="is APPROVED"):
         _sign(engine, people["bo"], approval, seen_version=2)
@@ -108,8 +108,8 @@ def test_a_refusal_stops_even_what_another_approved(engine, people, request_of):
         approvals.promote(session, people["dee"], approval.parameter_set_id, 4)
 
 
-def test_a_refusal_comes_too_late_after_the_promotion(engine, people, request_of):
-    approval = request_of()
+def test_a_refusal_comes_too_late_after_the_promotion(engine, people, submit_request):
+    approval = submit_request()
     _sign(engine, people["cy"], approval)
     _promote(engine, people["dee"], approval.parameter_set_id)
     with pytest.raises(ConflictError, match="is APPROVED: Cy approved it"):
@@ -126,8 +126,8 @@ def test_a_refusal_comes_too_late_after_the_promotion(engine, people, request_of
         ("root", "An administrator cannot sign"),
     ],
 )
-def test_who_is_no_approver_does_not_sign(engine, people, request_of, name, says):
-    approval = request_of()
+def test_who_is_no_approver_does_not_sign(engine, people, submit_request, name, says):
+    approval = submit_request()
     with pytest.raises(ForbiddenError, match=says):
         _sign(engine, people[name], approval)
     assert _states(engine, approval) == ("OPEN", "SUBMITTED")
@@ -137,18 +137,18 @@ def test_who_is_no_approver_does_not_sign(engine, people, request_of, name, says
     ("submitted_by", "launched_by", "says"),
     [("bo", "ana", "You submitted this set"), ("robot", "ana", "You submitted"), ("ana", "bo", "You launched run 1")],
 )
-def test_the_first_pair_of_eyes_is_not_the_second(engine, people, request_of, submitted_by, launched_by, says):
+def test_the_first_pair_of_eyes_is_not_the_second(engine, people, submit_request, submitted_by, launched_by, says):
     with open_writing(engine) as session:
         secret = api_keys.create_key(session, people["bo"], label="robot", scopes=["parameter-sets"])[1]
         people["robot"] = api_keys.actor_of_key(session, secret)  # a key of bo
-    approval = request_of(submitted_by, launched_by)
+    approval = submit_request(submitted_by, launched_by)
     with pytest.raises(ForbiddenError, match=says):
         _sign(engine, people["bo"], approval)
     _sign(engine, people["cy"], approval)
 
 
-def test_no_key_signs_whatever_its_owner_may(engine, people, request_of):
-    approval = request_of()
+def test_no_key_signs_whatever_its_owner_may(engine, people, submit_request):
+    approval = submit_request()
     with open_writing(engine) as session:
         secret = api_keys.create_key(session, people["cy"], label="robot", scopes=["parameter-sets"])[1]
         robot = api_keys.actor_of_key(session, secret)
@@ -158,8 +158,8 @@ def test_no_key_signs_whatever_its_owner_may(engine, people, request_of):
     assert _states(engine, approval) == ("OPEN", "SUBMITTED")
 
 
-def test_a_wrong_password_signs_nothing(engine, people, request_of):
-    approval = request_of()
+def test_a_wrong_password_signs_nothing(engine, people, submit_request):
+    approval = submit_request()
     with pytest.raises(UnauthenticatedError, match="do not fit"):
         _sign(engine, people["cy"], approval, password="wrong horse battery")
     assert _states(engine, approval) == ("OPEN", "SUBMITTED")
@@ -177,22 +177,22 @@ def test_a_wrong_password_signs_nothing(engine, people, request_of):
         ("APPROVE", {"seen_version": 7}, StaleError, "you saw v7, it is v1"),
     ],
 )
-def test_a_signature_that_lacks_something_is_refused(engine, people, request_of, decision, changes, error, says):
-    approval = request_of()
+def test_a_signature_that_lacks_something_is_refused(engine, people, submit_request, decision, changes, error, says):
+    approval = submit_request()
     with pytest.raises(error, match=says):
         _sign(engine, people["cy"], approval, decision, **changes)
     assert _states(engine, approval) == ("OPEN", "SUBMITTED")
 
 
-def test_nobody_signs_twice(engine, people, request_of):
-    approval = request_of()
+def test_nobody_signs_twice(engine, people, submit_request):
+    approval = submit_request()
     _sign(engine, people["cy"], approval)
     with pytest.raises(ConflictError, match="You signed this request already"):
         _sign(engine, people["cy"], approval, "REFUSE", seen_version=2)
 
 
-def test_hashes_that_moved_make_the_request_stale_and_its_set_free(engine, people, request_of):
-    approval = request_of()
+def test_hashes_that_moved_make_the_request_stale_and_its_set_free(engine, people, submit_request):
+    approval = submit_request()
     with open_writing(engine) as session:  # as if a table definition had been brought in past the services
         definition = TableDefinition(
             sensor_id=1, number=1, document={}, sha256="0" * 64, reason="", created_utc=utc_now()
@@ -206,8 +206,8 @@ def test_hashes_that_moved_make_the_request_stale_and_its_set_free(engine, peopl
         _sign(engine, people["cy"], approval, seen_version=2)
 
 
-def test_the_reason_why_somebody_may_not_sign_is_known_beforehand(engine, people, request_of):
-    approval = request_of()
+def test_the_reason_why_somebody_may_not_sign_is_known_beforehand(engine, people, submit_request):
+    approval = submit_request()
     with open_reading(engine) as session:
         reasons = {name: approvals.why_not_sign(session, actor, approval.id) for name, actor in people.items()}
     assert {name for name, reason in reasons.items() if reason is None} == {"bo", "cy"}
@@ -216,8 +216,8 @@ def test_the_reason_why_somebody_may_not_sign_is_known_beforehand(engine, people
         assert "already" in str(approvals.why_not_sign(session, people["cy"], approval.id))
 
 
-def test_a_person_who_lost_the_role_meanwhile_does_not_sign(engine, people, request_of):
-    approval, cy = request_of(), people["cy"]
+def test_a_person_who_lost_the_role_meanwhile_does_not_sign(engine, people, submit_request):
+    approval, cy = submit_request(), people["cy"]
     assert cy.user_id is not None
     with open_writing(engine) as session:
         users.change_roles(session, people["root"], cy.user_id, ["viewer"])
@@ -226,8 +226,8 @@ def test_a_person_who_lost_the_role_meanwhile_does_not_sign(engine, people, requ
         _sign(engine, now, approval)
 
 
-def test_requests_are_listed_by_state_newest_first(engine, people, request_of):
-    first, second = request_of(), request_of()
+def test_requests_are_listed_by_state_newest_first(engine, people, submit_request):
+    first, second = submit_request(), submit_request()
     _sign(engine, people["cy"], first)
     with open_reading(engine) as session:
         assert [row.id for row in lists.newest(session, Approval)] == [second.id, first.id]
@@ -341,8 +341,8 @@ def _days(approval: Approval) -> float:
     return round((until - since).total_seconds() / 86400, 3)
 
 
-def test_whoever_signs_too_late_finds_the_request_expired(engine, people, request_of):
-    approval = request_of(policy=AT_ONCE)
+def test_whoever_signs_too_late_finds_the_request_expired(engine, people, submit_request):
+    approval = submit_request(policy=AT_ONCE)
     with open_reading(engine) as session:
         assert "expired at" in str(approvals.why_not_sign(session, people["cy"], approval.id))
     with pytest.raises(ConflictError, match=r"Request 1 expired at 20.* Submit PS-ST16-1-1 again"):
@@ -350,8 +350,8 @@ def test_whoever_signs_too_late_finds_the_request_expired(engine, people, reques
     assert _states(engine, approval) == ("EXPIRED", "EXPIRED")
 
 
-def test_the_heartbeat_lets_expire_what_nobody_decided_and_tells_of_it_once(engine, request_of):
-    waiting, late, told = request_of(), request_of(policy=AT_ONCE), []
+def test_the_heartbeat_lets_expire_what_nobody_decided_and_tells_of_it_once(engine, submit_request):
+    waiting, late, told = submit_request(), submit_request(policy=AT_ONCE), []
     heart = Heartbeat(engine, lambda: told.append("told"))
     heart.beat()
     heart.beat()
@@ -366,8 +366,8 @@ def test_the_heartbeat_lets_expire_what_nobody_decided_and_tells_of_it_once(engi
         assert str(late.expires_utc) in str(record.reason)
 
 
-def test_the_heartbeat_beats_by_itself_and_stops(engine, request_of):
-    late = request_of(policy=AT_ONCE)
+def test_the_heartbeat_beats_by_itself_and_stops(engine, submit_request):
+    late = submit_request(policy=AT_ONCE)
     heart = Heartbeat(engine, lambda: None)
     heart.start()
     for _ in range(2):
@@ -375,8 +375,8 @@ def test_the_heartbeat_beats_by_itself_and_stops(engine, request_of):
     assert _states(engine, late) == ("EXPIRED", "EXPIRED")
 
 
-def test_an_approval_that_nobody_used_in_time_promotes_nothing(engine, people, request_of, monkeypatch):
-    approval = request_of()
+def test_an_approval_that_nobody_used_in_time_promotes_nothing(engine, people, submit_request, monkeypatch):
+    approval = submit_request()
     _sign(engine, people["cy"], approval)
     monkeypatch.setattr("boresight.console.approvals.staleness.utc_now", lambda: "2999-01-01T00:00:00.000000Z")
     with open_writing(engine) as session, pytest.raises(ConflictError, match="expired at"):
@@ -385,9 +385,9 @@ def test_an_approval_that_nobody_used_in_time_promotes_nothing(engine, people, r
 
 
 def test_what_expired_may_be_submitted_again_and_what_was_promoted_never_expires(
-    engine, people, blobs, request_of, monkeypatch
+    engine, people, blobs, submit_request, monkeypatch
 ):
-    late, used = request_of(policy=AT_ONCE), request_of()
+    late, used = submit_request(policy=AT_ONCE), submit_request()
     _sign(engine, people["cy"], used)
     with open_writing(engine) as session:
         staleness.expire_due_requests(session)
@@ -400,8 +400,8 @@ def test_what_expired_may_be_submitted_again_and_what_was_promoted_never_expires
     assert _states(engine, used) == ("APPROVED", "BASELINE")
 
 
-def test_an_operator_asks_to_roll_back_to_a_former_baseline_in_less_time(engine, people, request_of, roll_back):
-    approval = request_of()
+def test_an_operator_asks_to_roll_back_to_a_former_baseline_in_less_time(engine, people, submit_request, roll_back):
+    approval = submit_request()
     _sign(engine, people["cy"], approval)
     name = _promote(engine, people["dee"], approval.parameter_set_id).name
     with pytest.raises(ForbiddenError, match="analyst or operator"):

@@ -44,13 +44,13 @@ from tests.missions import add_run, add_set, make_baseline
 NOTHING = SensorFacts(baseline=None, last_run=None, onboard=(), waiting=None, telemetry_sets=0, days=None)
 
 
-def tile_of(engine: Engine) -> SensorTile:
+def find_tile(engine: Engine) -> SensorTile:
     with open_reading(engine) as session:
         return list_fleet_tiles(session)[0]
 
 
 def test_a_new_sensor_is_off_for_want_of_telemetry(engine):
-    tile = tile_of(engine)
+    tile = find_tile(engine)
     assert (tile.status, tile.telemetry_sets, tile.last_run) == ("off", 0, None)
     assert "upload" in tile.sentence
     assert tile.baseline is not None
@@ -75,7 +75,7 @@ def test_a_new_sensor_is_off_for_want_of_telemetry(engine):
 def test_the_newest_run_speaks_for_the_sensor(engine, finished_run, made, status, says):
     with open_writing(engine) as session:
         finished_run(session, **made)
-    tile = tile_of(engine)
+    tile = find_tile(engine)
     assert tile.status == status
     assert says in tile.sentence
 
@@ -108,7 +108,7 @@ def test_a_fit_that_its_page_doubts_is_not_normal_for_the_fleet(engine, finished
     with open_writing(engine) as session:
         run = finished_run(session)
         run.summary = summarise_run({"status": "converged", "chi2_per_dof": 1.0, **CONSISTENT, **found})
-    tile = tile_of(engine)
+    tile = find_tile(engine)
     assert tile.status == status
     assert says in tile.sentence
     assert tile.sentence.endswith(".")
@@ -121,21 +121,21 @@ def test_age_a_waiting_request_and_a_mismatch_speak_louder_than_an_older_run(
     with open_writing(engine) as session:
         finished_run(session, state="FAILED")
         finished_run(session)
-    assert tile_of(engine).status == "normal"
+    assert find_tile(engine).status == "normal"
     with open_writing(engine) as session:
         approvals.submit(session, people["ana"], blobs, row.id, "better", row.version)
-    tile = tile_of(engine)
+    tile = find_tile(engine)
     assert (tile.status, tile.sentence) == ("caution", f"{row.name} waits for a signature.")
     with open_writing(engine) as session:
         approvals.withdraw(session, people["ana"], row.id, row.version + 1)
         session.get_one(ParameterSet, 1).baseline_from_utc = utc_after(-200 * 86400.0)
-    tile = tile_of(engine)
+    tile = find_tile(engine)
     assert (tile.status, "200 days old; recalibrate" in tile.sentence) == ("caution", True)
     with open_writing(engine) as session:
         finished_run(session, state="FAILED")
         for state in ("SENT", "MISMATCH"):
             uplinks.record(session, people["dee"], 1, state, "pass 4711")
-    tile = tile_of(engine)
+    tile = find_tile(engine)
     assert (tile.status, "PS-ST16-1-0 does not match" in tile.sentence) == ("critical", True)
     with open_reading(engine) as session:
         stand, tiles = list_sensor_statuses(session), list_fleet_tiles(session)
@@ -149,7 +149,7 @@ def test_an_active_set_that_is_not_the_baseline_is_a_caution(engine, people, can
     advance(engine, people["dee"], "SENT", "LOADED", "VERIFIED", "ACTIVE")
     with open_writing(engine) as session:
         promote_by_hand(session, session.get_one(ParameterSet, row.id), utc_after(0.0))
-    tile = tile_of(engine)
+    tile = find_tile(engine)
     assert tile.active is not None
     assert tile.active.id == 1
     assert (tile.status, f"baseline is {row.name}" in tile.sentence) == ("caution", True)

@@ -169,14 +169,14 @@ def evaluation(**changes):
     } | changes
 
 
-def panel_of(page, read):
+def read_panel(page, read):
     return read(page).split("Before and after")[1].split("Parameter sets and baselines")[0]
 
 
 def test_a_sensor_shows_what_its_newest_validated_run_would_change_with_intervals(site, read, results):
     validated = site.add_run("batch", state="SUCCEEDED", result=results["batch"] | {"validation": evaluation()})
     site.add_run("batch", state="SUCCEEDED", result=results["batch"], validation_set_id=None)
-    panel = panel_of(site.visitor("victor").get("/sensors/1"), read)
+    panel = read_panel(site.visitor("victor").get("/sensors/1"), read)
     assert f"#{validated}" in panel
     assert "on its validation set" in panel
     numbers = ("43.8", "32.3 to 55.2", "100.0", "95.4 to 100.0", "5.66", "over 4.21", "632.5", "83.8", "81.2 to 86.5")
@@ -190,9 +190,9 @@ def test_without_a_validation_set_the_calibration_set_is_quoted_and_said_to_be_t
     }
     visitor = site.visitor("ada")
     visitor.post("/sensors", document=EXAMPLE)
-    assert "No finished run says yet" in panel_of(visitor.get("/sensors/2"), read)
+    assert "No finished run says yet" in read_panel(visitor.get("/sensors/2"), read)
     site.add_run("batch", state="SUCCEEDED", result=result, validation_set_id=None, sensor_id=2)
-    panel = panel_of(visitor.get("/sensors/2"), read)
+    panel = read_panel(visitor.get("/sensors/2"), read)
     assert "on its calibration set" in panel
     for words in ("20.0", "98.0", "5.66"):
         assert words in panel

@@ -132,7 +132,7 @@ def test_a_short_table_is_sorted_by_its_headings(site, address):
         assert len(re.findall(r"<t[hd][ >]", first)) == width
 
 
-def names_of(page):
+def list_names(page):
     return re.findall(r'<a href="/sensors/\d+">([^<]*)</a>', page.partition("<tbody")[2])
 
 
@@ -165,7 +165,7 @@ def fleet(site):
 )
 def test_sensors_are_narrowed_and_sorted_and_had_so_as_csv(site, query, names):
     visitor = site.visitor("victor")
-    assert names_of(visitor.get(f"/sensors{query}")) == names
+    assert list_names(visitor.get(f"/sensors{query}")) == names
     assert [row["sensor"] for row in csv.DictReader(io.StringIO(visitor.get(f"/sensors.csv{query}")))] == names
 
 
@@ -175,7 +175,7 @@ def test_a_long_list_of_sensors_comes_page_by_page_and_says_how_many_stand_so(si
     visitor, address, seen = site.visitor("victor"), "/sensors?sort=-f", []
     while address:
         page = visitor.get(address)
-        seen.append(names_of(page))
+        seen.append(list_names(page))
         following = re.search(r'<a href="([^"]*)" rel="next">Further sensors', page)
         address = following and unescape(following[1])
     assert seen == [["B-3", "B-4"], ["A-2", "A-1"], ["ST16-1"]]
@@ -186,7 +186,7 @@ def test_a_long_list_of_sensors_comes_page_by_page_and_says_how_many_stand_so(si
 def test_a_csv_of_sensors_has_the_fields_of_the_columns_that_are_picked(site):
     visitor = site.visitor("victor")
     address = re.search(r'<a href="(/sensors\?status=\w+)">1</a>', visitor.get("/"))[1]
-    assert names_of(visitor.get(address)) == ["ST16-1"]  # the overview leads from a count to the sensors behind it
+    assert list_names(visitor.get(address)) == ["ST16-1"]  # the overview leads from a count to the sensors behind it
     assert 'href="/sensors.csv?" download data-hotkey="e"' in visitor.get("/sensors")
     (row,) = csv.DictReader(io.StringIO(visitor.get("/sensors.csv")))
     assert (row["sensor"], row["camera_model"], row["rows"]) == ("ST16-1", "inverted_wang", "1944")

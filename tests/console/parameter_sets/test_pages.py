@@ -134,7 +134,7 @@ def test_a_set_carries_the_alignment_of_its_run_in_its_hash_or_none(set_with):
 
 
 @pytest.fixture
-def place_of(site, results):
+def submit_with(site, results):
     def place(alignment):
         run = site.add_run("batch", state="SUCCEEDED", result={**results["batch"], "alignment": alignment})
         return site.visitor("ada").post(f"/runs/{run}/parameter-set").headers["location"]
@@ -143,9 +143,9 @@ def place_of(site, results):
 
 
 def test_the_page_of_a_set_and_of_its_request_show_rotation_uncertainty_and_update_before_the_signature(
-    site, place_of, read
+    site, submit_with, read
 ):
-    place = place_of(TURNED)
+    place = submit_with(TURNED)
     for address in (place, requested(site, place)):
         text = read(site.visitor("alan").get(address))
         assert TURNED["sentence"] in text
@@ -157,18 +157,18 @@ def test_the_page_of_a_set_and_of_its_request_show_rotation_uncertainty_and_upda
     assert page.index('id="change-title"') < page.index('id="alignment-title"') < page.index('id="sign-title"')
 
 
-def test_a_rotation_that_changes_through_the_set_is_a_caution(site, place_of):
+def test_a_rotation_that_changes_through_the_set_is_a_caution(site, submit_with):
     def notices(alignment):
-        return site.visitor("victor").get(place_of(alignment)).count('class="notice notice-caution"')
+        return site.visitor("victor").get(submit_with(alignment)).count('class="notice notice-caution"')
 
     assert notices(TURNED | {"consistent": False}) == notices(TURNED) + 1
 
 
-def test_a_set_without_one_says_why(site, place_of, read):
-    assert "its run compared no attitudes" in read(site.visitor("victor").get(place_of(None)))
+def test_a_set_without_one_says_why(site, submit_with, read):
+    assert "its run compared no attitudes" in read(site.visitor("victor").get(submit_with(None)))
     assert "a ground calibration turns nothing" in read(site.visitor("victor").get("/parameter-sets/1"))
 
 
-def test_a_baseline_that_was_calibrated_itself_is_a_caution_for_the_next(site, place_of, read):
-    olga = promoted(site, place_of(TURNED))
-    assert "PS-ST16-1-1 is no ground calibration" in read(olga.get(place_of(TURNED | {"frames": 11})))
+def test_a_baseline_that_was_calibrated_itself_is_a_caution_for_the_next(site, submit_with, read):
+    olga = promoted(site, submit_with(TURNED))
+    assert "PS-ST16-1-1 is no ground calibration" in read(olga.get(submit_with(TURNED | {"frames": 11})))

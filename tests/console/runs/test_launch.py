@@ -422,7 +422,7 @@ def test_without_stars_to_look_at_the_dry_run_still_tells_its_size(session, peop
     assert _asked(session, people, blind)["frames"] == 30
 
 
-def _run_of(session, people, seconds, **settings):
+def _add_run(session, people, seconds, **settings):
     made = runs.launch(session, people["ana"], 1, 1, {**SETTINGS, **settings})
     row = session.get_one(Run, made.id)
     row.state, row.summary = "SUCCEEDED", {"seconds": seconds, "stars": 1000, "frames": 100}
@@ -433,7 +433,7 @@ def _run_of(session, people, seconds, **settings):
 def test_the_time_is_told_with_the_spread_of_past_runs_and_how_many_they_were(session, people):
     guess = estimate_run_speed(session, "batch")
     for seconds in range(1, 12):
-        _run_of(session, people, seconds)
+        _add_run(session, people, seconds)
         alone = estimate_run_speed(session, "batch")
         assert seconds > 1 or (alone.runs, alone.low, alone.high) == (1, 0.5e-3, 2e-3)  # within a factor of two
     pace = estimate_run_speed(session, "batch")
@@ -449,16 +449,16 @@ def test_the_time_is_told_with_the_spread_of_past_runs_and_how_many_they_were(se
 
 def test_the_wait_of_a_replay_is_not_taken_for_computing(session, people):
     replay = {"method": "sqrf", "replay_frames_per_s": 10.0}
-    _run_of(session, people, 10.5, **replay)
+    _add_run(session, people, 10.5, **replay)
     assert estimate_run_speed(session, "sqrf").s_per_star == pytest.approx(0.5e-3)
     assert _asked(session, people, None, **replay)["predicted_s"] == pytest.approx(3.0 + 0.72 * 0.5 + 0.02, abs=0.01)
-    _run_of(session, people, 9.0, **replay)
+    _add_run(session, people, 9.0, **replay)
     assert estimate_run_speed(session, "sqrf").low > 0
 
 
 def test_replays_are_left_out_where_a_run_computed_as_fast_as_it_could(session, people):
-    _run_of(session, people, 2.0, method="sqrf")
+    _add_run(session, people, 2.0, method="sqrf")
     for _ in range(3):
-        _run_of(session, people, 10.5, method="sqrf", replay_frames_per_s=10.0)
+        _add_run(session, people, 10.5, method="sqrf", replay_frames_per_s=10.0)
     pace = estimate_run_speed(session, "sqrf")
     assert (pace.runs, pace.s_per_star) == (1, 2e-3)

@@ -68,7 +68,7 @@ def test_a_running_run_shows_its_partial_estimate_marked_partial_and_follows_the
     assert "data-follows" in page
     page = site.visitor("victor").get(f"/runs/{run_id}?part=trust")
     assert "Trust is examined when the run ends" in read(page)
-    assert not figures_of(page)
+    assert not list_figures(page)
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_a_run_without_a_result_says_what_happened_and_offers_no_parameter_set(s
     for part, words in (("trust", "No examination: the run"), ("matching", "No matching: the run")):
         page = site.visitor("victor").get(f"/runs/{run_id}?part={part}")
         assert state == "CANCELLING" or f"{words} ended as {state}" in read(page)
-        assert not figures_of(page)
+        assert not list_figures(page)
 
 
 def test_the_log_is_shown_in_order_with_later_attempts_named(site, read):
@@ -118,12 +118,12 @@ def test_a_viewer_sees_the_cancel_button_disabled_with_the_reason_and_is_refused
     assert "This needs the role analyst" in read(victor.get(f"/runs/{run_id}"))
 
 
-def mark_of(result, question):
+def find_mark(result, question):
     return next(mark for mark in make_verdict_marks(result) if mark.question.startswith(question))
 
 
 def test_a_filter_is_judged_by_its_innovations_and_a_batch_is_not(results):
-    said = [mark_of(results[method], "Innovations (NIS)").word for method in ("sqrf", "batch")]
+    said = [find_mark(results[method], "Innovations (NIS)").word for method in ("sqrf", "batch")]
     assert said == ["consistent", "not applicable"]
 
 
@@ -140,10 +140,10 @@ def test_a_filter_on_its_way_counts_the_frames_so_far_and_no_star_that_is_still_
 
 
 def test_no_validation_is_no_data_and_never_passes_and_noise_above_the_model_is_a_caution(results):
-    mark = mark_of({**results["batch"], "validation": None}, "Validation RMS")
+    mark = find_mark({**results["batch"], "validation": None}, "Validation RMS")
     assert (mark.word, mark.level == "normal") == ("NO DATA", False)
     result = {**results["batch"], "chi2_per_dof": 3.0, "chi2": {**results["batch"]["chi2"], "consistent": False}}
-    mark = mark_of(result, "χ²")
+    mark = find_mark(result, "χ²")
     assert (mark.level, mark.word) == ("caution", "noise above model")
 
 
@@ -175,14 +175,14 @@ def examined_result(result, **changes):
     return {**result, **made}
 
 
-def figures_of(page):
+def list_figures(page):
     return set(re.findall(r'<plot-figure src="/api/v1/runs/\d+/figures/([\w-]+)"', page))
 
 
 @pytest.mark.parametrize("part", PARTS)
 def test_a_part_draws_its_own_figures_with_guide_and_numbers_and_no_others(site, read, examined, part):
     page = site.visitor("victor").get(f"/runs/{examined[1]}?part={part}")
-    assert figures_of(page) == {figure.name for figure in CHAPTERS.get(part, ())}
+    assert list_figures(page) == {figure.name for figure in CHAPTERS.get(part, ())}
     for figure in CHAPTERS.get(part, ()):
         assert f'href="/api/v1/runs/{examined[1]}/figures/{figure.name}/data' in page
         assert figure.guide.split(".")[0][:40] in read(page)

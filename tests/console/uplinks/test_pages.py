@@ -97,16 +97,16 @@ def fleet(site):
     return ["C-mismatch", "D-unknown", "B-sent", "E-loaded", "ST16-1"]
 
 
-def names_of(page):
+def list_names(page):
     return re.findall(r'<th scope="row" class="nowrap"><a href="/sensors/\d+">([^<]*)</a>', page)
 
 
 def test_the_fleet_is_ordered_and_narrowed_as_its_lines_say(site, fleet):
     visitor = site.visitor("victor")
-    assert names_of(visitor.get("/uplink")) == fleet
-    assert names_of(visitor.get("/uplink?q=-&status=SENT")) == ["B-sent"]
-    assert names_of(visitor.get("/uplink?status=nonsense&page=nonsense&q=D")) == ["D-unknown", "E-loaded"]
-    assert names_of(visitor.get("/uplink?q=nobody")) == []
+    assert list_names(visitor.get("/uplink")) == fleet
+    assert list_names(visitor.get("/uplink?q=-&status=SENT")) == ["B-sent"]
+    assert list_names(visitor.get("/uplink?status=nonsense&page=nonsense&q=D")) == ["D-unknown", "E-loaded"]
+    assert list_names(visitor.get("/uplink?q=nobody")) == []
     with open_reading(site.engine) as session:
         for board in timeline.read_situations(session):
             line = make_uplink_line(timeline.get_state_at(session, board.sensor_id))
@@ -121,7 +121,7 @@ def test_a_large_fleet_comes_page_by_page(site, fleet, monkeypatch):
     visitor, address, seen = site.visitor("victor"), "/uplink", []
     while address:
         page = visitor.get(address)
-        seen += names_of(page)
+        seen += list_names(page)
         following = re.search(r'<a href="([^"]*)" rel="next">', page)
         address = following and unescape(following[1])
     assert seen == fleet

@@ -54,7 +54,7 @@ class Site:
 
 
 @contextmanager
-def site_of(folder: Any, connections: Connections, **given: Any) -> Iterator[Site]:
+def serve_site(folder: Any, connections: Connections, **given: Any) -> Iterator[Site]:
     settings = settings_in(folder)
     add_people(settings)
     with (
@@ -70,11 +70,11 @@ def site_of(folder: Any, connections: Connections, **given: Any) -> Iterator[Sit
 def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     pace = BodyRate(window_s=0.4, floor_bytes=4000, slowest_bytes_per_s=300_000)
     folder = tmp_path_factory.mktemp("quick")
-    with site_of(folder, Connections(40, SHORT), limits=QUICK, pace=pace) as site:
+    with serve_site(folder, Connections(40, SHORT), limits=QUICK, pace=pace) as site:
         yield site
 
 
-def answer_of(connection: socket.socket, wait_s: float = 5.0) -> tuple[int, dict[str, str], bytes]:
+def read_answer(connection: socket.socket, wait_s: float = 5.0) -> tuple[int, dict[str, str], bytes]:
     connection.settimeout(wait_s)
     received = b""
     while piece := connection.recv(65536):
@@ -87,7 +87,7 @@ def answer_of(connection: socket.socket, wait_s: float = 5.0) -> tuple[int, dict
 
 def test_540_half_sent_requests_shut_out_nobody(tmp_path: Any) -> None:
     open_file_limit()
-    with site_of(tmp_path, Connections()) as site, ExitStack() as opened:
+    with serve_site(tmp_path, Connections()) as site, ExitStack() as opened:
         for number in range(540):
             connection = opened.enter_context(site.connect())
             connection.sendall((HALF_BODY, HALF_BODY, HALF_HEAD, UPLOAD)[number % 4])
@@ -107,7 +107,7 @@ def test_half_a_request_is_refused_in_time(quick: Site, begun: bytes) -> None:
     with quick.connect() as connection:
         connection.sendall(begun)
         began_s = time.monotonic()
-        status, headers, body = answer_of(connection)
+        status, headers, body = read_answer(connection)
     assert (status, headers["connection"]) == (408, "close")
     assert headers["content-type"] == "application/problem+json"
     assert json.loads(body)["status"] == 408
@@ -131,7 +131,7 @@ def test_a_byte_now_and_then_saves_no_request(quick: Site, begun: bytes) -> None
         thread = threading.Thread(target=dribble)
         thread.start()
         try:
-            assert answer_of(connection)[0] == 408
+            assert read_answer(connection)[0] == 408
         except ConnectionResetError:
             pass  # a byte came after the answer
         finally:
@@ -143,7 +143,7 @@ def test_a_byte_now_and_then_saves_no_request(quick: Site, begun: bytes) -> None
 def test_a_further_request_on_a_connection_has_the_same_deadline(quick: Site) -> None:
     with quick.connect() as connection:
         connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: here\r\n\r\n" + HALF_HEAD)
-        status, _, rest = answer_of(connection)
+        status, _, rest = read_answer(connection)
     assert status == 200
     assert b"HTTP/1.1 408 " in rest
 
@@ -152,7 +152,7 @@ def test_who_is_known_has_a_deadline_too(quick: Site) -> None:
     with quick.connect() as connection:
         connection.sendall(UPLOAD + quick.credentials + b"\r\n--x\r\n")
         began_s = time.monotonic()
-        assert answer_of(connection)[0] == 408
+        assert read_answer(connection)[0] == 408
     assert time.monotonic() - began_s < 2
     assert get_limit(quick.app).large.taken == 0
 
@@ -164,7 +164,7 @@ def test_a_slow_body_that_goes_on_is_taken(quick: Site) -> None:
         for _ in range(12):  # 1.2 s in all, three times the window
             connection.sendall(b" " * 5000)
             time.sleep(0.1)
-        assert answer_of(connection)[0] == 422
+        assert read_answer(connection)[0] == 422
 
 
 def test_a_body_has_a_time_for_all_of_it_whatever_its_pace() -> None:
@@ -192,7 +192,7 @@ def test_a_large_body_of_nobody_is_refused_before_it_comes(quick: Site) -> None:
         with quick.connect() as connection:
             connection.sendall(UPLOAD + credentials + b"Connection: close\r\n\r\n")
             began_s = time.monotonic()
-            assert answer_of(connection)[0] == 401
+            assert read_answer(connection)[0] == 401
             assert time.monotonic() - began_s < 0.4
 
 
@@ -200,7 +200,7 @@ def test_who_goes_on_sending_after_the_answer_is_let_go(quick: Site) -> None:
     with quick.connect() as connection:
         connection.sendall(UPLOAD + b"\r\n")
         began_s = time.monotonic()
-        assert answer_of(connection)[0] == 401
+        assert read_answer(connection)[0] == 401
     assert 0.2 < time.monotonic() - began_s < 2
 
 
@@ -225,7 +225,7 @@ def test_what_is_no_request_is_refused_at_once(quick: Site, sent: bytes, status:
     with quick.connect() as connection:
         try:
             connection.sendall(sent)
-            answer = answer_of(connection)
+            answer = read_answer(connection)
         except ConnectionError:
             assert status == 431  # closed while more came
         else:
@@ -236,12 +236,12 @@ def test_an_idle_connection_is_closed(quick: Site) -> None:
     with quick.connect() as connection:
         connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: here\r\n\r\n")
         began_s = time.monotonic()
-        assert answer_of(connection)[0] == 200
+        assert read_answer(connection)[0] == 200
     assert time.monotonic() - began_s < 2
 
 
 def test_a_new_connection_takes_the_place_of_one_that_waits_and_never_of_one_that_is_known(tmp_path: Any) -> None:
-    with site_of(tmp_path, Connections(20)) as site, ExitStack() as opened:
+    with serve_site(tmp_path, Connections(20)) as site, ExitStack() as opened:
         assert site.ada.get("/api/v1/sensors").status_code == 200  # over a connection that is kept
         crowd = [opened.enter_context(site.connect()) for _ in range(40)]
         for connection in crowd:
@@ -252,14 +252,14 @@ def test_a_new_connection_takes_the_place_of_one_that_waits_and_never_of_one_tha
         assert site.connections.count <= 20
         assert site.ada.get("/api/v1/sensors").status_code == 200
         assert kept == [one for one in site.connections._open if one.known]
-        assert answer_of(crowd[0])[0] == 503
+        assert read_answer(crowd[0])[0] == 503
 
 
 def test_where_all_connections_are_of_people_who_are_known_a_newcomer_is_told_to_come_back(tmp_path: Any) -> None:
-    with site_of(tmp_path, Connections(1)) as site:
+    with serve_site(tmp_path, Connections(1)) as site:
         assert site.ada.get("/api/v1/sensors").status_code == 200
         with site.connect() as connection:
-            status, headers, _ = answer_of(connection)
+            status, headers, _ = read_answer(connection)
         assert (status, headers["connection"], headers["retry-after"]) == (503, "close", "2")
         assert site.ada.get("/api/v1/sensors").status_code == 200
 

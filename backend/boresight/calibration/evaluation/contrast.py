@@ -1,11 +1,7 @@
 """Results of runs against a reference run: parameters, correlations and the radial curve, in sigmas of the difference.
 
-The covariance of a difference needs to know what data the two runs share; `boresight.calibration.evaluation.contrast` derives it.
-Results are calibration JSONs of one camera model; numbers are SI.
-
-How surely two estimates differ, when part of their data is the same.
-
-Estimates x_a and x_b of one state from the data A and B, with covariances P_a and P_b and cross-covariance C:
+Results are calibration JSONs of one camera model; numbers are SI. How surely two estimates differ depends on what data they
+share. For estimates x_a and x_b of one state from the data A and B, with covariances P_a and P_b and cross-covariance C,
 
     D = cov(x_a - x_b) = P_a + P_b - C - C^T.
 

@@ -11,13 +11,10 @@ where both RMS are taken over the very same arcs, those of the larger of the two
 common set of star pairs ... we used the largest set of star pairs available" (E section II-B). Every score has a 95 % interval from
 resampling frames in blocks, `calibration.evaluation.bootstrap`.
 
-Shadow mode: baseline and candidate parameters side by side on every frame, and what each would have lost.
-
-Both states see the same set (`calibration.matching.matched_frames`). A star is lost in a frame when the baseline's valid exposures
-held it and the
-candidate's do not, gained the other way round. Whether the candidate is available more often is McNemar's question: of the frames
-that one state alone solves, b the baseline's and c the candidate's, as many would fall to each if they were alike, and b is
-binomial,
+Shadow mode sets baseline and candidate side by side on every frame of the same set, and tells what each would have lost. A star
+is lost in a frame when the baseline's valid exposures held it and the candidate's do not, gained the other way round. Whether the
+candidate is available more often is McNemar's question: of the frames that one state alone solves, b the baseline's and c the
+candidate's, as many would fall to each if they were alike, and b is binomial,
 
     p = min(1, 2 P(B <= min(b, c))),    B ~ Bin(b + c, 1/2)                                    (exact, two-sided).
 

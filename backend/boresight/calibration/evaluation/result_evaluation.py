@@ -3,14 +3,12 @@
 Each is one object of the calibration JSON. Flight scores are kept under `evaluation` for the calibration set and under
 `validation` for the set that took no part; `shadow` holds both sets side by side, frame by frame.
 
-What single frames can tell under each reference (W section 3.3, Figures 3 and 4), and what each holds of all there is.
-
-`estimation.statistics.references` derives both. Of every frame the smallest singular value of H' = H W is kept, under Models 1 to
-4 with
-sigma_2 and sigma_3, and under Model 4 with each singular value alone; null where a frame does not determine all free parameters.
-It says how far the measurements move and not how well they are known, so beside it stands the information of each reference,
-whitened by its full covariance: per parameter the variance of the Cramer-Rao bound over the reference's own, and of these
-the geometric mean. A parameter that a reference leaves open has none.
+`frame_observability` tells what single frames can say under each reference (W section 3.3, Figures 3 and 4), and what each holds
+of all there is; `estimation.statistics.references` derives both. Of every frame the smallest singular value of H' = H W is kept,
+under Models 1 to 4 with sigma_2 and sigma_3, and under Model 4 with each singular value alone; null where a frame does not
+determine all free parameters. It says how far the measurements move and not how well they are known, so beside it stands the
+information of each reference, whitened by its full covariance: per parameter the variance of the Cramer-Rao bound over the
+reference's own, and of these the geometric mean. A parameter that a reference leaves open has none.
 
 Both cost a decomposition a frame, so they are taken on frames spaced evenly over the set: at most `MOST_FRAMES`, and fewer where
 exposures are full: up to 60 stars the cost of an exposure was found to grow as their square.

@@ -9,16 +9,11 @@ What is known of x for the tolerance: at the start the ground calibration's sigm
 information A (in typical sigmas) its own covariance beside the start's, (A + I / initial_sigma_scale^2)^-1, widened by
 chi-square where the residuals say that it claims too much; parameters held fixed keep the ground's sigmas at all times.
 
-From the pieces of a set to the arcs of its problem, piece by piece.
-
-What `calibration.problem` counts of a set adds up over its parts. One refusal does not: that no matched star has a time is true of
-a set only if it is true of every part, so a part without times gives what it can, and the sum decides.
-
-Matching a set in files under any state, a range of frames at a time.
-
-The ranges are those of a set in memory (`matched.MATCHED_FRAMES`), wherever a piece ends, so the same neighbours are looked at.
-What depends on the whole set travels with each range: the stars that may be matched, which follow from the faintest that it names
-or from how many it detects, and its first time.
+A set in files is matched a range of frames at a time, and its arcs are made piece by piece. The ranges are those of a set in
+memory (`MATCHED_FRAMES`), wherever a piece ends, so the same neighbours are looked at. What depends on the whole set travels with
+each range: its first time, and the stars that may be matched, which follow from the faintest that it names or from how many it
+detects. Counts add up over the parts. That no matched star has a time is true of a set only if it is true of every part, so a
+part without times gives what it can, and the sum decides whether the set is refused.
 """
 
 from __future__ import annotations

@@ -3,10 +3,9 @@
 With `match` "rematch" the stars are found anew, as E section II-B does with "a ground-based implementation of the sensor flight
 software"; with "given" they are those the file names, and the flight code's check alone tells the states apart.
 
-The arcs among the matches that a sighting accepts, on which two states are compared (E section III: "common pairs").
-
-An exposure of which every star of an ordered set is accepted, and no other, keeps the order it has there: the order depends on
-its stars alone, and finding it is most of the work. The others are ordered anew.
+Two states are compared on the arcs among the matches that one of them accepts (E section III: "common pairs"). An exposure of
+which every star of an ordered set is accepted, and no other, keeps the order it has there: the order depends on its stars alone,
+and finding it is most of the work. The others are ordered anew.
 """
 
 from __future__ import annotations

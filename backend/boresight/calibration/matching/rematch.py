@@ -1,11 +1,10 @@
 """Matching a telemetry set again under any parameters: the ground's re-run of the flight software's matching.
 
-`sky.matching` does the work and derives it; here a telemetry set is made ready once and then matched as often as its
+`sky.matching` does the work and derives it; here a telemetry set and a sensor are made into the detections that matching takes
+(directions, their errors, given stars, times), once, and then matched as often as its
 parameters change. The tolerance comes from P, the covariance of the parameters matched with: that of a ground
 calibration is `ground_covariance`, (initial_sigma_scale typical sigmas)^2, that of a result its own, with the ground's
 for what it held fixed.
-
-A telemetry set and a sensor as the detections that matching takes: directions, their errors, given stars, times.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from boresight.console.access.dependencies import (
 )
 from boresight.console.access.passwords import MINIMUM_PASSWORD_LENGTH, NewPassword, PasswordProof
 from boresight.console.access.tables import User
-from boresight.console.pages.rendering import ShownRefusal, attempt, make_change, read_again, redirect, render
+from boresight.console.pages.rendering import RefusalContext, attempt, make_change, read_again, redirect, render
 from boresight.errors import RefusedInputError, SessionEndedError, UnauthenticatedError
 from boresight.platform.actors import SCOPES, Actor, SessionLimits, require_person, require_role
 from boresight.platform.db.sessions import Session, utc_now
@@ -58,7 +58,7 @@ class UsersContext:
     """What a form left behind on the page: its refusal, what was typed, a key's secret that is shown once."""
 
     form: str = ""
-    refusal: ShownRefusal | None = None
+    refusal: RefusalContext | None = None
     typed: Mapping[str, Any] = field(default_factory=dict)
     secret: str = ""
 
@@ -94,7 +94,7 @@ async def _change(
 ) -> Response:
     """Make a change of people or keys, and show them, or why it was refused beside what was typed."""
 
-    def again(refusal: ShownRefusal, session: Session) -> HTMLResponse:
+    def again(refusal: RefusalContext, session: Session) -> HTMLResponse:
         return _page(request, actor, UsersContext(form, refusal, typed), session)
 
     return await make_change(request, change, "/users", said, prepare=prepare, again=again)
@@ -208,7 +208,7 @@ def _sessions_page(
     actor: Actor,
     limits: SessionLimits,
     user_id: int | None,
-    refusal: ShownRefusal | None,
+    refusal: RefusalContext | None,
     session: Session,
 ) -> HTMLResponse:
     opened = sessions.list_sessions(session, actor, user_id, is_open=True)
@@ -356,7 +356,7 @@ def password_page(request: Request, actor: Who) -> HTMLResponse:  # noqa: ARG001
     return _password_page(request, None)
 
 
-def _password_page(request: Request, refusal: ShownRefusal | None) -> HTMLResponse:
+def _password_page(request: Request, refusal: RefusalContext | None) -> HTMLResponse:
     sentence = refusal.sentence if refusal else ""
     return render(
         request, "access/password.html", refused=refusal, refusal=sentence, minimum_length=MINIMUM_PASSWORD_LENGTH

@@ -20,7 +20,7 @@ from boresight.console.alarms.tables import ALARM_KINDS, Alarm
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import (
-    ShownRefusal,
+    RefusalContext,
     make_change,
     read_texts,
     render,
@@ -120,7 +120,7 @@ def _page(
     actor: Actor,
     alarm_id: int,
     typed: Mapping[str, str],
-    refusal: ShownRefusal | None,
+    refusal: RefusalContext | None,
     session: Session,
 ) -> HTMLResponse:
     row = session.get_known(Alarm, alarm_id)

@@ -15,7 +15,7 @@ from boresight.console.approvals.proposals import TITLES
 from boresight.console.approvals.tables import ChangeProposal
 from boresight.console.change_proposals import service as second_person
 from boresight.console.fleet.tables import Sensor
-from boresight.console.pages.rendering import ShownRefusal, attempt, read_texts, redirect, render, seen_version
+from boresight.console.pages.rendering import RefusalContext, attempt, read_texts, redirect, render, seen_version
 from boresight.console.runs.pages.list import read_names
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import open_reading
@@ -57,7 +57,9 @@ def change_proposal_page(request: Request, actor: Who, proposal_id: int) -> HTML
     return _page(request, actor, proposal_id, None, "")
 
 
-def _page(request: Request, actor: Actor, proposal_id: int, refusal: ShownRefusal | None, comment: str) -> HTMLResponse:
+def _page(
+    request: Request, actor: Actor, proposal_id: int, refusal: RefusalContext | None, comment: str
+) -> HTMLResponse:
     with open_reading(get_server(request).engine) as session:
         row = session.get_known(ChangeProposal, proposal_id)
         own = row.proposed_by == actor.user_id

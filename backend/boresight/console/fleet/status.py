@@ -34,7 +34,7 @@ class DriftVerdict:
     document: dict[str, Any]
 
 
-#: By store and sensor: what a judgement rests on, and the judgement.
+#: By store and sensor: what a drift verdict rests on, and the verdict.
 _known: WeakKeyDictionary[Any, dict[int, tuple[Any, DriftVerdict]]] = WeakKeyDictionary()
 
 

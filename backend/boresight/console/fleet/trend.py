@@ -113,7 +113,7 @@ class Trend:
     points: Sequence[TrendPoint]
     others: Sequence[TrendPoint]
     periods: Sequence[BaselinePeriod]
-    marks: Sequence[OnBoardRecord]
+    on_board: Sequence[OnBoardRecord]
     telemetry: Mapping[int, TelemetrySet]
 
     @property
@@ -153,7 +153,7 @@ def _trend(
     promoted: Sequence[tuple[Promotion, ParameterSet]],
     finished: Sequence[Any],
     telemetry: Mapping[int, TelemetrySet],
-    marks: Sequence[OnBoardRecord],
+    on_board: Sequence[OnBoardRecord],
 ) -> Trend:
     """Judge which calibrations of a sensor count, and put them in order."""
     baseline = promoted[-1][1] if promoted else None
@@ -171,7 +171,7 @@ def _trend(
         points=sorted(_counted_once(judged), key=_place),
         others=sorted((point for point in found if point.camera_model not in {model, ""}), key=_place),
         periods=list(_periods([(promotion.at_utc, row) for promotion, row in promoted])),
-        marks=marks,
+        on_board=on_board,
         telemetry=telemetry,
     )
 

@@ -166,7 +166,7 @@ def write_trend_document(trend: Trend, found: DriftResult, advice: Advice) -> di
         "points": [_point(point) for point in trend.points],
         "others": [_point(point) for point in trend.others],
         "baselines": [asdict(period) for period in trend.periods],
-        "on_board": [asdict(mark) for mark in trend.marks],
+        "on_board": [asdict(record) for record in trend.on_board],
         "truth": trend.sensor.truth,
         "drift": drifts.document(found),
         "advice": {"answer": advice.answer, "sentence": advice.sentence, "reasons": list(advice.reasons)},

@@ -10,7 +10,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import Reading, Who, csrf
 from boresight.console.notes import service as notes
-from boresight.console.pages.rendering import ShownRefusal, make_change, render
+from boresight.console.pages.rendering import RefusalContext, make_change, render
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
 
@@ -37,7 +37,7 @@ def _page(
     kind: str,
     subject_id: int,
     typed: str,
-    refusal: ShownRefusal | None,
+    refusal: RefusalContext | None,
     session: Session,
 ) -> HTMLResponse:
     return render(

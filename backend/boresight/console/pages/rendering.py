@@ -54,8 +54,8 @@ _transaction = asynccontextmanager(open_write_session)
 
 
 @dataclass(frozen=True)
-class ShownRefusal:
-    """Why a change was not made: the sentence, the places it names, and the status and headers of the page that shows it."""
+class RefusalContext:
+    """Why a change was not made, as a page tells it: the sentence, the places it names, the status and headers of the page."""
 
     error: BoresightError
     sentence: str
@@ -64,7 +64,7 @@ class ShownRefusal:
     headers: Mapping[str, str]
 
     @classmethod
-    def of(cls, error: BoresightError) -> ShownRefusal:
+    def of(cls, error: BoresightError) -> RefusalContext:
         """Turn a refusal that was raised into one to show."""
         problem = make_problem(error)
         return cls(error, str(error), tuple(getattr(error, "faults", ())), problem.status, problem.headers or {})
@@ -80,7 +80,7 @@ class AttemptResult(Generic[T]):
     """What came of an attempt: the value, or the refusal."""
 
     value: T | None
-    refusal: ShownRefusal | None
+    refusal: RefusalContext | None
 
     @property
     def made(self) -> T:
@@ -97,7 +97,7 @@ def ask(question: Callable[[], T]) -> AttemptResult[T]:
     except NotFoundError:
         raise
     except BoresightError as error:
-        return AttemptResult(None, ShownRefusal.of(error))
+        return AttemptResult(None, RefusalContext.of(error))
 
 
 async def attempt(
@@ -111,7 +111,7 @@ async def attempt(
     except NotFoundError:
         raise
     except BoresightError as error:
-        return AttemptResult(None, ShownRefusal.of(error))
+        return AttemptResult(None, RefusalContext.of(error))
 
 
 async def make_change(
@@ -121,7 +121,7 @@ async def make_change(
     said: str,
     *,
     prepare: Callable[[], Awaitable[Sequence[object]]] | None = None,
-    again: Callable[[ShownRefusal, Session], HTMLResponse] | None = None,
+    again: Callable[[RefusalContext, Session], HTMLResponse] | None = None,
 ) -> Response:
     """Make a change and go to an address with a line that may name what was made; a refusal is a line there, or a page."""
     outcome = await attempt(request, change, prepare)
@@ -178,7 +178,7 @@ def render(
     *,
     status_code: int = 200,
     headers: Mapping[str, str] | None = None,
-    refused: ShownRefusal | None = None,
+    refused: RefusalContext | None = None,
     follows_from: Hashable = None,
     **values: Any,
 ) -> HTMLResponse:
@@ -211,7 +211,7 @@ def redirect(location: str, *, flash: str = "", level: str = "normal") -> Redire
     return response
 
 
-def redirect_refused(location: str, refusal: ShownRefusal) -> RedirectResponse:
+def redirect_refused(location: str, refusal: RefusalContext) -> RedirectResponse:
     """Show why a form was refused as a line on its page; what the server itself lacks is raised again."""
     if refusal.is_ours:
         raise refusal.error

@@ -143,12 +143,12 @@ def read_view(request: Request, table: Table) -> TableView:
     """Read the address; what is no filter, column or order of the table is left out."""
     asked = request.query_params
     given = {name: asked.get(name, "").strip()[:LONGEST_FILTER] for name in table.filters}
-    orders = {column.sort.removeprefix("-") for column in table.columns if column.sort}
+    sorts = {column.sort.removeprefix("-") for column in table.columns if column.sort}
     sort, before = asked.get("sort", ""), asked.get("before", "")
     return TableView(
         table,
         {name: text for name, text in given.items() if text and table.filters[name](text)},
-        sort if sort.removeprefix("-") in orders else table.sort,
+        sort if sort.removeprefix("-") in sorts else table.sort,
         _columns(table, _several(request, "columns")),
         parse_row_id(before),
         tuple(number for text in _several(request, table.chosen) if (number := parse_row_id(text)))[:MOST_CHOSEN],

@@ -28,7 +28,7 @@ from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
-from boresight.console.pages.rendering import ShownRefusal, attempt, read_texts, redirect, render, seen_version
+from boresight.console.pages.rendering import RefusalContext, attempt, read_texts, redirect, render, seen_version
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
@@ -251,7 +251,7 @@ def _page(
     actor: Actor,
     set_id: int,
     *,
-    refusal: ShownRefusal | None = None,
+    refusal: RefusalContext | None = None,
     reason: str = "",
 ) -> HTMLResponse:
     row = session.get_known(ParameterSet, set_id)

@@ -29,7 +29,7 @@ from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
 from boresight.console.pages.drawings import Drawing, detector_map, histogram, number_bars
-from boresight.console.pages.rendering import AttemptResult, ShownRefusal, attempt, read_again, redirect, render
+from boresight.console.pages.rendering import AttemptResult, RefusalContext, attempt, read_again, redirect, render
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
@@ -106,7 +106,7 @@ class TelemetryContext:
     sensor: int | None = None
     find: str = ""
     purpose: str = PURPOSES[0]
-    refusal: ShownRefusal | None = None
+    refusal: RefusalContext | None = None
 
 
 def _in_use(view: TableView) -> dict[str, Any]:
@@ -203,7 +203,7 @@ async def _attempt(
         async with contextmanager_in_threadpool(checking) as ready:
             return await attempt(request, partial(_store, actor, blobs, upload, ready))
     except BoresightError as error:
-        return AttemptResult(None, ShownRefusal.of(error))
+        return AttemptResult(None, RefusalContext.of(error))
 
 
 @contextmanager
@@ -228,7 +228,7 @@ def _store(actor: Actor, blobs: BlobStore, upload: Upload, ready: PreparedUpload
     return telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), ready, purpose)
 
 
-def _refused(upload: Upload, refusal: ShownRefusal | None) -> TelemetryContext:
+def _refused(upload: Upload, refusal: RefusalContext | None) -> TelemetryContext:
     sensor, purpose = upload.fields.get("sensor_id", ""), upload.fields.get("purpose", "")
     known = purpose if purpose in PURPOSES else PURPOSES[0]
     return TelemetryContext(parse_row_id(sensor), purpose=known, refusal=refusal)

@@ -117,9 +117,9 @@ def read_back(
         matches, found = _by_crc(reference, read)
     else:
         matches, found = _by_bytes(session, blobs, row, reference, read)
-    evidence = {**reference.document(), **found, **happened_on(happened)}
+    details = {**reference.document(), **found, **happened_on(happened)}
     held = "ACTIVE" if row.onboard_state == "ACTIVE" else "VERIFIED"
-    basis = EntryBasis(evidence, method="crc" if isinstance(read, str) else "bytes")
+    basis = EntryBasis(details, method="crc" if isinstance(read, str) else "bytes")
     return add_entry(session, actor, row, held if matches else "MISMATCH", source, basis)
 
 

@@ -39,7 +39,7 @@ from boresight.platform.web.text_validation import refuse_control_characters
 class EntryBasis:
     """What an entry rests on; nothing but its source makes it a statement."""
 
-    evidence: Mapping[str, Any] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)
     method: str | None = None
     printed_name: str | None = None
     meaning: str | None = None
@@ -94,7 +94,7 @@ def add_entry(
         recorded_utc=utc_now(),
         recorded_by=require_user(actor, "record an uplink"),
         method=basis.method,
-        evidence=dict(basis.evidence) or None,
+        evidence=dict(basis.details) or None,
         printed_name=basis.printed_name,
         meaning=basis.meaning,
     )
@@ -102,7 +102,7 @@ def add_entry(
     row.onboard_state = onboard_state
     row.version += 1
     session.put(uplink)
-    told = {"method": basis.method, "meaning": basis.meaning, "found": basis.evidence.get("sentence")}
+    told = {"method": basis.method, "meaning": basis.meaning, "found": basis.details.get("sentence")}
     after = {"onboard_state": onboard_state, "version": row.version, "record": f"uplinks/{uplink.id}"}
     after |= {name: value for name, value in told.items() if value is not None}
     audit.append(session, actor, f"recorded {onboard_state} for", name_subject(row), before, after, source.strip())
@@ -139,8 +139,8 @@ def record(
     _refuse_step(row, onboard_state)
     if onboard_state == "LOADED":
         refuse_shown_mismatch(session, row)
-    evidence = _package(session, row, package_id, onboard_state) | happened_on(happened)
-    return add_entry(session, actor, row, onboard_state, source, EntryBasis(evidence))
+    details = _package(session, row, package_id, onboard_state) | happened_on(happened)
+    return add_entry(session, actor, row, onboard_state, source, EntryBasis(details))
 
 
 def activate(
@@ -167,10 +167,10 @@ def activate(
     refuse_control_characters(meaning=meaning)
     if not meaning.strip():
         raise RefusedInputError("Say what your signature means, such as: I saw this table active in telemetry.")
-    evidence = happened_on(happened) | {"shown_sha256": shown_sha256(session, row)}
+    details = happened_on(happened) | {"shown_sha256": shown_sha256(session, row)}
     users.require_password(session, actor, proof)
     _retire_active(session, actor, row, source.strip())
-    signed = EntryBasis(evidence, printed_name=actor.printed_name, meaning=meaning.strip())
+    signed = EntryBasis(details, printed_name=actor.printed_name, meaning=meaning.strip())
     return add_entry(session, actor, row, "ACTIVE", source, signed)
 
 

@@ -13,7 +13,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import Reading, SecretKeeper, Who, csrf
 from boresight.console.jobs.webhook_sender import Deliveries
-from boresight.console.pages.rendering import ShownRefusal, attempt, make_change, read_again, redirect_refused, render
+from boresight.console.pages.rendering import RefusalContext, attempt, make_change, read_again, redirect_refused, render
 from boresight.console.webhooks import service as webhooks
 from boresight.console.webhooks.secrets import get_state
 from boresight.errors import BoresightError
@@ -31,7 +31,7 @@ ROWS_A_PAGE = 50
 class WebhooksContext:
     """What a form left behind: its refusal, what was typed, a secret that is shown once."""
 
-    refusal: ShownRefusal | None = None
+    refusal: RefusalContext | None = None
     typed: Mapping[str, str] = field(default_factory=dict)
     secret: str = ""
 
@@ -72,7 +72,7 @@ async def create(
         await run_in_threadpool(webhooks.judge_address, actor, url, deliveries.targets)
     except BoresightError as error:
         return await read_again(
-            request, partial(_page, request, actor, box, WebhooksContext(ShownRefusal.of(error), typed))
+            request, partial(_page, request, actor, box, WebhooksContext(RefusalContext.of(error), typed))
         )
     change = partial(webhooks.create_webhook, actor=actor, box=box, label=label, url=url, actions=wanted)
     outcome = await attempt(request, change)

@@ -14,8 +14,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.figures.chart import Table
+from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style.axes import MAX_MAPS, cells, detector_map, draw_maps
-from boresight.figures.trust_parts import Part, column, part_figure
 
 KEY = "sigma_arcsec"
 

@@ -15,8 +15,8 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Result, Table, Trace
+from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, make_figure
 from boresight.verdicts.numbers import quantity
 
 STRONG = 0.9  # from here on two parameters are read together

@@ -8,9 +8,9 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.figures.chart import Result, Table
+from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import MAX_MAPS, QUIET, lay_maps
-from boresight.figures.trust_parts import Part, column, make_figure
 
 
 def read_coverage(result: Result) -> Result | None:

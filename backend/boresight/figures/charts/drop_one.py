@@ -15,8 +15,8 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Table
+from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, column, part_figure
 from boresight.verdicts.numbers import quantity
 
 BY_CHANCE = 6.63  # the 99 % point of chi-square with one degree of freedom

@@ -13,8 +13,8 @@ import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Result, Table
+from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, column, part_figure
 from boresight.verdicts.numbers import quantity
 
 

@@ -23,9 +23,9 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Result, Table
+from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import share_cursor
-from boresight.figures.trust_parts import Part, column, make_figure
 from boresight.verdicts.numbers import quantity
 
 TITLE = "Observability per frame"
@@ -40,14 +40,14 @@ COMPARED = ("model_4", "sigma_2")
 FARTHEST_BELOW = 300.0
 
 
-def read_frame_judgement(result: Result, needed: str) -> Result | None:
-    """Read the judgement of single frames; None where it has not what is needed."""
+def read_frame_observability(result: Result, needed: str) -> Result | None:
+    """Read how observable single frames are; None where it has not what is needed."""
     view: Result = result.get(KEY) or {}
     return view if view.get(needed) else None
 
 
-def why_no_judgement(result: Result) -> str:
-    """Say why a result has no judgement of single frames."""
+def explain_absence(result: Result) -> str:
+    """Say why a result tells nothing of single frames."""
     never = NOT_YET if result.get("status") in {None, "running"} else NEVER
     return str((result.get(KEY) or {}).get("sentence") or never)
 
@@ -56,7 +56,7 @@ def draw(found: Sequence[Part]) -> go.Figure:
     """Draw every model and value of one run, or Model 4 and one value of several."""
     drawn = [one for one in found if _measured(one[2])]
     if not drawn:
-        return theme.missing(TITLE, why_no_judgement(found[0][0].result))
+        return theme.missing(TITLE, explain_absence(found[0][0].result))
     figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.09)
     for row, names in enumerate((MODELS, VALUES), start=1):
         for one in drawn:
@@ -131,8 +131,8 @@ def table(view: Result) -> Table:
 FRAME_OBSERVABILITY = make_figure(
     draw,
     table,
-    lambda result: read_frame_judgement(result, "frame"),
-    why_no_judgement,
+    lambda result: read_frame_observability(result, "frame"),
+    explain_absence,
     name="frame-observability",
     title=TITLE,
     guide=(
@@ -209,8 +209,8 @@ def table_reference_information(view: Result) -> Table:
 REFERENCE_INFORMATION = make_figure(
     draw_reference_information,
     table_reference_information,
-    lambda result: read_frame_judgement(result, "information"),
-    why_no_judgement,
+    lambda result: read_frame_observability(result, "information"),
+    explain_absence,
     name="reference-information",
     title="Information of each reference",
     guide=(

@@ -14,10 +14,10 @@ import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Table
+from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import axis_title, hover_place
 from boresight.figures.style.thinning import keep_extremes
-from boresight.figures.trust_parts import Part, column, part_figure
 from boresight.verdicts.numbers import percent
 
 POINT_BUDGET = 6000  # points of all runs together

@@ -13,8 +13,8 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Result, Table
+from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, column, make_figure
 
 PANELS = (
     ("matched", "matched stars", 1.0),

@@ -26,11 +26,11 @@ import plotly.graph_objects as go
 from boresight.arrays import FloatArray
 from boresight.estimation.statistics.consistency import ChiSquare, chi_square, nees
 from boresight.figures.chart import Result, Table, Trace
+from boresight.figures.factory import Part, make_figure
 from boresight.figures.history import History, read_history, settled_step
 from boresight.figures.style import theme
 from boresight.figures.style.axes import axis_title, counted, share_cursor
 from boresight.figures.style.thinning import keep_extremes
-from boresight.figures.trust_parts import Part, make_figure
 from boresight.verdicts.numbers import number
 from boresight.verdicts.verdict import read_part, why_absent
 

@@ -15,9 +15,9 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Result, Table
+from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import frame_grid, grid_place
-from boresight.figures.trust_parts import Part, column, part_figure
 from boresight.verdicts.numbers import quantity
 
 COLUMNS = 4

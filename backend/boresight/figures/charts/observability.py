@@ -24,8 +24,8 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.estimation.statistics.observability import NAMED, WEAK
 from boresight.figures.chart import Result, Table
+from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, make_figure
 from boresight.verdicts.numbers import count, number, percent, quantity
 
 THRESHOLD = 1.0 / WEAK

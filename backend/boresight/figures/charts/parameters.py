@@ -11,9 +11,9 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Result, Table
+from boresight.figures.factory import Part, make_figure
 from boresight.figures.history import free_names
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, make_figure
 from boresight.verdicts.numbers import quantity
 
 SIGNIFICANT = 3.0

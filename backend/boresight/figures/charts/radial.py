@@ -26,10 +26,10 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Result, Table, Trace
+from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import hatch, share_cursor
 from boresight.figures.style.thinning import keep_extremes
-from boresight.figures.trust_parts import Part, column, make_figure
 
 TITLE = "Radial difference"
 CONTRAST_COLUMNS = ("radius_px", "difference_px", "sigma_px", "difference_arcsec", "sigma_arcsec")

@@ -16,8 +16,8 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Result, Table
+from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, column, part_figure
 
 PART = "residual_against"
 CAUSES = ("radius", "magnitude", "temperature", "time")

@@ -27,9 +27,9 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Result, Table
+from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import MAX_MAPS, QUIET, draw_maps
-from boresight.figures.trust_parts import Part, column, part_figure
 from boresight.verdicts.numbers import number
 
 COLUMNS = ("row_px", "col_px", "d_row_px", "d_col_px")

@@ -15,8 +15,8 @@ from plotly.subplots import make_subplots
 
 from boresight.figures.chart import Result, Table
 from boresight.figures.charts.residual_against import folded
+from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, column, part_figure
 
 MOST_REASONS = 8
 REASON_LETTERS = 34

@@ -28,12 +28,12 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.cameras import CAMERA_MODELS
 from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.history import History, read_history, tail_start
 from boresight.figures.live_traces import follow_errors
 from boresight.figures.style import theme
 from boresight.figures.style.axes import axis_title, counted, share_cursor
 from boresight.figures.style.thinning import keep_extremes
-from boresight.figures.trust_parts import Part, column, make_figure
 from boresight.verdicts.verdict import read_part, why_absent
 
 TITLE = "Tail and aggregate RMS"

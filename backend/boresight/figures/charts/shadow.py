@@ -14,10 +14,10 @@ import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Table
+from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
 from boresight.figures.style.thinning import keep_extremes
 from boresight.figures.tables import shown
-from boresight.figures.trust_parts import Part, make_figure
 
 POINT_BUDGET = 6000  # of all runs and curves together
 SIDES = ("baseline", "candidate")

@@ -13,8 +13,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.figures.chart import Table
+from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, column, part_figure
 
 LONGEST = 200
 

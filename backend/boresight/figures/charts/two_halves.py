@@ -14,9 +14,9 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.figures.chart import Table
+from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import cells, detector_map, frame_maps
-from boresight.figures.trust_parts import Part, column, part_figure
 from boresight.verdicts.numbers import quantity
 
 PART, KEY = "two_halves", "difference_arcsec"

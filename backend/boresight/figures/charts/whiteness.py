@@ -13,8 +13,8 @@ from typing import Any
 import plotly.graph_objects as go
 
 from boresight.figures.chart import Table
+from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, column, part_figure
 from boresight.verdicts.numbers import quantity
 
 

@@ -10,8 +10,8 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.figures.chart import Table, Trace
+from boresight.figures.factory import Part, column
 from boresight.figures.style import theme
-from boresight.figures.trust_parts import Part, column
 
 #: What the axis of frames is called under each alignment.
 ALIGNMENTS = {"frame": "frame", "time": "hours since the first frame", "update": "update"}

@@ -11,7 +11,7 @@ import numpy as np
 from boresight.papers.documents import Finding, finding
 from boresight.papers.wu import printed
 from boresight.papers.wu.estimators import GALACTIC_LATITUDE_DEG, NOISES_PX, START_SIGMA
-from boresight.papers.wu.tables import MODEL_COLUMNS, Pooled, compute_mean, criterion, spread
+from boresight.papers.wu.tables import MODEL_COLUMNS, Pooled, compute_mean, criterion, find_interval
 from boresight.simulation.sensors import WU_COLUMNS, WU_PIXEL_PITCH_M, WU_TRUTH
 
 PRINTED_B = printed.TABLE_4["B", "mean"][3]
@@ -25,7 +25,7 @@ def findings(pooled: Pooled) -> list[Finding]:
 
 
 def _noise(pooled: Pooled) -> Finding:
-    at = {noise: spread(pooled.of("truth", noise_px=noise), criterion("B", "mean")).mean for noise in NOISES_PX}
+    at = {noise: find_interval(pooled.of("truth", noise_px=noise), criterion("B", "mean")).mean for noise in NOISES_PX}
     implied = NOISES_PX[0] * PRINTED_B / at[NOISES_PX[0]]
     ours = compute_mean(pooled.of("svd-4-23"), "B")
     return finding(
@@ -136,7 +136,7 @@ def _field(_: Pooled) -> Finding:
 
 def _sky(pooled: Pooled) -> Finding:
     found = [
-        spread(pooled.of("angular", limit=limit), lambda record: float(record["stars"])).mean
+        find_interval(pooled.of("angular", limit=limit), lambda record: float(record["stars"])).mean
         for limit in printed.GROUPS
     ]
     ours, theirs = ", ".join(f"{stars:.1f}" for stars in found), ", ".join(map(str, printed.GROUPS.values()))

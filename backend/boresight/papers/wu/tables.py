@@ -26,7 +26,7 @@ REACH = 2.0
 
 
 @dataclass(frozen=True)
-class Spread:
+class MeanInterval:
     """Mean over the sets, and where about 95 % of single sets fall; no interval of a single set."""
 
     mean: float
@@ -55,14 +55,14 @@ class Pooled:
         return chi_square(sum(record["nees"] for record in found), 6 * len(found))
 
 
-def spread(records: Sequence[Record], value: Callable[[Record], float], least: float = -np.inf) -> Spread:
+def find_interval(records: Sequence[Record], value: Callable[[Record], float], least: float = -np.inf) -> MeanInterval:
     """Take a number of every set together; no interval reaches below the least that the number can be."""
     values = np.array([value(record) for record in records])
     mean = float(values.mean())
     if len(values) < 2:
-        return Spread(mean, None, None)
+        return MeanInterval(mean, None, None)
     reach = REACH * float(values.std(ddof=1))
-    return Spread(mean, max(mean - reach, least), mean + reach)
+    return MeanInterval(mean, max(mean - reach, least), mean + reach)
 
 
 def criterion(name: str, which: str) -> Callable[[Record], float]:
@@ -73,7 +73,7 @@ def criterion(name: str, which: str) -> Callable[[Record], float]:
 
 def compute_mean(records: Sequence[Record], name: str, which: str = "mean") -> float:
     """Mean of a criterion over the sets, arcseconds."""
-    return spread(records, criterion(name, which)).mean
+    return find_interval(records, criterion(name, which)).mean
 
 
 NAMES = tuple(printed.TABLE_2)
@@ -150,7 +150,7 @@ def _errors(pooled: Pooled, name: str, weights: str, noise_px: float) -> Row:
     cause, value, cells, sizes = CAUSE[weights, noise_px], error_percent(name), [], []
     for (column, key), theirs in zip(MODEL_COLUMNS.items(), printed.TABLE_2[name], strict=True):
         found = pooled.of(key, weights, noise_px)
-        over = spread(found, value)
+        over = find_interval(found, value)
         cells.append(Cell(column, "%", theirs, value(found[0]), over.low, over.high, 1e-4, 0.0, *cause))
         sizes.append(float(np.sqrt(np.mean([value(record) ** 2 for record in found]))))
     holds = min(sizes[:3]) < sizes[3] < max(sizes[:3])
@@ -178,7 +178,7 @@ def _criterion_a(
 def _cell(
     records: Sequence[Record], column: str, theirs: float, which: tuple[str, str], cause: tuple[str, str]
 ) -> Cell:
-    over = spread(records, criterion(*which), least=0.0)
+    over = find_interval(records, criterion(*which), least=0.0)
     return Cell(column, "″", theirs, over.mean, over.low, over.high, 1e-3, 0.0, *cause)
 
 
@@ -230,7 +230,7 @@ def _stars(pooled: Pooled) -> tuple[Row]:
     why = ("unstated setting", "the path over the sky is not given; Hipparcos, Hp, stands for Tycho-2")
     cells = []
     for group, (limit, theirs) in enumerate(printed.GROUPS.items(), 1):
-        over = spread(pooled.of("angular", limit=limit), lambda record: float(record["stars"]))
+        over = find_interval(pooled.of("angular", limit=limit), lambda record: float(record["stars"]))
         cells.append(Cell(f"group {group}", "", theirs, over.mean, over.low, over.high, 0.1, 0.0, *why))
     said = ", ".join(f"{cell.ours:.1f}" for cell in cells)
     return (judge("stars of an image", cells, Conclusion(True, f"{said} stars.", *why)),)
@@ -261,7 +261,7 @@ def _always_worse(pooled: Pooled, weights: str, noise_px: float) -> Row:
     for group, limit in enumerate(printed.GROUPS):
         pairs = zip(*(pooled.of(key, weights, noise_px, limit) for key in ("svd-4-23", "angular")), strict=True)
         apart = [{"difference": svd["B"][0] - angular["B"][0]} for svd, angular in pairs]
-        over = spread(apart, lambda record: float(record["difference"]))
+        over = find_interval(apart, lambda record: float(record["difference"]))
         value = round(theirs[2 * group + 1] - theirs[2 * group], 3)
         cells.append(Cell(f"group {group + 1}", "″", value, over.mean, over.low, over.high, 1e-3, 0.0, *NO_Q))
     said = ", ".join(f"{cell.ours:+.4f}″" for cell in cells).replace("-", "−")

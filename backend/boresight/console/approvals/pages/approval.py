@@ -24,7 +24,7 @@ from boresight.console.approvals.pages.gates import make_gates_panel
 from boresight.console.approvals.tables import Approval, Opening, Signature
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
-from boresight.console.pages.rendering import ShownRefusal, attempt, read_texts, redirect, render, seen_version
+from boresight.console.pages.rendering import RefusalContext, attempt, read_texts, redirect, render, seen_version
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
@@ -129,7 +129,7 @@ def request_page(
     actor: Actor,
     approval_id: int,
     *,
-    refusal: ShownRefusal | None = None,
+    refusal: RefusalContext | None = None,
     typed: TypedText | None = None,
 ) -> HTMLResponse:
     """Render a request, with a refused form's words in their place."""
@@ -335,7 +335,7 @@ async def _signed(request: Request, actor: Actor, approval_id: int, kind: str) -
 
 
 def _again(
-    request: Request, actor: Actor, approval_id: int, refusal: ShownRefusal | None, typed: TypedText
+    request: Request, actor: Actor, approval_id: int, refusal: RefusalContext | None, typed: TypedText
 ) -> HTMLResponse:
     with open_reading(get_server(request).engine) as session:
         return request_page(request, session, actor, approval_id, refusal=refusal, typed=typed)

@@ -26,7 +26,7 @@ from boresight.console.approvals.tables import ChangeProposal, GateProfile, Gate
 from boresight.console.change_proposals import service as second_person
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import (
-    ShownRefusal,
+    RefusalContext,
     ask,
     attempt,
     proof_of_own,
@@ -134,7 +134,7 @@ def gate_report_page(request: Request, actor: Who, set_id: int) -> HTMLResponse:
 
 
 def _page(
-    request: Request, actor: Actor, set_id: int, refusal: ShownRefusal | None = None, typed: TypedWaiver | None = None
+    request: Request, actor: Actor, set_id: int, refusal: RefusalContext | None = None, typed: TypedWaiver | None = None
 ) -> HTMLResponse:
     with open_reading(get_server(request).engine) as session:
         row = session.get_known(ParameterSet, set_id)
@@ -217,7 +217,7 @@ class GateProfileContext:
 
     typed: Mapping[str, Any] | None = None
     reason: str = ""
-    refusal: ShownRefusal | None = None
+    refusal: RefusalContext | None = None
     tried: Sequence[TriedProfile] | None = None
     changes: Sequence[str] = field(default_factory=tuple)
 

@@ -29,7 +29,7 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.trend import read_trend
 from boresight.console.fleet.trend_document import advise, trend_document
 from boresight.console.notes import service as notes
-from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, render
+from boresight.console.pages.rendering import RefusalContext, attempt, redirect, render
 from boresight.console.parameter_sets import queries as set_queries
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import queries as run_queries
@@ -270,7 +270,7 @@ class SensorContext:
     """What the edit form left behind."""
 
     text: str = ""
-    refusal: ShownRefusal | None = None
+    refusal: RefusalContext | None = None
 
 
 def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: SensorContext) -> HTMLResponse:

@@ -23,7 +23,7 @@ from boresight.console.fleet.status import SensorStatus, SensorTile
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
 from boresight.console.pages.formats import LEVELS
-from boresight.console.pages.rendering import ShownRefusal, attempt, redirect, render
+from boresight.console.pages.rendering import RefusalContext, attempt, redirect, render
 from boresight.console.pages.tables import (
     Table,
     TableColumn,
@@ -125,7 +125,7 @@ class SensorsContext:
     """What the form left behind: its text and its refusal."""
 
     text: str = ""
-    refusal: ShownRefusal | None = None
+    refusal: RefusalContext | None = None
 
 
 @router.get("/sensors", response_class=HTMLResponse)
@@ -214,7 +214,7 @@ async def register(request: Request, actor: Who) -> Response:
     try:
         text = await typed_document(await request.form())
     except RefusedInputError as error:
-        return await run_in_threadpool(_page, request, actor.roles, SensorsContext(refusal=ShownRefusal.of(error)))
+        return await run_in_threadpool(_page, request, actor.roles, SensorsContext(refusal=RefusalContext.of(error)))
     outcome = await attempt(request, partial(_register, actor, text))
     if outcome.value is not None:
         sensor = outcome.value

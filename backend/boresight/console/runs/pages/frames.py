@@ -41,7 +41,7 @@ class Vector:
 
 
 @dataclass(frozen=True)
-class DetectionMark:
+class DetectionSymbol:
     """A detection: its place (x along columns), its fate, what its tooltip says, and its residuals."""
 
     row: int
@@ -61,7 +61,7 @@ class FrameDrawing:
     margin: float
     scale: int
     bar_px: float
-    marks: Sequence[DetectionMark]
+    symbols: Sequence[DetectionSymbol]
     missed: Sequence[Mapping[str, Any]]
     x_ticks: Sequence[int]
     y_ticks: Sequence[int]
@@ -76,7 +76,7 @@ def draw_frame(view: Mapping[str, Any], exposure: Mapping[str, Any], names: Sequ
         margin=MARGIN_SHARE * view["columns"],
         scale=scale,
         bar_px=round_down(BAR_SHARE * view["columns"] / scale),
-        marks=[_mark(star, names) for star in exposure["stars"]],
+        symbols=[_symbol(star, names) for star in exposure["stars"]],
         missed=exposure["undetected"],
         x_ticks=_ticks(view["columns"]),
         y_ticks=_ticks(view["rows"]),
@@ -105,13 +105,13 @@ def _ticks(size: int) -> list[int]:
     return list(range(0, size, step))
 
 
-def _mark(star: Mapping[str, Any], names: Sequence[str]) -> DetectionMark:
+def _symbol(star: Mapping[str, Any], names: Sequence[str]) -> DetectionSymbol:
     vectors = tuple(
         Vector(name, star[name]["d_px"][1], star[name]["d_px"][0], sum(star[name]["sigma_px"]) / 2)
         for name in names
         if star[name]
     )
-    return DetectionMark(
+    return DetectionSymbol(
         star["row"], star["col_px"], star["row_px"], star["fate"].replace(" ", "-"), _title(star), vectors
     )
 

@@ -25,7 +25,7 @@ from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.service import SensorChoices
 from boresight.console.fleet.tables import Sensor
-from boresight.console.pages.rendering import AttemptResult, ShownRefusal, ask, attempt, get_texts, redirect, render
+from boresight.console.pages.rendering import AttemptResult, RefusalContext, ask, attempt, get_texts, redirect, render
 from boresight.console.runs import presets
 from boresight.console.runs import service as runs
 from boresight.console.runs.presets import OfferedPreset
@@ -504,7 +504,7 @@ def _page(
     if offered is None:
         named = [typed.telemetry_set_id, typed.validation_set_id]
         offered = offer(session, origin.find, parse_row_id(typed.sensor_id), named)
-    refusal: ShownRefusal | None = outcome.refusal if outcome else None
+    refusal: RefusalContext | None = outcome.refusal if outcome else None
     words = get_texts(form) if form is not None else request.query_params
     moved = form is not None and form.get("intent") in {"queue", "save"}
     return render(

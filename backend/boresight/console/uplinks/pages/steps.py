@@ -27,7 +27,7 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.timeline import AsOf, SensorSituation, describe_source
 from boresight.console.pages.formats import LEVELS
 from boresight.console.pages.rendering import (
-    ShownRefusal,
+    RefusalContext,
     attempt,
     get_texts,
     proof_of_own,
@@ -247,7 +247,7 @@ class UplinkStepsContext:
 
     form: str = ""
     typed: dict[str, str] = field(default_factory=dict)
-    refusal: ShownRefusal | None = None
+    refusal: RefusalContext | None = None
 
 
 @router.get("/parameter-sets/{set_id:int}/uplink", response_class=HTMLResponse)

@@ -18,7 +18,7 @@ from boresight.console.approvals.tables import ChangeProposal, GateProfile
 from boresight.console.change_proposals import service as second_person
 from boresight.console.fleet.pages.sensors import read_document, typed_document
 from boresight.console.fleet.tables import Sensor
-from boresight.console.pages.rendering import ShownRefusal, attempt, read_again, redirect, render
+from boresight.console.pages.rendering import RefusalContext, attempt, read_again, redirect, render
 from boresight.console.runs.pages.list import read_names
 from boresight.console.uplinks import table_definitions
 from boresight.console.uplinks.table_definitions import Layout
@@ -69,7 +69,7 @@ class TableDefinitionContext:
 
     text: str = ""
     reason: str = ""
-    refusal: ShownRefusal | None = None
+    refusal: RefusalContext | None = None
     tried: bool = False
 
 
@@ -147,14 +147,14 @@ def _page(
     )
 
 
-def _laid_out(session: Session, sensor_id: int, text: str) -> tuple[Layout | None, ShownRefusal | None]:
+def _laid_out(session: Session, sensor_id: int, text: str) -> tuple[Layout | None, RefusalContext | None]:
     """Lay the baseline out by what the text says, or say why that cannot be."""
     try:
         return table_definitions.layout(session, sensor_id, read_document(text)), None
     except NotFoundError:
         raise
     except BoresightError as error:
-        return None, ShownRefusal.of(error)
+        return None, RefusalContext.of(error)
 
 
 @router.post("/sensors/{sensor_id:int}/table-definition", response_class=HTMLResponse)
@@ -166,7 +166,7 @@ async def change(request: Request, actor: Who, policy: ServerPolicy, sensor_id: 
     try:
         text = await typed_document(form)
     except RefusedInputError as error:
-        return await read_again(request, partial(page, TableDefinitionContext("", reason, ShownRefusal.of(error))))
+        return await read_again(request, partial(page, TableDefinitionContext("", reason, RefusalContext.of(error))))
     if form.get("action") != "set":
         return await read_again(request, partial(page, TableDefinitionContext(text, reason, tried=True)))
     seen = parse_row_id(str(form.get("number", "")))

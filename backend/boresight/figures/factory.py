@@ -1,4 +1,4 @@
-"""How a figure reads its part of `trust`, and what it says where that part is not there."""
+"""Makes figures of what they read in results, each with what it says where that is not there."""
 
 from __future__ import annotations
 
