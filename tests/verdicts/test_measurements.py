@@ -1,4 +1,4 @@
-"""What gates measure, and on which held-out frames."""
+"""What gates measure, and on which validation frames."""
 
 import dataclasses
 

@@ -220,7 +220,7 @@ def test_an_open_page_that_only_listens_or_renews_itself_does_not_use_its_log_in
     with _logged_in(settings) as (client, app):
         used = app.state.upkeep._sessions_used_utc
         background = {"X-Boresight-Background": "1"}
-        for _ in range(3):  # the second and third stand ready
+        for _ in range(3):  # the second and third are cached
             assert client.get("/api/v1/runs", headers=background).status_code == 200
             assert client.get("/", headers=background).status_code == 200
         with client.stream("GET", "/api/v1/events") as stream:

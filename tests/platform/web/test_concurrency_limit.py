@@ -43,9 +43,7 @@ def test_those_who_watch_and_the_files_of_pages_are_always_let_in(
         assert house.anybody().get(path).status_code == 200, path
 
 
-def test_what_stands_ready_is_given_though_too_many_are_under_way(
-    house: House, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_cached_is_given_though_too_many_are_under_way(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     client = house.person("ada")
     assert client.get("/api/v1/runs").status_code == 200
     monkeypatch.setattr(get_limit(house.app).known, "most", 0)

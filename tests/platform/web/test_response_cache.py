@@ -1,4 +1,4 @@
-"""Answers that stand ready: fresh after every commit, nobody's but their own, and only for credentials that hold now."""
+"""Cached answers: fresh after every commit, nobody's but their own, and only for credentials that hold now."""
 
 import asyncio
 import re
@@ -36,7 +36,7 @@ LISTS = (RUNS, "/api/v1/sensors", "/api/v1/telemetry-sets", "/api/v1/parameter-s
 
 
 def served(house: House) -> int:
-    return len(house.app.state.response_cache._kept)
+    return len(house.app.state.response_cache._cached)
 
 
 def fresh(client: httpx.Client, path: str) -> dict[str, Any]:
@@ -167,7 +167,7 @@ def test_who_asks_while_an_answer_waits_for_its_turn_shares_it_whatever_is_commi
     assert {answer.json()["items"][0]["id"] for answer in answers} == {run["id"]}
 
 
-def test_nobody_reads_what_stands_ready_for_the_known(house: House) -> None:
+def test_nobody_reads_what_is_cached_for_the_known(house: House) -> None:
     house.person("ada").get(RUNS)
     house.person("ada").get("/runs")
     assert house.anybody().get(RUNS).status_code == 401
@@ -210,7 +210,7 @@ def test_ended_log_ins_and_disabled_people_are_refused_at_once(house: House) -> 
     assert client.get(RUNS).status_code == 401
 
 
-def test_who_must_set_a_password_gets_nothing_that_stands_ready(house: House) -> None:
+def test_who_must_set_a_password_gets_nothing_that_is_cached(house: House) -> None:
     name = f"new-{time.time_ns()}"
     house.person("adele").post(
         "/api/v1/users",
@@ -253,7 +253,7 @@ def test_a_log_in_that_expires_by_the_clock_is_refused_without_any_commit(
     assert client.get(RUNS).status_code == 401
 
 
-def test_what_stands_ready_counts_as_a_use_of_the_log_in(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cached_answer_counts_as_a_use_of_the_log_in(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(house.app.state.upkeep, "_limits", SessionLimits(age_s=3600.0, idle_s=0.6))
     client = house.log_in("victor")
     for _ in range(4):
@@ -326,7 +326,7 @@ def test_an_old_answer_is_made_anew(house: House, monkeypatch: pytest.MonkeyPatc
     assert asked
 
 
-def test_what_stands_ready_is_bounded(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cache_is_bounded(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     client = house.person("ada")
     house.launched()
     client.get(RUNS)
@@ -495,7 +495,7 @@ ACTS = st.lists(st.sampled_from(("launch", "cancel", "end", "sensor", "read")), 
 
 @settings(max_examples=effort(4, 12), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(acts=ACTS)
-def test_after_any_acts_what_stands_ready_equals_what_would_be_answered(house: House, acts: list[str]) -> None:
+def test_after_any_acts_what_is_cached_equals_what_would_be_answered(house: House, acts: list[str]) -> None:
     people = [house.person(name) for name in ("ada", "victor", "olga")]
     runs: list[dict[str, Any]] = []
     for act in acts:

@@ -298,7 +298,7 @@ OF_EACH_ANSWER = {"date", "x-request-id", "transfer-encoding"}
 @pytest.mark.parametrize("accepted", ["gzip", "identity"])
 def test_the_headers_are_those_of_get_and_there_is_no_body(house: House, path: str, accepted: str) -> None:
     client = house.person("ada")
-    for _ in range(2):  # the second may stand ready
+    for _ in range(2):  # the second may be cached
         whole, head = (
             client.request(method, path, headers={"Accept-Encoding": accepted}) for method in ("GET", "HEAD")
         )

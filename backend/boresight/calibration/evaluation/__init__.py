@@ -1,1 +1,1 @@
-"""What a calibration is worth: held-out scores, comparisons, forecasts, alignment."""
+"""What a calibration is worth: scores on a validation set, comparisons, forecasts, alignment."""

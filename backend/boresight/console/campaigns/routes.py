@@ -90,7 +90,9 @@ class CampaignMember(Shape):
 
     sensor_id: Id
     telemetry_set_id: Id | Newest = "newest"
-    validation_set_id: Id | Newest | None = Field("newest", description="Null leaves the runs without a held-out set.")
+    validation_set_id: Id | Newest | None = Field(
+        "newest", description="Null leaves the runs without a validation set."
+    )
 
 
 class CampaignLaunch(BaseModel):

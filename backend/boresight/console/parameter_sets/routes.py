@@ -33,7 +33,7 @@ class FromRun(Shape):
 class Submission(Shape):
     """Why this set should become the baseline."""
 
-    reason: str = Field(examples=["Focal length moved by 4 sigma since launch; held-out RMS is 12 % lower."])
+    reason: str = Field(examples=["Focal length moved by 4 sigma since launch; validation RMS is 12 % lower."])
 
 
 class RollBack(Shape):

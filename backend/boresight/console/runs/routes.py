@@ -57,7 +57,7 @@ class Launch(BaseModel):
     settings: console_schemas.Settings = Field(
         default_factory=dict, description="Method, variant, free parameters and so on."
     )
-    validation_set_id: Id | None = Field(None, description="A set that is held out and only judged with.")
+    validation_set_id: Id | None = Field(None, description="A validation set: only judged with, never fitted.")
     label: str = ""
     validate_only: bool = Field(
         default=False, description="Check everything, change nothing, and say what it would be."

@@ -173,8 +173,8 @@ async def upload(
 ) -> Response:
     """Check and store the file, then show its quality report."""
     _require_meant(request, upload)
-    ready = _prepared(actor, upload, settings, sight, engine)
-    outcome = await _attempt(request, actor, upload, sight.blobs, ready)
+    prepared = _prepared(actor, upload, settings, sight, engine)
+    outcome = await _attempt(request, actor, upload, sight.blobs, prepared)
     if outcome.value is None:
         shown = _refused(upload, outcome.refusal)
         return await read_again(request, partial(_page, request, actor.roles, settings.upload_limit_mb, shown))
@@ -200,8 +200,8 @@ async def _attempt(
     checking: AbstractContextManager[PreparedUpload],
 ) -> AttemptResult[TelemetrySet]:
     try:
-        async with contextmanager_in_threadpool(checking) as ready:
-            return await attempt(request, partial(_store, actor, blobs, upload, ready))
+        async with contextmanager_in_threadpool(checking) as prepared:
+            return await attempt(request, partial(_store, actor, blobs, upload, prepared))
     except BoresightError as error:
         return AttemptResult(None, RefusalContext.of(error))
 
@@ -218,14 +218,14 @@ def _prepared(
     with open_reading(engine) as session:
         document = session.get_known(Sensor, upload.number("sensor_id")).document
     limits = settings.telemetry_limits
-    with telemetry_sets.prepared(document, sight.catalogue(), upload.path, upload.file_name, limits) as ready:
-        sight.blobs.send_ahead(ready.original, ready.table)
-        yield ready
+    with telemetry_sets.prepared(document, sight.catalogue(), upload.path, upload.file_name, limits) as prepared:
+        sight.blobs.send_ahead(prepared.original, prepared.table)
+        yield prepared
 
 
-def _store(actor: Actor, blobs: BlobStore, upload: Upload, ready: PreparedUpload, session: Session) -> TelemetrySet:
+def _store(actor: Actor, blobs: BlobStore, upload: Upload, prepared: PreparedUpload, session: Session) -> TelemetrySet:
     purpose = upload.fields.get("purpose", PURPOSES[0])
-    return telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), ready, purpose)
+    return telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), prepared, purpose)
 
 
 def _refused(upload: Upload, refusal: RefusalContext | None) -> TelemetryContext:

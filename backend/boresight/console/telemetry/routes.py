@@ -60,9 +60,9 @@ def _prepare(
     with open_reading(engine) as session:
         document = session.get_known(Sensor, upload.number("sensor_id")).document
     limits = settings.telemetry_limits
-    with telemetry_sets.prepared(document, sight.catalogue(), upload.file(), upload.file_name, limits) as ready:
-        sight.blobs.send_ahead(ready.original, ready.table)
-        yield ready
+    with telemetry_sets.prepared(document, sight.catalogue(), upload.file(), upload.file_name, limits) as prepared:
+        sight.blobs.send_ahead(prepared.original, prepared.table)
+        yield prepared
 
 
 Prepared = Annotated[telemetry_sets.PreparedUpload, Depends(_prepare, scope="function")]
@@ -90,13 +90,15 @@ def list_telemetry_sets(
     response_model=schemas.TelemetrySet,
     openapi_extra={"requestBody": FORM},
 )
-def upload_telemetry_set(actor: Who, upload: Uploaded, ready: Prepared, session: Writing, blobs: Blobs) -> TelemetrySet:
+def upload_telemetry_set(
+    actor: Who, upload: Uploaded, prepared: Prepared, session: Writing, blobs: Blobs
+) -> TelemetrySet:
     """Store a file with its quality report; a refused one leaves nothing behind and says row and column.
 
     The same bytes again for the same sensor are the set that is there already.
     """
     purpose = upload.fields.get("purpose", "calibration")
-    return telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), ready, purpose)
+    return telemetry_sets.store_prepared(session, actor, blobs, upload.number("sensor_id"), prepared, purpose)
 
 
 @router.get(

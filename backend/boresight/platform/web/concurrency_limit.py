@@ -2,7 +2,7 @@
 
 A request that needs the store waits for one of a few threads. Without a bound a crowd would fill the queue until everybody's
 patience is over before their turn comes, and the server would work for people who have left. With it, whoever is let in is answered
-within seconds, and the rest know it within a millisecond: 503 and `Retry-After`. What stands ready, files of the pages, event
+within seconds, and the rest know it within a millisecond: 503 and `Retry-After`. Cached answers, files of the pages, event
 streams and the routes by which the server is watched need no thread of the few, and are always let in.
 
 There are three kinds of places, and no kind takes another's. Requests of somebody known; requests of nobody known, of which each
@@ -169,13 +169,13 @@ class ConcurrencyLimit:
             body = _AnnouncedBody.of(scope)
             if person is None:
                 places, key = self.unknown, _address(scope)
-                ready = await self._small(body, receive) if body.comes else receive
+                buffered = await self._small(body, receive) if body.comes else receive
             elif body.is_large:
-                places, key, ready = self.large, str(person), receive
+                places, key, buffered = self.large, str(person), receive
             else:
                 places, key = self.known, ""
-                ready = await read_body(receive) if body.comes else receive
-            if ready is None:
+                buffered = await read_body(receive) if body.comes else receive
+            if buffered is None:
                 return  # who asked has left
             if not places.take(key):
                 raise _make_refusal(places)
@@ -185,7 +185,7 @@ class ConcurrencyLimit:
         try:
             async with (self.readers if scope["method"] in SAFE_METHODS else self.writers).turn(waited_s(scope)):
                 await self._begin(scope)
-                await self.app(scope, ready, send)
+                await self.app(scope, buffered, send)
         finally:
             places.give_back(key)
 

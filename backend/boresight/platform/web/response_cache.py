@@ -197,8 +197,8 @@ class PendingResponse:
 
 def waited_s(scope: Scope) -> Callable[[float], float] | None:
     """Return what tells how long those have waited, in sum, who will have the answer to a request."""
-    making: PendingResponse | None = scope["state"].get(COMING)
-    return None if making is None else making.waited_s
+    pending: PendingResponse | None = scope["state"].get(COMING)
+    return None if pending is None else pending.waited_s
 
 
 def share(request: Request, same_for: str) -> None:
@@ -239,10 +239,10 @@ class ResponseCache:
         self.held_bytes = 0
         self._authenticate = authenticate
         self._limit_bytes = limit_bytes
-        self._kept: OrderedDict[Hashable, CachedResponse] = OrderedDict()
+        self._cached: OrderedDict[Hashable, CachedResponse] = OrderedDict()
         self._same_for: OrderedDict[Address, str] = OrderedDict()
         self._coming: dict[Hashable, PendingResponse] = {}
-        self._making: dict[tuple[Hashable, DataVersion], PendingResponse] = {}
+        self._pending: dict[tuple[Hashable, DataVersion], PendingResponse] = {}
 
     async def find(self, scope: Scope, asked: CacheRequest) -> CachedResponse | None:
         """Return the answer that is kept for who asks, waiting for it when it is being made."""
@@ -250,31 +250,31 @@ class ResponseCache:
         key = self._key(scope, asked)
         if key is None or asked.data_version is None:
             return None
-        kept = self._kept.get(key)
-        if kept is not None and kept.data_version == asked.data_version and self._is_young(kept):
-            self._kept.move_to_end(key)
-            return kept
+        cached = self._cached.get(key)
+        if cached is not None and cached.data_version == asked.data_version and self._is_young(cached):
+            self._cached.move_to_end(key)
+            return cached
         coming = self._coming.get(key)
-        making = coming or self._making.get((key, asked.data_version))
-        if making is not None:
-            return await self._wait(scope, asked, making, has_begun=coming is None)
-        making = PendingResponse(key, asyncio.get_running_loop().create_future())
-        making.joined()
-        self._coming[key] = scope["state"][COMING] = making
+        pending = coming or self._pending.get((key, asked.data_version))
+        if pending is not None:
+            return await self._wait(scope, asked, pending, has_begun=coming is None)
+        pending = PendingResponse(key, asyncio.get_running_loop().create_future())
+        pending.joined()
+        self._coming[key] = scope["state"][COMING] = pending
         return None
 
     async def _wait(
-        self, scope: Scope, asked: CacheRequest, making: PendingResponse, *, has_begun: bool
+        self, scope: Scope, asked: CacheRequest, pending: PendingResponse, *, has_begun: bool
     ) -> CachedResponse | None:
         """Wait for an answer that is coming, or has begun to be made under our data version, and authenticate again."""
-        making.joined()
-        kept = await asyncio.shield(making.answer)
-        if kept is None:
+        pending.joined()
+        cached = await asyncio.shield(pending.answer)
+        if cached is None:
             return None
         await self._authenticate(scope)
-        if kept.is_older and has_begun:  # part of it is of before a commit that who came so late may know of
+        if cached.is_older and has_begun:  # part of it is of before a commit that who came so late may know of
             return await self.find(scope, asked)
-        return kept if self._key(scope, asked) == making.key else None
+        return cached if self._key(scope, asked) == pending.key else None
 
     def _key(self, scope: Scope, asked: CacheRequest) -> Hashable:
         """Return under what the answer to who asks is kept; None where nobody is known, or nobody knows yet whose it will be."""
@@ -286,32 +286,32 @@ class ResponseCache:
             return asked.address
         return asked.address, same_for, sharing.roles if same_for == FOR_ROLES else sharing.person
 
-    def _is_young(self, kept: CachedResponse) -> bool:
+    def _is_young(self, cached: CachedResponse) -> bool:
         """Whether an answer is not too old, and what it depends on besides the store is as it was."""
-        return time.monotonic() - kept.made_s < HELD_S and kept.beside in {None, self.beside()}
+        return time.monotonic() - cached.made_s < HELD_S and cached.beside in {None, self.beside()}
 
-    def keep(self, scope: Scope, asked: CacheRequest, kept: CachedResponse, same_for: str) -> None:
+    def keep(self, scope: Scope, asked: CacheRequest, cached: CachedResponse, same_for: str) -> None:
         """Keep an answer, and give it to those who wait for it."""
         self._same_for[asked.address] = same_for
         self._same_for.move_to_end(asked.address)
         if len(self._same_for) > MOST_ADDRESSES:
             self._same_for.popitem(last=False)
-        size, key = len(kept.body), self._key(scope, asked)
+        size, key = len(cached.body), self._key(scope, asked)
         if key is None or size * LARGEST_SHARE > self._limit_bytes:
             return
         self._drop(key)
-        if not kept.is_older:
-            self._kept[key] = kept
+        if not cached.is_older:
+            self._cached[key] = cached
             self.held_bytes += size
             while self.held_bytes > self._limit_bytes:
-                self._drop(next(iter(self._kept)))
-        making: PendingResponse | None = scope["state"].get(COMING)
-        if making is not None and making.key == key and not making.answer.done():
-            making.answer.set_result(kept)
+                self._drop(next(iter(self._cached)))
+        pending: PendingResponse | None = scope["state"].get(COMING)
+        if pending is not None and pending.key == key and not pending.answer.done():
+            pending.answer.set_result(cached)
 
     def _drop(self, key: Hashable) -> None:
-        kept = self._kept.pop(key, None)
-        self.held_bytes -= 0 if kept is None else len(kept.body)
+        cached = self._cached.pop(key, None)
+        self.held_bytes -= 0 if cached is None else len(cached.body)
 
     async def begin(self, scope: Scope) -> None:
         """Begin to make an answer: it will tell of everything that is committed by now, and of nothing later for sure.
@@ -319,31 +319,31 @@ class ResponseCache:
         Who asks is authenticated again, for they may have waited for the turn. Others who asked meanwhile wait for the answer; who
         asks from now on does so only if nothing is committed before.
         """
-        making: PendingResponse | None = scope["state"].get(COMING)
-        if making is not None and self._coming.get(making.key) is making:
-            del self._coming[making.key]
+        pending: PendingResponse | None = scope["state"].get(COMING)
+        if pending is not None and self._coming.get(pending.key) is pending:
+            del self._coming[pending.key]
         await self._authenticate(scope)
         asked: CacheRequest | None = scope["state"].get(ASKED)
         if asked is None:
             return
         asked.data_version, asked.beside = scope["state"].get(DATA_VERSION), self.beside()
-        if making is not None:  # what is read for all of them must tell what the last to come may know
-            scope["state"]["came_s"] = making.newest_s
+        if pending is not None:  # what is read for all of them must tell what the last to come may know
+            scope["state"]["came_s"] = pending.newest_s
             if asked.data_version is not None:
-                self._making.setdefault((making.key, asked.data_version), making)
+                self._pending.setdefault((pending.key, asked.data_version), pending)
 
     def over(self, scope: Scope) -> None:
         """Say that a request was answered, however: who still waits for its answer makes one."""
-        making: PendingResponse | None = scope["state"].get(COMING)
-        if making is None:
+        pending: PendingResponse | None = scope["state"].get(COMING)
+        if pending is None:
             return
-        began = (making.key, scope["state"][ASKED].data_version)
-        if self._coming.get(making.key) is making:
-            del self._coming[making.key]
-        if self._making.get(began) is making:
-            del self._making[began]
-        if not making.answer.done():
-            making.answer.set_result(None)
+        began = (pending.key, scope["state"][ASKED].data_version)
+        if self._coming.get(pending.key) is pending:
+            del self._coming[pending.key]
+        if self._pending.get(began) is pending:
+            del self._pending[began]
+        if not pending.answer.done():
+            pending.answer.set_result(None)
 
 
 class CacheLookupMiddleware:
@@ -359,10 +359,10 @@ class CacheLookupMiddleware:
             await self.app(scope, receive, send)
             return
         asked = CacheRequest.of(scope)
-        kept = await self.cache.find(scope, asked)
-        if kept is not None:
-            scope["route"] = kept.route
-            await kept.send(send, asked.known_tags, scope["state"][SHARING].gaps)
+        cached = await self.cache.find(scope, asked)
+        if cached is not None:
+            scope["route"] = cached.route
+            await cached.send(send, asked.known_tags, scope["state"][SHARING].gaps)
             return
         scope["state"][ASKED] = asked
         try:
@@ -419,10 +419,10 @@ class _OutgoingResponse:
         state = self._scope["state"]
         asked: CacheRequest = state[ASKED]
         same_for, sharing = state.get(SAME_FOR), state.get(SHARING)
-        kept = self._written(start, body, asked, same_for)
+        cached = self._written(start, body, asked, same_for)
         if same_for is not None and asked.data_version is not None:
-            self._cache.keep(self._scope, asked, kept, same_for)
-        await kept.send(self._send, asked.known_tags, sharing.gaps if sharing else ())
+            self._cache.keep(self._scope, asked, cached, same_for)
+        await cached.send(self._send, asked.known_tags, sharing.gaps if sharing else ())
 
     def _written(self, start: Message, body: bytes, asked: CacheRequest, same_for: str | None) -> CachedResponse:
         state = self._scope["state"]

@@ -54,7 +54,7 @@ def compute_validation_scores(
     settings: CalibrationSettings,
     cache_folder: Path | None = None,
 ) -> dict[str, Score | int]:
-    """See held-out frames under both sets and score them."""
+    """See validation frames under both sets and score them."""
     states = [
         parse_parameters(incumbent, sensor, "The incumbent"),
         parse_parameters(candidate, sensor, "The set"),

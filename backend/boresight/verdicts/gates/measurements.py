@@ -18,7 +18,7 @@ columns of the detector, in which there was at least one star; where there was n
 A table on board holds parameters as float32 or as whole numbers with a scale. Rounding each to its nearest step moves directions,
 and nothing on the ground would show it: every number here is float64.
 
-What the gates look at: a set, what it is compared with, the run behind it, and held-out frames seen under both.
+What the gates look at: a set, what it is compared with, the run behind it, and validation frames seen under both.
 
 ==========  ================================================================================================
 direction   a value v passes a limit L when
@@ -419,7 +419,7 @@ GATES = {
         Gate(
             "validation-rms",
             "Validation RMS",
-            "How large are the arc errors on held-out frames, in multiples of the stated noise of an arc?",
+            "How large are the arc errors on validation frames, in multiples of the stated noise of an arc?",
             "below",
             "× noise",
             measure=_rms_in_noise,
@@ -439,7 +439,7 @@ GATES = {
         Gate(
             "availability",
             "Availability",
-            "In which share of the held-out frames would the flight code find an attitude?",
+            "In which share of the validation frames would the flight code find an attitude?",
             "above",
             "of frames",
             highest=1.0,
@@ -462,7 +462,7 @@ GATES = {
         Gate(
             "matched-stars",
             "Matched stars",
-            "How many matches a held-out frame would the flight code accept?",
+            "How many matches a validation frame would the flight code accept?",
             "above",
             "a frame",
             measure=partial(_score, "matched-stars"),

@@ -176,7 +176,7 @@ def list_history_facts(result: Result | None) -> Rows:
 
 
 def tail_facts(result: Result | None, view: RunView) -> tuple[RmsTail | None, Rows]:
-    """Set the errors of a run beside each other, each with its 3-sigma: on the data fitted, and never mixed in, held out."""
+    """Set the errors of a run beside each other, each with its 3-sigma: on the data fitted and, apart, on the validation set."""
     if not result:
         return None, []
     tail = summarise_tail({**result, "tail_from": view.tail_from})
@@ -290,7 +290,7 @@ def make_convergence_part(desk: RunReview) -> dict[str, Any]:
 
 
 def make_rms_part(desk: RunReview) -> dict[str, Any]:
-    """Gather tail, aggregate and held-out errors."""
+    """Gather tail, aggregate and validation errors."""
     view = read_run_view(desk.request.query_params, desk.result)
     tail, facts = tail_facts(desk.result, view)
     return {**make_charts_part(desk, "rms"), "view": view, "facts": facts, "tail": tail}
