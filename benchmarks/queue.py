@@ -20,7 +20,7 @@ is overhead. On a machine with no more cores than workers the server computes wh
 first two figures then flatter. Processor time does not, but for caches and clocks that are shared; what a run costs beyond bare
 processes of its kind flatters nobody, and is held to the same limit by either clock. What all processes use beyond what the workers
 state has no limit: it holds what they use while they wait, and so grows with the time a run takes. All hold what the processes do
-beside the runs, the upkeep's walks of the audit log too, and with kills the start of what was killed.
+beside the runs, the maintenance's walks of the audit log too, and with kills the start of what was killed.
 """
 
 from __future__ import annotations

@@ -138,19 +138,19 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     if settings.blob_place.is_folder:
         with suppress(StorageError):  # `readyz` says so, and the first use tries again
             state.blobs.open()
-    state.blobs_watched = CachedCheck(state.blobs.refuse_unusable)
+    state.blob_check = CachedCheck(state.blobs.refuse_unusable)
     state.figure_cache = FigureCache()
     state.log_in_cookie = LogInCookie(settings)
     state.catalogue = _lazy_catalogue(settings)
-    state.sight = ForecastSources(state.blobs, lambda: state.catalogue(), settings.catalogue_folder)  # noqa: PLW0108 - as it is when asked
+    state.forecast_sources = ForecastSources(state.blobs, lambda: state.catalogue(), settings.catalogue_folder)  # noqa: PLW0108 - as it is when asked
     state.broadcast = Broadcast(state.engine)
     state.heartbeat = Heartbeat(state.engine, state.broadcast.nudge, settings.data_folder / "last-seen")
     external_head = ExternalHeadFile(settings.kept_head_file, 60.0 * settings.audit_head_minutes)
-    state.upkeep = Maintenance(state.engine, settings.session_limits, state.blobs, external_head)
+    state.maintenance = Maintenance(state.engine, settings.session_limits, state.blobs, external_head)
     state.passwords = PasswordWorker(state.engine, settings.login_attempts)
-    state.blobs.tell_corrupt = state.upkeep.suspect
+    state.blobs.tell_corrupt = state.maintenance.suspect
     state.secret_box = settings.secret_box
-    state.deliveries = WebhookSender(state.engine, settings.targets, state.secret_box)
+    state.webhook_sender = WebhookSender(state.engine, settings.targets, state.secret_box)
     data_versions = DataVersionReader(state.engine)
     state.changes, state.fleet = DataVersionPoller(data_versions), FleetStatusCache(state.engine, data_versions)
     state.known, state.overview = CredentialCache(data_versions), VersionedCache[object](data_versions)
@@ -163,7 +163,7 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
 def _beside(app: FastAPI) -> tuple[object, ...]:
     """Return what pages show besides the store: whether two are asked for, the light of the audit log, how the workers are."""
     workers = app.state.workers
-    return (app.state.policy.four_eyes, app.state.upkeep.light(), *(workers.state().values() if workers else ()))
+    return (app.state.policy.four_eyes, app.state.maintenance.light(), *(workers.state().values() if workers else ()))
 
 
 def _count_runs(app: FastAPI) -> dict[str, int]:
@@ -196,20 +196,20 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     state.write_lock = asyncio.Lock()
     state.broadcast.start()
     state.heartbeat.start()
-    state.upkeep.start()
+    state.maintenance.start()
     state.passwords.start()
-    state.deliveries.start()
-    state.workers = RunDispatcher(state.engine, state.settings, state.broadcast.hear, suspect=state.upkeep.suspect)
+    state.webhook_sender.start()
+    state.workers = RunDispatcher(state.engine, state.settings, state.broadcast.hear, suspect=state.maintenance.suspect)
     state.workers.start()
     threading.Thread(target=_warm, args=(state.catalogue,), name="boresight-catalogue", daemon=True).start()
     try:
         yield
     finally:
         await run_in_threadpool(state.workers.stop)
-        await run_in_threadpool(state.deliveries.close)
+        await run_in_threadpool(state.webhook_sender.close)
         await run_in_threadpool(state.heartbeat.close)
         await run_in_threadpool(state.passwords.close)
-        await run_in_threadpool(state.upkeep.close)
+        await run_in_threadpool(state.maintenance.close)
         await run_in_threadpool(state.broadcast.close)
         state.changes.close()
         state.engine.dispose()

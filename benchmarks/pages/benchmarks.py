@@ -205,7 +205,7 @@ def _whole(found: Found) -> str:
     )  # fmt: skip
     return (
         table(heads, rows, (0, 1))
-        + "\nThe fit in C is the evaluations of A and b of the fit with given directions, and nothing else; a calibration weighs "
+        + "\nThe fit in C is the evaluations of A and b of the fit with given directions, and nothing else; a calibration whitens "
         "twice and so fits twice.\n\n" + all_figures(found)
     )
 

@@ -10,7 +10,7 @@ a2 = 0 the Jacobian has rank 6 of 8, because there (m0, a2) and (n0, a1) are pur
 
 The fit has converged when the undamped Newton decrement over the determined directions, b^T A^+ b, is below `REST` squared: the
 estimate then lies within `REST` of its own standard deviation from the optimum. R depends on f a little (sigma in rad is
-sigma_px Delta / f), so the caller weighs the arcs again at the solution and fits once more.
+sigma_px Delta / f), so the caller whitens the arcs again at the solution and fits once more.
 
 With Huber's loss (`robust`) both A and b carry its weights on the way, and A at the end is what that estimate is worth.
 

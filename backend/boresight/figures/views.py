@@ -84,7 +84,7 @@ def _on_axis(result: Result, steps: FloatArray | None, placed: FloatArray | None
     return moved
 
 
-Place = tuple[str, str, str]
+CurveKey = tuple[str, str, str]
 
 BAND_POINTS = 600  # a band
 
@@ -94,7 +94,7 @@ def as_band(figure: go.Figure, traces: Sequence[Trace]) -> go.Figure:
     others = {theme.escape(trace.label) for trace in traces[1:]}
     if len(others) < 2:
         return figure
-    curves: dict[Place, list[Any]] = {}
+    curves: dict[CurveKey, list[Any]] = {}
     kept = []
     for drawn in figure.data:
         said = drawn.meta or {}
@@ -105,8 +105,8 @@ def as_band(figure: go.Figure, traces: Sequence[Trace]) -> go.Figure:
     if not curves:
         return figure
     figure.data = kept
-    for number, (place, found) in enumerate(curves.items()):
-        _draw_band(figure, place, found, named=number == 0, runs=len(others))
+    for number, (key, found) in enumerate(curves.items()):
+        _draw_band(figure, key, found, named=number == 0, runs=len(others))
     return figure
 
 
@@ -124,7 +124,7 @@ def find_span(curves: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArr
     return places, np.nanmin(values, axis=0), np.nanmax(values, axis=0)
 
 
-def _draw_band(figure: go.Figure, place: Place, found: Sequence[Any], *, named: bool, runs: int) -> None:
+def _draw_band(figure: go.Figure, key: CurveKey, found: Sequence[Any], *, named: bool, runs: int) -> None:
     """Add one band, in the grey of what is no run."""
     curves = [(np.asarray(one.x, dtype=np.float64), np.asarray(one.y, dtype=np.float64)) for one in found]
     x, low, high = find_span(curves)
@@ -144,8 +144,8 @@ def _draw_band(figure: go.Figure, place: Place, found: Sequence[Any], *, named: 
         legendgroup=name,
         showlegend=named,
         hoverinfo="skip",
-        xaxis=place[0],
-        yaxis=place[1],
+        xaxis=key[0],
+        yaxis=key[1],
     )
     figure.add_trace(band)
 

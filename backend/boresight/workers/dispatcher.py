@@ -276,14 +276,14 @@ class AlarmCheck:
         self._noted += [end.run_id for end in ends if end.state == "SUCCEEDED"]
 
     def look(self) -> None:
-        """Look at some of them, writing only where an alarm changes; what fails here, the server's upkeep does again."""
+        """Look at some of them, writing only where an alarm changes; what fails here, the server's maintenance does again."""
         some, self._noted = self._noted[:RUNS], self._noted[RUNS:]
         try:
             if some and (sensor_ids := self._changed(some)):
                 with open_writing(self._database) as session:
                     update_alarms(session, sensor_ids)
         except Exception:
-            log.exception("The watch failed after a run; the server's upkeep looks again")
+            log.exception("The alarm check failed after a run; the server's maintenance looks again")
 
     def _changed(self, run_ids: Collection[int]) -> list[int]:
         """Return the sensors of these runs whose alarms are not as they should be."""

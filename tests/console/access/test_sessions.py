@@ -209,16 +209,16 @@ def test_a_use_on_one_server_keeps_the_log_in_alive_on_another(settings):
     with serving(settings) as (one, app_one), serving(settings) as (two, _), httpx.Client() as client:
         client.post(f"{one}/api/v1/sessions", json={"name": "ada", "password": PASSWORD}).raise_for_status()
         _shift(settings, minutes=59)
-        app_one.state.upkeep._sessions_used_utc.clear()
+        app_one.state.maintenance._sessions_used_utc.clear()
         assert client.get(f"{one}/api/v1/runs").status_code == 200
-        app_one.state.upkeep.write_uses()
+        app_one.state.maintenance.write_uses()
         _shift(settings, minutes=2)  # 61 minutes after the log-in, 2 after its use on the first server
         assert client.get(f"{two}/api/v1/runs").status_code == 200
 
 
 def test_an_open_page_that_only_listens_or_renews_itself_does_not_use_its_log_in(settings):
     with _logged_in(settings) as (client, app):
-        used = app.state.upkeep._sessions_used_utc
+        used = app.state.maintenance._sessions_used_utc
         background = {"X-Boresight-Background": "1"}
         for _ in range(3):  # the second and third are cached
             assert client.get("/api/v1/runs", headers=background).status_code == 200
@@ -237,17 +237,17 @@ def test_requests_do_not_write_and_a_round_writes_the_last_use_once(settings):
         for _ in range(20):
             client.get("/api/v1/sensors").raise_for_status()
         assert marks.look() == before
-        app.state.upkeep.write_uses()
+        app.state.maintenance.write_uses()
         after = marks.look()
         assert after != before
-        app.state.upkeep.write_uses()
+        app.state.maintenance.write_uses()
         assert marks.look() == after
         marks.close()
 
 
 def test_what_lapsed_is_written_and_what_ended_long_ago_is_forgotten(settings):
     engine = open_engine(settings.database_url)
-    upkeep = Maintenance(engine, settings.session_limits, open_blobs(settings.blob_place))
+    maintenance = Maintenance(engine, settings.session_limits, open_blobs(settings.blob_place))
     ages_h = {"fresh": 0.0, "idle": 1.2, "expired": 13.0}
     with open_writing(engine) as session:
         for age_h in ages_h.values():
@@ -255,7 +255,7 @@ def test_what_lapsed_is_written_and_what_ended_long_ago_is_forgotten(settings):
             row.created_utc = row.last_used_utc = utc_after(-3600 * age_h)
         row, _ = sessions.begin(session, 1, sessions.ClientAddress())
         row.ended_utc, row.ended_because = utc_after(-sessions.KEPT_FOR_S - 60), "logged_out"
-    upkeep.tidy_sessions()
+    maintenance.tidy_sessions()
     with open_reading(engine) as session:
         ended = session.scalars(sa.select(LoginSession.ended_because).order_by(LoginSession.id)).all()
     assert ended == [None, "idle", "expired"]
@@ -404,7 +404,7 @@ def test_the_last_use_of_a_key_is_shown(house):
     made = client.post("/api/v1/api-keys", json={"label": "reader"}).json()
     assert made["last_used_utc"] is None
     assert house.anybody().get("/api/v1/runs", headers={"Authorization": f"Bearer {made['secret']}"}).status_code == 200
-    house.app.state.upkeep.write_uses()
+    house.app.state.maintenance.write_uses()
     listed = client.get("/api/v1/api-keys").json()["items"]
     assert next(key for key in listed if key["id"] == made["id"])["last_used_utc"] is not None
 

@@ -217,9 +217,9 @@ def _alarms(store: Engine) -> list[Alarm]:
         return [row for row in alarms.list_alarms(session) if row.kind == "FILES"]
 
 
-def _round(upkeep: Maintenance) -> None:
-    upkeep.read_files()
-    upkeep.apply_alarm_rules()
+def _round(maintenance: Maintenance) -> None:
+    maintenance.read_files()
+    maintenance.apply_alarm_rules()
 
 
 def _spoil(blobs: BlobStore) -> str:
@@ -229,12 +229,12 @@ def _spoil(blobs: BlobStore) -> str:
 
 
 def test_a_file_that_nobody_asks_for_is_found_by_the_upkeep_altered_or_missing(store, blobs):
-    upkeep = _upkeep(store, blobs)
-    _round(upkeep)
+    maintenance = _upkeep(store, blobs)
+    _round(maintenance)
     assert _alarms(store) == []
     sha256 = _spoil(blobs)
     for _ in range(3):
-        _round(upkeep)
+        _round(maintenance)
     (row,) = _alarms(store)
     assert (row.level, row.active, row.evidence["files"][0]["sha256"]) == ("critical", 1, sha256)
     assert row.version == 1  # said once
@@ -245,12 +245,12 @@ def test_a_file_that_nobody_asks_for_is_found_by_the_upkeep_altered_or_missing(s
 
 
 def test_what_a_reader_found_is_in_alarm_with_the_next_round(store, blobs):
-    upkeep = _upkeep(store, blobs)
-    upkeep._read_to = "f" * 64
-    blobs.tell_corrupt = upkeep.suspect
+    maintenance = _upkeep(store, blobs)
+    maintenance._read_to = "f" * 64
+    blobs.tell_corrupt = maintenance.suspect
     with pytest.raises(CorruptFileError):
         blobs.document(_spoil(blobs))
-    _round(upkeep)
+    _round(maintenance)
     assert len(_alarms(store)) == 1
 
 

@@ -102,7 +102,9 @@ def hold(page: str, name: str) -> list[str]:
 def test_a_page_asks_the_store_for_as_much_of_a_thousand_sensors_as_of_three_hundred(fleets, path):
     asked = {}
     visitors = {n: site.visitor("ada") for n, site in fleets.items()}
-    for again in range(4):  # the server's own upkeep may commit in between, and then a page looks at the fleet anew
+    for again in range(
+        4
+    ):  # the server's own maintenance may commit in between, and then a page looks at the fleet anew
         for n, site in fleets.items():
             visitors[n].get(path)
             with counted(site.engine) as asked[n]:

@@ -269,7 +269,7 @@ def test_who_comes_back_is_told_the_progress_that_was_missed_and_nothing_twice(h
     assert [told["data"]["fraction"] for told in heard] == [0.2, 0.3, 0.4]
 
 
-def test_a_course_is_told_only_to_who_follows_the_run(house):
+def test_a_history_is_told_only_to_who_follows_the_run(house):
     feed = house.app.state.broadcast
     for wish, follows in (({}, False), ({"history": 8}, False), ({"history": 7}, True)):
         with following(house.person("victor"), **wish) as events:

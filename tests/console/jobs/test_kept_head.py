@@ -48,10 +48,10 @@ def _upkeep(store: Engine, file: Path | None, every_s: float = 0.0) -> Maintenan
     return Maintenance(store, LIMITS, FolderBlobStore(folder / "blobs"), ExternalHeadFile(file, every_s))
 
 
-def _round(upkeep: Maintenance) -> None:
-    upkeep.verify()
-    upkeep.keep_head()
-    upkeep.apply_alarm_rules()
+def _round(maintenance: Maintenance) -> None:
+    maintenance.verify()
+    maintenance.keep_head()
+    maintenance.apply_alarm_rules()
 
 
 def _kinds(store: Engine) -> list[str]:
@@ -61,11 +61,11 @@ def _kinds(store: Engine) -> list[str]:
 
 def test_the_head_is_written_when_it_moved_and_on_its_schedule(store, tmp_path):
     file = tmp_path / "heads"
-    upkeep = _upkeep(store, file)
+    maintenance = _upkeep(store, file)
     for _ in range(2):
-        _round(upkeep)
+        _round(maintenance)
     _count(store, 1)
-    _round(upkeep)
+    _round(maintenance)
     lines = [json.loads(line) for line in file.read_text().splitlines()]
     assert [line["id"] for line in lines] == [3, 4, 5]  # the fourth says that heads are kept there
     with open_reading(store) as session:
@@ -99,9 +99,9 @@ def test_ten_records_that_vanish_with_a_damaged_write_ahead_log_are_told_by_the_
             alone, found = audit.verify(session), audit.verify(session, kept=read_head(file))
         assert (alone.ok, alone.records) == (True, 3)  # ten are gone, and the chain holds
         assert (found.ok, "record 14" in found.sentence) == (False, True)  # the one that says that heads are kept
-        upkeep = _upkeep(engine, file)
+        maintenance = _upkeep(engine, file)
         _count(engine, 1)
-        _round(upkeep)
+        _round(maintenance)
         assert read_head(file).id == 14  # not written over
         assert "CHAIN" in _kinds(engine)
     finally:
@@ -110,11 +110,11 @@ def test_ten_records_that_vanish_with_a_damaged_write_ahead_log_are_told_by_the_
 
 def test_records_lost_between_two_walks_keep_the_next_head_from_being_written(store, tmp_path):
     file, lost = tmp_path / "heads", ExternalHead(9, "f" * 64, utc_now())
-    upkeep = _upkeep(store, file)
-    _round(upkeep)
+    maintenance = _upkeep(store, file)
+    _round(maintenance)
     write_head(file, lost)
-    upkeep.keep_head()
-    upkeep.apply_alarm_rules()
+    maintenance.keep_head()
+    maintenance.apply_alarm_rules()
     assert read_head(file) == lost
     assert _kinds(store) == ["CHAIN"]
 
@@ -125,12 +125,12 @@ def test_a_head_file_that_is_gone_is_a_finding_and_is_not_begun_anew(store, tmp_
     with open_reading(store) as session:
         before = audit.verify(session, kept=read_head(file), head_file=file)
     assert (before.ok, str(file) in before.sentence) == (True, True)  # a note
-    upkeep = _upkeep(store, file)
-    _round(upkeep)
+    maintenance = _upkeep(store, file)
+    _round(maintenance)
     file.parent.rename(tmp_path / "unmounted")
-    upkeep.keep_head()  # before the next walk
-    upkeep.apply_alarm_rules()
-    assert (upkeep.light().state, _kinds(store)) == ("broken", ["CHAIN"])
+    maintenance.keep_head()  # before the next walk
+    maintenance.apply_alarm_rules()
+    assert (maintenance.light().state, _kinds(store)) == ("broken", ["CHAIN"])
     file.parent.mkdir()
     _round(_upkeep(store, file))  # another server, and an empty folder in its place
     assert not file.exists()
@@ -138,9 +138,9 @@ def test_a_head_file_that_is_gone_is_a_finding_and_is_not_begun_anew(store, tmp_
         assert not audit.verify(session, kept=read_head(file), head_file=file).ok
     file.parent.rmdir()
     (tmp_path / "unmounted").rename(file.parent)
-    upkeep = _upkeep(store, file)
-    _round(upkeep)
-    assert (upkeep.light().state, _kinds(store)) == ("verified", [])
+    maintenance = _upkeep(store, file)
+    _round(maintenance)
+    assert (maintenance.light().state, _kinds(store)) == ("verified", [])
 
 
 def test_the_command_fails_where_the_kept_head_is_gone(store, tmp_path, monkeypatch):
@@ -166,11 +166,11 @@ def test_the_command_fails_where_the_kept_head_is_gone(store, tmp_path, monkeypa
 
 def test_a_head_that_cannot_be_written_is_an_alarm_that_returns(store, tmp_path):
     file = tmp_path / "absent" / "heads"
-    upkeep = _upkeep(store, file)
-    _round(upkeep)
+    maintenance = _upkeep(store, file)
+    _round(maintenance)
     assert _kinds(store) == ["HEAD"]
     file.parent.mkdir()
-    _round(upkeep)
+    _round(maintenance)
     assert _kinds(store) == []
     assert read_head(file) is not None
 
@@ -182,9 +182,9 @@ def test_a_webhook_that_asked_for_heads_gets_each_once(store):
                 Webhook(label=label, url="https://x.example", actions=actions, secret="s", created_utc=utc_now())
             )
         audit.append(session, COMMAND_LINE, "made", "webhooks/1")
-    upkeep = _upkeep(store, None)
+    maintenance = _upkeep(store, None)
     for _ in range(2):
-        _round(upkeep)
+        _round(maintenance)
     with open_reading(store) as session:
         newest = audit.newest_head(session)
         sent = [row for row in session.query(WebhookDelivery).all() if f'"{HEAD}"' in row.body]

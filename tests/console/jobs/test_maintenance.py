@@ -1,4 +1,4 @@
-"""The upkeep of a server: the light of the chain, and the last use of keys."""
+"""The maintenance of a server: the light of the chain, and the last use of keys."""
 
 import tempfile
 import threading
@@ -46,44 +46,44 @@ def _upkeep(store: Engine) -> Maintenance:
 
 
 def test_the_light_tells_through_which_record_and_when_and_whether_it_is_stale(store, monkeypatch):
-    upkeep = _upkeep(store)
-    assert (upkeep.light().state, upkeep.light().at_utc) == ("not yet", None)  # before the first walk
-    upkeep.verify()
+    maintenance = _upkeep(store)
+    assert (maintenance.light().state, maintenance.light().at_utc) == ("not yet", None)  # before the first walk
+    maintenance.verify()
     with open_reading(store) as session:
         newest = audit.list_records(session, limit=1)[0]
-    light = upkeep.light()
+    light = maintenance.light()
     assert (light.state, light.last_id) == ("verified", newest.id)
     assert light.at_utc is not None
     assert light.at_utc >= newest.at_utc
     monkeypatch.setattr(time, "monotonic", lambda: 1e9)
-    assert upkeep.light().state == "stale"  # what is not renewed
+    assert maintenance.light().state == "stale"  # what is not renewed
 
 
 def test_an_edit_by_hand_turns_the_light(store, caplog):
-    upkeep = _upkeep(store)
+    maintenance = _upkeep(store)
     with store.begin() as connection:
         connection.exec_driver_sql("UPDATE users SET roles = '[\"administrator\"]'")
     for _ in range(2):
-        upkeep.verify()
-    light = upkeep.light()
+        maintenance.verify()
+    light = maintenance.light()
     assert light.state == "broken"
     assert "users/1 was changed outside Boresight" in light.sentence
     assert caplog.text.count("The audit log does not hold") == 1  # said when it is found, not every minute
 
 
 def test_a_running_upkeep_looks_at_once_and_writes_the_last_uses_when_it_stops(store):
-    upkeep = _upkeep(store)
+    maintenance = _upkeep(store)
     with open_reading(store) as session:
         key = api_keys.list_keys(session)[0]
-    upkeep.start()
+    maintenance.start()
     for _ in range(200):
-        if upkeep.light().state == "verified":
+        if maintenance.light().state == "verified":
             break
         time.sleep(0.05)
-    upkeep.used(f"key:{key.prefix}")
-    upkeep.close()
-    upkeep.close()
-    assert upkeep.light().state == "verified"
+    maintenance.used(f"key:{key.prefix}")
+    maintenance.close()
+    maintenance.close()
+    assert maintenance.light().state == "verified"
     with open_reading(store) as session:
         assert session.get_known(ApiKey, key.id).last_used_utc is not None
 
@@ -97,34 +97,34 @@ def test_what_fails_is_tried_again(store, monkeypatch):
 
     monkeypatch.setattr(upkeep_module, "ROUND_S", 0.01)
     monkeypatch.setattr(audit, "verify", failing)
-    upkeep = _upkeep(store)
-    upkeep.start()
+    maintenance = _upkeep(store)
+    maintenance.start()
     for _ in range(200):
         if len(walks) > 1:
             break
         time.sleep(0.02)
-    upkeep.close()
+    maintenance.close()
     assert len(walks) > 1
-    assert upkeep.light().state == "not yet"
+    assert maintenance.light().state == "not yet"
 
 
 def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_return(store):
-    upkeep = _upkeep(store)
-    upkeep.verify()
+    maintenance = _upkeep(store)
+    maintenance.verify()
     with store.begin() as connection:
         before = connection.exec_driver_sql("SELECT roles FROM users").scalar()
         connection.exec_driver_sql("UPDATE users SET roles = '[\"administrator\"]'")
-    upkeep.verify()
+    maintenance.verify()
     for _ in range(2):
-        upkeep.apply_alarm_rules()
+        maintenance.apply_alarm_rules()
     with open_reading(store) as session:
         (raised,) = alarms.list_alarms(session)
     assert (raised.kind, raised.level, raised.version) == ("CHAIN", "critical", 1)
     assert "users/1 was changed outside Boresight" in raised.sentence
     with store.begin() as connection:
         connection.execute(sa.text("UPDATE users SET roles = :roles"), {"roles": before})
-    upkeep.verify()
-    upkeep.apply_alarm_rules()
+    maintenance.verify()
+    maintenance.apply_alarm_rules()
     with open_reading(store) as session:
         (over,) = alarms.list_alarms(session)
         assert alarms.get_alarm_state(over) == "unacknowledged, returned to normal"
@@ -133,11 +133,11 @@ def test_a_round_raises_the_alarm_of_a_broken_log_once_and_a_good_walk_lets_it_r
 def test_a_server_that_stops_does_not_wait_for_a_long_look(store, monkeypatch):
     begun, released = threading.Event(), threading.Event()
     monkeypatch.setattr(upkeep_module, "PATIENCE_S", 0.05)
-    upkeep = _upkeep(store)
+    maintenance = _upkeep(store)
     monkeypatch.setattr(upkeep_module.rules, "find_changed_sensors", lambda _: begun.set() or [released.wait(30.0)][:0])
-    upkeep.start()
+    maintenance.start()
     assert begun.wait(30.0)
-    upkeep.close()
+    maintenance.close()
     assert not released.is_set()
     released.set()
 

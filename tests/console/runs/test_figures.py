@@ -129,7 +129,7 @@ def test_a_result_that_kept_no_number_of_held_out_arcs_shows_the_value_and_says_
     assert "(3σ)" in next(mark.detail for mark in make_verdict_marks(result) if mark.question == "Validation RMS")
 
 
-def test_a_course_says_where_it_settled_or_that_it_has_not_yet(results):
+def test_a_history_says_where_it_settled_or_that_it_has_not_yet(results):
     assert list_history_facts(results["batch"])[0][1].startswith("iteration ")
     assert list_history_facts({**results["sqrf"], "status": "running"})[0][1] == "not yet"
     assert list_history_facts(None) == []

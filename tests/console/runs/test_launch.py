@@ -327,7 +327,7 @@ def seen(site, monkeypatch):
         "frames": 40,
         "at": "fitted",
     }
-    monkeypatch.setattr(type(site.app.state.sight), "forecast", lambda *_: forecast)
+    monkeypatch.setattr(type(site.app.state.forecast_sources), "forecast", lambda *_: forecast)
 
 
 def test_the_dry_run_shows_predicted_sigmas_weak_directions_and_what_would_help(site, read, seen):  # noqa: ARG001 - seen is what it shows
@@ -354,7 +354,7 @@ SETTINGS = {"method": "batch", "match": "given"}
 
 
 @pytest.fixture
-def sight(blobs, catalogue):
+def forecast_sources(blobs, catalogue):
     return ForecastSources(blobs, lambda: catalogue, Path("nowhere"))
 
 
@@ -376,40 +376,42 @@ def session(engine, people, blobs, tmp_path):
         yield session
 
 
-def _asked(session, people, sight, **settings):
-    return runs.launch(session, people["ana"], 1, 1, {**SETTINGS, **settings}, validate_only=True, sight=sight)
+def _asked(session, people, forecast_sources, **settings):
+    return runs.launch(
+        session, people["ana"], 1, 1, {**SETTINGS, **settings}, validate_only=True, forecast_sources=forecast_sources
+    )
 
 
-def test_a_dry_run_foretells_every_free_parameters_sigma_and_says_it_in_words(session, people, sight):
-    forecast = _asked(session, people, sight, free=["f_m", "b2_per_m2"])["forecast"]
+def test_a_dry_run_foretells_every_free_parameters_sigma_and_says_it_in_words(session, people, forecast_sources):
+    forecast = _asked(session, people, forecast_sources, free=["f_m", "b2_per_m2"])["forecast"]
     assert list(forecast["sigma"]) == ["f_m", "b2_per_m2"]
     assert all(0 < sigma < forecast["typical_sigma"][name] for name, sigma in forecast["sigma"].items())
     assert forecast["sentence"] == "2 parameters, all observable with this coverage."
     assert (forecast["frames_sampled"], forecast["frames"], forecast["at"]) == (30, 30, "fitted")
 
 
-def test_a_forecast_is_kept_until_a_setting_or_the_sensor_changes(session, people, sight):
-    first = _asked(session, people, sight)["forecast"]
-    assert _asked(session, people, sight)["forecast"] is first
-    assert _asked(session, people, sight, method="sqrf")["forecast"] is not first
+def test_a_forecast_is_kept_until_a_setting_or_the_sensor_changes(session, people, forecast_sources):
+    first = _asked(session, people, forecast_sources)["forecast"]
+    assert _asked(session, people, forecast_sources)["forecast"] is first
+    assert _asked(session, people, forecast_sources, method="sqrf")["forecast"] is not first
     sensor = session.get_one(Sensor, 1)
     sensor.document = {**sensor.document, "centroid_sigma_px": 2 * sensor.document["centroid_sigma_px"]}
-    wider = _asked(session, people, sight)["forecast"]
+    wider = _asked(session, people, forecast_sources)["forecast"]
     session.refresh(sensor)
     assert wider is not first
 
 
 def test_only_the_latest_forecasts_are_kept(blobs, catalogue, monkeypatch):
     monkeypatch.setattr("boresight.platform.jobs.forecasts.KEPT", 3)
-    sight = ForecastSources(blobs, lambda: catalogue, Path("nowhere"))
+    forecast_sources = ForecastSources(blobs, lambda: catalogue, Path("nowhere"))
     for number in range(5):
-        sight.forecast(f"{number:064}", {}, CalibrationSettings())
-    assert len(sight._made) == 3
+        forecast_sources.forecast(f"{number:064}", {}, CalibrationSettings())
+    assert len(forecast_sources._made) == 3
 
 
-def test_a_table_that_is_gone_is_a_sentence_of_the_forecast_and_no_refusal(session, people, sight, blobs):
+def test_a_table_that_is_gone_is_a_sentence_of_the_forecast_and_no_refusal(session, people, forecast_sources, blobs):
     blobs.path(session.get_one(TelemetrySet, 1).table_sha256).unlink()
-    forecast = _asked(session, people, sight)["forecast"]
+    forecast = _asked(session, people, forecast_sources)["forecast"]
     assert forecast["at"] is None
     assert "is missing" in forecast["sentence"]
     assert "restore it from a backup" in forecast["sentence"]

@@ -179,8 +179,8 @@ def _wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> None:
 
 def test_the_server_tells_a_webhook_made_over_rest_what_happens_next(house, receiver):
     adele = house.person("adele")
-    deliveries = house.app.state.deliveries
-    deliveries.targets = WebhookTargets(local=True)
+    sender = house.app.state.webhook_sender
+    sender.targets = WebhookTargets(local=True)
     made = adele.post("/api/v1/webhooks", json={"label": "Chat", "url": receiver.url, "actions": ["sensors.*"]})
     assert made.status_code == 201, made.text
     try:
@@ -188,7 +188,7 @@ def test_the_server_tells_a_webhook_made_over_rest_what_happens_next(house, rece
         _wait_for(lambda: bool(receiver.heard))
         assert json.loads(receiver.heard[0][2])["object"] == f"sensors/{sensor['id']}"
     finally:
-        deliveries.targets = WebhookTargets()
+        sender.targets = WebhookTargets()
         adele.post(f"/api/v1/webhooks/{made.json()['id']}:disable")
 
 

@@ -254,7 +254,7 @@ def test_a_log_in_that_expires_by_the_clock_is_refused_without_any_commit(
 
 
 def test_a_cached_answer_counts_as_a_use_of_the_log_in(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(house.app.state.upkeep, "_limits", SessionLimits(age_s=3600.0, idle_s=0.6))
+    monkeypatch.setattr(house.app.state.maintenance, "_limits", SessionLimits(age_s=3600.0, idle_s=0.6))
     client = house.log_in("victor")
     for _ in range(4):
         assert client.get(RUNS).status_code == 200
@@ -427,7 +427,7 @@ def beside(house: House) -> Iterator[str]:
         app.state.written = NothingKept()
         app.state.workers.stop()
         app.state.workers = house.app.state.workers
-        app.state.upkeep.light = house.app.state.upkeep.light
+        app.state.maintenance.light = house.app.state.maintenance.light
         yield address
 
 

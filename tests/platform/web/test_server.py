@@ -98,7 +98,7 @@ def test_a_server_that_cannot_write_its_files_is_not_ready_and_refuses_an_upload
     sensor_id = house.new_sensor()["id"]
     nowhere = FolderBlobStore(tmp_path / "file" / "blobs")
     nowhere.folder.parent.write_text("no folder")
-    instead = {"blobs": nowhere, "blobs_watched": CachedCheck(nowhere.refuse_unusable)}
+    instead = {"blobs": nowhere, "blob_check": CachedCheck(nowhere.refuse_unusable)}
     for name, part in instead.items():
         monkeypatch.setitem(house.app.state._state, name, part)
     unready = house.anybody().get("/readyz")

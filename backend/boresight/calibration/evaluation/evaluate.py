@@ -107,7 +107,7 @@ def evaluate_matched_frames(
     rng: np.random.Generator | None,
     ordered: ArcSet | None = None,
 ) -> dict[str, Any]:
-    """Compare two sightings of one set, as `evaluate_parameters` does; `ordered`, arcs of the set, saves ordering them again."""
+    """Compare the matched frames of a set under two states, as `evaluate_parameters` does; `ordered`, its arcs, saves ordering anew."""
     larger = initial if initial.view.matched_stars > final.view.matched_stars else final
     common = common_arcs(telemetry, sensor, larger, settings.minimum_stars, ordered)
     columns = _columns(initial, final, common, CAMERA_MODELS[sensor.camera_model])
@@ -192,7 +192,7 @@ MOST_DIFFERING = 1000
 
 
 def shadow_view(telemetry: Telemetry, baseline: MatchedFrames, candidate: MatchedFrames) -> dict[str, Any]:
-    """Set two sightings of one set side by side.
+    """Set the matched frames of one set under two states side by side.
 
     Returns dict with `frames`, one object a frame and at most `MOST_FRAMES` of them, those that differ first; `frames_in_set`;
     `flight_tolerance_rad`; and `summary` of all frames.
@@ -222,7 +222,7 @@ def shadow_view(telemetry: Telemetry, baseline: MatchedFrames, candidate: Matche
 
 
 def _moved(here: MatchedFrames, there: MatchedFrames) -> BoolArray:
-    """Rows (n_rows,) whose star one sighting's valid exposures hold and the other's do not."""
+    """Rows (n_rows,) whose star the valid exposures hold under one state and not under the other."""
     held, kept = here.taken(), there.taken()
     return np.asarray(held & ~(kept & (here.matches.star_id == there.matches.star_id)))
 

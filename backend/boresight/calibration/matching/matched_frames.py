@@ -145,7 +145,7 @@ _SAME_RAD = 1e-12
 def common_arcs(
     telemetry: Telemetry, sensor: Sensor, seen: MatchedFrames, minimum_stars: int, ordered: ArcSet | None = None
 ) -> list[ArcSet]:
-    """Arcs among the accepted matches of a sighting's valid exposures."""
+    """Arcs among the accepted matches of the valid exposures."""
     s_i = np.where(seen.taken()[:, None], seen.matches.s_i, np.nan)
     found = list[ArcSet]()
     if ordered is not None:

@@ -289,7 +289,7 @@ def _of_key(request: Request) -> Identity | None:
     with open_reading(request.app.state.engine) as session:
         actor = api_keys.actor_of_key(session, secret)
         rows = CredentialRows.read(session, "key", actor.credential.removeprefix("key:"))
-    use = partial(request.app.state.upkeep.used, actor.credential)
+    use = partial(request.app.state.maintenance.used, actor.credential)
     use(active=True)
     until_s = math.inf if actor.until_utc is None else datetime.fromisoformat(actor.until_utc).timestamp()
     own = carried(request.scope)
@@ -308,7 +308,7 @@ def _of_log_in(request: Request) -> Identity:
         sets_password = request.url.path in (*WHILE_PASSWORD_IS_DUE, due)
         actor = users.get_actor(session, log_in.user_id, log_in.id, sets_password=sets_password)
         rows = CredentialRows.read(session, "session", log_in.id)
-    use = partial(request.app.state.upkeep.session_used, log_in.id, log_in.last_used_utc)
+    use = partial(request.app.state.maintenance.session_used, log_in.id, log_in.last_used_utc)
     if not use(active=is_active(request.scope)):
         raise SessionEndedError("idle")
     others = tuple(sorted(pair for pair in request.cookies.items() if pair[0] != cookie.name))

@@ -69,7 +69,7 @@ async def open_write_session(request: Request) -> AsyncIterator[Session]:
     async with state.write_lock, contextmanager_in_threadpool(open_writing(state.engine)) as session:
         yield session
     state.broadcast.nudge()
-    state.deliveries.nudge()
+    state.webhook_sender.nudge()
     state.workers.notify()
 
 
@@ -208,7 +208,7 @@ class Server(Protocol):
     engine: Engine
     blobs: BlobStore
     catalogue: Callable[[], Catalogue]
-    sight: ForecastSources
+    forecast_sources: ForecastSources
     passwords: PasswordWorker
     workers: WorkerControl | None
 
@@ -278,7 +278,7 @@ SecretKeeper = Annotated[SecretBox, of_server("secret_box")]
 ServerPolicy = Annotated[Policy, of_server("policy")]
 PasswordChecks = Annotated[PasswordWorker, of_server("passwords")]
 ServerSettings = Annotated[Settings, of_server("settings")]
-DryRunSight = Annotated[ForecastSources, of_server("sight")]
+DryRunSources = Annotated[ForecastSources, of_server("forecast_sources")]
 Stars = Annotated[Callable[[], Catalogue], of_server("catalogue")]
 Cookie = Annotated[LogInCookie, of_server("log_in_cookie")]
 Workers = Annotated[WorkerControl | None, of_server("workers")]

@@ -17,7 +17,7 @@ from boresight.console.access import api_keys, users
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy, ServerSettings, Who, Workers
 from boresight.console.access.tables import ROLES, ApiKey, User
-from boresight.console.jobs.maintenance import Upkeep
+from boresight.console.jobs.maintenance import ServerMaintenance
 from boresight.console.pages.formats import LEVEL_OF_STATE
 from boresight.console.pages.rendering import render
 from boresight.console.runs import service as runs
@@ -81,7 +81,7 @@ def administration_page(
     policy: ServerPolicy,
     workers: Workers,
     blobs: Blobs,
-    upkeep: Upkeep,
+    maintenance: ServerMaintenance,
 ) -> HTMLResponse:
     """Show how the installation is at."""
     people = users.list_users(session)
@@ -99,7 +99,7 @@ def administration_page(
         session_hours=settings.session_hours,
         login_attempts=settings.login_attempts,
         blobs_at=blobs.kept_at,
-        light=upkeep.light(),
+        light=maintenance.light(),
         administrator="administrator" in actor.roles,
     )
 

@@ -33,7 +33,7 @@ from boresight.platform.web.origins import is_local
 from boresight.resources import folder
 from boresight.settings import Settings
 
-FilesCheck = Annotated[CachedCheck, of_server("blobs_watched")]
+FilesCheck = Annotated[CachedCheck, of_server("blob_check")]
 
 
 class Health(Shape):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import Depends
 
-from boresight.console.access.dependencies import Database, DryRunSight, Who
+from boresight.console.access.dependencies import Database, DryRunSources, Who
 from boresight.console.approvals import gates
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.gates import read_gate_inputs
@@ -15,7 +15,7 @@ from boresight.platform.web.paging import Id
 
 
 def assess_before_submission(
-    actor: Who, parameter_set_id: Id, sight: DryRunSight, engine: Database
+    actor: Who, parameter_set_id: Id, forecast_sources: DryRunSources, engine: Database
 ) -> gates.GateAssessment | None:
     """Return a set's assessment; None where a report holds that looked at what there is, or the request will be refused anyhow."""
     with open_reading(engine) as session:
@@ -25,7 +25,7 @@ def assess_before_submission(
         report = gates.latest_report(session, parameter_set_id)
     if report is not None and (case.validation is None or report.document.get("held_out")):
         return None
-    return gates.examine(case, sight.blobs, sight.catalogue(), sight.catalogue_folder)
+    return gates.examine(case, forecast_sources.blobs, forecast_sources.catalogue(), forecast_sources.catalogue_folder)
 
 
 AssessedBefore = Annotated[gates.GateAssessment | None, Depends(assess_before_submission)]

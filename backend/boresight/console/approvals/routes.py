@@ -12,7 +12,7 @@ from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import (
     Blobs,
     Database,
-    DryRunSight,
+    DryRunSources,
     IsDryRun,
     PasswordChecks,
     Reading,
@@ -134,13 +134,15 @@ class Waiving(Shape):
 ProvenWaiver = Annotated[PasswordProof, own_password(Waiving)]
 
 
-def _examine(parameter_set_id: Id, actor: Who, sight: DryRunSight, engine: Database) -> gates.GateAssessment:
+def _examine(
+    parameter_set_id: Id, actor: Who, forecast_sources: DryRunSources, engine: Database
+) -> gates.GateAssessment:
     """See the validation frames before the writing transaction: that takes seconds, and there is one writer."""
     require_role(actor, *gates.ASSESSORS)
     require_scope(actor, "parameter-sets")
     with open_reading(engine) as session:
         case = read_gate_inputs(session, parameter_set_id)
-    return gates.examine(case, sight.blobs, sight.catalogue(), sight.catalogue_folder)
+    return gates.examine(case, forecast_sources.blobs, forecast_sources.catalogue(), forecast_sources.catalogue_folder)
 
 
 Examined = Annotated[gates.GateAssessment, Depends(_examine)]

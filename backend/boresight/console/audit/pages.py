@@ -16,7 +16,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import Blobs, Reading, Who
-from boresight.console.jobs.maintenance import Upkeep
+from boresight.console.jobs.maintenance import ServerMaintenance
 from boresight.console.operation import Beside
 from boresight.console.pages.formats import day_of_year, instant
 from boresight.console.pages.rendering import render
@@ -237,7 +237,7 @@ def audit_page(
     session: Reading,
     actor: Who,  # noqa: ARG001 - who is not logged in may not read
     files: Blobs,
-    upkeep: Upkeep,
+    maintenance: ServerMaintenance,
     verify: str = "",
 ) -> HTMLResponse:
     """Show a page of records, and the light of the chain."""
@@ -258,7 +258,7 @@ def audit_page(
         refusal=refusal,
         words=audit.words(session),
         chain=audit.verify(session, blobs=blobs, again=False) if short or verify else None,
-        light=upkeep.light(),
+        light=maintenance.light(),
         head=audit.head(session),
     )
 

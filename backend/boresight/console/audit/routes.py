@@ -56,8 +56,8 @@ def verify_audit(
 ) -> ChainReport:
     """Walk the whole chain, every row that it seals, and the stored files; say whether all is as it was written, else what is not.
 
-    A file that this server has seen to be intact is read again when anything about it has changed; the server's upkeep reads all of
-    them again, some a minute.
+    A file that this server has seen to be intact is read again when anything about it has changed; the server's maintenance
+    reads all of them again, some a minute.
     """
     return audit.verify(session, expected_head, stored if blobs else None, again=False)
 

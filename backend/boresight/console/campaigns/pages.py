@@ -240,14 +240,14 @@ async def campaign_launch(request: Request, session: Reading, actor: Who) -> Res
     typed, members = typed_form(form), _chosen(form)
     if form.get("intent") == "preset" and origin.preset is not None:
         typed = typed.under(origin.preset.settings)
-    order = partial(_launch, actor=actor, typed=typed, origin=origin, members=members)
+    launch = partial(_launch, actor=actor, typed=typed, origin=origin, members=members)
     intent, outcome = _intent(form), None
     if intent == "queue":
-        outcome = await attempt(request, order)
+        outcome = await attempt(request, launch)
         if outcome.value is not None:
             return redirect(f"/campaigns/{outcome.value.id}", flash="The campaign is queued.")
     elif intent not in {"find", "all"}:
-        outcome = await run_in_threadpool(ask, partial(order, session, validate_only=True))
+        outcome = await run_in_threadpool(ask, partial(launch, session, validate_only=True))
     offered = await run_in_threadpool(_offer, session, form)
     if intent == "all":
         offered = replace(offered, ticked={*offered.ticked, *offered.able})

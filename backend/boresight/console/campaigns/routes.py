@@ -149,16 +149,16 @@ def list_campaigns(session: Reading, page: Paged) -> Listing[CampaignView]:
     response_model=Campaign,
     responses={200: {"model": DryRunOfCampaign, "description": "The dry run of `validate_only`."}},
 )
-def launch_campaign(order: CampaignLaunch, actor: Who, session: Writing, asked: IsDryRun) -> Beside | Answer:
+def launch_campaign(launch: CampaignLaunch, actor: Who, session: Writing, asked: IsDryRun) -> Beside | Answer:
     """Queue a run for every sensor that can have one; the others are listed with the cause. All or nothing in one transaction."""
     made = campaigns.launch_campaign(
         session,
         actor,
-        order.label,
-        order.settings,
-        order.members(),
-        preset=order.preset,
-        validate_only=asked or order.validate_only,
+        launch.label,
+        launch.settings,
+        launch.members(),
+        preset=launch.preset,
+        validate_only=asked or launch.validate_only,
     )
     if isinstance(made, dict):
         return Answer(made, shape=DryRunOfCampaign, is_trial=True)

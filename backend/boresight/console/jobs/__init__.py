@@ -1,1 +1,1 @@
-"""Background services of a server: event broadcast, upkeep, heartbeat, webhook delivery."""
+"""Background services of a server: event broadcast, maintenance, heartbeat, webhook delivery."""

@@ -69,7 +69,7 @@ NOT_YET = ChainStatus("not yet", 0, None, "The audit log has not been verified s
 
 
 class Maintenance:
-    """The upkeep of one server."""
+    """The maintenance of one server."""
 
     def __init__(
         self, database: Engine, limits: SessionLimits, blobs: BlobStore, kept: ExternalHeadFile | None = None
@@ -90,7 +90,7 @@ class Maintenance:
         self._looked_s = 0.0
         self._pause_s = ROUND_S
         self._thread = PeriodicThread(
-            "upkeep",
+            "maintenance",
             [
                 self.write_uses,
                 self.tidy_sessions,
@@ -282,4 +282,4 @@ class Maintenance:
             self.verify()
 
 
-Upkeep = Annotated[Maintenance, of_server("upkeep")]
+ServerMaintenance = Annotated[Maintenance, of_server("maintenance")]

@@ -63,7 +63,7 @@ async def stream_events(
     database: Database,
     run: Annotated[int | None, Query(description="Only what concerns this run.")] = None,
     history: Annotated[
-        int | None, Query(description="Let the progress of this run carry the new points of its course.")
+        int | None, Query(description="Let the progress of this run carry the new points of its history.")
     ] = None,
     last_event_id: Annotated[
         str | None, Header(description="The last `id` heard; what came after is told first.")

@@ -131,4 +131,4 @@ class WebhookSender:
             return answer.status_code, heard[:HEARD].decode("utf-8", "replace")
 
 
-Deliveries = Annotated[WebhookSender, of_server("deliveries")]
+ServerWebhookSender = Annotated[WebhookSender, of_server("webhook_sender")]

@@ -297,7 +297,7 @@ async def _asked(
     """Open a request, and show it or why it was refused."""
     form = await read_texts(request)
     reason, state = form.get("reason", ""), get_server(request)
-    assessed = await run_in_threadpool(assess_before_submission, actor, set_id, state.sight, state.engine)
+    assessed = await run_in_threadpool(assess_before_submission, actor, set_id, state.forecast_sources, state.engine)
 
     def change(session: Session) -> Approval:
         asked = (state.blobs, set_id, reason, seen_version(form), assessed)

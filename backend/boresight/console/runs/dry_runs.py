@@ -169,7 +169,7 @@ def count_pairs(stars: int, exposures: int) -> int:
     return max(0, 2 * stars - 3 * exposures)
 
 
-def dry_run(session: Session, request: RunRequest, sight: ForecastSources | None = None) -> dict[str, Any]:
+def dry_run(session: Session, request: RunRequest, forecast_sources: ForecastSources | None = None) -> dict[str, Any]:
     """Say what a run would be."""
     telemetry, settings = request.telemetry, request.settings
     free = list(settings.free or parse_sensor(request.sensor.document).free)
@@ -182,8 +182,8 @@ def dry_run(session: Session, request: RunRequest, sight: ForecastSources | None
         for one in (pace.s_per_star, pace.low, pace.high)
     ]
     forecast = None
-    if sight is not None:
-        forecast = sight.forecast(telemetry.table_sha256, request.sensor.document, settings)
+    if forecast_sources is not None:
+        forecast = forecast_sources.forecast(telemetry.table_sha256, request.sensor.document, settings)
     return {
         "sensor": request.sensor.name,
         "telemetry_set": telemetry.name,

@@ -14,7 +14,7 @@ from boresight.console import schemas as console_schemas
 from boresight.console.access.dependencies import (
     SAME_FOR_ALL,
     Blobs,
-    DryRunSight,
+    DryRunSources,
     IsDryRun,
     Reading,
     SeenTag,
@@ -93,18 +93,20 @@ def list_runs(
     response_model=schemas.Run,
     responses={200: {"model": schemas.DryRun, "description": "The dry run of `validate_only`."}},
 )
-def launch_run(order: Launch, actor: Who, session: Writing, asked: IsDryRun, sight: DryRunSight) -> Run | Answer:
+def launch_run(
+    launch: Launch, actor: Who, session: Writing, asked: IsDryRun, forecast_sources: DryRunSources
+) -> Run | Answer:
     """Queue a calibration; `Location` is where to follow it. With `validate_only` only say what it would be and would know."""
     made = runs.launch(
         session,
         actor,
-        order.sensor_id,
-        order.telemetry_set_id,
-        order.settings,
-        validation_set_id=order.validation_set_id,
-        label=order.label,
-        validate_only=asked or order.validate_only,
-        sight=sight,
+        launch.sensor_id,
+        launch.telemetry_set_id,
+        launch.settings,
+        validation_set_id=launch.validation_set_id,
+        label=launch.label,
+        validate_only=asked or launch.validate_only,
+        forecast_sources=forecast_sources,
     )
     return Answer(made, shape=schemas.DryRun, is_trial=True) if isinstance(made, dict) else made
 

@@ -30,14 +30,14 @@ def launch(  # noqa: PLR0913 - who launches what, and four choices by name
     validation_set_id: int | None = None,
     label: str = "",
     validate_only: bool = False,
-    sight: ForecastSources | None = None,
+    forecast_sources: ForecastSources | None = None,
 ) -> Run | dict[str, Any]:
     """Queue a calibration, or only say what it would be."""
     require_role(actor, "analyst")
     require_scope(actor, "runs")
     run_request = check_run_request(session, sensor_id, telemetry_set_id, settings, validation_set_id, label)
     if validate_only:
-        return dry_run(session, run_request, sight)
+        return dry_run(session, run_request, forecast_sources)
     run = queries.add_run(session, **run_request.columns(), launched_by=actor.user_id)
     audit.append(session, actor, "launched", f"runs/{run.id}", None, run_request.on_record())
     return run

@@ -18,7 +18,7 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.console.access.dependencies import (
     CSRF_FIELD,
     Database,
-    DryRunSight,
+    DryRunSources,
     Reading,
     Roles,
     ServerSettings,
@@ -169,12 +169,17 @@ def _csv_row(row: TelemetrySet, names: RunNames) -> Beside:
 
 @router.post("/telemetry", response_class=HTMLResponse)
 async def upload(
-    request: Request, actor: Who, upload: Uploaded, settings: ServerSettings, sight: DryRunSight, engine: Database
+    request: Request,
+    actor: Who,
+    upload: Uploaded,
+    settings: ServerSettings,
+    forecast_sources: DryRunSources,
+    engine: Database,
 ) -> Response:
     """Check and store the file, then show its quality report."""
     _require_meant(request, upload)
-    prepared = _prepared(actor, upload, settings, sight, engine)
-    outcome = await _attempt(request, actor, upload, sight.blobs, prepared)
+    prepared = _prepared(actor, upload, settings, forecast_sources, engine)
+    outcome = await _attempt(request, actor, upload, forecast_sources.blobs, prepared)
     if outcome.value is None:
         shown = _refused(upload, outcome.refusal)
         return await read_again(request, partial(_page, request, actor.roles, settings.upload_limit_mb, shown))
@@ -208,7 +213,7 @@ async def _attempt(
 
 @contextmanager
 def _prepared(
-    actor: Actor, upload: Upload, settings: Settings, sight: ForecastSources, engine: Engine
+    actor: Actor, upload: Upload, settings: Settings, forecast_sources: ForecastSources, engine: Engine
 ) -> Iterator[PreparedUpload]:
     require_role(actor, "analyst")
     if parse_row_id(upload.fields.get("sensor_id", "")) is None:
@@ -218,8 +223,10 @@ def _prepared(
     with open_reading(engine) as session:
         document = session.get_known(Sensor, upload.number("sensor_id")).document
     limits = settings.telemetry_limits
-    with telemetry_sets.prepared(document, sight.catalogue(), upload.path, upload.file_name, limits) as prepared:
-        sight.blobs.send_ahead(prepared.original, prepared.table)
+    with telemetry_sets.prepared(
+        document, forecast_sources.catalogue(), upload.path, upload.file_name, limits
+    ) as prepared:
+        forecast_sources.blobs.send_ahead(prepared.original, prepared.table)
         yield prepared
 
 

@@ -13,7 +13,7 @@ from boresight.console.access.dependencies import (
     SAME_FOR_ALL,
     Blobs,
     Database,
-    DryRunSight,
+    DryRunSources,
     Reading,
     SeenTag,
     ServerSettings,
@@ -53,15 +53,17 @@ FORM = {
 
 
 def _prepare(
-    actor: Who, upload: Uploaded, sight: DryRunSight, settings: ServerSettings, engine: Database
+    actor: Who, upload: Uploaded, forecast_sources: DryRunSources, settings: ServerSettings, engine: Database
 ) -> Iterator[telemetry_sets.PreparedUpload]:
     """Read and check the file before the transaction: a large one takes seconds, and there is one writer."""
     require_role(actor, "analyst")
     with open_reading(engine) as session:
         document = session.get_known(Sensor, upload.number("sensor_id")).document
     limits = settings.telemetry_limits
-    with telemetry_sets.prepared(document, sight.catalogue(), upload.file(), upload.file_name, limits) as prepared:
-        sight.blobs.send_ahead(prepared.original, prepared.table)
+    with telemetry_sets.prepared(
+        document, forecast_sources.catalogue(), upload.file(), upload.file_name, limits
+    ) as prepared:
+        forecast_sources.blobs.send_ahead(prepared.original, prepared.table)
         yield prepared
 
 

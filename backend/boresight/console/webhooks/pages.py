@@ -12,7 +12,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import Reading, SecretKeeper, Who, csrf
-from boresight.console.jobs.webhook_sender import Deliveries
+from boresight.console.jobs.webhook_sender import ServerWebhookSender
 from boresight.console.pages.rendering import RefusalContext, attempt, make_change, read_again, redirect_refused, render
 from boresight.console.webhooks import service as webhooks
 from boresight.console.webhooks.secrets import get_state
@@ -60,7 +60,7 @@ async def create(
     request: Request,
     actor: Who,
     box: SecretKeeper,
-    deliveries: Deliveries,
+    sender: ServerWebhookSender,
     label: Annotated[str, Form()] = "",
     url: Annotated[str, Form()] = "",
     actions: Annotated[str, Form()] = "",
@@ -69,7 +69,7 @@ async def create(
     wanted = actions.replace(",", " ").split()
     typed = {"label": label, "url": url, "actions": actions}
     try:
-        await run_in_threadpool(webhooks.judge_address, actor, url, deliveries.targets)
+        await run_in_threadpool(webhooks.judge_address, actor, url, sender.targets)
     except BoresightError as error:
         return await read_again(
             request, partial(_page, request, actor, box, WebhooksContext(RefusalContext.of(error), typed))

@@ -8,7 +8,7 @@ from fastapi import Depends
 from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.console.access.dependencies import Reading, SecretKeeper, Who, Writing
-from boresight.console.jobs.webhook_sender import Deliveries
+from boresight.console.jobs.webhook_sender import ServerWebhookSender
 from boresight.console.operation import Answer, Beside, operations
 from boresight.console.schemas import Shape
 from boresight.console.webhooks import schemas
@@ -46,9 +46,9 @@ class Renewal(Shape):
     )
 
 
-def _judge(wanted: WantedWebhook, actor: Who, deliveries: Deliveries) -> None:
+def _judge(wanted: WantedWebhook, actor: Who, sender: ServerWebhookSender) -> None:
     """Look up where the address leads before the writing transaction: that takes time, and there is one writer."""
-    webhooks.judge_address(actor, wanted.url, deliveries.targets)
+    webhooks.judge_address(actor, wanted.url, sender.targets)
 
 
 def _shown(row: Webhook, box: SecretBox, **more: str) -> Beside:

@@ -222,7 +222,7 @@ def _catalogue(folder: Path | None) -> Catalogue:
 
 
 def noisy(fields: StarFields, sigma_px: float, rng: np.random.Generator) -> ArcSet:
-    """Add noise to star fields, order their stars and weigh them at the printed start."""
+    """Add noise to star fields, order their stars and whiten them at the printed start."""
     n = len(fields.row_px)
     noise = sigma_px * rng.normal(size=(2, n))
     places, _ = arcsets.order(fields.star_start, fields.s_i)

@@ -20,7 +20,7 @@ from starlette.datastructures import FormData, QueryParams
 
 from boresight.calibration.options import METHODS, OPTIONS, CalibrationSettings, format_value, get_method_title, said
 from boresight.cameras import CAMERA_MODELS
-from boresight.console.access.dependencies import DryRunSight, Reading, Who, csrf
+from boresight.console.access.dependencies import DryRunSources, Reading, Who, csrf
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.service import SensorChoices
@@ -406,7 +406,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[Chang
 router = APIRouter(dependencies=[Depends(csrf)])
 
 
-def _launch(session: Session, actor: Actor, typed: TypedForm, sight: ForecastSources | None = None) -> Any:
+def _launch(session: Session, actor: Actor, typed: TypedForm, forecast_sources: ForecastSources | None = None) -> Any:
     return runs.launch(
         session,
         actor,
@@ -415,8 +415,8 @@ def _launch(session: Session, actor: Actor, typed: TypedForm, sight: ForecastSou
         typed.settings(),
         validation_set_id=whole(typed.validation_set_id, "validation set") if typed.validation_set_id else None,
         label=typed.label.strip(),
-        validate_only=sight is not None,
-        sight=sight,
+        validate_only=forecast_sources is not None,
+        forecast_sources=forecast_sources,
     )
 
 
@@ -463,7 +463,7 @@ def launch_page(request: Request, session: Reading, actor: Who) -> Response:
 
 
 @router.post("/runs/new", response_class=HTMLResponse)
-async def launch(request: Request, session: Reading, actor: Who, sight: DryRunSight) -> Response:
+async def launch(request: Request, session: Reading, actor: Who, forecast_sources: DryRunSources) -> Response:
     """Apply a preset (`intent=preset`), keep one (`save`), queue the run (`queue`), or else only check.
 
     A form that holds the sets of one sensor and names another comes back with the sets of that one, whatever it was sent for.
@@ -487,7 +487,7 @@ async def launch(request: Request, session: Reading, actor: Who, sight: DryRunSi
     else:
         if intent == "preset" and origin.preset is not None:
             typed = typed.under(origin.preset.settings)
-        outcome = await run_in_threadpool(ask, partial(_launch, session, actor, typed, sight))
+        outcome = await run_in_threadpool(ask, partial(_launch, session, actor, typed, forecast_sources))
     return await run_in_threadpool(_page, request, session, actor, typed, origin, None, outcome, form)
 
 
