@@ -15,7 +15,7 @@ from boresight.workers.link import LINE_EVERY_S, POINTS_AN_EVENT, ProgressInbox,
 HELD = (7, 1)
 
 
-def history(frames: list[int]) -> dict[str, Any]:
+def make_history(frames: list[int]) -> dict[str, Any]:
     return {
         "frame": frames,
         "parameters": [[float(frame), 0.0] for frame in frames],
@@ -28,7 +28,7 @@ def history(frames: list[int]) -> dict[str, Any]:
 
 
 def report(frames: list[int], fraction: float = 0.5, held: tuple[int, int] = HELD) -> Report:
-    partial = orjson.dumps({"status": "running", "history": history(frames) if frames else None})
+    partial = orjson.dumps({"status": "running", "history": make_history(frames) if frames else None})
     return Report(*held, fraction, f"frame {frames[-1:]}", 1.0, partial)
 
 
@@ -36,7 +36,7 @@ def report(frames: list[int], fraction: float = 0.5, held: tuple[int, int] = HEL
 def test_points_follow_one_another_whichever_reports_were_replaced(steps: list[int], data: st.DataObject) -> None:
     reports, told, last = ProgressInbox(), [], None
     for end in itertools.accumulate(steps):
-        reports.hear(report(thinned(history(list(range(1, end + 1))))["frame"]))
+        reports.hear(report(thinned(make_history(list(range(1, end + 1))))["frame"]))
         if end == sum(steps) or data.draw(st.booleans()):
             for held, newest in reports.take({HELD}).items():
                 points = reports.news(held, newest)["history"]
@@ -50,7 +50,7 @@ def test_points_follow_one_another_whichever_reports_were_replaced(steps: list[i
 
 
 def test_every_column_has_a_value_for_every_frame_told() -> None:
-    points = points_after(history(list(range(1, 1001))), 400)
+    points = points_after(make_history(list(range(1, 1001))), 400)
     frames = points["frame"]
     assert (frames[0], frames[-1]) == (401, 1000)
     assert [row[0] for row in points["parameters"]] == frames
@@ -60,7 +60,7 @@ def test_every_column_has_a_value_for_every_frame_told() -> None:
 
 
 def test_the_innovations_so_far_are_the_mean_over_all_points_before() -> None:
-    history = history([1, 2, 3]) | {"nis": [3.0, None, 9.0], "nis_dof": [3, 0, 3]}
+    history = make_history([1, 2, 3]) | {"nis": [3.0, None, 9.0], "nis_dof": [3, 0, 3]}
     assert points_after(history, 2)["nis_per_dof"] == [2.0]
     assert np.isnan(np.array(points_after(history | {"nis_dof": [0, 0, 0]}, 2)["nis_per_dof"], float)).all()
 

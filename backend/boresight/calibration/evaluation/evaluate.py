@@ -107,7 +107,7 @@ def evaluate_matched_frames(
     rng: np.random.Generator | None,
     ordered: ArcSet | None = None,
 ) -> dict[str, Any]:
-    """Compare the matched frames of a set under two states, as `evaluate_parameters` does; `ordered`, its arcs, saves ordering anew."""
+    """Compare a set's matched frames under two states, as `evaluate_parameters` does; `ordered`, its arcs, saves ordering anew."""
     larger = initial if initial.view.matched_stars > final.view.matched_stars else final
     common = common_arcs(telemetry, sensor, larger, settings.minimum_stars, ordered)
     columns = _columns(initial, final, common, CAMERA_MODELS[sensor.camera_model])

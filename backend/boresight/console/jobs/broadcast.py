@@ -1,4 +1,4 @@
-"""Broadcasting the event feed of one server: no event is lost and a slow subscriber delays nobody.
+"""Broadcasting the event feed of one server: no event is lost and a slow listener delays nobody.
 
 One thread follows the rows of `run_events` and `audit`, so changes by other processes are told too; progress comes from
 the dispatcher, numbered from the server's start on. A cursor is `<run event>.<audit record>.<progress>`,
@@ -38,7 +38,7 @@ LINE_LENGTH = 400  # of a log line that is told; the log has it whole
 
 @dataclass(frozen=True)
 class EventCursor:
-    """How far a subscriber has read: the newest run event, audit record and progress."""
+    """How far a listener has been told: the newest run event, audit record and progress."""
 
     run_event: int
     record: int
@@ -163,7 +163,7 @@ class DeliveredEvent:
 
 
 class EventBatch:
-    """Events sent together, serialised once for all subscribers of the whole feed."""
+    """Events sent together, serialised once for all listeners of the whole feed."""
 
     def __init__(self, told: Sequence[DeliveredEvent]) -> None:
         self.told = told
@@ -174,8 +174,8 @@ class EventBatch:
         return b"".join(one.wire for one in self.told)
 
 
-class Subscriber:
-    """The queue of one subscriber, used on the event loop only; None ends the stream."""
+class Listener:
+    """The queue of one listener, used on the event loop only; None ends the stream."""
 
     def __init__(self, actor: Actor) -> None:
         self.actor = actor
@@ -218,7 +218,7 @@ class Broadcast:
 
     def __init__(self, database: Engine) -> None:
         self._database = database
-        self._listeners: set[Subscriber] = set()
+        self._listeners: set[Listener] = set()
         self._lock = threading.Lock()
         self._ring = RecentProgress(KEPT)
         self._found = EventCursor(0, 0, self._ring.newest)  # how far events were found
@@ -278,10 +278,10 @@ class Broadcast:
             return self._ring.after(number)
 
     @contextmanager
-    def listening(self, actor: Actor) -> Iterator[Subscriber]:
+    def listening(self, actor: Actor) -> Iterator[Listener]:
         """Hear everything after `cursor` from now on, as who acts; to be called on the event loop."""
         self._loop = asyncio.get_running_loop()
-        listener = Subscriber(actor)
+        listener = Listener(actor)
         self._listeners.add(listener)
         if self._is_closed:
             listener.put(None)

@@ -15,7 +15,7 @@ from starlette.responses import StreamingResponse
 
 from boresight.console.access.credentials import is_still_valid
 from boresight.console.access.dependencies import Database, Who
-from boresight.console.jobs.broadcast import Broadcast, Event, EventBatch, EventCursor, Feed, Subscriber, events_after
+from boresight.console.jobs.broadcast import Broadcast, Event, EventBatch, EventCursor, Feed, Listener, events_after
 from boresight.console.operation import operations
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Engine, open_reading
@@ -151,7 +151,7 @@ class _Live:
             self._is_level = self._is_level or one.cursor.covers(self.cursor)
 
 
-async def _live(request: Request, listener: Subscriber, live: _Live) -> AsyncIterator[bytes]:
+async def _live(request: Request, listener: Listener, live: _Live) -> AsyncIterator[bytes]:
     """Tell what happens from here on, until the server stops, the listener is too slow, or the log-in ends."""
     asked_s = said_s = time.monotonic()
     while True:
