@@ -215,7 +215,7 @@ def test_runs_without_a_result_are_not_looked_at(look):
     assert not look(2, state="FAILED")
 
 
-def test_a_watch_that_fails_is_logged_and_left_to_the_upkeep(look, monkeypatch):
+def test_an_alarm_check_that_fails_is_logged_and_left_to_the_maintenance(look, monkeypatch):
     def broken(*_):
         raise ArithmeticError("no drift can be told")
 
@@ -226,4 +226,4 @@ def test_a_watch_that_fails_is_logged_and_left_to_the_upkeep(look, monkeypatch):
     looking.look()
     assert not looking
     assert len(said) == 1
-    assert "The watch failed after a run" in said[0]
+    assert "The alarm check failed after a run" in said[0]

@@ -232,17 +232,17 @@ def test_an_open_page_that_only_listens_or_renews_itself_does_not_use_its_log_in
 
 def test_requests_do_not_write_and_a_round_writes_the_last_use_once(settings):
     with _logged_in(settings) as (client, app):
-        marks = DataVersionReader(app.state.engine)
-        before = marks.look()
+        reader = DataVersionReader(app.state.engine)
+        before = reader.look()
         for _ in range(20):
             client.get("/api/v1/sensors").raise_for_status()
-        assert marks.look() == before
+        assert reader.look() == before
         app.state.maintenance.write_uses()
-        after = marks.look()
+        after = reader.look()
         assert after != before
         app.state.maintenance.write_uses()
-        assert marks.look() == after
-        marks.close()
+        assert reader.look() == after
+        reader.close()
 
 
 def test_what_lapsed_is_written_and_what_ended_long_ago_is_forgotten(settings):

@@ -16,36 +16,36 @@ def store(request):
 
 def test_a_mark_moves_with_every_commit_and_with_nothing_else(store):
     another = open_engine(store.url.render_as_string(hide_password=False))
-    marks = DataVersionReader(store)
-    seen = [marks.look()]
+    reader = DataVersionReader(store)
+    seen = [reader.look()]
     for database in (store, another, store):
         with open_reading(database) as session:
             session.connection()
-        assert marks.look() == seen[-1]
+        assert reader.look() == seen[-1]
         with open_writing(database) as session:
             append_own(session, "did", "thing/1")
             session.flush()
-            assert marks.look() == seen[-1], "what is not committed is not to be seen"
-        seen.append(marks.look())
+            assert reader.look() == seen[-1], "what is not committed is not to be seen"
+        seen.append(reader.look())
     assert None not in seen
     assert len(set(seen)) == len(seen)
-    marks.close()
+    reader.close()
     another.dispose()
 
 
-def test_marks_of_another_connection_are_others(store):
-    marks = DataVersionReader(store)
-    first = marks.look()
-    marks.close()
-    assert marks.look() != first
-    marks.close()
+def test_versions_of_another_connection_are_others(store):
+    reader = DataVersionReader(store)
+    first = reader.look()
+    reader.close()
+    assert reader.look() != first
+    reader.close()
 
 
 def test_a_look_holds_no_connection_of_the_pool(store):
-    marks = DataVersionReader(store)
-    marks.look()
+    reader = DataVersionReader(store)
+    reader.look()
     assert store.pool.checkedout() == 0
-    marks.close()
+    reader.close()
 
 
 def test_only_sqlite_is_asked_at_once(sqlite, postgresql):
@@ -61,49 +61,49 @@ def test_a_store_that_cannot_say_gives_no_mark(tmp_path):
 
 
 def test_what_was_read_is_read_again_only_after_a_commit_or_for_another_question(store):
-    marks = DataVersionReader(store)
-    kept, asked = VersionedCache(marks), []
+    reader = DataVersionReader(store)
+    cache, asked = VersionedCache(reader), []
 
     def answer(question):
-        return kept.answer(question, lambda: asked.append(question) or len(asked))
+        return cache.answer(question, lambda: asked.append(question) or len(asked))
 
     assert [answer("a"), answer("a"), answer("b"), answer("b"), answer("a")] == [1, 1, 2, 2, 3]
     with open_writing(store) as session:
         append_own(session, "did", "thing/1")
     assert [answer("a"), answer("a")] == [4, 4]
-    marks.close()
+    reader.close()
 
 
 def test_what_is_committed_while_it_is_read_is_read_again(store):
-    marks = DataVersionReader(store)
-    kept = VersionedCache(marks)
+    reader = DataVersionReader(store)
+    cache = VersionedCache(reader)
 
     def read():
         with open_writing(store) as session:
             append_own(session, "did", "thing/1")
 
-    kept.answer("a", read)
-    assert kept.answer("a", lambda: "anew") == "anew"
-    marks.close()
+    cache.answer("a", read)
+    assert cache.answer("a", lambda: "anew") == "anew"
+    reader.close()
 
 
 def test_who_asked_before_it_was_read_is_given_it_whatever_is_committed_after_and_told_so(store):
-    marks = DataVersionReader(store)
-    kept, asked_s = VersionedCache(marks), time.monotonic()
-    assert kept.answer_to("a", lambda: "once", time.monotonic()) == ("once", False)
+    reader = DataVersionReader(store)
+    cache, asked_s = VersionedCache(reader), time.monotonic()
+    assert cache.answer_to("a", lambda: "once", time.monotonic()) == ("once", False)
     with open_writing(store) as session:
         append_own(session, "did", "thing/1")
-    assert kept.answer_to("a", lambda: "anew", asked_s) == ("once", True)
-    assert kept.answer_to("b", lambda: "of another question", asked_s) == ("of another question", False)
-    assert kept.answer("b", lambda: "anew") == "of another question"
+    assert cache.answer_to("a", lambda: "anew", asked_s) == ("once", True)
+    assert cache.answer_to("b", lambda: "of another question", asked_s) == ("of another question", False)
+    assert cache.answer("b", lambda: "anew") == "of another question"
     with open_writing(store) as session:
         append_own(session, "did", "thing/1")
-    assert kept.answer_to("b", lambda: "anew", time.monotonic()) == ("anew", False)
-    marks.close()
+    assert cache.answer_to("b", lambda: "anew", time.monotonic()) == ("anew", False)
+    reader.close()
 
 
 def test_nothing_is_kept_of_a_store_that_cannot_say(store, monkeypatch):
-    marks = DataVersionReader(store)
-    monkeypatch.setattr(marks, "look", lambda: None)
-    kept = VersionedCache(marks)
-    assert [kept.answer("a", lambda number=number: number) for number in (1, 2)] == [1, 2]
+    reader = DataVersionReader(store)
+    monkeypatch.setattr(reader, "look", lambda: None)
+    cache = VersionedCache(reader)
+    assert [cache.answer("a", lambda number=number: number) for number in (1, 2)] == [1, 2]

@@ -117,13 +117,13 @@ def test_a_folder_of_files_that_is_moved_away_is_noticed_and_used_again_when_it_
 def test_connections_that_are_open_on_a_moved_database_are_refused_too(tmp_path: Path) -> None:
     place = tmp_path / "data" / "boresight.sqlite3"
     engine = open_engine(f"sqlite:///{place}")
-    marks = DataVersionReader(engine)
-    assert marks.look() is not None
+    reader = DataVersionReader(engine)
+    assert reader.look() is not None
     place.parent.rename(tmp_path / "away")
     for opened in (open_reading, open_writing):
         with pytest.raises(StorageError, match="is not there any more"), opened(engine) as session:
             session.connection()
-    assert marks.look() is None
+    assert reader.look() is None
     place.parent.mkdir()
     place.touch()
     with pytest.raises(StorageError, match="not what this process opened"), open_reading(engine) as session:
