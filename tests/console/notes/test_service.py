@@ -13,7 +13,7 @@ def test_notes_are_kept_in_order_and_on_record(session, people, finished_run, ki
     finished_run(session)
     notes.add_note(session, people["ana"], kind, 1, " Taken through the anomaly. ")
     row = notes.add_note(session, people["dee"], kind, 1, "Heater was off.")
-    found = notes.list_notes(session, people["eve"], kind, 1)
+    found = notes.list_notes(session, kind, 1)
     assert [(note.printed_name, note.text) for note in found] == [
         ("Ana", "Taken through the anomaly."),
         ("Dee", "Heater was off."),
@@ -39,4 +39,4 @@ def test_a_note_is_on_something_that_is_there(session, people, kind, number):
     with pytest.raises(NotFoundError):
         notes.add_note(session, people["ana"], kind, number, "x")
     with pytest.raises(NotFoundError):
-        notes.list_notes(session, people["ana"], kind, number)
+        notes.list_notes(session, kind, number)

@@ -204,11 +204,7 @@ def test_no_note_proposal_log_in_or_version_is_left_out_beyond_a_hundred(site, r
             ))  # fmt: skip
         audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
     with open_reading(site.engine) as session:
-        assert (
-            note_queries.count_notes(session, "runs", 1)
-            == len(notes.list_notes(session, site.actor("ada"), "runs", 1))
-            == many
-        )
+        assert note_queries.count_notes(session, "runs", 1) == len(notes.list_notes(session, "runs", 1)) == many
         assert approval_queries.count_open(session) == len(proposals.list_proposals(session, state="OPEN")) == many
         assert len(session_list.list_sessions(session, site.actor("ada"), is_open=True)) > many
     visitor = site.visitor("ada")

@@ -263,6 +263,7 @@ def own_password(body: type[BaseModel]) -> Any:
 
 
 Who = Annotated[Actor, Depends(get_actor)]
+KNOWN = Depends(get_actor)  # of a route that is for whoever is known, and does not ask who it is
 SAME_FOR_ALL = Depends(same_for_all)
 Roles = Annotated[frozenset[str], Depends(same_for_roles)]
 Reading = Annotated[Session, Depends(open_read_session, scope="function")]

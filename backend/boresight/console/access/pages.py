@@ -14,6 +14,7 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.console.access import api_keys, sessions, users
 from boresight.console.access.credentials import current_actor
 from boresight.console.access.dependencies import (
+    KNOWN,
     PasswordChecks,
     Reading,
     ServerSettings,
@@ -350,8 +351,8 @@ async def log_out(request: Request) -> Response:
 password_router = APIRouter(prefix="/password", dependencies=[Depends(csrf)])
 
 
-@password_router.get("", response_class=HTMLResponse)
-def password_page(request: Request, actor: Who) -> HTMLResponse:  # noqa: ARG001 - who is not logged in has none to set
+@password_router.get("", response_class=HTMLResponse, dependencies=[KNOWN])
+def password_page(request: Request) -> HTMLResponse:
     """Show the form."""
     return _password_page(request, None)
 

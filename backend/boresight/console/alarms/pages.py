@@ -14,7 +14,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access import users
-from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.access.dependencies import KNOWN, Reading, Who, csrf
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import ALARM_KINDS, Alarm
 from boresight.console.fleet import service as sensors
@@ -87,8 +87,8 @@ def alarms_page(request: Request, session: Reading, actor: Who, sought: Seeking,
     )
 
 
-@router.get("/alarms.csv")
-def alarms_csv(session: Reading, actor: Who, sought: Seeking) -> Response:  # noqa: ARG001 - whoever is known may read
+@router.get("/alarms.csv", dependencies=[KNOWN])
+def alarms_csv(session: Reading, sought: Seeking) -> Response:
     """Give every alarm of a view as CSV, newest first."""
     names = read_names(session, sensors_of=None)
     found = alarms.list_alarms(session, sought)

@@ -37,7 +37,7 @@ from boresight.console.schemas import Shape
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.platform.actors import require_role, require_scope
 from boresight.platform.db.sessions import Session, open_reading
-from boresight.platform.web.openapi import refusals, refuses
+from boresight.platform.web.openapi import refuses
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 
 gate_profile_router = operations("/sensors", tags=["gates"])
@@ -161,10 +161,9 @@ def _shown(session: Session, row: GateReport) -> Beside:
     summary="Hold it against its gates",
     status_code=201,
     response_model=schemas.GateReport,
-    responses=refusals(412),
 )
+@refuses(412)
 def assess_parameter_set(
-    parameter_set_id: Id,  # noqa: ARG001 - of the dependency that examines it
     actor: Who,
     examined: Examined,
     session: Writing,
@@ -219,11 +218,6 @@ class SigningByName(Signing):
     decision: Literal["APPROVE", "REFUSE"]
 
 
-def with_signatures(session: Session, row: Approval) -> Beside:
-    """Return a request with its signatures."""
-    return Beside(row, signatures=approval_queries.signatures(session, row.id))
-
-
 Proven = Annotated[PasswordProof, own_password(Signing)]
 
 
@@ -248,14 +242,13 @@ def list_approvals(
     parameter_set_id: Id | None = None,
 ) -> Listing[Approval]:
     """List requests for approval, newest first."""
-    found = lists.newest(session, Approval, **page.rows, state=state, set=parameter_set_id)
-    return page.cut(found, lambda row: with_signatures(session, row))
+    return page.cut(lists.newest(session, Approval, **page.rows, state=state, set=parameter_set_id))
 
 
 @router.get("/{approval_id}", summary="Read a request", response_model=schemas.Approval)
-def get_approval(approval_id: Id, session: Reading) -> Beside:
+def get_approval(approval_id: Id, session: Reading) -> Approval:
     """Read a request with its signatures; the ETag is for signing."""
-    return with_signatures(session, session.get_known(Approval, approval_id))
+    return session.get_known(Approval, approval_id)
 
 
 @router.get("/{approval_id}/signers", summary="List who may sign", response_model=Page[schemas.Signer])
@@ -281,10 +274,9 @@ def approve(
     proof: Proven,
     policy: ServerPolicy,
     session: Writing,
-) -> Beside:
+) -> Approval:
     """Approve, as a second person: neither who submitted or created the set nor who launched its run; no administrator, no key."""
-    approvals.sign(session, actor, approval_id, signed.decided("APPROVE"), proof, seen, policy=policy)
-    return with_signatures(session, session.get_known(Approval, approval_id))
+    return approvals.sign(session, actor, approval_id, signed.decided("APPROVE"), proof, seen, policy=policy).approval
 
 
 @router.post("/{approval_id}:refuse", summary="Sign against it", response_model=schemas.Approval)
@@ -296,10 +288,9 @@ def refuse(
     proof: Proven,
     policy: ServerPolicy,
     session: Writing,
-) -> Beside:
+) -> Approval:
     """Refuse with a comment; one refusal blocks, also after an approval, until the set is promoted."""
-    approvals.sign(session, actor, approval_id, signed.decided("REFUSE"), proof, seen, policy=policy)
-    return with_signatures(session, session.get_known(Approval, approval_id))
+    return approvals.sign(session, actor, approval_id, signed.decided("REFUSE"), proof, seen, policy=policy).approval
 
 
 @router.post(
@@ -313,11 +304,10 @@ def sign_over_the_shoulder(
     proof: Annotated[PasswordProof, Depends(proven_beside)],
     policy: ServerPolicy,
     session: Writing,
-) -> Beside:
+) -> Approval:
     """Approve or refuse as a second person who gives name and password where another is logged in."""
     decided = signed.decided(signed.decision)
-    approvals.sign_over_the_shoulder(session, actor, approval_id, decided, proof, seen, policy=policy)
-    return with_signatures(session, session.get_known(Approval, approval_id))
+    return approvals.sign_over_the_shoulder(session, actor, approval_id, decided, proof, seen, policy=policy).approval
 
 
 discussion_router = operations("/approvals/{approval_id}", tags=["approvals"])
@@ -344,10 +334,9 @@ class NewOpening(Shape):
 @discussion_router.post(":assign", summary="Ask a person to decide", response_model=schemas.Approval)
 def assign_approval(
     approval_id: Id, assignment: Assignment, actor: Who, seen: SeenVersion, policy: ServerPolicy, session: Writing
-) -> Beside:
+) -> Approval:
     """Ask a person who may sign it to decide on an open request."""
-    row = approvals.assign(session, actor, approval_id, assignment.user_id, seen, policy=policy)
-    return with_signatures(session, row)
+    return approvals.assign(session, actor, approval_id, assignment.user_id, seen, policy=policy)
 
 
 @discussion_router.get("/remarks", summary="Read the discussion", response_model=Page[schemas.Remark])

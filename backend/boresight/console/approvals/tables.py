@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import sqlalchemy as sa
-from sqlalchemy.orm import Mapped, mapped_column
+from sqlalchemy.orm import Mapped, mapped_column, relationship
 
 from boresight.platform.db.declared import STRICT, Base, Sealing, allow_only, only_one
 from boresight.platform.db.documents import JsonText
@@ -37,6 +37,7 @@ class Approval(Base):
     needed: Mapped[int] = mapped_column(default=1, server_default=sa.text("1"))  # approvals that make it APPROVED
     expires_utc: Mapped[str | None] = mapped_column(sa.Text)
     assigned_to: Mapped[int | None] = mapped_column(sa.Integer)  # the person asked to look at it
+    signatures: Mapped[list[Signature]] = relationship(viewonly=True, order_by="Signature.id")
 
 
 class Signature(Base):
@@ -59,6 +60,7 @@ class Signature(Base):
     signed_utc: Mapped[str] = mapped_column(sa.Text)
     console: Mapped[str | None] = mapped_column(sa.Text)  # whose console it was signed at, over the shoulder
     password_by: Mapped[str | None] = mapped_column(sa.Text)  # who else knew, or lately gave, the password
+    approval: Mapped[Approval] = relationship(viewonly=True)
 
 
 class Remark(Base):

@@ -15,7 +15,7 @@ from typing import Any
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console.access.dependencies import Blobs, Reading, Who
+from boresight.console.access.dependencies import KNOWN, Blobs, Reading
 from boresight.console.jobs.maintenance import ServerMaintenance
 from boresight.console.operation import Beside
 from boresight.console.pages.formats import day_of_year, instant
@@ -231,11 +231,10 @@ def make_audit_line(record: AuditRecord) -> AuditLine:
     return AuditLine(record, address, changes(record.before, record.after))
 
 
-@router.get("/audit", response_class=HTMLResponse)
+@router.get("/audit", response_class=HTMLResponse, dependencies=[KNOWN])
 def audit_page(
     request: Request,
     session: Reading,
-    actor: Who,  # noqa: ARG001 - who is not logged in may not read
     files: Blobs,
     maintenance: ServerMaintenance,
     verify: str = "",
@@ -263,8 +262,8 @@ def audit_page(
     )
 
 
-@router.get("/audit.csv")
-def audit_csv(request: Request, session: Reading, actor: Who) -> Response:  # noqa: ARG001 - who is known may read
+@router.get("/audit.csv", dependencies=[KNOWN])
+def audit_csv(request: Request, session: Reading) -> Response:
     """Give every record of a view as CSV; the export with its verifier is what proves anything."""
     view = read_view(request, RECORDS)
     return write_csv(view, (_csv_row(record) for record in read_all(session, view, **_sought(view))))
@@ -274,11 +273,10 @@ def _csv_row(record: AuditRecord) -> Beside:
     return Beside(record, roles=", ".join(record.roles or ()), changed=make_audit_line(record).gist)
 
 
-@router.get("/audit/{record_id}", response_class=HTMLResponse)
+@router.get("/audit/{record_id}", response_class=HTMLResponse, dependencies=[KNOWN])
 def record_page(
     request: Request,
     session: Reading,
-    actor: Who,  # noqa: ARG001 - who is not logged in may not read
     record_id: int,
 ) -> HTMLResponse:
     """Show one record whole: what it changed member by member, who did it how, and the rows that it sealed."""

@@ -20,7 +20,7 @@ from starlette.datastructures import FormData, QueryParams
 
 from boresight.calibration.options import METHODS, OPTIONS
 from boresight.console import list_queries as lists
-from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.access.dependencies import KNOWN, Reading, Who, csrf
 from boresight.console.campaigns import service as campaigns
 from boresight.console.campaigns.service import FAILED, MOST_SENSORS, CampaignView, MemberRequest, make_result_line
 from boresight.console.fleet import service as sensors
@@ -53,8 +53,8 @@ CSV_FIELDS = (
 )  # fmt: skip
 
 
-@router.get("/campaigns", response_class=HTMLResponse)
-def campaigns_page(request: Request, session: Reading, actor: Who, before: str = "") -> HTMLResponse:  # noqa: ARG001 - whoever is known may read
+@router.get("/campaigns", response_class=HTMLResponse, dependencies=[KNOWN])
+def campaigns_page(request: Request, session: Reading, before: str = "") -> HTMLResponse:
     """List campaigns with how far each is, newest first."""
     before_id = parse_row_id(before)
     found = campaigns.list_campaigns(session, before_id=before_id, limit=CAMPAIGNS_A_PAGE + 1)
@@ -68,8 +68,8 @@ def campaigns_page(request: Request, session: Reading, actor: Who, before: str =
     )
 
 
-@router.get("/campaigns.csv")
-def campaigns_csv(session: Reading, actor: Who) -> Response:  # noqa: ARG001 - whoever is known may read
+@router.get("/campaigns.csv", dependencies=[KNOWN])
+def campaigns_csv(session: Reading) -> Response:
     """Give every campaign as CSV, newest first."""
     people, found = read_names(session).people, campaigns.list_campaigns(session)
     return csv_file("campaigns", CSV_FIELDS, (_csv_row(view, people) for view in found))
@@ -118,8 +118,8 @@ def _rank(line: Mapping[str, Any]) -> tuple[int, int, str]:
     return (0 if line["state"] in FAILED else 1, -level, line["sensor"])
 
 
-@router.get("/campaigns/{campaign_id:int}/results.csv")
-def campaign_results(session: Reading, actor: Who, campaign_id: int) -> Response:  # noqa: ARG001 - whoever is known may read
+@router.get("/campaigns/{campaign_id:int}/results.csv", dependencies=[KNOWN])
+def campaign_results(session: Reading, campaign_id: int) -> Response:
     """Send the results over sensors as CSV, arcs in rad."""
     lines = _lines(session, campaign_id)
     return csv_file(f"campaign-{campaign_id}", [name for name in lines[0] if name != "id"], lines)

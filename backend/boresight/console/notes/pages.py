@@ -8,10 +8,9 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Form, Request
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.console.access.dependencies import Reading, Who, csrf
+from boresight.console.access.dependencies import KNOWN, Reading, Who, csrf
 from boresight.console.notes import service as notes
 from boresight.console.pages.rendering import RefusalContext, make_change, render
-from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -25,15 +24,14 @@ def get_notes_address(kind: str, subject_id: int) -> str:
     return f"/{kind}/{subject_id}{part}#notes"
 
 
-@router.get("/notes/{kind}/{subject_id:int}", response_class=HTMLResponse)
-def notes_page(request: Request, session: Reading, actor: Who, kind: str, subject_id: int) -> HTMLResponse:
+@router.get("/notes/{kind}/{subject_id:int}", response_class=HTMLResponse, dependencies=[KNOWN])
+def notes_page(request: Request, session: Reading, kind: str, subject_id: int) -> HTMLResponse:
     """Show the notes on a thing."""
-    return _page(request, actor, kind, subject_id, "", None, session)
+    return _page(request, kind, subject_id, "", None, session)
 
 
 def _page(
     request: Request,
-    actor: Actor,
     kind: str,
     subject_id: int,
     typed: str,
@@ -44,7 +42,7 @@ def _page(
         request,
         "notes/notes.html",
         refused=refusal,
-        notes=notes.list_notes(session, actor, kind, subject_id),
+        notes=notes.list_notes(session, kind, subject_id),
         kind=kind,
         subject_id=subject_id,
         subject=f"{WORDS.get(kind, kind)} {subject_id}",
@@ -58,5 +56,5 @@ def _page(
 async def add(request: Request, actor: Who, kind: str, subject_id: int, text: Annotated[str, Form()] = "") -> Response:
     """Add a note."""
     change = partial(notes.add_note, actor=actor, kind=kind, subject_id=subject_id, text=text)
-    again = partial(_page, request, actor, kind, subject_id, text)
+    again = partial(_page, request, kind, subject_id, text)
     return await make_change(request, change, get_notes_address(kind, subject_id), "Your note is kept.", again=again)

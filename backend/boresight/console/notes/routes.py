@@ -22,9 +22,9 @@ class NewNote(Shape):
 
 
 @router.get("/runs/{run_id}/notes", summary="Read the notes on a run", response_model=Page[schemas.Note])
-def list_run_notes(run_id: Id, actor: Who, session: Reading) -> Listing[Note]:
+def list_run_notes(run_id: Id, session: Reading) -> Listing[Note]:
     """Read the notes on a run, in order."""
-    return Listing(notes.list_notes(session, actor, "runs", run_id))
+    return Listing(notes.list_notes(session, "runs", run_id))
 
 
 @router.post("/runs/{run_id}/notes", summary="Write a note on a run", status_code=201, response_model=schemas.Note)
@@ -34,9 +34,9 @@ def add_run_note(run_id: Id, new: NewNote, actor: Who, session: Writing) -> Note
 
 
 @router.get("/sensors/{sensor_id}/notes", summary="Read the notes on a sensor", response_model=Page[schemas.Note])
-def list_sensor_notes(sensor_id: Id, actor: Who, session: Reading) -> Listing[Note]:
+def list_sensor_notes(sensor_id: Id, session: Reading) -> Listing[Note]:
     """Read the notes on a sensor, in order."""
-    return Listing(notes.list_notes(session, actor, "sensors", sensor_id))
+    return Listing(notes.list_notes(session, "sensors", sensor_id))
 
 
 @router.post(
@@ -52,9 +52,9 @@ def add_sensor_note(sensor_id: Id, new: NewNote, actor: Who, session: Writing) -
     summary="Read the notes on a parameter set",
     response_model=Page[schemas.Note],
 )
-def list_parameter_set_notes(parameter_set_id: Id, actor: Who, session: Reading) -> Listing[Note]:
+def list_parameter_set_notes(parameter_set_id: Id, session: Reading) -> Listing[Note]:
     """Read the notes on a parameter set, in order."""
-    return Listing(notes.list_notes(session, actor, "parameter-sets", parameter_set_id))
+    return Listing(notes.list_notes(session, "parameter-sets", parameter_set_id))
 
 
 @router.post(

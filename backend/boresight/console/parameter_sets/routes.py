@@ -13,8 +13,8 @@ from boresight.console.access.dependencies import SAME_FOR_ALL, Blobs, Reading, 
 from boresight.console.approvals import schemas as approval_schemas
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.dependencies import AssessedBefore
-from boresight.console.approvals.routes import with_signatures
-from boresight.console.operation import Beside, json_response, operations
+from boresight.console.approvals.tables import Approval
+from boresight.console.operation import json_response, operations
 from boresight.console.parameter_sets import schemas, service
 from boresight.console.parameter_sets import service as conversions
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -107,10 +107,9 @@ def submit_parameter_set(
     policy: ServerPolicy,
     session: Writing,
     blobs: Blobs,
-) -> Beside:
+) -> Approval:
     """Ask that this set become the baseline. It is held against its gates, and the request binds what was found."""
-    row = approvals.submit(session, actor, blobs, parameter_set_id, submission.reason, seen, measured, policy=policy)
-    return with_signatures(session, row)
+    return approvals.submit(session, actor, blobs, parameter_set_id, submission.reason, seen, measured, policy=policy)
 
 
 @router.post(
@@ -128,10 +127,9 @@ def roll_back_parameter_set(
     policy: ServerPolicy,
     session: Writing,
     blobs: Blobs,
-) -> Beside:
+) -> Approval:
     """Ask that a superseded set become the baseline again; it is signed and promoted like any other, in less time."""
-    row = approvals.roll_back(session, actor, blobs, parameter_set_id, back.reason, seen, measured, policy=policy)
-    return with_signatures(session, row)
+    return approvals.roll_back(session, actor, blobs, parameter_set_id, back.reason, seen, measured, policy=policy)
 
 
 @router.post("/{parameter_set_id}:withdraw", summary="Take the request back", response_model=schemas.ParameterSet)

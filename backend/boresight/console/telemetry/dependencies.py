@@ -15,7 +15,7 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
-from boresight.console.access.dependencies import ServerSettings, Who
+from boresight.console.access.dependencies import ServerSettings
 from boresight.console.operation import FORM_CONTENT
 from boresight.disks import storage_error
 from boresight.errors import RefusedInputError
@@ -94,7 +94,6 @@ class _OnDisk(UploadFile):
 
 async def uploaded(
     request: Request,
-    actor: Who,  # noqa: ARG001 - nothing is read for nobody
     settings: ServerSettings,
 ) -> AsyncIterator[Upload]:
     """Stream the request's file to the disk and remove it before the answer is sent."""

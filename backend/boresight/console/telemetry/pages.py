@@ -17,6 +17,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import (
     CSRF_FIELD,
+    KNOWN,
     Database,
     DryRunSources,
     Reading,
@@ -143,8 +144,8 @@ def telemetry_page(request: Request, session: Reading, roles: Roles, settings: S
     return _page(request, roles, settings.upload_limit_mb, shown, session)
 
 
-@router.get("/telemetry.csv")
-def telemetry_csv(request: Request, session: Reading, actor: Who) -> Response:  # noqa: ARG001 - who is known may read
+@router.get("/telemetry.csv", dependencies=[KNOWN])
+def telemetry_csv(request: Request, session: Reading) -> Response:
     """Give every set of a view as CSV."""
     view, names = read_view(request, SETS), read_names(session, sensors_of=None)
     rows = (_csv_row(row, names) for row in read_all(session, view, **_in_use(view)))
@@ -313,8 +314,8 @@ def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: i
     )
 
 
-@telemetry_set_router.get("/telemetry/{set_id}/figures/{name}.csv")
-def figure_csv(session: Reading, actor: Who, set_id: int, name: str) -> Response:  # noqa: ARG001 - whoever is known may read
+@telemetry_set_router.get("/telemetry/{set_id}/figures/{name}.csv", dependencies=[KNOWN])
+def figure_csv(session: Reading, set_id: int, name: str) -> Response:
     """Give a figure's numbers as CSV."""
     row = session.get_known(TelemetrySet, set_id)
     drawing = next((it for it in make_drawings(row.quality) if it.name == name), None)

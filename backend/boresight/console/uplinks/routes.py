@@ -13,7 +13,6 @@ from starlette.requests import Request
 
 from boresight.console import list_queries as lists
 from boresight.console import schemas as console_schemas
-from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import (
     Blobs,
     Reading,
@@ -36,7 +35,7 @@ from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.media import StoredFile, ZipFile
-from boresight.platform.web.openapi import refusals
+from boresight.platform.web.openapi import refuses
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 
 router = operations("/uplinks", tags=["uplinks"])
@@ -157,7 +156,6 @@ class ReadBack:
 
 async def read_form(
     request: Request,
-    actor: Annotated[Actor, Depends(get_actor)],  # noqa: ARG001 - nothing is read for nobody
 ) -> ReadBack:
     """Read the form; what is no file is a text, and a field that is left out is an empty one."""
     async with request.form(max_files=1, max_fields=MOST_FIELDS) as form:
@@ -240,8 +238,8 @@ class Export(Shape):
     summary="Build the uplink package",
     status_code=201,
     response_model=schemas.Package,
-    responses=refusals(412),
 )
+@refuses(412)
 def export_parameter_set(
     parameter_set_id: Id,
     actor: Who,

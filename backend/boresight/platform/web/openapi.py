@@ -139,7 +139,7 @@ Noted = TypeVar("Noted", bound=Callable[..., Any])
 
 
 def refuses(*statuses: int) -> Callable[[Noted], Noted]:
-    """Note on a dependency which refusals it makes besides those that every operation has; its routes list them."""
+    """Note on a dependency, or on an operation, which refusals it makes besides those that every operation has."""
 
     def noted(dependency: Noted) -> Noted:
         dependency.refuses = statuses  # type: ignore[attr-defined]  # read by `dependency_refusals`
@@ -149,14 +149,14 @@ def refuses(*statuses: int) -> Callable[[Noted], Noted]:
 
 
 def dependency_refusals(dependant: Dependant) -> dict[int | str, dict[str, Any]]:
-    """List the refusals that the dependencies of an operation note."""
+    """List the refusals that an operation and its dependencies note."""
     noted = {status for call in _calls(dependant) for status in getattr(call, "refuses", ())}
     return {status: {**answer, "model": None} for status, answer in refusals(*sorted(noted)).items()}
 
 
 def _calls(dependant: Dependant) -> Iterator[Any]:
+    yield dependant.call
     for one in dependant.dependencies:
-        yield one.call
         yield from _calls(one)
 
 

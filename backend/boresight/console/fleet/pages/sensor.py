@@ -18,7 +18,7 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
-from boresight.console.access.dependencies import Reading, Who, csrf, get_server
+from boresight.console.access.dependencies import KNOWN, Reading, Who, csrf, get_server
 from boresight.console.alarms import service as alarms
 from boresight.console.approvals import gates
 from boresight.console.fleet import service as sensors
@@ -140,8 +140,8 @@ LEVEL_OF_ANSWER = {"YES": "caution", "NOT YET": "normal", "MORE DATA NEEDED": "s
 LEVEL_OF_DRIFT = {"DRIFT": "serious", "GROUND SHIFT": "caution", "HOLDS": "normal", "NOT TESTED": "off"}
 
 
-@router.get("/sensors/{sensor_id:int}/trend", response_class=HTMLResponse)
-def trend_page(request: Request, session: Reading, actor: Who, sensor_id: int) -> HTMLResponse:  # noqa: ARG001 - whoever is known may read
+@router.get("/sensors/{sensor_id:int}/trend", response_class=HTMLResponse, dependencies=[KNOWN])
+def trend_page(request: Request, session: Reading, sensor_id: int) -> HTMLResponse:
     """Show a sensor over the mission."""
     document = trend_document(session, sensor_id)
     return render(
@@ -301,7 +301,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Sensor
             advice=advice,
             answer_level=LEVEL_OF_ANSWER[advice.answer],
             open_alarms=alarms.list_alarms(session, alarms.AlarmFilter(sensor_id=sensor_id)),
-            notes=notes.list_notes(session, actor, "sensors", sensor_id),
+            notes=notes.list_notes(session, "sensors", sensor_id),
             promotions=promotions,
             telemetry=telemetry_sets.list_telemetry_sets(session, sensor_id=sensor_id, limit=SETS_SHOWN),
             sets_in_all=lists.count(session, "parameter-sets", {"sensor": sensor_id}),

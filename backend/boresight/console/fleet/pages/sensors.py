@@ -15,7 +15,7 @@ from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, UploadFile
 
 from boresight.cameras import CAMERA_MODELS
-from boresight.console.access.dependencies import Reading, Roles, Who, csrf, get_server
+from boresight.console.access.dependencies import KNOWN, Reading, Roles, Who, csrf, get_server
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import status as fleet
 from boresight.console.fleet.service import SensorChoices
@@ -134,8 +134,8 @@ def sensors_page(request: Request, roles: Roles, example: str = "") -> HTMLRespo
     return _page(request, roles, SensorsContext(EXAMPLE if example else ""))
 
 
-@router.get("/sensors.csv")
-def sensors_csv(request: Request, session: Reading, actor: Who) -> Response:  # noqa: ARG001 - whoever is known may read
+@router.get("/sensors.csv", dependencies=[KNOWN])
+def sensors_csv(request: Request, session: Reading) -> Response:
     """Give every sensor of a view as CSV, lengths in metres."""
     view = read_view(request, SENSORS)
     return write_csv(view, map(_csv_row, _every_tile(session, view)))

@@ -448,7 +448,7 @@ PARTS = {
     "frames": RunPart("Frames", lambda desk: make_frames_part(desk.session, desk.request, desk.run)),
     "log": RunPart("Log", lambda desk: make_log_part(desk.request, desk.session, desk.run)),
     "provenance": RunPart("Provenance", make_provenance_part),
-    "notes": RunPart("Notes", lambda desk: {"notes": notes.list_notes(desk.session, desk.actor, "runs", desk.run.id)}),
+    "notes": RunPart("Notes", lambda desk: {"notes": notes.list_notes(desk.session, "runs", desk.run.id)}),
 }
 
 
