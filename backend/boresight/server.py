@@ -152,10 +152,13 @@ def _furnish(app: FastAPI, settings: Settings) -> None:
     state.secret_box = settings.secret_box
     state.webhook_sender = WebhookSender(state.engine, settings.targets, state.secret_box)
     data_versions = DataVersionReader(state.engine)
-    state.changes, state.fleet = DataVersionPoller(data_versions), FleetStatusCache(state.engine, data_versions)
-    state.known, state.overview = CredentialCache(data_versions), VersionedCache[object](data_versions)
-    state.written = OrderedDict()
-    state.response_cache = ResponseCache(state.changes, authenticate, lambda: _beside(app))
+    state.data_version_poller, state.fleet_status = (
+        DataVersionPoller(data_versions),
+        FleetStatusCache(state.engine, data_versions),
+    )
+    state.credential_cache, state.overview = CredentialCache(data_versions), VersionedCache[object](data_versions)
+    state.rendered = OrderedDict()
+    state.response_cache = ResponseCache(state.data_version_poller, authenticate, lambda: _beside(app))
     state.workers = None
     state.metrics = Metrics(lambda: _count_runs(app), lambda: state.broadcast.listeners)
 
@@ -211,7 +214,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         await run_in_threadpool(state.passwords.close)
         await run_in_threadpool(state.maintenance.close)
         await run_in_threadpool(state.broadcast.close)
-        state.changes.close()
+        state.data_version_poller.close()
         state.engine.dispose()
 
 

@@ -50,7 +50,7 @@ def shown(answer: httpx.Response) -> dict[str, Any]:
 
 
 def undisturbed(house: House, ask: Callable[[], T], before_each: Callable[[], object] = lambda: None) -> T:
-    reader = house.app.state.response_cache.changes._reader
+    reader = house.app.state.response_cache.data_version_poller._reader
     for _ in range(20):
         before_each()
         before, found = reader.look(), ask()
@@ -424,7 +424,7 @@ def beside(house: House) -> Iterator[str]:
     with serving(house.app.state.settings, house.app.state.catalogue()) as (address, app):
         app.state.response_cache._limit_bytes = 0
         app.state.overview = SimpleNamespace(answer_to=lambda _question, read, _asked_s: (read(), False))
-        app.state.written = NothingKept()
+        app.state.rendered = NothingKept()
         app.state.workers.stop()
         app.state.workers = house.app.state.workers
         app.state.maintenance.light = house.app.state.maintenance.light

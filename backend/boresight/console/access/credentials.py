@@ -222,7 +222,7 @@ async def authenticate(scope: Scope) -> None:
     state.pop(SHARING, None)
     if not carries_credentials(scope, server.log_in_cookie.name):
         return
-    state[DATA_VERSION] = await server.changes.now()
+    state[DATA_VERSION] = await server.data_version_poller.now()
     with suppress(UnauthenticatedError, PasswordDueError):  # the endpoint says so, where it asks for somebody
         await get_actor(Request(scope))
 
@@ -250,7 +250,7 @@ def _remembered(request: Request) -> Actor | None:
     state = request.scope["state"]
     if "actor" in state:
         return state["actor"]  # type: ignore[no-any-return]  # the request's state is whatever is put there
-    memory: CredentialCache = request.app.state.known
+    memory: CredentialCache = request.app.state.credential_cache
     known = memory.find(request.scope, state.get(DATA_VERSION), active=is_active(request.scope))
     return None if known is None else _note(request, known)
 
@@ -278,7 +278,7 @@ def _look_up(request: Request) -> Identity:
     known = _of_key(request) or _of_log_in(request)
     known = replace(known, data_version=request.scope["state"].get(DATA_VERSION))
     if known.sharing is not None:
-        request.app.state.known.keep(request.scope, known)
+        request.app.state.credential_cache.keep(request.scope, known)
     return known
 
 
@@ -319,7 +319,7 @@ def _of_log_in(request: Request) -> Identity:
 
 def is_still_valid(request: Request) -> bool:
     """Whether the credential of a long request still holds: not logged out everywhere, revoked, expired or disabled."""
-    if request.app.state.known.find(request.scope, None, active=False) is not None:
+    if request.app.state.credential_cache.find(request.scope, None, active=False) is not None:
         return True
     try:
         _look_up(request)

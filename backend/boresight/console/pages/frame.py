@@ -205,7 +205,7 @@ def _fleet(request: Request, actor: Actor | None) -> tuple[FleetStatus, int | No
     if known is not None:
         return known
     try:
-        memory: FleetStatusCache = request.app.state.fleet
+        memory: FleetStatusCache = request.app.state.fleet_status
         return _taken(request, memory.standing(request.state.came_s))
     except Exception:
         log.exception("The frame could not read the store")
@@ -221,7 +221,7 @@ def _taken(request: Request, look: FleetReading) -> tuple[FleetStatus, int, int]
 
 async def know_fleet(request: Request) -> None:
     """Read what the frame shows of the store, for a request by somebody who is logged in."""
-    memory: FleetStatusCache = request.app.state.fleet
+    memory: FleetStatusCache = request.app.state.fleet_status
     with suppress(UnauthenticatedError, PasswordDueError):
         actor = await get_actor(request)
         known = memory.known_now(request.state.came_s)

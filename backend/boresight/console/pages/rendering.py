@@ -152,7 +152,7 @@ def proof_of_own(request: Request, actor: Actor, password: str) -> Callable[[], 
 
 
 FLASH_SECONDS = 60
-MOST_WRITTEN = 8  # pages
+MOST_RENDERED = 8  # pages
 
 
 def _environment() -> Environment:
@@ -187,15 +187,15 @@ def render(
         status_code, headers = refused.status, refused.headers
     frame = make_page_frame(request, is_answer=status_code == HTTPStatus.OK)
     given = (template, replace(frame, now=""), follows_from)  # the clock in the page goes by itself
-    written: OrderedDict[Hashable, str] = request.app.state.written
+    rendered: OrderedDict[Hashable, str] = request.app.state.rendered
     shared = follows_from is not None and request.scope["state"].get(GAPS)
-    page = written.get(given) if shared else None
+    page = rendered.get(given) if shared else None
     if page is None:
         page = TEMPLATES.get_template(template).render(frame=frame, request=request, **values)
         if shared:
-            written[given] = page
-            while len(written) > MOST_WRITTEN:
-                written.popitem(last=False)
+            rendered[given] = page
+            while len(rendered) > MOST_RENDERED:
+                rendered.popitem(last=False)
     response = HTMLResponse(page, status_code=status_code, headers={**(headers or {}), "Cache-Control": "no-store"})
     if frame.flash:
         response.delete_cookie(FLASH_COOKIE, path="/")

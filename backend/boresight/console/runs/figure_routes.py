@@ -11,7 +11,7 @@ from fastapi import Depends, Path, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
-from boresight.console.access.dependencies import Blobs, Drawings, Reading
+from boresight.console.access.dependencies import Blobs, Reading, ServerFigureCache
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside, json_response, operations
 from boresight.console.parameter_sets.service import get_incumbent_parameters
@@ -88,7 +88,7 @@ def get_figure(
     name: FigureName,
     session: Reading,
     blobs: Blobs,
-    drawings: Drawings,
+    figure_cache: ServerFigureCache,
     request: Request,
     seen: Seen,
     compare: Compare = "",
@@ -104,7 +104,7 @@ def get_figure(
         return seen.draw(figure, [Trace(label, result, f"Run {run.id}") for label, result, run in named])
 
     known = None if None in sources else [name, repr(seen), *labels, *map(str, sources)]
-    return drawings.answer(request, known, draw)
+    return figure_cache.answer(request, known, draw)
 
 
 def get_figure_source(session: Session, run: Run) -> str | None:
@@ -193,7 +193,7 @@ def compare_runs_data(session: Reading, blobs: Blobs, asked: Asked, reference: R
 def draw_radial_contrast(
     session: Reading,
     blobs: Blobs,
-    drawings: Drawings,
+    figure_cache: ServerFigureCache,
     request: Request,
     asked: Asked,
     reference: ReferenceRun = "",
@@ -207,7 +207,7 @@ def draw_radial_contrast(
         return figure_json(radial_contrast.draw_radial_contrast(labels, found.reference, found.radial()))
 
     known = None if None in sources else ["radial contrast", reference, *labels, *map(str, sources)]
-    return drawings.answer(request, known, draw)
+    return figure_cache.answer(request, known, draw)
 
 
 @comparison_router.get(

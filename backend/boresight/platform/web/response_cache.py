@@ -229,12 +229,12 @@ class ResponseCache:
 
     def __init__(
         self,
-        changes: DataVersionPoller,
+        data_version_poller: DataVersionPoller,
         authenticate: Callable[[Scope], Awaitable[None]],
         beside: Callable[[], Hashable],
         limit_bytes: int = KEPT_BYTES,
     ) -> None:
-        self.changes = changes
+        self.data_version_poller = data_version_poller
         self.beside = beside
         self.held_bytes = 0
         self._authenticate = authenticate
