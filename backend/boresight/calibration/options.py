@@ -6,6 +6,7 @@ methods that have it. A method is a row of `METHODS`. Nothing here loads an esti
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal
@@ -77,6 +78,15 @@ GROUPS = {
     "Of the filters": FILTERS,
     "Of svd and angular": EITHER_FORM,
 }
+#: Headings of a form's sets of fields, by the methods that have them and whether they are usual.
+LEGENDS = {
+    (FILTERS, True): "Filter",
+    (("svd",), True): "Singular values",
+    (ALL, False): "Stars and matches",
+    (BATCH, False): "Of the batch",
+    (FILTERS, False): "Of a filter",
+    (EITHER_FORM, False): "Of singular values and all angular distances",
+}
 
 
 @dataclass(frozen=True)
@@ -86,7 +96,8 @@ class Option:
     `methods` have it; `title` and `unit` are what a person chooses by; `sentence` says what it is or does; `words` may be chosen,
     each with its meaning; `lowest` and `highest` bound a number; `hint` stands beneath a form's field; `flag` is its name on the
     command line, where it has one; `elsewhere` refuses any but the default under another method, which without one has no effect;
-    a form shows what is `usual` at once, and the others among more options.
+    a form shows what is `usual` at once, and the others among more options, in a `cell` by row and column of their set of fields;
+    `radios` show every word.
     """
 
     name: str
@@ -104,6 +115,8 @@ class Option:
     flag: str | None = None
     elsewhere: str = ""
     usual: bool = False
+    cell: tuple[int, int] | None = None
+    radios: bool = False
 
     @property
     def label(self) -> str:
@@ -224,7 +237,7 @@ class CalibrationSettings:
     )  # fmt: skip
     variant: str = option(
         "Method", "Process noise", "Of a filter: no-q holds still, q follows drift, no-refit is q on old matches.",
-        default="no-q", flag="--variant", methods=FILTERS, usual=True,
+        cell=(1, 1), radios=True, default="no-q", flag="--variant", methods=FILTERS, usual=True,
         words={
             "no-q": "No-Q: parameters are constant",
             "q": "Q: parameters may drift",
@@ -242,12 +255,12 @@ class CalibrationSettings:
     )  # fmt: skip
     match_parameters: str = option(
         "Matching", "Parameters matched with", "Which parameters a filter matches each frame with.",
-        default="latest", flag="--match-parameters", methods=FILTERS,
+        cell=(1, 1), default="latest", flag="--match-parameters", methods=FILTERS,
         words={"latest": "The latest, frame by frame", "baseline": "The baseline it started from"},
     )  # fmt: skip
     match_rule: str = option(
         "Matching", "Tolerance of a match", "Tolerance of a match: from its own noise, or that of the flight code.",
-        default="statistical", flag="--match-rule",
+        cell=(1, 1), default="statistical", flag="--match-rule",
         words={
             "statistical": "Statistical: from centroid noise and parameter uncertainty",
             "flight": "Flight: the fixed tolerance of the flight code",
@@ -256,24 +269,24 @@ class CalibrationSettings:
     flight_tolerance_urad: float | None = option(
         "Matching", "Flight tolerance",
         "Largest disagreement of an arc that the flight code accepts; five sigmas of an arc if left out.",
-        default=None, kind="number", lowest=0.1, highest=1e5, unit="µrad", flag="--flight-tolerance-urad",
+        cell=(1, 2), default=None, kind="number", lowest=0.1, highest=1e5, unit="µrad", flag="--flight-tolerance-urad",
         hint="Empty is five sigmas of an arc.",
     )  # fmt: skip
     leave_out_doubles: bool = option(
         "Matching", "Leave out doubles and unreliable stars",
-        "Leave out double stars and stars with unreliable astrometry.", default=False, flag="--leave-out-doubles",
+        "Leave out double stars and stars with unreliable astrometry.", cell=(2, 2), default=False, flag="--leave-out-doubles",
     )  # fmt: skip
     minimum_stars: int = option(
         "Method", "Fewest stars of an exposure", "Exposures with fewer stars take no part.",
-        default=MINIMUM_STARS, lowest=MINIMUM_STARS, highest=1000, flag="--minimum-stars",
+        cell=(2, 1), default=MINIMUM_STARS, lowest=MINIMUM_STARS, highest=1000, flag="--minimum-stars",
     )  # fmt: skip
     max_iterations: int = option(
         "Of the batch", "Most iterations", "Most iterations of a fit.",
-        default=50, lowest=1, highest=10_000, flag="--max-iterations",
+        cell=(1, 2), default=50, lowest=1, highest=10_000, flag="--max-iterations",
     )  # fmt: skip
     error: str = option(
         "Of the batch", "Error minimised", "What is minimised; cosine is worse, for comparison.",
-        default="arclength", flag="--error",
+        cell=(1, 1), default="arclength", flag="--error",
         words={
             "arclength": "Arclength, with its full covariance",
             "cosine": "Cosine of the arc, unweighted: worse, for comparison",
@@ -281,28 +294,28 @@ class CalibrationSettings:
         elsewhere="The cosine error is the batch's: choose method 'batch', or error 'arclength'.",
     )  # fmt: skip
     robust: str = option(
-        "Of the batch", "Loss", "Loss that bounds what a false star may say.", default="none", flag="--robust",
+        "Of the batch", "Loss", "Loss that bounds what a false star may say.", cell=(2, 1), default="none", flag="--robust",
         words={"none": "Least squares", "huber": "Huber: bounds what a false star may say"},
         elsewhere="Robust loss is the batch's: choose method 'batch', or set 'robust' to 'none'.",
     )  # fmt: skip
     huber_threshold: float = option(
         "Of the batch", "Huber threshold", "Of huber, in whitened sigmas.",
-        default=1.345, lowest=0.1, highest=10.0, unit="whitened σ", flag="--huber-threshold",
+        cell=(2, 2), default=1.345, lowest=0.1, highest=10.0, unit="whitened σ", flag="--huber-threshold",
         hint="1.345 keeps 95 % of the efficiency under Gaussian noise.",
     )  # fmt: skip
     linearisations: int = option(
         "Of the filters", "Linearisations a frame", "Most a frame; 1 is the filter as printed.",
-        default=6, lowest=1, highest=100, flag="--linearisations", usual=True,
+        cell=(2, 1), default=6, lowest=1, highest=100, flag="--linearisations", usual=True,
         hint="1 is the filter as printed; more let the state come to rest within the frame.",
     )  # fmt: skip
     process_noise_sigma: float = option(
         "Of the filters", "Drift a frame", "Of q and no-refit: drift a frame, in typical sigmas.",
-        default=0.02, lowest=0.0, highest=10.0, unit="typical σ", flag="--process-noise", usual=True,
+        cell=(1, 2), default=0.02, lowest=0.0, highest=10.0, unit="typical σ", flag="--process-noise", usual=True,
         hint="Not of No-Q.",
     )  # fmt: skip
     forgetting_factor: float = option(
         "Of the filters", "Forgetting factor", "Share of the information kept from frame to frame.",
-        default=1.0, lowest=0.5, highest=1.0, flag="--forgetting-factor",
+        cell=(2, 1), default=1.0, lowest=0.5, highest=1.0, flag="--forgetting-factor",
         hint="Share of the information kept from frame to frame; 1 forgets nothing.",
         elsewhere=(
             f"A forgetting factor is a filter's: choose from {', '.join(FILTERS)}, or leave 'forgetting_factor' at 1."
@@ -310,11 +323,11 @@ class CalibrationSettings:
     )  # fmt: skip
     initial_sigma_scale: float = option(
         "Of the filters", "Sigma of the start", "Sigma of the start, in typical sigmas.",
-        default=10.0, lowest=1e-3, highest=1e4, unit="typical σ", flag="--initial-sigma-scale",
+        cell=(2, 2), default=10.0, lowest=1e-3, highest=1e4, unit="typical σ", flag="--initial-sigma-scale",
     )  # fmt: skip
     star_model: int = option(
         "Of svd and angular", "Star combinations", "Of svd: star combinations, 1 to 4; 4 is the paper's choice.",
-        default=4, lowest=1, highest=4, methods=("svd",), flag="--star-model", usual=True,
+        cell=(1, 1), default=4, lowest=1, highest=4, methods=("svd",), flag="--star-model", usual=True,
         words={
             "1": "1: three neighbours at a time",
             "2": "2: half of the stars at a time",
@@ -326,7 +339,7 @@ class CalibrationSettings:
     singular_values: tuple[int, ...] = option(
         "Of svd and angular", "Singular values",
         "Of svd: some of 1,2,3; the first adds nothing to the others, for their squares add up to the number of stars.",
-        default=(2, 3), kind="wholes", methods=("svd",), flag="--singular-values", usual=True,
+        cell=(1, 2), default=(2, 3), kind="wholes", methods=("svd",), flag="--singular-values", usual=True,
         words={
             "2,3": "σ2 and σ3: all that a combination says",
             "1,2,3": "σ1, σ2 and σ3: the same, for σ1 follows from the others",
@@ -343,13 +356,13 @@ class CalibrationSettings:
     )  # fmt: skip
     gain_form: str = option(
         "Of svd and angular", "Update", "How the update is computed; gain is as printed, slower, the same result.",
-        default="information", flag="--gain-form",
+        cell=(1, 1), default="information", flag="--gain-form",
         words={"information": "Information form", "gain": "Gain form, as printed: slower, the same result"},
         elsewhere=f"The gain form is of methods {' and '.join(EITHER_FORM)}: choose one, or leave 'gain_form' out.",
     )  # fmt: skip
     replay_frames_per_s: float = option(
         "Of the filters", "Replay pace", "Pace at which a filter takes frames in; 0 is as fast as the machine can.",
-        default=0.0, lowest=0.0, highest=1e6, unit="frames a second", usual=True,
+        cell=(2, 2), default=0.0, lowest=0.0, highest=1e6, unit="frames a second", usual=True,
         hint="As a downlink would deliver them; 0 is as fast as possible.",
     )  # fmt: skip
 
@@ -404,6 +417,33 @@ def _kept(declared: Option, value: Any) -> Any:
 
 #: Every choice by its name, in the order of a settings document.
 OPTIONS = {item.name: Option(name=item.name, **item.metadata) for item in fields(CalibrationSettings)}
+
+
+@dataclass(frozen=True)
+class Fieldset:
+    """Choices that a form shows together, row by row."""
+
+    legend: str
+    methods: tuple[str, ...]
+    rows: Sequence[Sequence[Option]]
+
+
+def make_fieldsets(*, usual: bool) -> list[Fieldset]:
+    """Lay out the choices that a form shows at once, or among more options."""
+    made = []
+    for (methods, at_once), legend in LEGENDS.items():
+        held = [
+            one for one in OPTIONS.values() if one.cell and one.methods == methods and one.usual == at_once == usual
+        ]
+        held.sort(key=lambda one: one.cell or (0, 0))
+        rows = [list(row) for _, row in itertools.groupby(held, key=lambda one: (one.cell or (0, 0))[0])]
+        if rows:
+            made.append(Fieldset(legend, methods, rows))
+    return made
+
+
+#: What a form of a calibration shows.
+FORM = {"usual": make_fieldsets(usual=True), "more": make_fieldsets(usual=False), "match": OPTIONS["match"]}
 
 
 def format_value(value: Any) -> str:

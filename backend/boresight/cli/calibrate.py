@@ -54,17 +54,21 @@ def _shown(default: Any) -> str:
     return ",".join(map(str, default)) if isinstance(default, tuple) else str(default)
 
 
+def setting_option(name: str) -> Callable[..., Any]:
+    """Give a command one choice of a calibration."""
+    option = OPTIONS[name]
+    ticked = {"is_flag": True, "default": None} if option.kind == "yes or no" else {}
+    return click.option(
+        str(option.flag), option.name, cls=Choice, of=option, help=_help(option), type=_TYPES.get(option.kind),
+        metavar=_METAVARS.get(option.kind), **ticked,
+    )  # fmt: skip
+
+
 def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command every choice of a calibration."""
     for option in reversed(OPTIONS.values()):
-        if option.flag is None:
-            continue
-        ticked = {"is_flag": True, "default": None} if option.kind == "yes or no" else {}
-        give = click.option(
-            option.flag, option.name, cls=Choice, of=option, help=_help(option), type=_TYPES.get(option.kind),
-            metavar=_METAVARS.get(option.kind), **ticked,
-        )  # fmt: skip
-        command = give(command)
+        if option.flag is not None:
+            command = setting_option(option.name)(command)
     return command
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from boresight.cli.calibrate import parse_settings
+from boresight.cli.calibrate import chosen, parse_settings, setting_option
 from boresight.cli.output import (
     FORMATS,
     STANDARD_OUTPUT,
@@ -38,7 +38,7 @@ from boresight.settings import read_settings, use_kernel_folder
     required=True,
     help="File to write: .csv, .jsonl or .parquet; - is standard output, CSV.",
 )
-@click.option("--leave-out-doubles", is_flag=True, help="Match no double star and none with unreliable astrometry.")
+@setting_option("leave_out_doubles")
 @click.option("--flight", is_flag=True, help="Keep only what the simulated check of the flight code accepts.")
 @json_option
 def match(telemetry: Path, sensor_file: Path, parameters: Path | None, out: Path, **choices: Any) -> None:
@@ -93,7 +93,7 @@ def _match(
     from boresight.telemetry.read.readers import read_table, write_with_stars
     from boresight.telemetry.sensors import read_sensor
 
-    settings = CalibrationSettings(match="rematch", leave_out_doubles=choices["leave_out_doubles"])
+    settings = CalibrationSettings(match="rematch", leave_out_doubles=bool(choices["leave_out_doubles"]))
     sensor, folder = read_sensor(sensor_file), read_settings().catalogue_folder
     x, P = (sensor.initial, None) if parameters is None else read_parameters(parameters, sensor)
     stars, off, catalogue = read_set(telemetry, sensor, report)
@@ -192,12 +192,8 @@ FRAMES_SHOWN = 40
 @click.option(
     "--against", type=click.Path(path_type=Path), help="Parameters to compare with; the sensor file's if left out."
 )
-@click.option(
-    "--match", default="rematch", show_default=True, help="Stars: rematch finds them anew, given takes the file's."
-)
-@click.option(
-    "--flight-tolerance-urad", type=float, help="Largest disagreement of an arc; 5 sigmas of an arc if left out."
-)
+@setting_option("match")
+@setting_option("flight_tolerance_urad")
 @click.option("--shadow", is_flag=True, help="List the frames that one of the two parameter sets would lose.")
 @json_option
 def evaluate(telemetry: Path, sensor_file: Path, json_file: str | None, *, shadow: bool, **choices: Any) -> None:
@@ -224,7 +220,7 @@ def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shado
     from boresight.calibration.parameter_file import read_parameters
     from boresight.telemetry.sensors import read_sensor
 
-    settings = parse_settings({key: choices[key] for key in ("match", "flight_tolerance_urad")})
+    settings = parse_settings(chosen({key: choices[key] for key in ("match", "flight_tolerance_urad")}))
     folder = read_settings().catalogue_folder
     sensor, against = read_sensor(sensor_file), choices["against"]
     states = [

@@ -18,7 +18,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, QueryParams
 
-from boresight.calibration.options import METHODS, OPTIONS
+from boresight.calibration.options import FORM, METHODS
 from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import KNOWN, Reading, Who, csrf
 from boresight.console.campaigns import service as campaigns
@@ -302,7 +302,7 @@ def _page(
         has_telemetry=bool(offered.sets or telemetry_sets.list_telemetry_sets(session, limit=1)),
         chosen={number: _member(given, number) for number in offered.choices.names},
         nothing=SensorSets(),
-        options=OPTIONS,
+        options=FORM,
         methods=METHODS.values(),
         typed=typed,
         origin=origin,

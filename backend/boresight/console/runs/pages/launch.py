@@ -18,7 +18,15 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, QueryParams
 
-from boresight.calibration.options import METHODS, OPTIONS, CalibrationSettings, format_value, get_method_title, said
+from boresight.calibration.options import (
+    FORM,
+    METHODS,
+    OPTIONS,
+    CalibrationSettings,
+    format_value,
+    get_method_title,
+    said,
+)
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.access.dependencies import DryRunSources, Reading, Who, csrf
 from boresight.console.fleet import queries as sensor_queries
@@ -514,7 +522,7 @@ def _page(
         offered=offered,
         parameter_names={sensor.id: list_parameter_names(sensor) for sensor in offered.fleet},
         has_telemetry=bool(offered.sets or telemetry_sets.list_telemetry_sets(session, limit=1)),
-        options=OPTIONS,
+        options=FORM,
         methods=METHODS.values(),
         typed=typed,
         origin=origin,
