@@ -1,5 +1,6 @@
 """Migrations: the way up and down, on data, ends in the tables the models say; the database guards its own rules."""
 
+import json
 from itertools import accumulate
 from typing import Any
 
@@ -13,6 +14,7 @@ from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
 from boresight.console.runs.tables import Run, RunEvent
+from boresight.console.webhooks.tables import Webhook, WebhookDelivery
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.audit.chain import append_own
 from boresight.platform.audit.seals import FIRST_HASH, AppendOnlyTable, iterate_rows
@@ -126,6 +128,20 @@ def test_what_the_log_of_runs_said_is_in_its_columns_after_the_way_up_and_the_jo
             assert line["hash"] == journal.compute_hash(previous, line)
             assert line["outcome_hash"] == journal.compute_outcome_hash(line)
             previous = line["hash"]
+
+
+def test_a_webhook_knows_which_head_it_was_told_of_newest_after_the_way_up(store: Engine) -> None:
+    with open_writing(store) as session:
+        hook = session.put(Webhook(label="x", url="https://mission.invalid/", actions=[], secret="s", created_utc=NOW))
+        for kind, number in (("audit.head", 1), ("audit.head", 2), ("runs.launched", 3)):
+            body = json.dumps({"type": kind, "data": {"audit_hash": f"hash {number}"}})
+            session.put(WebhookDelivery(webhook_id=hook.id, body=body, state="DELIVERED", due_utc=NOW, created_utc=NOW))
+        hook_id = hook.id
+        append_own(session, "made", f"webhooks/{hook_id}")
+    downgrade(store, "0012")
+    migrate(store)
+    with open_reading(store) as session:
+        assert session.get_one(Webhook, hook_id).told_head == "hash 2"
 
 
 def test_an_older_version_can_number_records_itself_again(store: Engine) -> None:

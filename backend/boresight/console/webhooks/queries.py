@@ -35,14 +35,6 @@ def next_delivery_id(session: Session) -> int:
     return journals.newest(session, journals.AppendOnlyTable(WebhookDelivery))[0] + 1
 
 
-def is_told(session: Session, webhook_id: int, kind: str, text: str) -> bool:
-    """Whether the newest message of a kind to a webhook holds a text."""
-    of_kind = WebhookDelivery.body.contains(f'"type": "{kind}"', autoescape=True)
-    query = sa.select(WebhookDelivery.body).where(WebhookDelivery.webhook_id == webhook_id, of_kind)
-    body = session.scalar(query.order_by(WebhookDelivery.id.desc()).limit(1))
-    return body is not None and text in body
-
-
 def due(
     session: Session, now_utc: str, limit: int, of_each: int = 1, *, among: Collection[int]
 ) -> Sequence[tuple[WebhookDelivery, Webhook]]:

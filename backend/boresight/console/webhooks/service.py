@@ -225,14 +225,12 @@ def is_any_due(session: Session, box: SecretBox) -> bool:
 
 def is_head_told(session: Session, head: ExternalHead | None) -> bool:
     """Whether every webhook that asked for heads of the audit log by name was told of this one."""
-    return head is None or all(
-        rows.is_told(session, webhook.id, HEAD, head.hash) for webhook in _asked_for_heads(session)
-    )
+    return head is None or not _untold(session, head)
 
 
 def tell_head(session: Session, head: ExternalHead) -> int:
     """Queue a message with a head of the audit log for whoever asked for it by name; returns how many."""
-    asked = [webhook for webhook in _asked_for_heads(session) if not rows.is_told(session, webhook.id, HEAD, head.hash)]
+    untold = _untold(session, head)
     content = {
         "type": HEAD,
         "at_utc": head.at_utc,
@@ -240,14 +238,16 @@ def tell_head(session: Session, head: ExternalHead) -> int:
         "action": "head",
         "actor": "Boresight",
     }
-    for webhook in asked:
+    for webhook in untold:
         _queue(session, webhook, None, {**content, "data": {"id": head.id, "audit_hash": head.hash}})
-    return len(asked)
+        webhook.told_head = head.hash
+    return len(untold)
 
 
-def _asked_for_heads(session: Session) -> list[Webhook]:
-    """Return the webhooks that named heads: one that is told everything else is not told of every minute too."""
-    return [webhook for webhook in rows.webhooks(session, enabled_only=True) if HEAD in webhook.actions]
+def _untold(session: Session, head: ExternalHead) -> list[Webhook]:
+    """Return the webhooks that named heads and were not told of this one; who is told everything is not told of every minute."""
+    named = (webhook for webhook in rows.webhooks(session, enabled_only=True) if HEAD in webhook.actions)
+    return [webhook for webhook in named if webhook.told_head != head.hash]
 
 
 def take_due(session: Session, limit: int, box: SecretBox) -> list[WebhookMessage]:

@@ -17,7 +17,12 @@ class Webhook(Base):
     __tablename__ = "webhooks"
     noun = "webhook"
     __table_args__ = (STRICT,)
-    sealing = Sealing(fleeting={"told_audit_id": "moves with every audit record"})
+    sealing = Sealing(
+        fleeting={
+            "told_audit_id": "moves with every audit record",
+            "told_head": "moves with every head of the audit log",
+        }
+    )
     id: Mapped[int] = mapped_column(primary_key=True)
     label: Mapped[str] = mapped_column(sa.Text)
     url: Mapped[str] = mapped_column(sa.Text)
@@ -25,6 +30,7 @@ class Webhook(Base):
     secret: Mapped[str] = mapped_column(sa.Text)
     version: Mapped[int] = mapped_column(default=1)
     told_audit_id: Mapped[int] = mapped_column(default=0)  # the newest audit record that deliveries were made of
+    told_head: Mapped[str | None] = mapped_column(sa.Text)  # hash of the newest head that a delivery was made of
     created_utc: Mapped[str] = mapped_column(sa.Text)
     created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
     disabled_utc: Mapped[str | None] = mapped_column(sa.Text)
