@@ -64,9 +64,9 @@ def plain_directions(catalogue, index, time_utc, velocity_m_s):
     return boosted / np.linalg.norm(boosted, axis=-1, keepdims=True)
 
 
-def test_directions_equal_the_plain_derivation_for_the_whole_catalogue(catalogue):
+def test_directions_equal_the_plain_derivation_all_over_the_catalogue(catalogue):
     rng = np.random.default_rng(1)
-    index = np.arange(len(catalogue))
+    index = np.arange(0, len(catalogue), effort(10, 1))
     times = moment("2015-01-01") + rng.integers(0, int(15 * 365.25 * 86400e6), effort(1_000, len(index)))
     time_utc = rng.choice(times, len(index))
     velocity = rng.normal(size=(len(index), 3)) * 4e3

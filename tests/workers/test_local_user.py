@@ -16,9 +16,11 @@ import pytest
 from services import Services, listens, wait_for
 
 from benchmarks.servers import free_port
+from tests.effort import effort
 
 INTRUDER = Path(__file__).parent / "intruder.py"
 NOBODY = 65534
+WORKERS = effort("1", "2")
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root becomes another user"
@@ -49,7 +51,7 @@ class Served:
         (folder / "blobs-elsewhere").mkdir()
         (folder / "temporary").mkdir()
         self.services = Services(
-            folder, data_folder=str(self.data), blobs=str(folder / "blobs-elsewhere"), workers="2", scheduler=""
+            folder, data_folder=str(self.data), blobs=str(folder / "blobs-elsewhere"), workers=WORKERS, scheduler=""
         )
         self.services.environment["TMPDIR"] = str(folder / "temporary")
         self.port = free_port()
@@ -91,7 +93,7 @@ def test_another_user_of_the_machine_gets_nothing_at_any_port_of_the_server(serv
     assert [one for one in got if one[0] != served.port] == []
     assert all("HTTP/1.1 404" in one[2] for one in got)  # the pages' own, who know no such page
     assert {address.ip for address in addresses} == {"127.0.0.1"}
-    assert len(addresses) == 6  # pages, scheduler, and a nanny and a worker twice
+    assert len(addresses) == 2 + 2 * int(WORKERS)  # pages, scheduler, and a nanny and a worker for each
 
 
 def test_the_processes_of_a_server_listen_on_no_other_kind_of_socket(served):

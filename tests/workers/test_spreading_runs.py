@@ -83,9 +83,10 @@ def test_a_piece_whose_worker_is_killed_is_computed_by_the_run_with_the_same_res
 
 
 def test_a_run_alone_with_a_worker_that_is_busy_computes_everything_itself(start):
-    occupied = start(piecework.occupy, start.folder, 6.0, worker=1)
+    occupied = start(piecework.occupy, start.folder, 3.0, worker=1)
     wait_for(lambda: list(start.folder.glob("occupied-*")))
-    found = start(piecework.spread, start.folder, count=12).result(60)
+    found = start(piecework.spread, start.folder, count=12, seconds=0.05).result(60)
+    assert not occupied.done()
 
     assert found["results"] == EXPECTED[:12]
     assert set(processes(start.folder)) == {found["process"]}
@@ -93,7 +94,7 @@ def test_a_run_alone_with_a_worker_that_is_busy_computes_everything_itself(start
 
 
 def test_a_run_that_is_given_to_a_worker_with_pieces_waits_for_one_group_at_most(start):
-    run = start(piecework.spread, start.folder, count=60)
+    run = start(piecework.spread, start.folder, count=60, seconds=0.1)
     wait_for(lambda: len(set(processes(start.folder))) == 2)
     begun_s = time.monotonic()
     start(piecework.occupy, start.folder, 0.0, worker=1).result(60)
