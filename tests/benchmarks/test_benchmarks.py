@@ -190,7 +190,9 @@ def test_parts_that_are_taken_replace_those_stored_and_failed_ones_do_not(tmp_pa
 def test_everybody_in_a_crowd_is_answered_and_every_listener_hears_every_event_once_and_in_order(monkeypatch):
     few = ("list", "list_unchanged", "page")
     monkeypatch.setattr(clients, "CROWDS", {name: clients.CROWDS[name] for name in effort(few, clients.CROWDS)})
-    monkeypatch.setattr(clients, "serving", effort(partial(serving, workers=0), serving))  # only writing crowds launch runs
+    monkeypatch.setattr(
+        clients, "serving", effort(partial(serving, workers=0), serving)
+    )  # only writing crowds launch runs
     found = clients.measure(lambda *_: None, runs=60, clients=8, seconds=0.2, listeners=40, changes=8)
     for name in clients.CROWDS:
         assert found[name]["failures"] == 0, found[name]
@@ -257,7 +259,9 @@ def test_an_undisturbed_run_is_computed_once_and_its_time_is_known(monkeypatch):
     assert calm["attempts"] == {"1": 6}
     assert calm["not_as_promised"] == 0
     assert 0 < calm["computing_cpu_s"] <= 1.1 * calm["computing_s"]
-    assert calm["overhead_ms_per_run"] == pytest.approx((calm["wall_s"] * queue.THREADS - calm["computing_s"]) / 6 * 1e3)
+    assert calm["overhead_ms_per_run"] == pytest.approx(
+        (calm["wall_s"] * queue.THREADS - calm["computing_s"]) / 6 * 1e3
+    )
     assert 0 < calm["claims_per_run"] <= 1
 
 

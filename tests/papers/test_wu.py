@@ -29,6 +29,7 @@ from boresight.papers.wu.estimators import (
 )
 from boresight.papers.wu.timing import Ratio
 from boresight.simulation.sensors import WU_PIXEL_PITCH_M, WU_START, WU_TRUTH
+from tests.effort import effort
 
 # The printed numbers.
 
@@ -119,7 +120,7 @@ def study():
         patch.setattr(report, "run_on_one_thread", lambda run, folder: run(folder))
         for name, number in (("DRAWN", 300), ("FRAMES", 20), ("SLOW_FRAMES", 4), ("ROUNDS", 3)):
             patch.setattr(timing, name, number)
-        return wu.run(wu.Plan(quick=True, frames=120, judges=30, sets=2, processes=1), None)
+        return wu.run(wu.Plan(quick=True, frames=effort(60, 120), judges=effort(15, 30), sets=2, processes=1), None)
 
 
 def test_the_document_follows_its_schema(study):
