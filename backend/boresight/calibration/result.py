@@ -44,6 +44,8 @@ from boresight.estimation.statistics.observability import Observability, observa
 from boresight.estimation.statistics.uncertainty import displacement_px, radial_difference
 from boresight.estimation.stored_arcs import Arcs
 
+#: A calibration JSON as it is read.
+Result = Mapping[str, Any]
 #: Tail RMS costs one pass over the set a point; a history keeps as many points as this many frame passes allow.
 TAIL_BUDGET = 4_000_000
 FEWEST_POINTS, MOST_POINTS = 100, 1000

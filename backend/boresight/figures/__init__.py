@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from boresight.figures.chart import Figure, Result, Table, Trace, figure_json
+from boresight.calibration.result import Result
+from boresight.figures.chart import Figure, Table, Trace, figure_json
 
 if TYPE_CHECKING:
     from boresight.figures.charts import CHAPTERS, FIGURES, WIDE

@@ -6,16 +6,17 @@ A run that is still computing gives a JSON with keys missing; the figure then sa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import orjson
 
+from boresight.calibration.result import Result
+
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-Result = Mapping[str, Any]
 Table = dict[str, list[Any]]
 
 

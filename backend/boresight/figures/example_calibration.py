@@ -13,7 +13,8 @@ from pathlib import Path
 
 import orjson
 
-from boresight.figures.chart import Result, Trace
+from boresight.calibration.result import Result
+from boresight.figures.chart import Trace
 
 PLACE = Path(__file__).with_name("example_calibration.json")
 JUDGED_AT_THE_END = (

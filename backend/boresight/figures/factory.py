@@ -9,7 +9,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.calibration.result import Result
+from boresight.figures.chart import Figure, Table, Trace
 from boresight.figures.style import theme
 from boresight.verdicts.verdict import read_part, why_absent
 

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Result, Trace
+from boresight.calibration.result import Result
+from boresight.figures.chart import Trace
 from boresight.verdicts.verdict import sigma_of_rms
 
 SETTLED_SIGMAS = 3.0

@@ -17,9 +17,10 @@ from typing import Any
 import orjson
 import plotly.graph_objects as go
 
+from boresight.calibration.result import Result
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Figure, Table, Trace
 from boresight.figures.style.theme import CONTRAST_TEMPLATE, DARK_TEMPLATE, LIGHT_TEMPLATE, TOKENS
 
 SCHEMA = "boresight.calibration/1"

@@ -13,9 +13,10 @@ from plotly.offline import get_plotlyjs
 
 from boresight import __version__
 from boresight.calibration.options import OPTIONS, CalibrationSettings, format_value
+from boresight.calibration.result import Result
 from boresight.errors import RefusedInputError
 from boresight.figures import CHAPTERS, FIGURES
-from boresight.figures.chart import Result, Trace, figure_json
+from boresight.figures.chart import Trace, figure_json
 from boresight.figures.charts.matching import why_no_matching
 from boresight.figures.style.theme import LIGHT_TEMPLATE, TOKENS, declared
 from boresight.figures.tables import (

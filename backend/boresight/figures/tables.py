@@ -12,8 +12,8 @@ from dataclasses import astuple, dataclass
 from decimal import Decimal
 from typing import Any
 
+from boresight.calibration.result import Result
 from boresight.cameras import CAMERA_MODELS
-from boresight.figures.chart import Result
 from boresight.verdicts.numbers import (
     MINUS,
     MISSING,

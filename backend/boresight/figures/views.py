@@ -22,8 +22,9 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
+from boresight.calibration.result import Result
 from boresight.errors import RefusedInputError
-from boresight.figures.chart import Result, Trace
+from boresight.figures.chart import Trace
 from boresight.figures.style import theme
 from boresight.figures.style.axes import ALIGNMENTS
 from boresight.figures.style.thinning import keep_extremes

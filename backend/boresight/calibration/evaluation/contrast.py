@@ -29,7 +29,7 @@ D of nested data is a difference of two estimated matrices: its eigenvalues belo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,6 +37,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from boresight.arrays import FloatArray
+from boresight.calibration.result import Result
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation.statistics.uncertainty import radial_difference
 
@@ -106,8 +107,6 @@ def joint_test(difference: FloatArray, D: FloatArray, sigma: FloatArray) -> tupl
     dof = int(kept.sum())
     return statistic, dof, float(chdtrc(dof, statistic))
 
-
-Result = Mapping[str, Any]
 
 RADII = 121
 ARCSEC = float(np.degrees(1.0) * 3600)

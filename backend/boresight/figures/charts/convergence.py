@@ -27,7 +27,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.calibration.result import Result
+from boresight.figures.chart import Figure, Table, Trace
 from boresight.figures.history import History, free_names, read_history, settled_step
 from boresight.figures.live_traces import Panel, follow_column, follow_parameters
 from boresight.figures.style import theme

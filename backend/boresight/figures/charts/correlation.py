@@ -14,7 +14,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Result, Table, Trace
+from boresight.calibration.result import Result
+from boresight.figures.chart import Table, Trace
 from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
 from boresight.verdicts.numbers import quantity

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from boresight.figures.chart import Result, Table
+from boresight.calibration.result import Result
+from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import MAX_MAPS, QUIET, lay_maps

@@ -12,7 +12,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Result, Table
+from boresight.calibration.result import Result
+from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.verdicts.numbers import quantity

@@ -12,7 +12,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Result, Table
+from boresight.calibration.result import Result
+from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.style import theme
 

@@ -24,8 +24,9 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
+from boresight.calibration.result import Result
 from boresight.estimation.statistics.consistency import ChiSquare, chi_square, nees
-from boresight.figures.chart import Result, Table, Trace
+from boresight.figures.chart import Table, Trace
 from boresight.figures.factory import Part, make_figure
 from boresight.figures.history import History, read_history, settled_step
 from boresight.figures.style import theme

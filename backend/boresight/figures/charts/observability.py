@@ -22,8 +22,9 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
+from boresight.calibration.result import Result
 from boresight.estimation.statistics.observability import NAMED, WEAK
-from boresight.figures.chart import Result, Table
+from boresight.figures.chart import Table
 from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
 from boresight.verdicts.numbers import count, number, percent, quantity

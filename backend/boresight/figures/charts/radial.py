@@ -25,7 +25,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Result, Table, Trace
+from boresight.calibration.result import Result
+from boresight.figures.chart import Table, Trace
 from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import hatch, share_cursor

@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.figures.chart import Result, Table
+from boresight.calibration.result import Result
+from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import MAX_MAPS, QUIET, draw_maps

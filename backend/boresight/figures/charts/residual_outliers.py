@@ -13,7 +13,8 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.figures.chart import Result, Table
+from boresight.calibration.result import Result
+from boresight.figures.chart import Table
 from boresight.figures.charts.residual_against import folded
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme

@@ -26,8 +26,9 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
+from boresight.calibration.result import Result
 from boresight.cameras import CAMERA_MODELS
-from boresight.figures.chart import Figure, Result, Table, Trace
+from boresight.figures.chart import Figure, Table, Trace
 from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.history import History, read_history, tail_start
 from boresight.figures.live_traces import follow_errors

@@ -20,6 +20,7 @@ from markupsafe import Markup
 from starlette.datastructures import QueryParams
 
 from boresight.calibration.options import get_method_title
+from boresight.calibration.result import Result
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.approvals import gates
 from boresight.console.approvals import queries as approval_queries
@@ -110,7 +111,6 @@ def write_command(run: Run, data: TelemetrySet, validation: TelemetrySet | None)
     return " \\\n  ".join(words)
 
 
-Result = Mapping[str, Any]
 Rows = list[tuple[str, str, str]]
 
 ALIGNS = {"frame": "frame", "time": "hours since the first frame", "update": "update"}
