@@ -2,7 +2,6 @@
 
 import os
 import re
-import shutil
 from dataclasses import dataclass, field
 
 import pytest
@@ -10,18 +9,9 @@ from playwright.sync_api import expect, sync_playwright
 
 from tests.browser.installation import Installation
 from tests.browser.people import PRINTED_NAMES, People, get_password
+from tests.browser.window import launch_chromium
 from tests.browser.work import choose_filter, ends_as, make_set, queue, sign, submit, upload
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 FRAMES = "100"
 SLOW_FRAMES_PER_S, QUICK_FRAMES_PER_S = 1.0, 100.0
 LOOKS = 3
@@ -81,10 +71,8 @@ def files(installation):
 
 @pytest.fixture(scope="package")
 def browser():
-    path = next(filter(None, map(shutil.which, BROWSERS)), None)
-    assert path, f"install one of {', '.join(BROWSERS)}"
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
+        chromium = launch_chromium(playwright)
         yield chromium
         chromium.close()
 

@@ -1,6 +1,7 @@
 """One person's browser window: it opens pages, takes screenshots, and remembers everything the browser complained of."""
 
 import re
+import shutil
 import zlib
 from pathlib import Path
 from typing import Any
@@ -8,11 +9,13 @@ from typing import Any
 from axe_playwright_python.base import AXE_SCRIPT
 from playwright.sync_api import (
     APIResponse,
+    Browser,
     BrowserContext,
     CDPSession,
     ConsoleMessage,
     Locator,
     Page,
+    Playwright,
     Request,
     Route,
     expect,
@@ -20,6 +23,16 @@ from playwright.sync_api import (
 
 from tests.effort import effort
 
+BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")  # the first takes a third less
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
 SCREENSHOTS = Path(__file__).parents[2] / "artefacts" / "screenshots"
 NARROW, WIDE = {"width": 1280, "height": 800}, {"width": 1920, "height": 1080}
 TABLET, TABLET_ASIDE = {"width": 820, "height": 1180}, {"width": 1024, "height": 768}
@@ -77,6 +90,12 @@ PLAIN = """const plain = value =>
     ArrayBuffer.isView(value) || Array.isArray(value) ? Array.from(value, plain) : value;"""
 
 expect.set_options(timeout=PATIENCE_MS)
+
+
+def launch_chromium(playwright: Playwright) -> Browser:
+    path = next(filter(None, map(shutil.which, BROWSERS)), None)
+    assert path, f"install one of {', '.join(BROWSERS)}"
+    return playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
 
 
 class Window:

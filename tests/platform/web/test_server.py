@@ -21,6 +21,7 @@ from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.web.metrics import CachedCheck
 from boresight.platform.web.middleware import SECURITY_HEADERS, SECURITY_POLICY, takes_gzip
 from boresight.server import _Server, create_app
+from tests.browser.window import launch_chromium
 from tests.served import House, serving, settings_in
 
 ANSWERS = [
@@ -196,8 +197,7 @@ DRAW = """async () => {
 def test_plotly_draws_and_exports_under_the_policy_without_a_word_in_the_console(house: House) -> None:
     said: list[str] = []
     with sync_playwright() as playwright:
-        options = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-component-update"]
-        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=options)
+        browser = launch_chromium(playwright)
         page = browser.new_page()
         page.on("console", lambda message: said.append(message.text))
         page.on("pageerror", lambda error: said.append(str(error)))
