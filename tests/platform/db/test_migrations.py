@@ -1,7 +1,9 @@
 """Migrations: the way up and down, on data, ends in the tables the models say; the database guards its own rules."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from itertools import accumulate
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -329,3 +331,12 @@ def test_every_table_is_strict(sqlite: Engine) -> None:
     tables = {name: sql for name, sql in _spelling(sqlite).items() if sql.startswith("CREATE TABLE")}
     assert len(tables) == len(Base.metadata.tables)
     assert all(sql.endswith("STRICT") for sql in tables.values())
+
+
+def test_stores_of_one_process_are_migrated_beside_one_another(tmp_path: Path) -> None:
+    engines = [open_engine(f"sqlite:///{tmp_path}/{number}.sqlite3") for number in range(4)]
+    with ThreadPoolExecutor(len(engines)) as threads:
+        list(threads.map(migrate, engines))
+    assert {current_revision(engine) for engine in engines} == {head_revision()}
+    for engine in engines:
+        engine.dispose()

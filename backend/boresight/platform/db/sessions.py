@@ -7,6 +7,7 @@ on PostgreSQL), so that a rule proven by reading and then writing inside one tra
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -56,6 +57,9 @@ MIGRATION_WAIT_S = 600  # for another server that starts at the same time and mi
 KEPT = "kept despite refusal"
 DRY_RUN = "only tried"
 FIRST_WITH_SEALS = "0003"
+_ONE_MIGRATION = (
+    threading.Lock()
+)  # Alembic's context is of the process: the expected schema may be made while a server starts
 
 
 class Session(OrmSession):
@@ -182,7 +186,7 @@ def migrate(engine: Engine) -> None:
     """Bring the schema up to date; does nothing when it is. Rows from before there were seals are sealed as they are."""
     with _changing_schema(engine) as connection:
         before = MigrationContext.configure(connection).get_current_revision()
-        command.upgrade(_config(connection), "head")
+        upgrade_tables(connection)
         if before is not None and before < FIRST_WITH_SEALS:
             with Session(connection, join_transaction_mode="rollback_only") as session:
                 seal_everything(session)
@@ -190,14 +194,15 @@ def migrate(engine: Engine) -> None:
 
 
 def upgrade_tables(connection: sa.Connection) -> None:
-    """Make every table, index and trigger of the newest schema in an empty database."""
-    command.upgrade(_config(connection), "head")
+    """Bring every table, index and trigger to the newest schema, from wherever a database is."""
+    with _ONE_MIGRATION:
+        command.upgrade(_config(connection), "head")
 
 
 def downgrade(engine: Engine, revision: str) -> None:
     """Take the schema back to a revision; `base` removes every table."""
     _refuse_unknown_revision(engine, revision)
-    with _changing_schema(engine) as connection:
+    with _changing_schema(engine) as connection, _ONE_MIGRATION:
         command.downgrade(_config(connection), revision)
 
 
@@ -228,7 +233,8 @@ def list_downgrade_losses(engine: Engine, revision: str) -> list[DowngradeLoss]:
     _refuse_unknown_revision(engine, revision)
     with suppress(_DryRunError), _changing_schema(engine) as connection:
         before = _contents(connection)
-        command.downgrade(_config(connection), revision)
+        with _ONE_MIGRATION:
+            command.downgrade(_config(connection), revision)
         after = _contents(connection)
         for table, columns in before.items():
             rows = columns[""] - after.get(table, {}).get("", 0)
