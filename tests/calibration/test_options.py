@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from boresight.calibration.conversion import ARCSEC_PER_RAD, converted, sensor_file, sensor_under
-from boresight.calibration.options import FILTERS, GROUPS, METHODS, OPTIONS, CalibrationSettings, schema
+from boresight.calibration.options import FILTERS, FORM, GROUPS, METHODS, OPTIONS, CalibrationSettings, schema
 from boresight.calibration.parameter_file import parse_parameters, read_parameters
 from boresight.errors import RefusedInputError
 from boresight.estimation import filters, singular_values
@@ -218,3 +218,15 @@ def test_a_converted_file_is_read_again_with_the_sensor_file_beside_it_which_let
 def test_a_model_that_is_none_or_its_own_is_refused(target, said):
     with pytest.raises(RefusedInputError, match=said):
         convert(target=target)
+
+
+def test_every_choice_stands_once_on_the_form_of_a_launch():
+    beside = [
+        "method",
+        "free",
+        "match",
+    ]  # buttons with a sentence each, the sensor's own parameters, and the panel of its own
+    shown = [
+        option.name for part in ("usual", "more") for fieldset in FORM[part] for row in fieldset.rows for option in row
+    ]
+    assert sorted(shown + beside) == sorted(OPTIONS)
