@@ -199,7 +199,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
         Where lost-in-space identification keeps its tables; None makes them anew when they are needed.
     scratch_folder
         Where the working copy of a large file is made, in a folder that is gone at the end; None is the temporary folder.
-    spread
+    executor
         What computes over a large file; None is this process. It must see the scratch folder under the same path.
 
     Returns

@@ -74,7 +74,10 @@ class LaunchForm {
     const warning = find("[data-overconfident]", HTMLElement, this.form);
     if (warning) warning.hidden = find("#linearisations", HTMLInputElement, this.form)?.value !== "1" || this.#method === "batch";
     clearTimeout(this.#timer);
-    if (this.form.dataset.launch !== "look") this.#timer = setTimeout(() => this.#check(), QUIET_MS);
+    if (this.form.dataset.launch === "look") return;
+    this.#request.abort();
+    need("[data-dry-run]", HTMLElement).setAttribute("aria-busy", "true"); // what it says is of the choices before
+    this.#timer = setTimeout(() => this.#check(), QUIET_MS);
   }
 
   #showSetsOfSensor() {
@@ -155,7 +158,6 @@ class LaunchForm {
     this.#request = new AbortController();
     const { signal } = this.#request;
     const place = need("[data-dry-run]", HTMLElement);
-    place.setAttribute("aria-busy", "true");
     try {
       const answer = await fetch(this.form.action, { method: "POST", body: this.#body, signal });
       if (answer.status >= 500) await send(this.form.action);
@@ -164,10 +166,11 @@ class LaunchForm {
         const fresh = page.querySelector(part);
         if (fresh) document.querySelector(part)?.replaceChildren(...fresh.childNodes);
       }
-      place.removeAttribute("aria-busy");
     } catch (error) {
-      if (!signal.aborted) place.textContent = `The check could not be made: ${sentenceOf(error)}`;
+      if (signal.aborted) return;
+      place.textContent = `The check could not be made: ${sentenceOf(error)}`;
     }
+    place.removeAttribute("aria-busy");
   }
 }
 
