@@ -187,12 +187,8 @@ def test_parts_that_are_taken_replace_those_stored_and_failed_ones_do_not(tmp_pa
     assert program.stored() == {"growth": {"machine": MACHINE, "found": {"seconds": 1.2346}}}
 
 
-def test_everybody_in_a_crowd_is_answered_and_every_listener_hears_every_event_once_and_in_order(monkeypatch):
-    few = ("list", "list_unchanged", "page")
-    monkeypatch.setattr(clients, "CROWDS", {name: clients.CROWDS[name] for name in effort(few, clients.CROWDS)})
-    monkeypatch.setattr(
-        clients, "serving", effort(partial(serving, workers=0), serving)
-    )  # only writing crowds launch runs
+@pytest.mark.full
+def test_everybody_in_a_crowd_is_answered_and_every_listener_hears_every_event_once_and_in_order():
     found = clients.measure(lambda *_: None, runs=60, clients=8, seconds=0.2, listeners=40, changes=8)
     for name in clients.CROWDS:
         assert found[name]["failures"] == 0, found[name]
@@ -290,6 +286,7 @@ def test_each_size_is_calibrated_in_a_process_of_its_own(monkeypatch):
     assert found["limits"]["batch_exponent_of_the_two_largest"]["measured"] is None
 
 
+@pytest.mark.full
 def test_the_first_calibration_is_counted_from_before_the_interpreter_starts():
     found = growth.measure_fresh(lambda *_: None, frames=60, repeats=1, uncompiled=False)
     assert found["first_s"] > found["warm_s"] > 0

@@ -143,6 +143,7 @@ def test_a_peer_that_raises_is_a_finding(views, monkeypatch):
     assert found["errors"] is None
 
 
+@pytest.mark.full
 def test_the_part_sets_each_peer_beside_the_batch_on_the_same_frames_in_the_same_run(monkeypatch):
     monkeypatch.setattr(accuracy, "LEAST_GROWTH_FRAMES", 12)
     monkeypatch.setattr(accuracy, "GROWTH_REPEATS", 1)

@@ -27,6 +27,8 @@ PAGE = (Path(__file__).resolve().parents[2] / "docs" / "deployment.md").read_tex
 PASSWORD = "correct horse battery"
 SCENARIO = calibration_scenario(1)
 
+pytestmark = pytest.mark.full  # the page's commands, each a process that takes seconds to start
+
 
 class Site:
     """What the page makes, with its folder, database and ports replaced by free ones."""
@@ -141,7 +143,6 @@ def test_a_run_of_the_site_that_the_page_makes_ends(launch):
     assert found["state"] == "SUCCEEDED", json.dumps(found)
 
 
-@pytest.mark.full
 def test_when_the_scheduler_is_killed_the_workers_come_back_by_themselves_and_the_run_ends(site, launch):
     runs = [launch() for _ in range(6)]
     wait_for(lambda: any(launch.client.get(run).json()["state"] == "RUNNING" for run in runs))
