@@ -220,6 +220,7 @@ def test_a_store_that_was_filled_fast_verifies_as_any_other(tmp_path):
         assert audit.verify(session).ok
 
 
+@pytest.mark.full
 def test_what_one_more_thing_costs_is_its_rows_exactly_and_a_line_through_both_lengths(monkeypatch):
     monkeypatch.setattr(PostgreSQL, "installed", lambda: False)
     one = {"batch": footprint.METHODS["batch"]}
@@ -248,6 +249,7 @@ def test_all_that_was_queued_for_the_clock_is_taken_away_however_many_pages_it_f
             assert runs.count_by_state(session)["QUEUED"] == 0
 
 
+@pytest.mark.full
 def test_an_undisturbed_run_is_computed_once_and_its_time_is_known(monkeypatch):
     monkeypatch.setattr(queue, "ALONE_RUNS", effort(1, 50))
     monkeypatch.setattr(queue, "THREADS", effort(1, 2))
@@ -276,6 +278,7 @@ def test_every_step_of_a_whole_calibration_is_told_and_its_limit_is_judged_at_fu
     assert heard[-1] == (1.0, "done")
 
 
+@pytest.mark.full
 def test_each_size_is_calibrated_in_a_process_of_its_own(monkeypatch):
     monkeypatch.setattr(growth, "EMPTY_RUNS", 1)
     found = growth.measure(lambda *_: None, sizes=(60,), methods=("batch",), rematch_sizes=effort((), (24,)))

@@ -133,6 +133,7 @@ def test_every_figure_of_the_registry_is_looked_at(views):
     assert set(views["figures-dark"][0]) == set(FIGURES)
 
 
+@pytest.mark.full
 def test_another_font_passes_and_what_is_lost_does_not(seat):
     seat.open("/gallery?part=elements")
     seat.use_theme("light")

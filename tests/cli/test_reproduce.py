@@ -84,6 +84,7 @@ def _agree(one, other):
     return one == other
 
 
+@pytest.mark.full
 def test_the_same_study_in_processes_of_its_own_gives_the_same_document(enright, data_folder, tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", numba.config.CACHE_DIR)  # the processes find the loops compiled here
     _made("enright", tmp_path / "again", data_folder, processes=2)

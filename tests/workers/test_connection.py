@@ -118,6 +118,7 @@ def services(tmp_path):
     made.stop()
 
 
+@pytest.mark.full
 def test_a_worker_of_another_version_tells_both_sides_and_leaves_and_joins_when_it_fits(services):
     address = f"tcp://127.0.0.1:{free_port()}"
     services.start("scheduler", "--port", address.rpartition(":")[2])

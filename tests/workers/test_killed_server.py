@@ -50,6 +50,7 @@ def test_every_run_survives_a_killed_worker_and_then_a_killed_server(make_store,
     assert all(store.run(run_id).attempt > 1 for run_id in (first, middle))  # both kills hit a run that computed
 
 
+@pytest.mark.full
 def test_servers_that_share_a_store_compute_each_run_once(make_store, start_server):
     store = make_store(workers="1", lease_s="60")  # a starved server must not seem dead
     run_ids = store.launch("quick", effort(20, 60))

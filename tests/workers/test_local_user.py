@@ -116,6 +116,7 @@ def test_the_key_of_the_workers_is_in_no_file_and_on_no_command_line(served):
     assert not any("PRIVATE KEY" in text for text in told)
 
 
+@pytest.mark.full
 def test_another_user_gets_nothing_from_a_scheduler_and_a_worker_with_certificates_of_the_command(tmp_path):
     port = free_port()
     certificates = Services(tmp_path).start("certificates", str(tmp_path / "made"))

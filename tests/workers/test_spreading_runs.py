@@ -139,6 +139,7 @@ def marks(store, run_id: int, kind: str = "piece") -> list[int]:
     return [int(Path(path).name.split("-")[-2]) for path in paths]
 
 
+@pytest.mark.full
 def test_a_run_whose_own_worker_is_killed_while_pieces_are_lent_is_computed_again_as_the_next_attempt(store):
     (run_id,) = store.launch("spreading")
     store.wait_for(lambda: len(set(marks(store, run_id))) == 2)
