@@ -29,6 +29,7 @@ def save_preset(window, name):
     return sent.value.status, sent.value.request.all_headers()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("documentation", ["analyst"], indirect=True)
 def test_an_operation_is_tried_with_a_log_in_and_its_token(documentation):
     status, headers = save_preset(documentation, "Tried")

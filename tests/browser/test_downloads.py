@@ -127,6 +127,7 @@ def test_the_csv_of_observability_has_the_bars_and_the_directions(desk, initial)
     close(directions["z"], np.array([floats(table[name]) for name in initial]))
 
 
+@pytest.mark.full
 def test_the_csv_of_coverage_has_every_cell(desk):
     table = desk.csv("coverage")
     (cells,) = desk.drawn("coverage")
@@ -148,6 +149,7 @@ def test_the_csv_of_the_distortion_has_both_curves(desk):
     close(old["y"], floats(table["old_px"]))
 
 
+@pytest.mark.full
 def test_the_csv_of_correlations_has_every_pair_once(desk, initial):
     table = desk.csv("correlation")
     (cells,) = desk.drawn("correlation")
@@ -156,7 +158,9 @@ def test_the_csv_of_correlations_has_every_pair_once(desk, initial):
     close(drawn, floats(table["correlation"])[apart])
 
 
-@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize(
+    "name", [name if name == "convergence" else pytest.param(name, marks=pytest.mark.full) for name in PARTS]
+)
 def test_the_png_of_a_figure_is_the_chart_on_white(desk, name):
     on_white(desk.window, download(desk.window, desk.figure(name), "PNG"))
 

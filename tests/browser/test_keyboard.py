@@ -159,6 +159,7 @@ def choose(window, path):
 
 
 @pytest.mark.usefixtures("batch_run")
+@pytest.mark.full
 def test_a_sensor_its_telemetry_and_its_run_are_made_and_read_by_keys_alone(people, files):
     document = json.loads((files / "sensor.json").read_text()) | {"name": NAME}
     with people.seat() as window:

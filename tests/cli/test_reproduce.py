@@ -57,6 +57,7 @@ def test_a_quick_study_writes_report_json_and_csv_and_prints_its_verdicts(enrigh
     assert _table(out, "enright") == {"III", "IV", "V", "VI"}
 
 
+@pytest.mark.full
 def test_a_quick_study_of_wu_writes_the_same_and_its_sets(wu):
     done, out = wu
     names = {"wu.html", "wu.json", "wu-tables.csv", "wu-sets.csv", "wu-figures.csv"}

@@ -25,6 +25,7 @@ def test_a_scheduler_that_does_not_answer_costs_no_thread_however_often_it_is_as
     assert loops() <= before
 
 
+@pytest.mark.full
 def test_a_scheduler_that_goes_away_takes_the_thread_of_its_client_along(tmp_path):
     port, before = free_port(), loops()
     services = Services(tmp_path, data_folder=str(tmp_path))
