@@ -42,6 +42,7 @@ class Metrics:
         labels = ("method", "route", "status")
         self._requests = Counter("boresight_http_requests", "Requests answered", labels, registry=self._registry)
         self._seconds = Histogram("boresight_http_seconds", "Time to answer", labels[:2], registry=self._registry)
+        self._by_kind: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
         listeners = Gauge("boresight_event_streams", "Open event streams", registry=self._registry)
         listeners.set_function(count_listeners)
         self._registry.register(_RunsByState(count_runs))
@@ -50,8 +51,17 @@ class Metrics:
         """Count one answered request."""
         route = getattr(scope.get("route"), "path", UNROUTED)
         method = scope["method"] if route != UNROUTED else "any"
-        self._requests.labels(method, route, str(status)).inc()
-        self._seconds.labels(method, route).observe(seconds)
+        answered, took = self._series(method, route, status)
+        answered.inc()
+        took.observe(seconds)
+
+    def _series(self, method: str, route: str, status: int) -> tuple[Counter, Histogram]:
+        """Return the two series of one kind of answer; there are as many as routes and codes."""
+        kind = method, route, status
+        if kind not in self._by_kind:
+            labelled = self._requests.labels(method, route, str(status)), self._seconds.labels(method, route)
+            self._by_kind[kind] = labelled
+        return self._by_kind[kind]
 
     def text(self) -> bytes:
         """Return all series in the exposition format."""

@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import re
 import time
-import uuid
-from collections.abc import Awaitable, Callable, MutableMapping
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
@@ -58,7 +58,6 @@ SECURITY_HEADERS = {
 }
 STRICT_TRANSPORT = (b"strict-transport-security", b"max-age=31536000; includeSubDomains")
 SECURITY_PAIRS = tuple((name.lower().encode(), value.encode()) for name, value in SECURITY_HEADERS.items())
-REQUEST_ID = "X-Request-ID"
 FOUR_EYES = "Boresight-Four-Eyes"
 ALONE = "four-eyes-off-"  # begins the names of files
 FILE_NAME = re.compile(r"""(filename\*?=(?:"|utf-8''|))""")
@@ -71,10 +70,10 @@ Observe = Callable[[Scope, int, float], None]
 Refuse = Callable[[Request, Exception], Awaitable[Response]]
 
 
-def get_request_id(headers: Headers) -> str:
+def get_request_id(headers: Mapping[bytes, bytes]) -> str:
     """Return the caller's request id when it can stand in a log line, else a new one."""
-    given = headers.get(REQUEST_ID, "")
-    return given if USABLE_ID.fullmatch(given) else uuid.uuid4().hex
+    given = headers.get(b"x-request-id", b"").decode("latin-1")
+    return given if USABLE_ID.fullmatch(given) else os.urandom(16).hex()
 
 
 class RequestMiddleware:
@@ -104,32 +103,34 @@ class RequestMiddleware:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        answer = _Response(scope, send, self.pairs, four_eyes=self.four_eyes())
+        headers = dict(scope["headers"])
+        answer = _Response(scope, send, get_request_id(headers), self.pairs, four_eyes=self.four_eyes())
         try:
-            await self.app(scope, self._limited(scope, receive), answer.send)
+            await self.app(scope, self._limited(scope, headers, receive), answer.send)
         except Exception as error:  # noqa: BLE001 - whatever it is, it is logged whole and answered without its words
             await answer.fail(error, self.refuse)
         finally:
             self.observe(scope, answer.status, time.perf_counter() - answer.began_s)
 
-    def _limited(self, scope: Scope, receive: Receive) -> Receive:
+    def _limited(self, scope: Scope, headers: Mapping[bytes, bytes], receive: Receive) -> Receive:
         """Refuse a body that is over the limit, whether or not its length was announced, or too slow."""
-        headers = Headers(scope=scope)
+        if b"content-length" not in headers and b"transfer-encoding" not in headers:
+            return receive  # there is none (RFC 9112, 6.3)
         limit, sentence = BODY_LIMIT_BYTES, f"The request is over {BODY_LIMIT_BYTES:,} bytes; send less at once."
-        multipart = headers.get("content-type", "").startswith("multipart/form-data")
+        multipart = headers.get(b"content-type", b"").startswith(b"multipart/form-data")
         if multipart and scope["path"].rstrip("/").endswith(UPLOADED):
             limit += round(self.upload_limit_mb * 1e6)
             sentence = (
                 f"The file is over the limit of {self.upload_limit_mb:g} MB; split it by frames, or ask to raise it."
             )
-        announced = headers.get("content-length", "0")
-        return RequestBody(receive, self.pace, limit, sentence, int(announced) if announced.isdecimal() else 0).receive
+        announced = headers.get(b"content-length", b"0")
+        return RequestBody(receive, self.pace, limit, sentence, int(announced) if announced.isdigit() else 0).receive
 
 
 class _Response:
     """One answer on its way out."""
 
-    def __init__(self, scope: Scope, send: Send, pairs: HeaderPairs, *, four_eyes: bool) -> None:
+    def __init__(self, scope: Scope, send: Send, request_id: str, pairs: HeaderPairs, *, four_eyes: bool) -> None:
         self.began_s = time.perf_counter()
         self.status = 0
         self._scope = scope
@@ -137,7 +138,7 @@ class _Response:
         self._pairs = pairs
         self._four_eyes = four_eyes
         self._state: MutableMapping[str, Any] = scope.setdefault("state", {})
-        self._state["request_id"] = get_request_id(Headers(scope=scope))
+        self._state["request_id"] = request_id
         self._state["came_s"] = time.monotonic()
 
     async def send(self, message: Message) -> None:
