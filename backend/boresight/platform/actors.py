@@ -46,6 +46,13 @@ class Actor:
     until_utc: str | None = None
     session_id: int | None = None
 
+    def with_request(self, request_id: str) -> Actor:
+        """Return the same, asking in a request: in every one, and `dataclasses.replace` takes three times as long."""
+        return Actor(
+            self.user_id, self.name, self.printed_name, self.roles, self.credential, self.scopes, request_id,
+            self.until_utc, self.session_id,
+        )  # fmt: skip
+
     @property
     def is_key(self) -> bool:
         """Whether an API key acts."""

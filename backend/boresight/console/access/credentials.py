@@ -269,7 +269,7 @@ def _note(request: Request, known: Identity) -> Actor:
         state["csrf_token"] = known.csrf_token
     if known.sharing is not None:
         state[SHARING] = known.sharing
-    actor: Actor = replace(known.actor, request_id=state["request_id"])
+    actor = known.actor.with_request(state["request_id"])
     state["actor"] = actor
     return actor
 
