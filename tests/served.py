@@ -84,8 +84,8 @@ class House:
     app: Any
     telemetry_csv: bytes = field(repr=False)
     result: dict[str, Any] = field(repr=False)
-    clients: dict[str, httpx.Client] = field(default_factory=dict)
-    opened: list[httpx.Client] = field(default_factory=list)
+    clients: dict[str, httpx.Client] = field(default_factory=dict, repr=False)
+    opened: list[httpx.Client] = field(default_factory=list, repr=False)
 
     def person(self, name: str) -> httpx.Client:
         if name not in self.clients:
