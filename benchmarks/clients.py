@@ -178,8 +178,8 @@ def _heard(port: int, maker: httpx.Client, engine: Engine, filled: Filled, liste
     with _process("listen") as heard:
         listening = _tell(heard, {"port": port, "listeners": audience})
         with open_reading(engine) as session:
-            newest = lists.newest(session, AuditRecord, limit=1)[0].id
-            before = run_events.newest_event_id(session), newest
+            newest = lists.list_newest(session, AuditRecord, limit=1)[0].id
+            before = run_events.read_newest_event_id(session), newest
         began_s = time.perf_counter()
         for number in range(runs + 1):
             run = launched[0] if number == 0 else maker.post(LIST, json=filled.order).raise_for_status()
@@ -195,8 +195,8 @@ def _heard(port: int, maker: httpx.Client, engine: Engine, filled: Filled, liste
 def _happened(engine: Engine, before: tuple[int, int], run_id: int | None) -> dict[str, Sequence[int]]:
     """Return the numbers of everything since, or of what concerns one run."""
     with open_reading(engine) as session:
-        lines = run_events.events_after(session, before[0], limit=1_000_000)
-        records = lists.newest(session, AuditRecord, object=None if run_id is None else f"runs/{run_id}")
+        lines = run_events.list_events_after(session, before[0], limit=1_000_000)
+        records = lists.list_newest(session, AuditRecord, object=None if run_id is None else f"runs/{run_id}")
         return {
             "run": [line.id for line in lines if run_id in {None, line.run_id}],
             "audit": [record.id for record in reversed(records) if record.id > before[1]],

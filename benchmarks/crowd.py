@@ -175,7 +175,7 @@ async def ask() -> None:
     _say(tally.figures())
 
 
-class Listener(asyncio.Protocol):
+class EventStreamClient(asyncio.Protocol):
     """One listener, over one connection after another."""
 
     def __init__(self, port: int, wish: Mapping[str, Any]) -> None:
@@ -277,7 +277,7 @@ def _field(block: bytes, name: bytes) -> bytes:
 async def listen() -> None:
     """Listen, wait to be told what there was to hear, and say what was heard."""
     wish = await _heard()
-    listeners = [Listener(wish["port"], one) for one in wish["listeners"]]
+    listeners = [EventStreamClient(wish["port"], one) for one in wish["listeners"]]
     began_s = time.perf_counter()
     for listener in listeners:
         await listener.connect()

@@ -239,7 +239,7 @@ def faults(session: Session, constellation: Constellation, row: Run) -> list[str
     """What is wrong with a run: `stuck` without an end, `doubled` with more than one, `lost` without the result it must have."""
     if row.state not in TERMINAL_RUN_STATES:
         return ["stuck"]
-    ends = [line for line in run_service.log_lines(session, row.id) if line.state in TERMINAL_RUN_STATES]
+    ends = [line for line in run_service.list_log_lines(session, row.id) if line.state in TERMINAL_RUN_STATES]
     found = ["doubled"] if len(ends) != 1 else []
     right = constellation.expected[session.get_known(TelemetrySet, row.telemetry_set_id).table_sha256]
     content = constellation.blobs.read(row.result_sha256) if row.state == "SUCCEEDED" and row.result_sha256 else b"{}"

@@ -99,7 +99,7 @@ def uploaded(telemetry: Telemetry, catalogue: Catalogue, number: int) -> Iterato
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"table-{number}.parquet"
         write_parquet(telemetry, path)
-        with telemetry_sets.prepared(sensor_document(st16_sensor(number)), catalogue, path, path.name) as upload:
+        with telemetry_sets.hold_prepared(sensor_document(st16_sensor(number)), catalogue, path, path.name) as upload:
             yield upload
 
 

@@ -126,7 +126,7 @@ def make_baseline(session: Session, run: Run) -> int:
         "advice": [],
         "run_id": run.id,
     }
-    incumbent, now = rows.baseline(session, sensor.id), utc_now()
+    incumbent, now = rows.find_baseline(session, sensor.id), utc_now()
     if incumbent is not None:
         incumbent.ground_state, incumbent.baseline_to_utc = "SUPERSEDED", now
         session.flush()

@@ -33,7 +33,7 @@ def new_password(password: str) -> NewPassword:
 
 def proved(session: Session, who: Actor | str, password: str) -> PasswordProof:
     if isinstance(who, str):
-        return passwords.check(passwords.stored_under(session, who), password)
+        return passwords.check(passwords.read_stored_under(session, who), password)
     return passwords.check(passwords.read_stored(session, who.user_id), password)
 
 

@@ -314,7 +314,7 @@ class Demonstration:
         with open_reading(self.engine) as session:
             return {
                 "people": [(user.name, user.password_hash, user.roles) for user in users.list_users(session)],
-                "sensors": [(row.id, row.name, row.version) for row in sensor_queries.sensors(session)],
+                "sensors": [(row.id, row.name, row.version) for row in sensor_queries.list_sensors(session)],
                 "sets": [
                     (row.id, row.original_sha256)
                     for row in telemetry_sets.list_telemetry_sets(session, archived=True, limit=500)
@@ -347,7 +347,7 @@ def test_every_role_has_a_person_who_can_log_in_with_the_printed_password(filled
 
 def test_six_simulated_sensors_carry_their_truth(filled):
     with open_reading(filled.engine) as session:
-        fleet = sensor_queries.sensors(session)
+        fleet = sensor_queries.list_sensors(session)
     assert [row.name for row in fleet] == [f"ST16-{number}" for number in range(1, 7)]
     for number, row in enumerate(fleet, start=1):
         assert row.simulated
@@ -357,7 +357,7 @@ def test_six_simulated_sensors_carry_their_truth(filled):
 
 def test_every_sensor_has_a_calibration_and_a_shorter_validation_set_that_read_back(filled):
     with open_reading(filled.engine) as session:
-        for sensor in sensor_queries.sensors(session):
+        for sensor in sensor_queries.list_sensors(session):
             found = telemetry_sets.list_telemetry_sets(session, sensor_id=sensor.id)
             assert {row.purpose: row.frames for row in found} == {"calibration": 200, "validation": 80}
         assert len(WorkingTable(filled.blobs.path(found[0].table_sha256))) == found[0].stars
@@ -365,7 +365,7 @@ def test_every_sensor_has_a_calibration_and_a_shorter_validation_set_that_read_b
 
 def test_every_sensor_has_a_batch_and_a_filter_run_queued_with_validation_and_a_label(filled):
     with open_reading(filled.engine) as session:
-        for sensor in sensor_queries.sensors(session):
+        for sensor in sensor_queries.list_sensors(session):
             queued = runs.list_runs(session, sensor_id=sensor.id)
             assert sorted(run.method for run in queued) == ["batch", "sqrf"]
             assert all(run.state == "QUEUED" and run.label and run.validation_set_id for run in queued)
@@ -443,6 +443,8 @@ def test_each_step_is_reported(filled):
 
 def test_every_tracker_has_a_table_so_that_its_package_can_be_read_back(filled):
     with open_reading(filled.engine) as session:
-        tables = [table_definitions.definition_in_force(session, row.id) for row in sensor_queries.sensors(session)]
+        tables = [
+            table_definitions.find_definition_in_force(session, row.id) for row in sensor_queries.list_sensors(session)
+        ]
     assert len(tables) == 6
     assert all(table is not None and table.number == 1 for table in tables)

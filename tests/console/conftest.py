@@ -158,7 +158,7 @@ def approved(engine, people, submitted) -> Callable[[], ParameterSet]:
     def make() -> ParameterSet:
         row = submitted()
         with open_writing(engine) as session:
-            approval = lists.newest(session, Approval, set=row.id)[0]
+            approval = lists.list_newest(session, Approval, set=row.id)[0]
             approve(session, people["cy"], approval)
             return session.get_known(ParameterSet, row.id)
 

@@ -5,7 +5,7 @@ from sqlalchemy import event
 
 from boresight.console import list_queries as lists
 from boresight.console.list_queries import LISTS, ListQuery
-from boresight.platform.db.lists import newest_rows
+from boresight.platform.db.lists import list_newest_rows
 from boresight.platform.db.sessions import open_reading
 from tests.stores import open_migrated
 
@@ -45,7 +45,7 @@ def plan_of_newest(session, name, **asked):
         sent.append((statement, parameters))
 
     event.listen(engine, "before_cursor_execute", note)
-    newest_rows(session, LISTS[name], limit=51, **asked)
+    list_newest_rows(session, LISTS[name], limit=51, **asked)
     event.remove(engine, "before_cursor_execute", note)
     return [
         step

@@ -96,7 +96,7 @@ def values(session, name, key):
 def in_pages(session, name, sort, limit):
     """Every id of a list, page after page."""
     found, before = [], None
-    while rows := lists.page(session, name, ListQuery({}, sort, before), limit):
+    while rows := lists.list_rows(session, name, ListQuery({}, sort, before), limit):
         found += [row.id for row in rows]
         before = found[-1]
     return found
@@ -128,14 +128,14 @@ def test_a_document_is_read_to_its_depth_and_where_nothing_is_there_nothing(stor
 @pytest.mark.parametrize("ids", [[], [2], [2, 1, 99], list(range(2, 100_000))])
 def test_a_list_is_narrowed_to_any_number_of_rows(store, ids):
     with open_reading(store) as session:
-        found = lists.page(session, "sensors", ListQuery({"among": ids}, "sensor"), 50)
+        found = lists.list_rows(session, "sensors", ListQuery({"among": ids}, "sensor"), 50)
     assert {row.id for row in found} == {1, 2} & set(ids)
 
 
 @pytest.mark.parametrize("text", ["_%", "a", "%"])
 def test_a_text_is_sought_as_it_stands_in_any_case(store, text):
     with open_reading(store) as session:
-        found = lists.page(session, "runs", ListQuery({"q": text}, "-run"), 50)
+        found = lists.list_rows(session, "runs", ListQuery({"q": text}, "-run"), 50)
     assert {row.label for row in found} == {label for label in ("b", "A", "_%c") if text in label.lower()}
 
 
@@ -143,9 +143,11 @@ def test_a_walk_gives_every_row_once_and_reads_what_no_list_shows_only_when_aske
     with open_reading(store) as session:
         walked = [row.id for row in lists.walk(session, "runs", ListQuery({}, "rms"))]
         assert walked == in_pages(session, "runs", "rms", 7)
-        failed = [row.id for row in lists.page(session, "runs", ListQuery({}, "state"), 50) if row.state == "FAILED"]
+        failed = [
+            row.id for row in lists.list_rows(session, "runs", ListQuery({}, "state"), 50) if row.state == "FAILED"
+        ]
         assert failed == sorted(failed, reverse=True)  # among equals the newest is first
-        row = lists.page(session, "runs", ListQuery({}, "run"), 1)[0]
+        row = lists.list_rows(session, "runs", ListQuery({}, "run"), 1)[0]
         assert "settings" in sa.inspect(row).unloaded
         assert row.settings == {}
 
@@ -180,7 +182,7 @@ def test_a_page_of_fifty_thousand_runs_is_there_within_a_tenth_of_a_second(many)
             for where in ({}, {"state": "SUCCEEDED"}, {"q": "0.5"}):
                 for before in (None, MANY // 2):
                     began_s = time.thread_time()  # a busy machine is not the list's fault
-                    rows = lists.page(session, "runs", ListQuery(where, sort, before), 51)
+                    rows = lists.list_rows(session, "runs", ListQuery(where, sort, before), 51)
                     took[sort, str(where), before] = time.thread_time() - began_s
                     assert len(rows) == 51
                     session.expunge_all()
@@ -190,15 +192,15 @@ def test_a_page_of_fifty_thousand_runs_is_there_within_a_tenth_of_a_second(many)
 @pytest.mark.parametrize("table", lists.NAMES, ids=lambda table: table.__name__)
 def test_every_listed_table_has_its_newest_rows_narrowed_by_each_filter(store, table):
     with open_reading(store) as session:
-        whole = [row.id for row in lists.newest(session, table)]
+        whole = [row.id for row in lists.list_newest(session, table)]
         assert whole == sorted(session.scalars(sa.select(table.id)), reverse=True)
         for number in range(len(whole)):
-            found = lists.newest(session, table, before_id=whole[number], limit=2)
+            found = lists.list_newest(session, table, before_id=whole[number], limit=2)
             assert [row.id for row in found] == whole[number + 1 : number + 3]
         for name, condition in LISTS[lists.NAMES[table]].filters.items():
             given = GIVEN.get(name, "1")
             fitting = set(session.scalars(sa.select(table.id).where(condition(given))))
-            assert [row.id for row in lists.newest(session, table, **{name: given})] == [
+            assert [row.id for row in lists.list_newest(session, table, **{name: given})] == [
                 number for number in whole if number in fitting
             ]
 

@@ -12,7 +12,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from boresight.console.telemetry.service import prepared
+from boresight.console.telemetry.service import hold_prepared
 from boresight.errors import RefusedInputError
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.catalogue import Catalogue, load_catalogue
@@ -59,7 +59,7 @@ def read_in_child(path: Path, sensor: dict[str, object], catalogue: Catalogue) -
 def outcome(path: Path, sensor: dict[str, object], catalogue: Catalogue) -> list[str]:
     signal.alarm(MOST_S)
     try:
-        with prepared(sensor, catalogue, path, path.name) as ready:
+        with hold_prepared(sensor, catalogue, path, path.name) as ready:
             return ["accepted", f"{ready.stars} stars"]
     except RefusedInputError as error:
         return ["refused", str(error)]

@@ -73,7 +73,7 @@ class Board:
 
     def find_request(self, place: str) -> Approval | None:
         with open_reading(self.installation.engine) as session:
-            return next(iter(lists.newest(session, Approval, set=self.sets[place])), None)
+            return next(iter(lists.list_newest(session, Approval, set=self.sets[place])), None)
 
     @cache  # noqa: B019 - no move of this file is made, and one board is made
     def seen(self, place: str, kind: str) -> tuple[str, int]:

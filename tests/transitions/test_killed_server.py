@@ -122,12 +122,12 @@ class Traffic:
     def _aim(self, rng: np.random.Generator) -> tuple[str, str, int, dict[str, str] | None]:
         """Choose a set, and a transition that its state has."""
         with open_reading(self.house.engine) as session:
-            rows = [row for row in lists.newest(session, ParameterSet) if row.ground_state in CHOICES]
+            rows = [row for row in lists.list_newest(session, ParameterSet) if row.ground_state in CHOICES]
             row = rows[int(rng.integers(len(rows)))]
             choices = CHOICES[row.ground_state]
             person, name, _ = choices[int(rng.choice(len(choices), p=[choice[2] for choice in choices]))]
             if name in {"approve", "refuse"}:
-                request = lists.newest(session, Approval, set=row.id)[0]
+                request = lists.list_newest(session, Approval, set=row.id)[0]
                 return person, f"/api/v1/approvals/{request.id}:{name}", request.version, WORDS
         return person, f"/api/v1/parameter-sets/{row.id}:{name}", row.version, None if name == "promote" else REASON
 
@@ -183,7 +183,7 @@ def _is_whole(house: Installation, traffic: Traffic) -> None:
     with open_reading(house.engine) as session:
         assert audit.verify(session).ok
         for row in session.scalars(sa.select(ParameterSet).where(ParameterSet.number == 0)):
-            sets = lists.newest(session, ParameterSet, sensor=row.sensor_id)
+            sets = lists.list_newest(session, ParameterSet, sensor=row.sensor_id)
             baselines = [found.id for found in sets if found.ground_state == "BASELINE"]
             newest = session.scalar(
                 sa.select(Promotion.parameter_set_id)
@@ -204,7 +204,7 @@ def _has_its_record(session: Session) -> None:
         ("approvals", session.scalars(sa.select(Approval))),
     ):
         for row in rows:
-            record = audit.last_change(session, f"{noun}/{row.id}")
+            record = audit.find_last_change(session, f"{noun}/{row.id}")
             assert record is not None
             if row.version > 1:
                 state = row.state if isinstance(row, Approval) else row.ground_state

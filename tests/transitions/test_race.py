@@ -69,7 +69,7 @@ def _submit(house: Installation, row: ParameterSet) -> None:
 
 def _sign(house: Installation, row: ParameterSet) -> None:
     with open_writing(house.engine) as session:
-        request = lists.newest(session, Approval, set=row.id)[0]
+        request = lists.list_newest(session, Approval, set=row.id)[0]
         words = (
             approvals.Decision("APPROVE", "I approve."),
             proved(session, house.actor("cy"), PASSWORD),
@@ -88,12 +88,12 @@ def _readied(house: Installation, sensor_id: int, signed: int) -> None:
 
 def _sets(house: Installation, sensor_id: int, state: str) -> Sequence[ParameterSet]:
     with open_reading(house.engine) as session:
-        return lists.newest(session, ParameterSet, sensor=sensor_id, state=state)
+        return lists.list_newest(session, ParameterSet, sensor=sensor_id, state=state)
 
 
 def _shots(house: Installation, sensor_id: int, rng: np.random.Generator) -> list[Shot]:
     with open_reading(house.engine) as session:
-        waiting = lists.newest(session, Approval, state="OPEN")
+        waiting = lists.list_newest(session, Approval, state="OPEN")
     signed = [
         Shot(person, f"/api/v1/approvals/{request.id}:approve", request.version, WORDS)
         for request in waiting
@@ -188,7 +188,7 @@ def test_fifty_at_once_leave_one_baseline_and_one_chain(
 def _is_on_record(house: Installation, sensor_id: int, accepted: list[tuple[Shot, httpx.Response]]) -> None:
     with open_reading(house.engine) as session:
         assert audit.verify(session).ok
-        sets = lists.newest(session, ParameterSet, sensor=sensor_id)
+        sets = lists.list_newest(session, ParameterSet, sensor=sensor_id)
         assert [row.ground_state for row in sets].count("BASELINE") == 1
         records = session.execute(sa.select(AuditRecord.request_id, AuditRecord.action, AuditRecord.object)).all()
         signatures, promotions = (

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.servers import wait_until
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries as runs
-from boresight.console.runs.queries import events_of_run
+from boresight.console.runs.queries import list_events
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import chain
@@ -111,11 +111,11 @@ class Store:
 
     def log(self, run_id: int, kind: str) -> list[str]:
         with open_reading(self.database) as session:
-            return [event.message for event in events_of_run(session, run_id, 0, None) if event.kind == kind]
+            return [event.message for event in list_events(session, run_id, 0, None) if event.kind == kind]
 
     def ends(self, run_id: int) -> list[str]:
         with open_reading(self.database) as session:
-            words = [event.state for event in events_of_run(session, run_id, 0, None) if event.state]
+            words = [event.state for event in list_events(session, run_id, 0, None) if event.state]
         return [word for word in words if word in TERMINAL_RUN_STATES]
 
     def processes(self) -> list[int]:

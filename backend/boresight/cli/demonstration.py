@@ -129,7 +129,7 @@ class _Fleet:
         names = CAMERA_MODELS[sensor.camera_model].parameter_names
         truth = dict(zip(names, st16_truth(number).tolist(), strict=True))
         with open_writing(self.engine) as session:
-            for row in sensor_queries.sensors(session):
+            for row in sensor_queries.list_sensors(session):
                 if row.name == sensor.name:
                     return row.id
             document = sensor_document(sensor)
@@ -176,4 +176,4 @@ class _Fleet:
 
 def _oldest_set(session: Session, sensor_id: int, purpose: str, *, archived: bool) -> int | None:
     """Return a sensor's oldest set of a purpose, of those in use or of all."""
-    return set_rows.oldest_set(session, sensor_id, purpose, archived=archived)
+    return set_rows.find_oldest_set(session, sensor_id, purpose, archived=archived)

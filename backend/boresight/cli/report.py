@@ -71,4 +71,4 @@ def _stored(run_id: int) -> dict[str, Any]:
 
     settings = read_settings()
     with open_store(settings.database_url) as engine, open_reading(engine) as session:
-        return runs.final_result(session, open_blobs(settings.blob_place), run_id)
+        return runs.get_final_result(session, open_blobs(settings.blob_place), run_id)

@@ -33,7 +33,7 @@ from boresight.console.webhooks.tables import WebhookDelivery
 from boresight.errors import RefusedInputError
 from boresight.platform.audit.queries import RECORDS
 from boresight.platform.db.documents import among, number_in, text_in
-from boresight.platform.db.lists import Condition, List, equals, newest_rows
+from boresight.platform.db.lists import Condition, List, equals, list_newest_rows
 from boresight.platform.db.sessions import Session
 
 ROWS_A_READ = 500
@@ -258,17 +258,17 @@ LISTS = {
 NAMES = {known.table: name for name, known in LISTS.items()}
 
 
-def newest(
+def list_newest(
     session: Session, table: type[T], *, before_id: int | None = None, limit: int | None = None, **where: Any
 ) -> list[T]:
     """Return a page of a table's rows, newest first, narrowed by what is not None; the next starts before the last one's id."""
-    return newest_rows(session, LISTS[NAMES[table]], before_id=before_id, limit=limit, **where)
+    return list_newest_rows(session, LISTS[NAMES[table]], before_id=before_id, limit=limit, **where)
 
 
-def page(session: Session, name: str, asked: ListQuery, limit: int) -> list[Any]:
+def list_rows(session: Session, name: str, asked: ListQuery, limit: int) -> list[Any]:
     """Return the rows of a page, at most `limit`."""
     known = LISTS[name]
-    return _rows(session, known, session.scalars(_ids(session, known, asked).limit(limit)).all())
+    return _read_rows(session, known, session.scalars(_ids(session, known, asked).limit(limit)).all())
 
 
 def count(session: Session, name: str, where: Mapping[str, Any]) -> int:
@@ -284,7 +284,7 @@ def walk(session: Session, name: str, asked: ListQuery) -> Iterator[Any]:
     known = LISTS[name]
     ids = session.scalars(_ids(session, known, asked)).all()
     for start in range(0, len(ids), ROWS_A_READ):
-        yield from _rows(session, known, ids[start : start + ROWS_A_READ])
+        yield from _read_rows(session, known, ids[start : start + ROWS_A_READ])
         session.expunge_all()
 
 
@@ -312,7 +312,7 @@ def _after(session: Session, known: List, key: Any, descends: bool, before_id: i
     return sa.or_(further, sa.and_(key == last, identity < before_id), key.is_(None))
 
 
-def _rows(session: Session, known: List, ids: Sequence[int]) -> list[Any]:
+def _read_rows(session: Session, known: List, ids: Sequence[int]) -> list[Any]:
     """Read rows by their ids, in the order of these."""
     left_out = [defer(getattr(known.table, name)) for name in (*known.unread, *known.large)]
     found = session.scalars(sa.select(known.table).where(among(known.table.id, ids)).options(*left_out))
@@ -324,7 +324,7 @@ def read_page(
     session: Session, name: str, where: Mapping[str, Any], sort: str, *, before_id: int | None = None, limit: int
 ) -> list[Any]:
     """Return a page of a list; the next page is that before the last row's id."""
-    return page(session, name, _asked(name, where, sort, before_id), limit)
+    return list_rows(session, name, _asked(name, where, sort, before_id), limit)
 
 
 def read_all(session: Session, name: str, where: Mapping[str, Any], sort: str) -> Iterator[Any]:

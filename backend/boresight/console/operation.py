@@ -35,7 +35,7 @@ from boresight.console.access.dependencies import IsDryRun, Who, Writing, csrf
 from boresight.console.schemas import Row
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import Actor
-from boresight.platform.audit.queries import forget_responses, response_under
+from boresight.platform.audit.queries import find_response, forget_responses
 from boresight.platform.audit.tables import IdempotentResponse
 from boresight.platform.db.sessions import Session, utc_after, utc_now
 from boresight.platform.web.openapi import dependency_refusals, refusals
@@ -111,7 +111,7 @@ class Idempotency:
         owner = f"{self.actor.name} {self.actor.credential}"
         if self.key is not None:
             forget_responses(session, before_utc=utc_after(-KEPT_FOR_S))
-            if (known := response_under(session, self.key, owner)) is not None:
+            if (known := find_response(session, self.key, owner)) is not None:
                 return self._replay(known)
         made = act()
         if isinstance(made, Response):

@@ -59,7 +59,7 @@ def require_seen(session: Session, row: Versioned, seen_version: int | None) -> 
     if seen_version != row.version:
         raise StaleError(
             f"{make_label(row)} has changed since you looked (you saw v{seen_version}, it is v{row.version}): "
-            f"{who_changed(session, row)}. Reload, look again and decide."
+            f"{describe_last_change(session, row)}. Reload, look again and decide."
         )
 
 
@@ -70,7 +70,7 @@ def require_seen_document(session: Session, current: DocumentInForce, seen_numbe
             f'Say which version of the {current.title} you saw: If-Match: "v<number>", "v0" for the first.'
         )
     if seen_number != current.number:
-        record = None if current.subject is None else audit.last_change(session, current.subject)
+        record = None if current.subject is None else audit.find_last_change(session, current.subject)
         by = "" if record is None else f": {record.actor} {record.action} it at {record.at_utc}"
         raise StaleError(
             f"The {current.title} has changed since you looked (you saw v{seen_number}, it is v{current.number}){by}. "
@@ -88,16 +88,16 @@ def require_change(current: DocumentInForce, document: Mapping[str, Any], reason
         )
 
 
-def who_changed(session: Session, row: Versioned) -> str:
+def describe_last_change(session: Session, row: Versioned) -> str:
     """Say who changed a row last, what and when."""
-    record = audit.last_change(session, name_subject(row))
+    record = audit.find_last_change(session, name_subject(row))
     return f"{record.actor} {record.action} it at {record.at_utc}" if record else "nobody is on record for it"
 
 
-def whose_baseline(session: Session, sensor_id: int) -> str:
+def describe_baseline(session: Session, sensor_id: int) -> str:
     """Say which set is the baseline and who made it that; nothing where there is none."""
-    row = rows.baseline(session, sensor_id)
-    return f" The baseline is {row.name}: {who_changed(session, row)}." if row else ""
+    row = rows.find_baseline(session, sensor_id)
+    return f" The baseline is {row.name}: {describe_last_change(session, row)}." if row else ""
 
 
 def move(

@@ -16,14 +16,18 @@ from typing import Any, Protocol
 from boresight.errors import CancelledError
 
 #: Told how many pieces of how many are done.
-Told = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 
 
 class Executor(Protocol):
     """What computes pieces."""
 
     def map(
-        self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], *, done: Told | None = None
+        self,
+        function: Callable[..., Any],
+        arguments: Sequence[tuple[Any, ...]],
+        *,
+        done: ProgressCallback | None = None,
     ) -> list[Any]:
         """Call `function(*arguments[k])` for every k and return the results in the order of k."""
 
@@ -35,7 +39,11 @@ class LocalExecutor:
         self._cancelled = cancelled
 
     def map(
-        self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], *, done: Told | None = None
+        self,
+        function: Callable[..., Any],
+        arguments: Sequence[tuple[Any, ...]],
+        *,
+        done: ProgressCallback | None = None,
     ) -> list[Any]:
         """Call `function(*arguments[k])` for every k and return the results in the order of k."""
         results: list[Any] = []

@@ -19,7 +19,7 @@ from typing import Any
 from distributed import get_client, get_worker
 
 from boresight.errors import CancelledError
-from boresight.estimation.executor import Told
+from boresight.estimation.executor import ProgressCallback
 
 GROUP_S = 0.5
 LEAST_S = 0.05
@@ -168,7 +168,11 @@ class ClusterExecutor:
         self._sign.touch()
 
     def map(
-        self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], *, done: Told | None = None
+        self,
+        function: Callable[..., Any],
+        arguments: Sequence[tuple[Any, ...]],
+        *,
+        done: ProgressCallback | None = None,
     ) -> list[Any]:
         """Call `function(*arguments[k])` for every k and return the results in the order of k."""
         kind = f"{function.__module__}.{function.__qualname__}"
@@ -184,14 +188,14 @@ class ClusterExecutor:
             pieces.close()
         return pieces.results()
 
-    def _alone(self, work: _MapWork, done: Told | None) -> None:
+    def _alone(self, work: _MapWork, done: ProgressCallback | None) -> None:
         """Compute what is over before anybody else had begun."""
         while not work.pieces.complete:
             self._refuse_if_cancelled(work.pieces)
             work.compute(work.pieces.take(1, returned=True))
             _tell(work.pieces, done)
 
-    def _shared(self, work: _MapWork, done: Told | None) -> None:
+    def _shared(self, work: _MapWork, done: ProgressCallback | None) -> None:
         """Compute in a thread beside, lend, gather, until all is there."""
         loans: dict[Slot, LentGroup] = {}
         here = contextvars.copy_context().run
@@ -331,7 +335,7 @@ def _patience_s(pieces: Pieces, group: Group) -> float:
     return max(OVERDUE_S, OVERDUE_TIMES * len(group) * (pieces.seconds or 0.0))
 
 
-def _tell(pieces: Pieces, done: Told | None) -> int:
+def _tell(pieces: Pieces, done: ProgressCallback | None) -> int:
     """Tell how many pieces are done."""
     count = pieces.done
     if done is not None:

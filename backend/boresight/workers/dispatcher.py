@@ -39,7 +39,7 @@ from boresight.console.runs.queries import (
     RunEnd,
     WaitingRun,
     list_sensors,
-    waiting_runs,
+    list_waiting_runs,
     write_event,
 )
 from boresight.platform.db.data_version import DataVersionReader, VersionedCache
@@ -241,7 +241,7 @@ class Reconciler:
 
     def _oldest(self, limit: int) -> list[WaitingRun]:
         with open_reading(self.database) as session:
-            return waiting_runs(session, limit)
+            return list_waiting_runs(session, limit)
 
     def take(
         self, waiting: Sequence[WaitingRun], free: int, followed: int, threads: int

@@ -10,8 +10,8 @@ from zxcvbn.matching import RANKED_DICTIONARIES
 
 from boresight.console import list_queries as lists
 from boresight.console.access import passwords, users
-from boresight.console.access.log_in_attempts import FORGET_S, HELD_S, LoginAttempt, LoginLimiter, place_of_address
-from boresight.console.access.passwords import describe_weakness, password_by
+from boresight.console.access.log_in_attempts import FORGET_S, HELD_S, LoginAttempt, LoginLimiter, name_place
+from boresight.console.access.passwords import describe_weakness, name_password_setter
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals.tables import Approval
 from boresight.errors import ForbiddenError, PasswordDueError, RefusedInputError, TooManyAttemptsError
@@ -33,7 +33,7 @@ def cy(engine, people) -> Actor:
 
 def test_a_reset_is_on_record_as_a_reset(engine, cy):
     with open_reading(engine) as session:
-        record = audit.last_change(session, f"users/{cy.user_id}")
+        record = audit.find_last_change(session, f"users/{cy.user_id}")
     assert (record.action, record.actor) == ("reset the password of", "Root")
     assert record.after == {"must_change_password": True}
     assert record.rows is not None
@@ -54,7 +54,7 @@ def test_whoever_comes_with_a_given_password_may_only_set_their_own(engine, cy):
 def test_a_given_password_signs_nothing_and_ones_own_does(engine, cy, submitted):
     row = submitted()
     with open_reading(engine) as session:
-        approval = lists.newest(session, Approval, set=row.id)[0]
+        approval = lists.list_newest(session, Approval, set=row.id)[0]
 
     def sign(password: str) -> None:
         with open_writing(engine) as session:
@@ -95,7 +95,7 @@ def _told(engine: Engine, root: Actor, monkeypatch: pytest.MonkeyPatch, *events:
             actor = Actor(new_id, "new", "New", frozenset({"approver"}), "session") if own else root
             users.change_password(session, actor, new_id, new_password(fresh), proved(session, actor, current))
             current = fresh
-        return password_by(session, new_id)
+        return name_password_setter(session, new_id)
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def _told(engine: Engine, root: Actor, monkeypatch: pytest.MonkeyPatch, *events:
 def test_who_else_gave_a_password_is_told_until_it_is_long_ones_own(engine, people, monkeypatch, events, told):
     assert _told(engine, people["root"], monkeypatch, *events) == told
     with open_reading(engine) as session:
-        assert password_by(session, 4711) == "given by nobody on record"
+        assert name_password_setter(session, 4711) == "given by nobody on record"
 
 
 def test_a_signature_through_a_puppet_says_so_in_its_row_and_on_record(engine, submitted, cy):
@@ -127,13 +127,13 @@ def test_a_signature_through_a_puppet_says_so_in_its_row_and_on_record(engine, s
         puppet = users.get_actor(session, cy.user_id, sets_password=True)
         users.change_password(session, puppet, cy.user_id, new_password(OWN), proved(session, puppet, GIVEN))
     with open_writing(engine) as session:
-        approval = lists.newest(session, Approval, set=row.id)[0]
+        approval = lists.list_newest(session, Approval, set=row.id)[0]
         signature = approve(session, puppet, approval, password=OWN)
-        record = audit.last_change(session, f"approvals/{approval.id}")
+        record = audit.find_last_change(session, f"approvals/{approval.id}")
     assert re.fullmatch(r"reset by Root at \S+ \S+ UTC, set anew \d+ s later", str(signature.password_by))
     assert record.after["password_by"] == signature.password_by
     with open_reading(engine) as session:
-        assert approval_queries.signatures(session, approval.id)[0].password_by == signature.password_by
+        assert approval_queries.list_signatures(session, approval.id)[0].password_by == signature.password_by
         assert audit.verify(session).ok
 
 
@@ -378,4 +378,4 @@ def test_the_counts_do_not_grow_without_bound(limiter, monkeypatch):
     ],
 )
 def test_an_address_of_ipv6_stands_for_its_network(address, place):
-    assert place_of_address(address) == place
+    assert name_place(address) == place

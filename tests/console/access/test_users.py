@@ -109,7 +109,7 @@ def test_roles_take_effect_at_once_and_are_recorded(session, people):
     ana = people["ana"]
     users.change_roles(session, people["root"], ana.user_id, ["viewer", "viewer"])
     assert users.get_actor(session, ana.user_id).roles == {"viewer"}
-    record = audit.last_change(session, f"users/{ana.user_id}")
+    record = audit.find_last_change(session, f"users/{ana.user_id}")
     assert (record.before, record.after) == ({"roles": ["analyst"]}, {"roles": ["viewer"]})
     with pytest.raises(RefusedInputError, match="administrator cannot sign"):
         users.change_roles(session, people["root"], people["cy"].user_id, ["approver", "administrator"])
@@ -224,7 +224,7 @@ def test_a_keys_secret_is_shown_once_and_works(site):
     assert answer.headers["cache-control"] == "no-store"
     assert secret not in visitor.get("/users")
     with open_reading(site.engine) as session:
-        assert api_keys.actor_of_key(session, secret).scopes == {"runs"}
+        assert api_keys.find_actor_of_key(session, secret).scopes == {"runs"}
 
 
 def test_a_refused_key_says_why_and_a_revoked_one_stays_in_the_list_as_revoked(site, read):
@@ -265,7 +265,7 @@ def key(session, people) -> tuple[ApiKey, str]:
 
 def test_a_secret_lets_its_program_act_as_the_owner_within_its_scopes(session, people, key):
     row, secret = key
-    actor = api_keys.actor_of_key(session, secret)
+    actor = api_keys.find_actor_of_key(session, secret)
     assert (actor.user_id, actor.roles) == (people["ana"].user_id, people["ana"].roles)
     assert (actor.credential, actor.scopes) == (f"key:{row.prefix}", {"runs"})
 
@@ -281,26 +281,26 @@ def test_a_secret_with_one_letter_changed_is_unknown(session, key):
     secret = key[1]
     for wrong in (secret[:-1] + ("A" if secret[-1] != "A" else "B"), secret[:-1], "", "bs_", "bs_a_b", "é_é_é"):
         with pytest.raises(UnauthenticatedError, match="copied whole"):
-            api_keys.actor_of_key(session, wrong)
+            api_keys.find_actor_of_key(session, wrong)
 
 
 def test_a_key_loses_what_its_owner_loses(session, people, key):
     ana = people["ana"].user_id
     users.change_roles(session, people["root"], ana, ["viewer"])
-    assert api_keys.actor_of_key(session, key[1]).roles == {"viewer"}
+    assert api_keys.find_actor_of_key(session, key[1]).roles == {"viewer"}
     users.disable_user(session, people["root"], ana)
     with pytest.raises(UnauthenticatedError, match=r"owner .* is disabled"):
-        api_keys.actor_of_key(session, key[1])
+        api_keys.find_actor_of_key(session, key[1])
 
 
 def test_an_expired_and_a_revoked_key_are_told_apart(session, people, key):
     row, secret = key
     row.expires_utc = utc_after(-1.0)
     with pytest.raises(UnauthenticatedError, match="expired at"):
-        api_keys.actor_of_key(session, secret)
+        api_keys.find_actor_of_key(session, secret)
     api_keys.revoke_key(session, people["ana"], row.id)
     with pytest.raises(UnauthenticatedError, match="was revoked"):
-        api_keys.actor_of_key(session, secret)
+        api_keys.find_actor_of_key(session, secret)
 
 
 def test_only_owner_and_administrator_revoke(session, people, key):
@@ -313,9 +313,9 @@ def test_only_owner_and_administrator_revoke(session, people, key):
 
 def test_a_key_makes_no_key(session, key):
     with pytest.raises(ForbiddenError, match="Only a person"):
-        api_keys.create_key(session, api_keys.actor_of_key(session, key[1]), label="child")
+        api_keys.create_key(session, api_keys.find_actor_of_key(session, key[1]), label="child")
     with pytest.raises(ForbiddenError, match="API key may not revoke"):
-        api_keys.revoke_key(session, api_keys.actor_of_key(session, key[1]), key[0].id)
+        api_keys.revoke_key(session, api_keys.find_actor_of_key(session, key[1]), key[0].id)
     with pytest.raises(ForbiddenError, match="Only a person"):
         api_keys.create_key(session, COMMAND_LINE, label="child")
 
@@ -339,10 +339,10 @@ def test_what_a_key_changed_is_on_record_as_the_key(engine, people, candidate, b
     with open_writing(engine) as session:
         key, secret = api_keys.create_key(session, people["ana"], label="robot", scopes=["parameter-sets"])
     with open_writing(engine) as session:
-        robot = api_keys.actor_of_key(session, secret)
+        robot = api_keys.find_actor_of_key(session, secret)
         approvals.submit(session, robot, blobs, row.id, "better", row.version)
     with open_reading(engine) as session:
-        record = audit.last_change(session, f"parameter-sets/{row.id}")
+        record = audit.find_last_change(session, f"parameter-sets/{row.id}")
         assert record.credential == f"key:{key.prefix}"
         assert [listed.id for listed in api_keys.list_keys(session, people["ana"].user_id)] == [key.id]
         assert api_keys.list_keys(session, people["bo"].user_id) == []

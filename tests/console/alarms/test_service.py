@@ -54,14 +54,14 @@ def test_a_condition_raises_one_alarm_and_looking_again_writes_nothing(session, 
     assert not rules.has_installation_changed(session, {rules.CHAIN: BROKEN})
     assert rules.update_installation_alarms(session, {rules.CHAIN: BROKEN}) + rules.update_alarms(session) == 0
     assert session.scalar(sa.select(sa.func.count()).select_from(AuditRecord)) == before
-    assert alarms.unacknowledged(session) == 1
+    assert alarms.count_unacknowledged(session) == 1
 
 
 def test_it_returns_by_itself_and_stays_until_a_person_has_seen_it(session, alarm, people):
     assert rules.has_installation_changed(session, {rules.CHAIN: None})
     rules.update_installation_alarms(session, {rules.CHAIN: None})
     assert alarms.get_alarm_state(alarm) == "unacknowledged, returned to normal"
-    assert alarms.unacknowledged(session) == 1
+    assert alarms.count_unacknowledged(session) == 1
     alarms.acknowledge(session, people["dee"], alarm.id, "Seen.", alarm.version)
     assert alarms.get_alarm_state(alarm) == "closed"
     assert _events(session, alarm) == ["RAISED", "RETURNED", "ACKNOWLEDGED", "CLOSED"]
@@ -71,7 +71,7 @@ def test_it_returns_by_itself_and_stays_until_a_person_has_seen_it(session, alar
 
 def test_acknowledged_first_it_closes_when_it_is_over_and_its_return_wants_to_be_seen(session, alarm, people):
     alarms.acknowledge(session, people["ana"], alarm.id, "", alarm.version)
-    assert (alarms.get_alarm_state(alarm), alarms.unacknowledged(session)) == ("acknowledged, active", 0)
+    assert (alarms.get_alarm_state(alarm), alarms.count_unacknowledged(session)) == ("acknowledged, active", 0)
     worse = check_chain("broken", "Record 5 is not as it was written.")
     rules.update_installation_alarms(session, {rules.CHAIN: worse})
     assert (alarm.sentence, alarm.acknowledged) == ("Record 5 is not as it was written.", 1)
@@ -89,10 +89,10 @@ def test_one_that_comes_back_before_it_was_seen_is_the_same_alarm_again(session,
 def test_a_shelved_alarm_counts_for_nobody_until_its_time(session, alarm, people):
     alarms.shelve(session, people["ana"], alarm.id, utc_after(3600), "The pass is in an hour.", alarm.version)
     assert alarms.get_alarm_state(alarm).startswith("unacknowledged, active, shelved until")
-    assert alarms.unacknowledged(session) == 0
+    assert alarms.count_unacknowledged(session) == 0
     assert [row.id for row in alarms.list_alarms(session, alarms.AlarmFilter(state="shelved"))] == [alarm.id]
     alarm.shelved_until_utc = utc_after(-1)
-    assert alarms.unacknowledged(session) == 1
+    assert alarms.count_unacknowledged(session) == 1
     assert rules.update_alarms(session) == 1
     assert (_events(session, alarm)[-1], alarm.shelved_until_utc) == ("UNSHELVED", None)
 
@@ -105,7 +105,7 @@ def test_a_shelf_has_an_end_that_is_near_and_can_be_left_before_it(session, alar
         alarms.unshelve(session, people["ana"], alarm.id, alarm.version)
     alarms.shelve(session, people["ana"], alarm.id, utc_after(3600), "Later.", alarm.version)
     alarms.unshelve(session, people["ana"], alarm.id, alarm.version)
-    assert alarms.unacknowledged(session) == 1
+    assert alarms.count_unacknowledged(session) == 1
 
 
 def test_a_person_is_asked_and_asked_no_more_and_what_they_say_is_on_record(session, alarm, people):
@@ -118,7 +118,7 @@ def test_a_person_is_asked_and_asked_no_more_and_what_they_say_is_on_record(sess
     alarms.comment(session, people["dee"], alarm.id, "A pass is asked for.", alarm.version)
     with pytest.raises(RefusedInputError):
         alarms.comment(session, people["dee"], alarm.id, "  ", alarm.version)
-    record = audit.last_change(session, f"alarms/{alarm.id}")
+    record = audit.find_last_change(session, f"alarms/{alarm.id}")
     assert (record.action, record.actor, record.reason) == ("alarm commented", "Dee", "A pass is asked for.")
     with pytest.raises(RefusedInputError, match="choose from unacknowledged"):
         alarms.list_alarms(session, alarms.AlarmFilter(state="loud"))

@@ -62,9 +62,9 @@ def test_a_report_binds_what_it_rests_on_and_is_recorded_in_the_audit(candidate,
     report = assess(row.id)
     bound = report.document["bound"]
     with open_reading(engine) as session:
-        assert bound["incumbent_sha256"] == set_queries.baseline(session, 1).sha256
-        assert bound["profile_sha256"] == gate_profiles.profile_in_force(session, 1).sha256
-        record = audit.last_change(session, f"parameter-sets/{row.id}/gate-report")
+        assert bound["incumbent_sha256"] == set_queries.find_baseline(session, 1).sha256
+        assert bound["profile_sha256"] == gate_profiles.get_profile_in_force(session, 1).sha256
+        record = audit.find_last_change(session, f"parameter-sets/{row.id}/gate-report")
     assert bound["set_sha256"] == row.sha256
     assert bound["table_definition_sha256"] is None
     assert record.after["sha256"] == report.sha256
@@ -82,14 +82,14 @@ def test_a_report_of_what_moved_meanwhile_is_refused(candidate, set_profile, eng
 def test_a_report_holds_until_the_profile_moves(candidate, assess, engine, set_profile):
     row = candidate()
     with open_reading(engine) as session:
-        assert gates.latest_report(session, row.id) is None
+        assert gates.find_valid_report(session, row.id) is None
     report = assess(row.id)
     assert assess(row.id, "cy").id == report.id
     with open_reading(engine) as session:
-        assert gates.latest_report(session, row.id).id == report.id
+        assert gates.find_valid_report(session, row.id).id == report.id
     set_profile()
     with open_reading(engine) as session:
-        assert gates.latest_report(session, row.id) is None
+        assert gates.find_valid_report(session, row.id) is None
 
 
 def test_the_baseline_has_nothing_to_be_compared_with(assess):
@@ -110,11 +110,11 @@ def test_a_submission_takes_the_report_that_holds_or_a_light_one(candidate, asse
     known, new = candidate(), candidate()
     report = assess(known.id)
     with open_writing(engine) as session:
-        assert gates.report_for_submission(session, people["ana"], blobs, known.id).id == report.id
-        light = gates.report_for_submission(session, people["ana"], blobs, new.id)
+        assert gates.choose_report_for_submission(session, people["ana"], blobs, known.id).id == report.id
+        light = gates.choose_report_for_submission(session, people["ana"], blobs, new.id)
     assert light.parameter_set_id == new.id
     with open_reading(engine) as session:
-        assert gates.verdicts(session, [1, known.id, new.id]) == {known.id: "NO-DATA", new.id: "NO-DATA"}
+        assert gates.read_verdicts(session, [1, known.id, new.id]) == {known.id: "NO-DATA", new.id: "NO-DATA"}
 
 
 SHIFT = {"gates": [{"name": "parameter-shift", "limit": 1e-6, "marginal": 1e-6}]}
@@ -134,7 +134,7 @@ def set_profile(engine, people):
 
 def test_the_default_is_in_force_until_another_is_set(engine, set_profile):
     with open_reading(engine) as session:
-        row = gate_profiles.profile_in_force(session, 1)
+        row = gate_profiles.get_profile_in_force(session, 1)
         assert (row.number, row.document, row.id) == (0, DEFAULT_PROFILE, None)
         assert [one.number for one in gate_profiles.list_profiles(session, 1)] == [0]
     set_profile()
@@ -180,7 +180,7 @@ def test_what_is_no_profile_is_refused(set_profile, given, error, words):
 def test_the_audit_tells_the_thresholds_that_changed_before_and_after(set_profile, engine):
     set_profile()
     with open_reading(engine) as session:
-        record = audit.last_change(session, "sensors/1/gate-profiles")
+        record = audit.find_last_change(session, "sensors/1/gate-profiles")
     assert record.before["parameter-shift limit"] is None
     assert record.after["parameter-shift limit"] == 1e-6
     assert record.after["version"] == 1
@@ -191,7 +191,7 @@ def test_other_limits_make_undecided_requests_stale(set_profile, submitted, engi
     row = submitted()
     set_profile()
     with open_reading(engine) as session:
-        request = lists.newest(session, Approval, set=row.id)[0]
+        request = lists.list_newest(session, Approval, set=row.id)[0]
         assert request.state == "STALE"
         assert session.get_known(ParameterSet, row.id).ground_state == "CANDIDATE"
 
@@ -201,7 +201,7 @@ def test_a_dry_run_says_of_every_past_run_what_would_have_been_blocked_and_store
 ):
     assessed = candidate()
     with open_writing(engine) as session:
-        gates.report_for_submission(session, people["ana"], blobs, assessed.id)
+        gates.choose_report_for_submission(session, people["ana"], blobs, assessed.id)
         never_made = finished_run(session).id
         finished_run(session, state="FAILED")
     with open_reading(engine) as session:
@@ -211,7 +211,7 @@ def test_a_dry_run_says_of_every_past_run_what_would_have_been_blocked_and_store
     assert [one.blocking_now for one in tried] == [[], []]
     assert [one.basis for one in tried] == ["the run's own result", "the set's gate report"]
     with open_reading(engine) as session:
-        assert gate_profiles.profile_in_force(session, 1).number == 0
+        assert gate_profiles.get_profile_in_force(session, 1).number == 0
 
 
 def test_a_dry_run_of_what_is_no_profile_is_refused(engine, blobs):
@@ -228,7 +228,7 @@ def blocked(engine, blobs, people, candidate, set_profile) -> ParameterSet:
     row = candidate()
     set_profile()
     with open_writing(engine) as session:
-        report = gates.report_for_submission(session, people["ana"], blobs, row.id)
+        report = gates.choose_report_for_submission(session, people["ana"], blobs, row.id)
     assert report.document["blocking"] == ["parameter-shift"]
     return row
 
@@ -248,7 +248,7 @@ def waive(engine, people, blocked):
 
 def document(engine, parameter_set_id: int) -> dict[str, Any]:
     with open_reading(engine) as session:
-        return gates.with_waivers(session, gate_rows.newest_report(session, parameter_set_id))
+        return gates.read_with_waivers(session, gate_rows.find_newest_report(session, parameter_set_id))
 
 
 @pytest.mark.parametrize("who", ["ana", "cy", "bo"])
@@ -259,9 +259,9 @@ def test_an_analyst_or_an_approver_waives_in_person(waive, engine, blocked, who)
     assert found["words"] == "NO-DATA (1 gate waived)"
     assert (waiver.reason, waiver.printed_name) == (REASON, who.title())
     with open_reading(engine) as session:
-        record = audit.last_change(session, f"parameter-sets/{blocked.id}/waivers")
+        record = audit.find_last_change(session, f"parameter-sets/{blocked.id}/waivers")
         assert (record.actor, record.reason, record.after["gate"]) == (who.title(), REASON, "parameter-shift")
-        assert [one.id for one in approval_queries.waivers_in_force(session, blocked.id, utc_now())] == [waiver.id]
+        assert [one.id for one in approval_queries.list_waivers_in_force(session, blocked.id, utc_now())] == [waiver.id]
 
 
 def test_neither_another_role_nor_a_key_nor_the_command_line_waives(waive, people):
@@ -302,7 +302,7 @@ def test_what_is_no_waiver_is_refused_and_leaves_nothing(waive, engine, blocked,
 def test_a_gate_that_the_profile_does_not_let_be_waived_stays(waive, set_profile, engine, blobs, people, blocked):
     set_profile(seen=1, document={"gates": [{**SHIFT["gates"][0], "waivable": False}]})
     with open_writing(engine) as session:
-        gates.report_for_submission(session, people["ana"], blobs, blocked.id)
+        gates.choose_report_for_submission(session, people["ana"], blobs, blocked.id)
     with pytest.raises(ForbiddenError, match="the gate profile does not let it be waived"):
         waive()
 
@@ -324,8 +324,8 @@ def test_a_gate_is_waived_once_for_up_to_30_days_and_a_waiver_that_expires_block
     found = document(engine, blocked.id)
     assert (found["words"], found["blocking"]) == ("FAIL (1 gate waived)", ["parameter-shift"])
     with open_reading(engine) as session:
-        assert approval_queries.waivers_in_force(session, blocked.id, later) == []
-        assert len(approval_queries.waivers(session, [blocked.id])) == 1
+        assert approval_queries.list_waivers_in_force(session, blocked.id, later) == []
+        assert len(approval_queries.list_waivers(session, [blocked.id])) == 1
 
 
 def test_baseline_and_package_tell_the_verdict_that_was_signed_also_when_its_waiver_is_over(
@@ -339,8 +339,8 @@ def test_baseline_and_package_tell_the_verdict_that_was_signed_also_when_its_wai
         row = session.get_known(ParameterSet, blocked.id)
         approvals.promote(session, people["dee"], row.id, row.version)
         package = packages.build(session, people["dee"], blobs, row.id)
-        assert set_queries.baseline(session, 1).id == blocked.id
-        shown = gates.verdicts(session, [blocked.id])[blocked.id]
+        assert set_queries.find_baseline(session, 1).id == blocked.id
+        shown = gates.read_verdicts(session, [blocked.id])[blocked.id]
     assert shown == "NO-DATA (1 gate waived)"
     with zipfile.ZipFile(blobs.path(package.sha256)) as packed:
         said = json.loads(packed.read("MANIFEST.json"))["gates"]

@@ -218,7 +218,7 @@ def test_limits_are_tried_on_past_runs_and_stay_in_the_form_and_who_is_no_admini
     assert 'value="set" disabled' in viewer.get(EDITOR)
     assert [viewer.post(EDITOR, **form, action=action).status_code for action in ("set", "try")] == [403, 200]
     with open_reading(site.engine) as session:
-        assert gate_profiles.profile_in_force(session, 1).number == 0
+        assert gate_profiles.get_profile_in_force(session, 1).number == 0
 
 
 @pytest.mark.parametrize(
@@ -283,7 +283,7 @@ def test_a_gate_that_blocks_is_named_and_waived_with_a_reason_for_1_to_30_days_a
     assert REASON in words
     assert "cannot be approved" not in words
     with open_reading(site.engine) as session:
-        assert [one.gate for one in approval_queries.waivers_in_force(session, blocked, utc_now())] == [
+        assert [one.gate for one in approval_queries.list_waivers_in_force(session, blocked, utc_now())] == [
             "parameter-shift"
         ]
 

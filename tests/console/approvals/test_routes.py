@@ -6,7 +6,7 @@ from typing import Any
 import orjson
 import pytest
 
-from boresight.platform.audit.queries import response_under
+from boresight.platform.audit.queries import find_response
 from boresight.platform.db.sessions import open_reading
 from tests.console.approvals.gates import TIGHT, a_waiver, blocked, tight_profile
 from tests.served import PASSWORD, House
@@ -69,7 +69,7 @@ def test_a_signature_sent_again_with_its_key_gets_the_first_answer_and_keeps_no_
     assert other.status_code == 422
     bare = orjson.dumps({"meaning": "I approve.", "comment": "Seen."})
     with open_reading(house.app.state.engine) as session:
-        kept = response_under(session, "sign-once", "alan session")
+        kept = find_response(session, "sign-once", "alan session")
         assert kept.request_sha256 == hashlib.sha256(f"POST {address}?\n".encode() + bare).hexdigest()
 
 

@@ -81,7 +81,7 @@ def test_one_approval_by_a_second_person_approves(engine, people, submit_request
     assert (signature.printed_name, signature.decision, signature.meaning) == ("Cy", "APPROVE", "I decide")
     assert signature.shown_sha256 == staleness.compute_binding_sha256(approval)
     with open_reading(engine) as session:
-        assert [row.id for row in approval_queries.signatures(session, approval.id)] == [signature.id]
+        assert [row.id for row in approval_queries.list_signatures(session, approval.id)] == [signature.id]
         assert audit.verify(session).ok
 
 
@@ -91,7 +91,7 @@ def test_one_refusal_blocks(engine, people, submit_request, blobs):
     assert _states(engine, approval) == ("REJECTED", "REJECTED")
     with open_reading(engine) as session:
         row = session.get_one(ParameterSet, approval.parameter_set_id)
-        record = audit.last_change(session, f"parameter-sets/{row.id}")
+        record = audit.find_last_change(session, f"parameter-sets/{row.id}")
     assert "too few stars at the rim" in str(record.reason)
     with open_writing(engine) as session, pytest.raises(ConflictError, match="is REJECTED: Cy refused it"):
         approvals.submit(session, people["ana"], blobs, row.id, "once more", row.version)
@@ -140,7 +140,7 @@ def test_who_is_no_approver_does_not_sign(engine, people, submit_request, name, 
 def test_the_first_pair_of_eyes_is_not_the_second(engine, people, submit_request, submitted_by, launched_by, says):
     with open_writing(engine) as session:
         secret = api_keys.create_key(session, people["bo"], label="robot", scopes=["parameter-sets"])[1]
-        people["robot"] = api_keys.actor_of_key(session, secret)  # a key of bo
+        people["robot"] = api_keys.find_actor_of_key(session, secret)  # a key of bo
     approval = submit_request(submitted_by, launched_by)
     with pytest.raises(ForbiddenError, match=says):
         _sign(engine, people["bo"], approval)
@@ -151,7 +151,7 @@ def test_no_key_signs_whatever_its_owner_may(engine, people, submit_request):
     approval = submit_request()
     with open_writing(engine) as session:
         secret = api_keys.create_key(session, people["cy"], label="robot", scopes=["parameter-sets"])[1]
-        robot = api_keys.actor_of_key(session, secret)
+        robot = api_keys.find_actor_of_key(session, secret)
     for actor in (robot, SYSTEM, COMMAND_LINE):
         with pytest.raises(ForbiddenError, match="Only a person"):
             _sign(engine, actor, approval)
@@ -164,7 +164,7 @@ def test_a_wrong_password_signs_nothing(engine, people, submit_request):
         _sign(engine, people["cy"], approval, password="wrong horse battery")
     assert _states(engine, approval) == ("OPEN", "SUBMITTED")
     with open_reading(engine) as session:
-        assert not approval_queries.signatures(session, approval.id)
+        assert not approval_queries.list_signatures(session, approval.id)
 
 
 @pytest.mark.parametrize(
@@ -209,11 +209,11 @@ def test_hashes_that_moved_make_the_request_stale_and_its_set_free(engine, peopl
 def test_the_reason_why_somebody_may_not_sign_is_known_beforehand(engine, people, submit_request):
     approval = submit_request()
     with open_reading(engine) as session:
-        reasons = {name: approvals.why_not_sign(session, actor, approval.id) for name, actor in people.items()}
+        reasons = {name: approvals.explain_why_not_sign(session, actor, approval.id) for name, actor in people.items()}
     assert {name for name, reason in reasons.items() if reason is None} == {"bo", "cy"}
     _sign(engine, people["cy"], approval)
     with open_reading(engine) as session:
-        assert "already" in str(approvals.why_not_sign(session, people["cy"], approval.id))
+        assert "already" in str(approvals.explain_why_not_sign(session, people["cy"], approval.id))
 
 
 def test_a_person_who_lost_the_role_meanwhile_does_not_sign(engine, people, submit_request):
@@ -230,9 +230,9 @@ def test_requests_are_listed_by_state_newest_first(engine, people, submit_reques
     first, second = submit_request(), submit_request()
     _sign(engine, people["cy"], first)
     with open_reading(engine) as session:
-        assert [row.id for row in lists.newest(session, Approval)] == [second.id, first.id]
-        assert [row.id for row in lists.newest(session, Approval, state="OPEN")] == [second.id]
-        assert [row.id for row in lists.newest(session, Approval, before_id=second.id)] == [first.id]
+        assert [row.id for row in lists.list_newest(session, Approval)] == [second.id, first.id]
+        assert [row.id for row in lists.list_newest(session, Approval, state="OPEN")] == [second.id]
+        assert [row.id for row in lists.list_newest(session, Approval, before_id=second.id)] == [first.id]
         with pytest.raises(NotFoundError, match="no request"):
             session.get_known(Approval, 99)
 
@@ -245,7 +245,7 @@ def _promote(engine: Engine, actor: Actor, set_id: int, seen: int | None = None)
 
 def _ground_states(engine: Engine) -> dict[str, str]:
     with open_reading(engine) as session:
-        return {row.name: row.ground_state for row in lists.newest(session, ParameterSet)}
+        return {row.name: row.ground_state for row in lists.list_newest(session, ParameterSet)}
 
 
 @pytest.mark.parametrize("name", ["ana", "bo", "cy", "eve", "root"])
@@ -266,7 +266,7 @@ def test_promotion_supersedes_points_and_records_in_one(engine, people, approved
         kept = session.scalars(sa.select(Promotion).order_by(Promotion.id)).all()
         assert [entry.parameter_set_id for entry in kept] == [ground.id, row.id]
         assert kept[1].promoted_by == people["dee"].user_id
-        record = audit.last_change(session, f"parameter-sets/{row.id}")
+        record = audit.find_last_change(session, f"parameter-sets/{row.id}")
         assert (record.action, record.after["sha256"]) == ("promoted", row.sha256)
         assert audit.verify(session).ok
 
@@ -306,7 +306,7 @@ def test_another_promotion_makes_every_request_of_the_sensor_stale(engine, peopl
     waiting, signed, winner = submitted(), approved(), approved()
     _promote(engine, people["dee"], winner.id)
     with open_reading(engine) as session:
-        states = {row.parameter_set_id: row.state for row in lists.newest(session, Approval)}
+        states = {row.parameter_set_id: row.state for row in lists.list_newest(session, Approval)}
     assert states == {waiting.id: "STALE", signed.id: "STALE", winner.id: "APPROVED"}
     assert _ground_states(engine)[signed.name] == "CANDIDATE"
 
@@ -320,7 +320,7 @@ def test_an_incumbent_that_moved_unseen_makes_the_approval_stale_for_good(engine
     with pytest.raises(StaleError, match=r"incumbent moved .* The baseline is PS-ST16-1-2: Root exchanged it .* again"):
         _promote(engine, people["dee"], row.id)
     with open_reading(engine) as session:
-        assert lists.newest(session, Approval)[0].state == "STALE"
+        assert lists.list_newest(session, Approval)[0].state == "STALE"
     assert _ground_states(engine) == {"PS-ST16-1-0": "SUPERSEDED", row.name: "CANDIDATE", other.name: "BASELINE"}
 
 
@@ -344,7 +344,7 @@ def _days(approval: Approval) -> float:
 def test_whoever_signs_too_late_finds_the_request_expired(engine, people, submit_request):
     approval = submit_request(policy=AT_ONCE)
     with open_reading(engine) as session:
-        assert "expired at" in str(approvals.why_not_sign(session, people["cy"], approval.id))
+        assert "expired at" in str(approvals.explain_why_not_sign(session, people["cy"], approval.id))
     with pytest.raises(ConflictError, match=r"Request 1 expired at 20.* Submit PS-ST16-1-1 again"):
         _sign(engine, people["cy"], approval)
     assert _states(engine, approval) == ("EXPIRED", "EXPIRED")
@@ -361,7 +361,7 @@ def test_the_heartbeat_lets_expire_what_nobody_decided_and_tells_of_it_once(engi
     )
     assert told == ["told"]
     with open_reading(engine) as session:
-        record = audit.last_change(session, f"approvals/{late.id}")
+        record = audit.find_last_change(session, f"approvals/{late.id}")
         assert (record.actor, record.action) == ("Boresight", "let expire")
         assert str(late.expires_utc) in str(record.reason)
 
@@ -413,7 +413,7 @@ def test_an_operator_asks_to_roll_back_to_a_former_baseline_in_less_time(engine,
     _promote(engine, people["dee"], back.parameter_set_id)
     assert _ground_states(engine) == {"PS-ST16-1-0": "BASELINE", name: "SUPERSEDED"}
     with open_reading(engine) as session:
-        record = audit.last_change(session, f"parameter-sets/{back.parameter_set_id}")
+        record = audit.find_last_change(session, f"parameter-sets/{back.parameter_set_id}")
         assert (record.action, record.after["kind"]) == ("promoted", "ROLLBACK")
 
 

@@ -16,7 +16,7 @@ from boresight.console.campaigns import service as campaigns
 from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.uplinks.packages import four_eyes
+from boresight.console.uplinks.packages import describe_four_eyes
 from boresight.errors import (
     ConflictError,
     ForbiddenError,
@@ -70,7 +70,7 @@ def _sign(engine: Engine, actor: Actor, approval: Approval, policy: Policy = POL
 
 def _signers(engine: Engine, approval: Approval, policy: Policy = POLICY) -> dict[str, tuple[str, ...] | None]:
     with open_reading(engine) as session:
-        found = approvals.who_may_sign(session, approval.id, policy=policy)
+        found = approvals.list_signers_of(session, approval.id, policy=policy)
     return {one.user.name: one.roles if one.refusal else None for one in found}
 
 
@@ -79,7 +79,7 @@ def test_who_created_a_set_does_not_approve_it(engine, people, created, ask):
     with pytest.raises(ForbiddenError, match="You created this set; another approver must sign"):
         _sign(engine, people["bo"], approval)
     with open_reading(engine) as session:
-        assert "You created this set" in str(approvals.why_not_sign(session, people["bo"], approval.id))
+        assert "You created this set" in str(approvals.explain_why_not_sign(session, people["bo"], approval.id))
     assert _signers(engine, approval) == {"bo": ("CREATOR",), "cy": None}
     assert _sign(engine, people["cy"], approval) == "APPROVED"
 
@@ -96,7 +96,7 @@ def test_each_of_the_three_parts_excludes_and_all_are_named(engine, people, crea
 def test_a_set_created_with_a_key_is_its_owners(engine, people, created, ask):
     with open_writing(engine) as session:
         secret = api_keys.create_key(session, people["bo"], label="robot", scopes=["parameter-sets"])[1]
-        robot = api_keys.actor_of_key(session, secret)
+        robot = api_keys.find_actor_of_key(session, secret)
     approval = ask(created(robot))
     with pytest.raises(ForbiddenError, match="You created this set"):
         _sign(engine, people["bo"], approval)
@@ -157,7 +157,7 @@ def test_what_the_creator_signed_while_four_eyes_was_off_does_not_pass_once_it_i
         version = session.get_known(ParameterSet, row.id).version
         with pytest.raises(ConflictError, match="0 of 1 approvals by a second person"):
             approvals.promote(session, people["dee"], row.id, version)
-        assert four_eyes(session, row, POLICY)["kept"] is False
+        assert describe_four_eyes(session, row, POLICY)["kept"] is False
 
 
 TIGHT = {"gates": [{"name": "parameter-shift", "limit": 1e-6, "marginal": 1e-6}]}
@@ -183,7 +183,7 @@ def test_a_request_that_needs_two_stays_open_after_one_and_is_approved_after_two
     first = _decide(engine, people["cy"], approval)
     assert (first.needed, first.state, first.version, first.closed_utc) == (2, "OPEN", 2, None)
     with open_reading(engine) as session:
-        record = audit.last_change(session, f"approvals/{approval.id}")
+        record = audit.find_last_change(session, f"approvals/{approval.id}")
         assert record.after["approvals"] == "1 of 2"
         assert session.get_known(ParameterSet, approval.parameter_set_id).ground_state == "SUBMITTED"
     with pytest.raises(ConflictError, match="You signed this request already"):
@@ -236,7 +236,7 @@ def test_a_waiver_asks_for_a_new_request_with_a_second_approval(engine, people, 
     assert _decide(engine, people["bo"], again).state == "APPROVED"
     assert _promote(engine, people["dee"], again.parameter_set_id) == "BASELINE"
     with open_reading(engine) as session:
-        report = gates.with_waivers(session, gate_rows.newest_report(session, row.id))
+        report = gates.read_with_waivers(session, gate_rows.find_newest_report(session, row.id))
     assert "waived" in report["words"]
 
 
@@ -260,7 +260,7 @@ def test_with_four_eyes_off_the_submitter_signs_and_the_record_says_so(engine, p
         _decide(engine, people["bo"], approval)
     assert _decide(engine, people["bo"], approval, policy=ALONE).state == "APPROVED"
     with open_reading(engine) as session:
-        record = audit.last_change(session, f"approvals/{approval.id}")
+        record = audit.find_last_change(session, f"approvals/{approval.id}")
         assert record.after["four_eyes"] is False
     assert _promote(engine, people["dee"], approval.parameter_set_id, ALONE) == "BASELINE"
 
@@ -286,7 +286,7 @@ def test_the_policy_says_how_many_must_sign(policy, waived, needed):
 def request_id(engine, submitted) -> int:
     row = submitted()
     with open_reading(engine) as session:
-        return lists.newest(session, Approval, set=row.id)[0].id
+        return lists.list_newest(session, Approval, set=row.id)[0].id
 
 
 def _beside(engine: Engine, console: Actor, request_id: int, name: str, password: str = PASSWORD) -> Signature:
@@ -300,7 +300,7 @@ def test_a_second_person_signs_at_the_console_of_another(engine, people, request
     assert (signature.user_id, signature.printed_name, signature.console) == (people["cy"].user_id, "Cy", "Ana")
     with open_reading(engine) as session:
         assert session.get_known(Approval, request_id).state == "APPROVED"
-        record = audit.last_change(session, f"approvals/{request_id}")
+        record = audit.find_last_change(session, f"approvals/{request_id}")
         assert (record.actor, record.after["console"]) == ("Cy", "Ana")
         assert record.after["password_by"] == signature.password_by
     assert str(signature.password_by).startswith("given by Command line at ")
@@ -322,7 +322,7 @@ def test_over_the_shoulder_signs_nobody_who_may_not(engine, people, request_id, 
         _beside(engine, people[console], request_id, name, password)
     with open_reading(engine) as session:
         assert session.get_known(Approval, request_id).state == "OPEN"
-        assert not approval_queries.signatures(session, request_id)
+        assert not approval_queries.list_signatures(session, request_id)
 
 
 def test_no_command_line_lends_a_console_and_whose_password_another_set_does_not_sign(engine, people, request_id):
@@ -373,11 +373,11 @@ def test_a_disabled_person_is_asked_nothing_and_of_a_decided_request_nobody(engi
 
 def test_remarks_are_kept_in_order_and_on_record_and_hide_no_change(engine, people, request_id):
     with open_writing(engine) as session:
-        approvals.remark(session, people["cy"], request_id, " Was the heater on? ")
-        approvals.remark(session, people["ana"], request_id, "No.")
+        approvals.add_remark(session, people["cy"], request_id, " Was the heater on? ")
+        approvals.add_remark(session, people["ana"], request_id, "No.")
     with open_reading(engine) as session:
         said = [(row.printed_name, row.text) for row in approvals.list_remarks(session, request_id)]
-        last = audit.last_change(session, f"approvals/{request_id}")
+        last = audit.find_last_change(session, f"approvals/{request_id}")
         assert last.action == "opened"  # who changed the request is still who submitted it
         assert audit.verify(session).ok
     assert said == [("Cy", "Was the heater on?"), ("Ana", "No.")]
@@ -394,7 +394,7 @@ def test_remarks_are_kept_in_order_and_on_record_and_hide_no_change(engine, peop
 )
 def test_a_remark_that_says_nothing_or_too_much_is_refused(engine, people, request_id, actor, text, error, says):
     with open_writing(engine) as session, pytest.raises(error, match=says):
-        approvals.remark(session, people[actor], request_id, text)
+        approvals.add_remark(session, people[actor], request_id, text)
 
 
 def test_what_a_person_opened_is_kept_once(engine, people, request_id):

@@ -68,8 +68,8 @@ def _go_the_whole_way(engine: Engine, people: Mapping[str, Actor], row: Paramete
         approvals.promote(session, people["dee"], row.id, row.version)
         for state in ("SENT", "LOADED"):
             uplinks.record(session, people["dee"], row.id, state, "pass 4711")
-        approval = lists.newest(session, Approval, set=row.id)[0]
-        approvals.remark(session, people["ana"], approval.id, "The focus moved.")
+        approval = lists.list_newest(session, Approval, set=row.id)[0]
+        approvals.add_remark(session, people["ana"], approval.id, "The focus moved.")
         api_keys.create_key(session, people["ana"], label="passes", scopes=["runs"])
         users.change_roles(session, people["root"], people["eve"].user_id or 0, ["viewer", "operator"])
         with tempfile.TemporaryDirectory() as folder:

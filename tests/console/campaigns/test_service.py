@@ -53,7 +53,7 @@ def _end(session, people, run_id, state, **columns):
 def test_every_sensor_gets_a_run_on_its_newest_sets_and_one_without_telemetry_the_cause(session, blobs, fleet, launch):
     add_sets(session, blobs, fleet[:1])
     row = launch()
-    standings = {one.sensor_id: one for one in campaigns.results(session, row.id)}
+    standings = {one.sensor_id: one for one in campaigns.list_results(session, row.id)}
     assert set(standings) == {1, *fleet}
     assert standings[1].run_id is None
     assert "ST16-1 has no calibration set; upload one" in standings[1].refusal
@@ -65,13 +65,13 @@ def test_every_sensor_gets_a_run_on_its_newest_sets_and_one_without_telemetry_th
         run = runs.get_run(session, standings[sensor_id].run_id)
         assert (run.state, run.label, run.settings["linearisations"]) == ("QUEUED", "after eclipse", 6)
         assert run.validation_set_id is not None
-        assert [event.message for event in runs.log_lines(session, run.id)] == ["QUEUED"]
+        assert [event.message for event in runs.list_log_lines(session, run.id)] == ["QUEUED"]
 
 
 def test_sets_can_be_named_and_validation_left_out(session, fleet, launch):
     calibration = telemetry_sets.list_telemetry_sets(session, sensor_id=fleet[1], purpose="validation")[0]
     row = launch([MemberRequest(fleet[0], validation_set_id=None), MemberRequest(fleet[1], calibration.id, None)])
-    first, second = campaigns.results(session, row.id)
+    first, second = campaigns.list_results(session, row.id)
     assert first.validation_set_id is None
     assert second.telemetry_set_id == calibration.id
 
@@ -79,7 +79,7 @@ def test_sets_can_be_named_and_validation_left_out(session, fleet, launch):
 def test_a_set_of_another_sensor_is_that_sensors_cause_and_not_the_campaigns(session, fleet, launch):
     other = telemetry_sets.list_telemetry_sets(session, sensor_id=fleet[1], purpose="calibration")[0]
     row = launch([MemberRequest(fleet[0], other.id), MemberRequest(fleet[1])])
-    first, second = campaigns.results(session, row.id)
+    first, second = campaigns.list_results(session, row.id)
     assert "telemetry of another sensor" in first.refusal
     assert second.state == "QUEUED"
 
@@ -119,7 +119,7 @@ def test_what_is_no_campaign_is_refused(launch, given, error, said):
 
 def test_states_are_counted_and_the_campaign_has_one_word_and_one_fraction(session, people, launch):
     row = launch()
-    first, second, third = (one.run_id for one in campaigns.results(session, row.id) if one.run_id)
+    first, second, third = (one.run_id for one in campaigns.list_results(session, row.id) if one.run_id)
     view = campaigns.read_campaign(session, row.id)
     assert (view.sensors, view.ended, view.failed, view.state) == (4, 1, 1, "UNDER WAY")
     assert view.fraction == 0.25
@@ -133,42 +133,42 @@ def test_states_are_counted_and_the_campaign_has_one_word_and_one_fraction(sessi
 
 def test_a_campaign_whose_every_run_succeeded_says_so(session, people, fleet, launch):
     row = launch([MemberRequest(number) for number in fleet])
-    for one in campaigns.results(session, row.id):
+    for one in campaigns.list_results(session, row.id):
         summary = {"level": "normal", "rms_final_arc_rad": 1e-5, "weak_directions": 1}
         _end(session, people, one.run_id, "SUCCEEDED", summary=summary)
     assert campaigns.read_campaign(session, row.id).state == "SUCCEEDED"
-    line = make_result_line(campaigns.results(session, row.id)[0])
+    line = make_result_line(campaigns.list_results(session, row.id)[0])
     expected = {"state": "SUCCEEDED", "rms_initial_arc_rad": None, **summary}
     assert {name: line[name] for name in expected} == expected
 
 
 def test_cancelling_stops_what_waits_and_what_computes_and_leaves_what_ended(session, people, launch):
     row = launch()
-    first, second, third = (one.run_id for one in campaigns.results(session, row.id) if one.run_id)
+    first, second, third = (one.run_id for one in campaigns.list_results(session, row.id) if one.run_id)
     _end(session, people, first, "SUCCEEDED")
     _end(session, people, second, "RUNNING")
     campaigns.cancel_campaign(session, people["ana"], row.id, "wrong settings")
-    states = {one.run_id: (one.state, one.reason) for one in campaigns.results(session, row.id)}
+    states = {one.run_id: (one.state, one.reason) for one in campaigns.list_results(session, row.id)}
     assert states[first] == ("SUCCEEDED", None)
     assert states[second][0] == "CANCELLING"
     assert states[third] == ("CANCELLED", f"campaign {row.id} was cancelled by Ana: wrong settings")
     assert campaigns.read_campaign(session, row.id).state == "CANCELLING"
     _end(session, people, second, "CANCELLED")
     assert campaigns.read_campaign(session, row.id).state == "CANCELLED"
-    assert audit.last_change(session, f"runs/{third}").action == "cancelled"
+    assert audit.find_last_change(session, f"runs/{third}").action == "cancelled"
     with pytest.raises(ConflictError, match="nothing to stop"):
         campaigns.cancel_campaign(session, people["ana"], row.id)
 
 
 def test_the_failed_are_launched_again_and_the_newest_run_of_each_counts(session, people, blobs, launch):
     row = launch()
-    first, second, third = (one for one in campaigns.results(session, row.id) if one.run_id)
+    first, second, third = (one for one in campaigns.list_results(session, row.id) if one.run_id)
     _end(session, people, first.run_id, "SUCCEEDED")
     _end(session, people, second.run_id, "FAILED", reason="No stars.")
     _end(session, people, third.run_id, "LOST", reason="Gone.")
     add_sets(session, blobs, [1], ("calibration",))
     campaigns.relaunch_failed(session, people["ana"], row.id)
-    after = {one.sensor_id: one for one in campaigns.results(session, row.id)}
+    after = {one.sensor_id: one for one in campaigns.list_results(session, row.id)}
     assert len(after) == 4
     assert after[first.sensor_id].run_id == first.run_id
     for former in (second, third):
@@ -205,7 +205,7 @@ def test_a_thousand_sensors_are_one_transaction_of_few_statements_with_every_run
     with open_reading(engine) as session:
         counted.clear()
         view = campaigns.list_campaigns(session)[0]
-        standings = campaigns.results(session, row.id)
+        standings = campaigns.list_results(session, row.id)
         read = len(counted)
         assert session.scalar(sa.select(sa.func.count()).select_from(RunEvent)) == 999
         rows_of = session.scalars(sa.select(AuditRecord.rows).where(AuditRecord.rows.is_not(None))).all()

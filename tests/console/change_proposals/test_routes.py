@@ -86,7 +86,7 @@ def _proposed(site) -> str:
 
 def _in_force(site) -> int:
     with open_reading(site.engine) as session:
-        return gate_profiles.profile_in_force(session, 1).number
+        return gate_profiles.get_profile_in_force(session, 1).number
 
 
 def test_what_was_proposed_waits_on_every_page_that_it_touches_until_another_confirms_it(asking_site, read):

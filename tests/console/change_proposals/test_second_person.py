@@ -65,7 +65,7 @@ def _state(engine: Engine, row: ChangeProposal) -> str:
 
 def _in_force(engine: Engine) -> int:
     with open_reading(engine) as session:
-        return gate_profiles.profile_in_force(session, 1).number
+        return gate_profiles.get_profile_in_force(session, 1).number
 
 
 def test_a_proposed_change_takes_effect_only_when_another_confirms_it(engine, two, propose):
@@ -76,11 +76,11 @@ def test_a_proposed_change_takes_effect_only_when_another_confirms_it(engine, tw
     done = _confirm(engine, two["rita"], row)
     assert (done.state, done.number, done.closed_by, _in_force(engine)) == ("CONFIRMED", 1, two["rita"].user_id, 1)
     with open_reading(engine) as session:
-        profile = gate_profiles.profile_in_force(session, 1)
+        profile = gate_profiles.get_profile_in_force(session, 1)
         assert (profile.created_by, profile.sha256) == (two["root"].user_id, row.sha256)
-        record = audit.last_change(session, f"change-proposals/{row.id}")
+        record = audit.find_last_change(session, f"change-proposals/{row.id}")
         assert (record.actor, record.action, record.after["number"]) == ("Rita", "confirmed", 1)
-        put = audit.last_change(session, "sensors/1/gate-profiles")
+        put = audit.find_last_change(session, "sensors/1/gate-profiles")
         assert put.after["proposal"] == row.id
         assert audit.verify(session).ok
 
@@ -99,7 +99,7 @@ def test_no_key_nor_a_given_password_confirms_and_what_a_key_proposed_is_its_own
         secrets = [
             api_keys.create_key(session, two[name], label="robot", scopes=["sensors"])[1] for name in ("root", "rita")
         ]
-        own, other = (api_keys.actor_of_key(session, secret) for secret in secrets)
+        own, other = (api_keys.find_actor_of_key(session, secret) for secret in secrets)
     row = propose(own)
     for actor in (own, other, COMMAND_LINE):
         with pytest.raises(ForbiddenError, match="Only a person"):
@@ -164,10 +164,10 @@ def test_requests_stay_open_while_a_change_is_proposed_and_become_stale_with_its
         approval = approvals.submit(session, two["ana"], blobs, made.id, "better", made.version)
     row = propose("ana", plain_definition("inverted_wang"), "table-definition")
     with open_reading(engine) as session:
-        assert approvals.why_not_sign(session, two["cy"], approval.id) is None
+        assert approvals.explain_why_not_sign(session, two["cy"], approval.id) is None
     with open_writing(engine) as session:
         done = second_person.confirm(session, two["ann"], row.id, 1)
-        assert table_definitions.definition_in_force(session, 1).number == done.number == 1
+        assert table_definitions.find_definition_in_force(session, 1).number == done.number == 1
         assert session.get_known(Approval, approval.id).state == "STALE"
 
 
@@ -178,7 +178,7 @@ def test_a_proposal_expires_by_itself_or_by_who_comes_too_late(engine, two, prop
     with pytest.raises(ConflictError, match="expired at"):
         _confirm(engine, two["rita"], first)
     with open_writing(engine) as session:
-        assert proposals.any_due(session)
+        assert proposals.is_any_due(session)
         assert [row.id for row in proposals.expire_due(session)] == [second.id]
     assert {_state(engine, row) for row in (first, second)} == {"EXPIRED"}
 
@@ -204,8 +204,8 @@ def test_a_proposal_shows_each_entry_that_it_changes(engine, propose):
     row = propose()
     layout = propose("ana", plain_definition("inverted_wang"), "table-definition")
     with open_reading(engine) as session:
-        found = {one.place: (one.before, one.after) for one in second_person.differences(session, row)}
-        fields = [one.place for one in second_person.differences(session, layout)]
+        found = {one.place: (one.before, one.after) for one in second_person.list_differences(session, row)}
+        fields = [one.place for one in second_person.list_differences(session, layout)]
     assert found == {
         "gates[parameter-shift].limit": (None, 1e6),
         "gates[parameter-shift].marginal": (15.0, 1e6),
@@ -262,6 +262,6 @@ def test_a_jump_of_the_clock_expires_no_proposal_before_somebody_has_acknowledge
     assert isinstance(row, ChangeProposal)
     wall_s[0] += 40 * 86_400.0
     with open_writing(engine) as session:
-        assert not proposals.any_due(session)
+        assert not proposals.is_any_due(session)
         assert not proposals.expire_due(session)
     assert _state(engine, _confirm(engine, two["rita"], row)) == "CONFIRMED"

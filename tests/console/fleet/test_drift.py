@@ -8,7 +8,7 @@ import pytest
 
 from boresight.console.fleet import trend as drift
 from boresight.console.fleet.trend import Trend, _periods, read_trend
-from boresight.console.fleet.trend_document import advise, trend_document
+from boresight.console.fleet.trend_document import advise, make_trend_document
 from boresight.platform.db.sessions import Session
 from tests.missions import add_run, add_set, make_baseline
 
@@ -164,7 +164,7 @@ def test_the_document_is_json_with_a_sigma_beside_every_number(session):
     rng = np.random.default_rng(1)
     _baselined(session, rng)
     _mission(session, rng, [30, 60, 90])
-    document = trend_document(session, 1)
+    document = make_trend_document(session, 1)
     assert document["drift"]["false_alarm_rate"] == 0.001
     for point in document["points"]:
         assert point["parameters"].keys() == point["sigma"].keys()

@@ -27,7 +27,7 @@ from boresight.console.fleet.status import (
     list_sensor_statuses,
 )
 from boresight.console.fleet.trend import read_trend
-from boresight.console.fleet.trend_document import trend_document
+from boresight.console.fleet.trend_document import make_trend_document
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.uplinks import service as uplinks
@@ -286,24 +286,24 @@ def store(request) -> Engine:
 def test_an_alarm_is_found_by_its_state_and_counted_while_it_waits(store):
     with open_writing(store) as session:
         (row,) = alarms.list_alarms(session, alarms.AlarmFilter(state="unacknowledged", kind="DRIFT", sensor_id=1))
-        assert alarms.unacknowledged(session) == 1
+        assert alarms.count_unacknowledged(session) == 1
         row.shelved_until_utc = utc_after(60)
         alarms.step(session, COMMAND_LINE, row, "SHELVED", "Later.")
-        assert alarms.unacknowledged(session) == 0
+        assert alarms.count_unacknowledged(session) == 0
         found = {state: len(alarms.list_alarms(session, alarms.AlarmFilter(state=state))) for state in alarms.STATES}
         assert found == {"unacknowledged": 0, "acknowledged": 0, "shelved": 1, "closed": 0}
         row.shelved_until_utc = utc_after(-1)
-        assert [late.id for late in alarms_queries.overdue_shelves(session)] == [row.id]
+        assert [late.id for late in alarms_queries.list_overdue_shelves(session)] == [row.id]
         alarms.step(session, COMMAND_LINE, row, "UNSHELVED", "")
 
 
 def test_a_trend_and_the_newest_summaries_are_read(store):
     with open_reading(store) as session:
-        document = trend_document(session, 1)
+        document = make_trend_document(session, 1)
         assert (document["drift"]["verdict"], len(document["points"])) == ("DRIFT", 5)
-        newest = sensor_rows.recent_summaries(session, [1], 3)[1]
+        newest = sensor_rows.list_recent_summaries(session, [1], 3)[1]
         assert [summary["trend"]["parameters"] for summary in newest] == [
-            run.summary["trend"]["parameters"] for run in sensor_rows.finished(session, [1])[1][-3:]
+            run.summary["trend"]["parameters"] for run in sensor_rows.list_finished_runs(session, [1])[1][-3:]
         ]
 
 
@@ -316,26 +316,29 @@ def test_of_each_sensor_its_own_newest_run_is_found_and_a_head_says_what_its_row
             for day in range(3) if name == "B" else ():
                 add_run(session, add_set(session, number, 30.0 * day), rng)
     with open_reading(store) as session:
-        newest = {number: max(run.id for run in runs) for number, runs in sensor_rows.finished(session, [1, 2]).items()}
+        newest = {
+            number: max(run.id for run in runs)
+            for number, runs in sensor_rows.list_finished_runs(session, [1, 2]).items()
+        }
         for asked in (None, [1, 2, 3]):
-            runs, heads = sensor_rows.last_runs(session, asked), sensor_rows.last_run_heads(session, asked)
+            runs, heads = sensor_rows.list_last_runs(session, asked), sensor_rows.list_last_run_heads(session, asked)
             assert {number: run.id for number, run in runs.items()} == newest
             assert {number: head[1:] for number, head in heads.items()} == {
                 number: (run.id, run.state, run.reason, run.summary) for number, run in runs.items()
             }
-            sets, short = sensor_rows.baselines(session, asked), sensor_rows.baseline_heads(session, asked)
+            sets, short = sensor_rows.list_baselines(session, asked), sensor_rows.list_baseline_heads(session, asked)
             assert {number: head[1:] for number, head in short.items()} == {
                 number: (row.id, row.name, row.run_id, row.baseline_from_utc) for number, row in sets.items()
             }
-        assert set(sensor_rows.last_runs(session, [2])) == {2}
+        assert set(sensor_rows.list_last_runs(session, [2])) == {2}
         assert len({head.status for head in fleet.list_sensor_statuses(session)}) > 1
         one_by_one = [one for number in (2, 3, 1) for one in fleet.list_sensor_statuses(session, [number])]
         assert fleet.list_sensor_statuses(session) == one_by_one
 
 
 def _verdicts(session: Session, most: int | None = None) -> dict[int, fleet.DriftVerdict]:
-    heads, baselines = sensor_rows.sensor_heads(session), sensor_rows.baseline_heads(session)
-    return fleet.get_drift_verdicts(session, heads, baselines, sensor_rows.stamps(session), most=most)
+    heads, baselines = sensor_rows.list_sensor_heads(session), sensor_rows.list_baseline_heads(session)
+    return fleet.get_drift_verdicts(session, heads, baselines, sensor_rows.read_trend_stamps(session), most=most)
 
 
 def test_it_equals_a_judgement_made_anew_after_every_change_of_the_trend(session):

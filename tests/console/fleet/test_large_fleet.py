@@ -272,7 +272,7 @@ def test_a_campaign_of_a_sensor_far_down_the_list_is_queued_with_its_sets(ada, f
     assert asked.rows < 100
     with open_reading(fleets[1000].engine) as session:
         number = int(answer.headers["location"].removeprefix("/campaigns/"))
-        assert [one.sensor_id for one in campaigns.results(session, number)] == [290, 777]
+        assert [one.sensor_id for one in campaigns.list_results(session, number)] == [290, 777]
 
 
 def test_parameter_sets_are_narrowed_by_the_sensor_s_name(fleets, ada, read):

@@ -83,7 +83,7 @@ def test_a_chosen_file_counts_before_typed_text(site):
     data = {"csrf_token": visitor.csrf_token, "document": "{}"}
     assert visitor.send("POST", "/sensors", data=data, files=files).status_code == 303
     with open_reading(site.engine) as session:
-        assert "FROM-FILE" in {row.name for row in sensor_queries.sensors(session)}
+        assert "FROM-FILE" in {row.name for row in sensor_queries.list_sensors(session)}
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_the_parameters_stand_in_model_order_with_the_truth_of_a_simulated_senso
 def test_a_calibrated_baseline_shows_its_sigma_and_its_change_from_the_ground(site):
     with open_writing(site.engine) as session:
         made = parameter_sets.create_from_run(session, site.actor("ada"), site.blobs, 1)
-        ground = set_queries.baseline(session, 1)
+        ground = set_queries.find_baseline(session, 1)
         ground.ground_state = "SUPERSEDED"
         session.flush()
         session.get_one(ParameterSet, made.id).ground_state = "BASELINE"
@@ -204,7 +204,7 @@ def document(session) -> dict[str, Any]:
 
 
 def test_a_new_sensor_has_its_ground_calibration_as_baseline(session, document):
-    ground = set_queries.baseline(session, 1)
+    ground = set_queries.find_baseline(session, 1)
     assert (ground.name, ground.number, ground.run_id) == ("PS-ST16-1-0", 0, None)
     assert ground.document["parameters"] == document["initial"]
     assert ground.document["sigma"] == document["typical_sigma"]
@@ -235,8 +235,8 @@ def test_a_bad_document_leaves_no_sensor_and_no_set(engine, people):
     with pytest.raises(RefusedInputError), open_writing(engine) as session:
         sensors.register_sensor(session, people["ana"], bad)
     with open_writing(engine) as session:
-        assert [row.name for row in sensor_queries.sensors(session)] == ["ST16-1"]
-        assert len(lists.newest(session, ParameterSet)) == 1
+        assert [row.name for row in sensor_queries.list_sensors(session)] == ["ST16-1"]
+        assert len(lists.list_newest(session, ParameterSet)) == 1
 
 
 @pytest.mark.parametrize("name", ["../../etc", "a/b", "<b>", "x" * 65, "-x"])
@@ -246,13 +246,13 @@ def test_a_name_that_makes_no_file_name_is_refused(session, people, document, na
 
 
 def test_an_edit_changes_what_runs_start_from_and_leaves_the_sets(session, people, document):
-    before = set_queries.baseline(session, 1)
+    before = set_queries.find_baseline(session, 1)
     sha256 = before.sha256
     document["initial"]["f_m"] = 0.0161
     row = sensors.edit_sensor(session, people["ana"], 1, document, 1)
     assert (row.version, row.document["initial"]["f_m"]) == (2, 0.0161)
-    assert set_queries.baseline(session, 1).sha256 == sha256
-    record = audit.last_change(session, "sensors/1")
+    assert set_queries.find_baseline(session, 1).sha256 == sha256
+    record = audit.find_last_change(session, "sensors/1")
     assert (record.before["initial"]["f_m"], record.after["initial"]["f_m"]) == (0.016, 0.0161)
 
 
@@ -296,12 +296,12 @@ def _fitting(find: str) -> list[str]:
 
 def test_a_fleet_that_can_be_looked_over_is_offered_whole_whatever_is_sought_and_with_one_more_is_large(session):
     _add(session, [f"A{number}" for number in range(MOST_CHOICES - 1)])
-    found = sensors.choices(session, find="no such", keep=[1])
+    found = sensors.list_choices(session, find="no such", keep=[1])
     assert found.is_all
     assert list(found.names.values()) == sorted(found.names.values())
     assert len(found.names) == found.found == found.fitting == found.fleet == MOST_CHOICES
     _add(session, ["one more"])
-    found = sensors.choices(session)
+    found = sensors.list_choices(session)
     assert not found.is_all
     assert (len(found.names), found.fitting) == (MOST_CHOICES, MOST_CHOICES + 1)
 
@@ -309,8 +309,8 @@ def test_a_fleet_that_can_be_looked_over_is_offered_whole_whatever_is_sought_and
 @given(find=SOUGHT, keep=st.sets(st.one_of(st.integers(1, 3 * len(FLEET)), st.integers()), max_size=8))
 def test_of_a_large_fleet_the_first_that_hold_the_text_are_offered_and_what_is_kept(large, find, keep):
     with open_reading(large) as session:
-        found = sensors.choices(session, find=find, keep=keep)
-        every = sensor_queries.names(session)
+        found = sensors.list_choices(session, find=find, keep=keep)
+        every = sensor_queries.read_names(session)
     fitting = _fitting(find)
     kept = sorted({every[number] for number in keep if number in every} - set(fitting[:MOST_CHOICES]))
     assert not found.is_all
@@ -323,8 +323,8 @@ def test_of_a_large_fleet_the_first_that_hold_the_text_are_offered_and_what_is_k
 @given(ids=st.sets(st.one_of(st.integers(1, 3 * len(FLEET)), st.integers()), max_size=12))
 def test_names_are_those_of_the_numbers_that_there_are(large, ids):
     with open_reading(large) as session:
-        every = sensor_queries.names(session)
-        assert sensor_queries.names(session, ids) == {number: every[number] for number in ids if number in every}
+        every = sensor_queries.read_names(session)
+        assert sensor_queries.read_names(session, ids) == {number: every[number] for number in ids if number in every}
     assert sorted(every.values()) == sorted(FLEET)
 
 
@@ -333,4 +333,4 @@ def test_a_control_character_in_what_is_sought_is_refused_with_its_place(large):
         open_reading(large) as session,
         pytest.raises(RefusedInputError, match=r"find has the control character U\+0000"),
     ):
-        sensors.choices(session, find="GE\x00O")
+        sensors.list_choices(session, find="GE\x00O")

@@ -21,7 +21,7 @@ from boresight.console.jobs.broadcast import (
     EventBatch,
     EventCursor,
     RecentProgress,
-    events_after,
+    list_events_after,
 )
 from boresight.console.runs.queries import Line, write_event
 from boresight.platform.actors import SYSTEM
@@ -216,7 +216,7 @@ def test_pages_of_missed_records_follow_one_another_without_a_gap(tmp_path, monk
     made = [record.id for record in records]
     place, heard = EventCursor(0, made[0] - 1), []
     with open_reading(engine) as session:
-        while events := events_after(session, place):
+        while events := list_events_after(session, place):
             heard += [event.number for event in events]
             place = events[-1].move(place)
     assert heard == made
@@ -229,16 +229,16 @@ def test_one_new_record_is_told_without_reading_those_before_it(tmp_path, monkey
         records = [audit.append(session, SYSTEM, "did", f"thing/{k}") for k in range(30)]
     *_, told, new = (record.id for record in records)
     read: list[int] = []
-    rows_after = audit_rows.heads_after
+    rows_after = audit_rows.list_heads_after
 
     def noted(*given: Any) -> Any:
         page = rows_after(*given)
         read.append(len(page))
         return page
 
-    monkeypatch.setattr(audit_rows, "heads_after", noted)
+    monkeypatch.setattr(audit_rows, "list_heads_after", noted)
     with open_reading(engine) as session:
-        events = events_after(session, EventCursor(0, told))
+        events = list_events_after(session, EventCursor(0, told))
     assert [event.number for event in events] == [new]
     assert read == [1]
     engine.dispose()

@@ -186,7 +186,7 @@ def test_a_webhook_that_asked_for_heads_gets_each_once(store):
     for _ in range(2):
         _round(maintenance)
     with open_reading(store) as session:
-        newest = audit.newest_head(session)
+        newest = audit.find_newest_head(session)
         sent = [row for row in session.query(WebhookDelivery).all() if f'"{HEAD}"' in row.body]
     assert [(row.webhook_id, json.loads(row.body)["data"]["audit_hash"]) for row in sent] == [(1, newest.hash)]
 

@@ -200,7 +200,7 @@ def test_a_request_that_a_jump_would_let_expire_still_waits_for_who_may_sign_it_
 ):
     def waiting() -> int:
         with open_reading(engine) as session:
-            return lists.count(session, "approvals", {"open_to": approvals.signatory(session, people["cy"])})
+            return lists.count(session, "approvals", {"open_to": approvals.find_signatory(session, people["cy"])})
 
     assert waiting() == 0
     hands.wall_s += 40 * DAY_S

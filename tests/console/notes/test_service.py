@@ -18,7 +18,7 @@ def test_notes_are_kept_in_order_and_on_record(session, people, finished_run, ki
         ("Ana", "Taken through the anomaly."),
         ("Dee", "Heater was off."),
     ]
-    record = audit.last_change(session, f"{kind}/1/notes/{row.id}")
+    record = audit.find_last_change(session, f"{kind}/1/notes/{row.id}")
     assert (record.action, record.after) == ("noted", {"text": "Heater was off."})
 
 

@@ -110,9 +110,11 @@ def test_every_open_request_is_counted_in_the_top_bar(full):
 def test_the_requests_open_to_somebody_are_those_that_they_may_sign_one_by_one(full, name, four_eyes):
     policy, actor = type(POLICY)(**{**vars(POLICY), "four_eyes": four_eyes}), full.actor(name)
     with open_reading(full.engine) as session:
-        requests = lists.newest(session, Approval, state="OPEN")
-        may = {one.id for one in requests if approvals.why_not_sign(session, actor, one.id, policy=policy) is None}
-        who = approvals.signatory(session, actor, policy=policy)
+        requests = lists.list_newest(session, Approval, state="OPEN")
+        may = {
+            one.id for one in requests if approvals.explain_why_not_sign(session, actor, one.id, policy=policy) is None
+        }
+        who = approvals.find_signatory(session, actor, policy=policy)
         found = set() if who is None else {
             one.id for one in lists.read_page(session, "approvals", {"open_to": who}, "-request", limit=MANY)
         }  # fmt: skip
@@ -161,7 +163,7 @@ def test_the_overview_counts_what_came_back_approved_sets_baselines_and_alarms_b
             )  # fmt: skip
         audit.append(session, COMMAND_LINE, "brought in", "sensors")
     with open_reading(site.engine) as session:
-        alarms_in_all = alarms.unacknowledged(session)
+        alarms_in_all = alarms.count_unacknowledged(session)
     assert alarms_in_all >= MANY
     olga = read(site.visitor("olga").get("/"))
     assert count_in(olga, "more") == alarms_in_all * ("Alarm" in olga) + 2 * MANY - 8
@@ -205,7 +207,11 @@ def test_no_note_proposal_log_in_or_version_is_left_out_beyond_a_hundred(site, r
         audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
     with open_reading(site.engine) as session:
         assert note_queries.count_notes(session, "runs", 1) == len(notes.list_notes(session, "runs", 1)) == many
-        assert approval_queries.count_open(session) == len(proposals.list_proposals(session, state="OPEN")) == many
+        assert (
+            approval_queries.count_open_proposals(session)
+            == len(proposals.list_proposals(session, state="OPEN"))
+            == many
+        )
         assert len(session_list.list_sessions(session, site.actor("ada"), is_open=True)) > many
     visitor = site.visitor("ada")
     assert f"Notes {many}" in " ".join(read(visitor.get("/runs/1")).split())
@@ -215,7 +221,7 @@ def test_no_note_proposal_log_in_or_version_is_left_out_beyond_a_hundred(site, r
 def test_a_run_finds_its_set_however_many_are_newer(full):
     with open_reading(full.engine) as session:
         oldest = session.scalar(sa.select(sa.func.min(ParameterSet.run_id)))
-        newer = lists.newest(session, ParameterSet, sensor=1, limit=100)
+        newer = lists.list_newest(session, ParameterSet, sensor=1, limit=100)
         made = find_parameter_set(session, runs.get_run(session, oldest))
         assert made.run_id == oldest
         assert made.id not in {row.id for row in newer}
@@ -233,9 +239,9 @@ def test_a_set_of_telemetry_finds_its_runs_and_how_many_there_are_behind_hundred
         audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
     with open_reading(full.engine) as session:
         for number in (1, 2):  # fitted with, and validated with
-            newest, uses = run_queries.runs_of_set(session, number, 100)
+            newest, uses = run_queries.list_runs_of_set(session, number, 100)
             assert (len(newest), uses) == (100, MANY + 2)
-        assert run_queries.runs_of_set(session, other.id, 100)[1] == 520
+        assert run_queries.list_runs_of_set(session, other.id, 100)[1] == 520
 
 
 def test_a_run_in_a_long_queue_knows_its_place(site, read):
@@ -255,7 +261,7 @@ def test_the_newest_result_with_a_validation_set_is_found_behind_many_without(si
         session.add_all(like(session.get_one(Run, 1), validation_set_id=None) for _ in range(MANY))
         audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
     with open_reading(site.engine) as session:
-        assert run_queries.newest_finished(session, 1, 1)[0].id == 2
+        assert run_queries.list_newest_finished(session, 1, 1)[0].id == 2
 
 
 def test_a_long_log_is_given_whole(site):
@@ -283,7 +289,7 @@ def test_a_package_is_found_again_behind_a_hundred_others(site):
         )
         audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
         session.flush()
-        assert packages._existing(session, row, {"of": 0}).inputs == {"of": 0}
+        assert packages._find_existing(session, row, {"of": 0}).inputs == {"of": 0}
 
 
 def test_no_version_of_the_limits_is_lost_over_rest(site):

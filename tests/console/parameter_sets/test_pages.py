@@ -105,7 +105,7 @@ def test_an_approved_set_becomes_the_baseline_and_the_former_offers_a_roll_back(
     olga = promoted(site, candidate)
     assert "This set is the baseline; it replaced PS-ST16-1-0." in read(olga.get(candidate))
     with open_reading(site.engine) as session:
-        assert set_queries.baseline(session, 1).name == "PS-ST16-1-1"
+        assert set_queries.find_baseline(session, 1).name == "PS-ST16-1-1"
         assert session.get_known(ParameterSet, 1).ground_state == "SUPERSEDED"
     page = olga.get("/parameter-sets/1")
     assert "Ask to roll back to PS-ST16-1-0" in read(page)

@@ -68,7 +68,7 @@ def test_a_run_that_is_no_calibration_makes_no_set(session, people, blobs, finis
     run = finished_run(session, **made)
     with pytest.raises(error, match=says):
         parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
-    assert len(lists.newest(session, ParameterSet)) == 1
+    assert len(lists.list_newest(session, ParameterSet)) == 1
 
 
 def test_max_iterations_makes_a_set_that_says_so_and_a_result_altered_on_the_disk_none(
@@ -104,8 +104,8 @@ def test_only_an_analyst_makes_and_submits(session, people, blobs, finished_run,
 def test_a_request_binds_set_run_and_incumbent(engine, submitted):
     row = submitted()
     with open_reading(engine) as session:
-        approval = lists.newest(session, Approval)[0]
-        incumbent = set_queries.baseline(session, row.sensor_id)
+        approval = lists.list_newest(session, Approval)[0]
+        incumbent = set_queries.find_baseline(session, row.sensor_id)
         run = session.get_one(Run, row.run_id)
     hashes = {"set_sha256": row.sha256, "run_result_sha256": run.result_sha256, "incumbent_sha256": incumbent.sha256}
     assert hashes.items() <= approval.bound.items()
@@ -149,7 +149,7 @@ def test_the_submitter_withdraws_and_may_submit_again(engine, people, approved, 
     with open_writing(engine) as session:
         withdrawn = approvals.withdraw(session, people["ana"], row.id, row.version, "found a mistake")
         assert withdrawn.ground_state == "WITHDRAWN"
-        assert lists.newest(session, Approval)[0].state == "WITHDRAWN"
+        assert lists.list_newest(session, Approval)[0].state == "WITHDRAWN"
         assert approvals.submit(session, people["ana"], blobs, row.id, "no mistake", withdrawn.version).state == "OPEN"
 
 
@@ -290,7 +290,7 @@ def test_a_set_of_every_model_is_approved_and_becomes_baseline(engine, blobs, pe
         run.sensor_id, run.sensor_document = sensor.id, sensor.document
         row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)
         approvals.submit(session, people["ana"], blobs, row.id, "better", row.version)
-        approval = lists.newest(session, Approval, set=row.id)[0]
+        approval = lists.list_newest(session, Approval, set=row.id)[0]
         approve(session, people["cy"], approval)
         promoted = approvals.promote(session, people["dee"], row.id, row.version)
 

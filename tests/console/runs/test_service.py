@@ -73,7 +73,7 @@ def test_a_launched_run_is_queued_with_everything_fixed(session, people, launch)
     assert run.launched_by == people["ana"].user_id
     session.get_one(Sensor, 1).document = {"edited": True}
     assert rows.find_run(session, run.id).sensor_document["name"] == "ST16-1"
-    record = audit.last_change(session, f"runs/{run.id}")
+    record = audit.find_last_change(session, f"runs/{run.id}")
     assert (record.action, record.actor) == ("launched", "Ana")
 
 
@@ -155,7 +155,7 @@ def test_a_queued_run_is_cancelled_at_once_and_only_once(session, people, launch
     run = launch()
     ended = runs.cancel(session, people["bo"], run.id, "wrong set")
     assert (ended.state, ended.reason) == ("CANCELLED", "Cancelled by Bo: wrong set")
-    assert audit.last_change(session, f"runs/{run.id}").reason == "wrong set"
+    assert audit.find_last_change(session, f"runs/{run.id}").reason == "wrong set"
     with pytest.raises(ConflictError, match="CANCELLED already"):
         runs.cancel(session, people["bo"], run.id)
 
@@ -183,24 +183,24 @@ def test_the_list_is_paged_newest_first_and_filtered(session, people, launch):
 
 def test_the_result_is_what_there_is_so_far_and_then_the_stored_file(session, blobs, launch):
     run = launch()
-    assert runs.result(session, blobs, run.id) is None
+    assert runs.find_result(session, blobs, run.id) is None
     rows.claim(session, "owner", 30.0, 1)
     rows.record_progress(session, run.id, 1, {"fraction": 0.5, "message": "", "partial": {"status": "running"}})
-    assert runs.result(session, blobs, run.id) == {"status": "running"}
+    assert runs.find_result(session, blobs, run.id) == {"status": "running"}
     content = orjson.dumps(_result())
     rows.finish(session, run.id, 1, "SUCCEEDED", None, blobs.put(content), {"status": "converged"}, len(content))
-    assert runs.result(session, blobs, run.id) == _result()
+    assert runs.find_result(session, blobs, run.id) == _result()
     assert session.get_one(Run, run.id).summary == {"status": "converged"}
 
 
 def test_the_log_tells_the_run_in_order_and_can_be_followed(session, launch):
     run = launch()
     rows.claim(session, "owner", 30.0, 1)
-    lines = runs.log_lines(session, run.id)
+    lines = runs.list_log_lines(session, run.id)
     assert [line.message for line in lines] == ["QUEUED", "RUNNING: attempt 1 on owner"]
-    assert runs.log_lines(session, run.id, after_id=lines[0].id) == lines[1:]
+    assert runs.list_log_lines(session, run.id, after_id=lines[0].id) == lines[1:]
     with pytest.raises(NotFoundError, match="no run 99"):
-        runs.log_lines(session, 99)
+        runs.list_log_lines(session, 99)
 
 
 def test_a_result_keeps_the_models_order_however_the_store_sorts_its_keys():
@@ -239,7 +239,7 @@ def test_a_saved_preset_is_offered_with_every_setting_written_out(session, save)
     assert (offer.key, offer.name, offer.sentence) == (str(row.id), "Ours, version 1", "On Mondays.")
     assert (offer.settings["method"], offer.settings["linearisations"]) == ("sqrf", 6)
     assert presets.get_offer(session, offer.key) == offer
-    record = audit.last_change(session, f"presets/{row.id}")
+    record = audit.find_last_change(session, f"presets/{row.id}")
     assert (record.action, record.after["settings"]) == ("saved", offer.settings)
 
 
@@ -258,7 +258,7 @@ def test_what_an_archived_version_said_can_still_be_read_and_an_older_one_comes_
     assert presets.get_offer(session, str(second.id)).settings["robust"] == "huber"
     assert [row.id for row in presets.list_presets(session)] == [first.id]
     assert [row.id for row in presets.list_presets(session, archived=True)] == [second.id, first.id]
-    assert audit.last_change(session, f"presets/{second.id}").action == "archived"
+    assert audit.find_last_change(session, f"presets/{second.id}").action == "archived"
 
 
 def test_the_same_again_is_no_new_version_unless_it_was_archived(session, people, save):
@@ -301,10 +301,10 @@ def test_a_preset_that_there_is_not_is_said_to_be_so(session, key):
 
 
 def test_settings_given_beside_a_preset_go_over_its_own(session):
-    name, settings = presets.chosen_settings(session, "drift-tracking", {"process_noise_sigma": 0.1})
+    name, settings = presets.choose_settings(session, "drift-tracking", {"process_noise_sigma": 0.1})
     assert name == "Drift tracking"
     assert (settings["variant"], settings["process_noise_sigma"]) == ("q", 0.1)
-    assert presets.chosen_settings(session, None, {"method": "ekf"}) == (None, {"method": "ekf"})
+    assert presets.choose_settings(session, None, {"method": "ekf"}) == (None, {"method": "ekf"})
 
 
 @pytest.fixture

@@ -75,7 +75,7 @@ def test_an_upload_is_kept_as_it_came_and_as_a_table_that_reads_back_as_what_was
     assert row.uploaded_by == people["ana"].user_id
     assert row.quality["frames"] == 3
     with open_reading(engine) as session:
-        record = audit.last_change(session, f"telemetry-sets/{row.id}")
+        record = audit.find_last_change(session, f"telemetry-sets/{row.id}")
         assert record.action == "uploaded"
     telemetry = WorkingTable(blobs.path(row.table_sha256)).read()
     sent = np.genfromtxt(file, delimiter=",", skip_header=1, usecols=(0, 2, 3, 5)).T
@@ -97,8 +97,8 @@ def test_the_same_bytes_prepared_twice_at_once_are_stored_once(engine, people, b
         document = session.get_known(Sensor, 1).document
     ids = set()
     with (
-        telemetry_sets.prepared(document, None, file, "a.csv") as one,
-        telemetry_sets.prepared(document, None, file, "b.csv") as other,
+        telemetry_sets.hold_prepared(document, None, file, "a.csv") as one,
+        telemetry_sets.hold_prepared(document, None, file, "b.csv") as other,
     ):
         for upload in (one, other):
             with open_writing(engine) as session:

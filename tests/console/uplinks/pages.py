@@ -19,7 +19,7 @@ def define(site: Any) -> None:
 def advance(site: Any, *states: str, set_id: int = 1) -> None:
     for state in states:
         with open_reading(site.engine) as session:
-            undefined = table_definitions.definition_in_force(session, 1) is None
+            undefined = table_definitions.find_definition_in_force(session, 1) is None
         if state == "VERIFIED" and undefined:
             define(site)
         with open_writing(site.engine) as session:

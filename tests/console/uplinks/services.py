@@ -31,7 +31,7 @@ DOCUMENT: dict[str, Any] = {
 
 def define(engine: Engine, actor: Actor, **changed: Any) -> TableDefinition:
     with open_writing(engine) as session:
-        current = table_definitions.definition_in_force(session, 1)
+        current = table_definitions.find_definition_in_force(session, 1)
         seen = 0 if current is None else current.number
         return table_definitions.set_definition(session, actor, 1, DOCUMENT | changed, "As flown.", seen)
 
@@ -53,7 +53,7 @@ def advance(engine: Engine, actor: Actor, *states: str, set_id: int = 1) -> None
 
 def _tell_crc(engine: Engine, actor: Actor, set_id: int) -> None:
     with open_reading(engine) as session:
-        known = table_definitions.definition_in_force(session, 1)
+        known = table_definitions.find_definition_in_force(session, 1)
     if known is None:
         define(engine, COMMAND_LINE)
     told = sent_table(engine, set_id).crc or ""
@@ -69,7 +69,7 @@ def sent_table(engine: Engine, set_id: int = 1) -> SentTable:
 
 def newest(engine: Engine, set_id: int = 1) -> Uplink:
     with open_reading(engine) as session:
-        return lists.newest(session, Uplink, set=set_id, limit=1)[0]
+        return lists.list_newest(session, Uplink, set=set_id, limit=1)[0]
 
 
 def onboard(engine: Engine, set_id: int = 1) -> str:

@@ -67,7 +67,7 @@ def test_built_again_it_is_the_package_that_exists_and_bytes_that_were_lost_are_
     with open_writing(engine) as session:
         content, record = (
             packages.read(session, blobs, package.id),
-            audit.last_change(session, f"packages/{package.id}"),
+            audit.find_last_change(session, f"packages/{package.id}"),
         )
     assert packages.rebuild(json.loads(json.dumps(package.inputs))) == content
     assert (record.action, record.after["sha256"]) == ("exported", package.sha256)

@@ -222,7 +222,7 @@ def test_the_package_is_built_once_and_listed_with_hashes_and_the_way_back(site,
     assert "Way back PS-ST16-1-0" in words
     assert "SHA256SUMS" in words
     with open_reading(site.engine) as session:
-        (package,) = lists.newest(session, Package)
+        (package,) = lists.list_newest(session, Package)
         members = list_package_members(packages.read(session, site.blobs, package.id))
     assert {"MANIFEST.json", "parameters.json"} <= {member.name.rpartition("/")[2] for member in members}
 
@@ -242,7 +242,7 @@ def _typed(page):
 
 def _in_force(site):
     with open_reading(site.engine) as session:
-        return table_definitions.definition_in_force(session, 1)
+        return table_definitions.find_definition_in_force(session, 1)
 
 
 @pytest.fixture

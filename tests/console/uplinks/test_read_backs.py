@@ -9,7 +9,7 @@ import pytest
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.uplinks import packages
 from boresight.console.uplinks import service as uplinks
-from boresight.console.uplinks.read_backs import MOST_DUMP_BYTES, dump_or_crc, get_sent_table, read_back
+from boresight.console.uplinks.read_backs import MOST_DUMP_BYTES, choose_dump_or_crc, get_sent_table, read_back
 from boresight.console.uplinks.tables import Uplink
 from boresight.errors import (
     BoresightError,
@@ -74,7 +74,7 @@ def test_a_flipped_bit_is_a_mismatch_that_names_it_in_record_and_audit(engine, r
     assert "bit 3 of byte 17 (mask 0x10), in N0_PX" in evidence["sentence"]
     assert [field["parameter"] for field in evidence["fields"]] == ["n0_px"]
     with open_reading(engine) as session:
-        change = audit.last_change(session, "parameter-sets/1")
+        change = audit.find_last_change(session, "parameter-sets/1")
     assert change.after["found"] == evidence["sentence"]
 
 
@@ -177,4 +177,4 @@ def test_without_a_table_definition_nothing_can_be_compared(engine, people, read
 )
 def test_a_read_back_is_one_dump_or_one_crc(dump, crc, says):
     with pytest.raises(RefusedInputError, match=says):
-        dump_or_crc(dump, crc)
+        choose_dump_or_crc(dump, crc)

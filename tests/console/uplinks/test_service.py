@@ -47,10 +47,10 @@ def test_the_ladder_is_gone_up_step_by_step_with_a_record_each(engine, people):
     advance(engine, people["dee"], *LADDER)
     assert onboard(engine) == "ACTIVE"
     with open_reading(engine) as session:
-        records = lists.newest(session, Uplink, set=1)
+        records = lists.list_newest(session, Uplink, set=1)
         assert [row.onboard_state for row in reversed(records)] == list(LADDER)
         assert {row.recorded_by for row in records} == {people["dee"].user_id}
-        change = audit.last_change(session, "parameter-sets/1")
+        change = audit.find_last_change(session, "parameter-sets/1")
     assert (change.action, change.reason) == ("recorded ACTIVE for", "pass 4711")
 
 
@@ -77,7 +77,7 @@ def test_a_step_off_the_ladder_leaves_no_record(engine, people, state, source, e
         _record(engine, people["dee"], state, source)
     assert onboard(engine) == "NOT SENT"
     with open_reading(engine) as session:
-        assert not lists.newest(session, Uplink)
+        assert not lists.list_newest(session, Uplink)
 
 
 @pytest.mark.parametrize("reached", [(), ("SENT", "LOADED"), ("SENT", "LOADED", "VERIFIED"), ("SENT", "UNKNOWN")])
@@ -103,7 +103,7 @@ def test_nobodys_word_makes_a_set_verified_or_active_and_the_door_is_named(engin
 @pytest.mark.parametrize("state", uplinks.NEXT)
 def test_what_is_offered_to_be_stated_can_be_and_is_never_verified_or_active(state, engine):
     with open_reading(engine) as session:
-        offered = uplinks.next_statements(session, ParameterSet(id=1, onboard_state=state))
+        offered = uplinks.list_next_statements(session, ParameterSet(id=1, onboard_state=state))
     assert set(offered) == set(uplinks.NEXT[state]) - {"VERIFIED", "ACTIVE"}
 
 
@@ -117,9 +117,9 @@ def test_only_the_baseline_is_sent_one_set_is_active_and_the_one_before_becomes_
     advance(engine, people["dee"], *LADDER, set_id=row.id)
     assert (onboard(engine, 1), onboard(engine, row.id)) == ("UNKNOWN", "ACTIVE")
     with open_reading(engine) as session:
-        newest = lists.newest(session, Uplink, set=1)[0]
+        newest = lists.list_newest(session, Uplink, set=1)[0]
         assert newest.source == f"{row.name} was read back as active: pass 4711"
-        assert len(lists.newest(session, Uplink, sensor=row.sensor_id)) == 9
+        assert len(lists.list_newest(session, Uplink, sensor=row.sensor_id)) == 9
 
 
 def test_what_was_baseline_is_answered_for_any_time_and_what_is_none_is_refused_with_an_example(engine, candidate):
@@ -129,10 +129,10 @@ def test_what_was_baseline_is_answered_for_any_time_and_what_is_none_is_refused_
         promote_by_hand(session, second, utc_after(3600.0))
     with open_reading(engine) as session:
         times = ("2000-01-01", utc_after(60.0), utc_after(7200.0), "2100-01-01T00:00:00+02:00")
-        answers = [getattr(uplinks.baseline_at(session, 1, time), "name", None) for time in times]
-        assert [row.parameter_set_id for row in set_rows.promotions(session, 1)] == [second.id, 1]
+        answers = [getattr(uplinks.find_baseline_at(session, 1, time), "name", None) for time in times]
+        assert [row.parameter_set_id for row in set_rows.list_promotions(session, 1)] == [second.id, 1]
         with pytest.raises(RefusedInputError, match="2026-11-21T03:04:05Z"):
-            uplinks.baseline_at(session, 1, "yesterday")
+            uplinks.find_baseline_at(session, 1, "yesterday")
     assert answers == [None, "PS-ST16-1-0", second.name, second.name]
 
 
@@ -141,8 +141,8 @@ def test_a_time_on_the_second_counts_what_happened_within_it_as_later(engine):
         session.add(Promotion(sensor_id=1, parameter_set_id=1, at_utc="2020-01-01T00:00:00.500000Z"))
         audit.append(session, COMMAND_LINE, "promoted", "parameter-sets/1")
     with open_reading(engine) as session:
-        assert uplinks.baseline_at(session, 1, "2020-01-01T00:00:00Z") is None
-        assert uplinks.baseline_at(session, 1, "2020-01-01T00:00:01Z") is not None
+        assert uplinks.find_baseline_at(session, 1, "2020-01-01T00:00:00Z") is None
+        assert uplinks.find_baseline_at(session, 1, "2020-01-01T00:00:01Z") is not None
 
 
 def test_what_was_on_board_is_answered_for_any_time(engine, people):
@@ -150,9 +150,9 @@ def test_what_was_on_board_is_answered_for_any_time(engine, people):
     between = utc_after(0.0)
     advance(engine, people["dee"], "LOADED", "VERIFIED")
     with open_reading(engine) as session:
-        assert list(uplinks.onboard_at(session, 1, "2000-01-01")) == []
-        then = [(row.name, record.onboard_state) for row, record in uplinks.onboard_at(session, 1, between)]
-        now = [(row.name, record.onboard_state) for row, record in uplinks.onboard_at(session, 1, utc_after(0.0))]
+        assert list(uplinks.list_onboard_at(session, 1, "2000-01-01")) == []
+        then = [(row.name, record.onboard_state) for row, record in uplinks.list_onboard_at(session, 1, between)]
+        now = [(row.name, record.onboard_state) for row, record in uplinks.list_onboard_at(session, 1, utc_after(0.0))]
     assert (then, now) == ([("PS-ST16-1-0", "SENT")], [("PS-ST16-1-0", "VERIFIED")])
 
 
@@ -175,13 +175,13 @@ def verified(engine, people) -> None:
 @pytest.mark.usefixtures("verified")
 def test_a_signed_entry_keeps_name_meaning_source_and_the_hash_of_what_was_shown(engine, people):
     with open_reading(engine) as session:
-        shown = uplinks.shown_sha256(session, session.get_one(ParameterSet, 1))
+        shown = uplinks.compute_shown_sha256(session, session.get_one(ParameterSet, 1))
     row = activate(engine, people["dee"])
     assert (row.onboard_state, onboard(engine)) == ("ACTIVE", "ACTIVE")
     assert (row.printed_name, row.meaning, row.source, row.method) == ("Dee", MEANING, "TM page STR-2", None)
     assert row.evidence["shown_sha256"] == shown
     with open_reading(engine) as session:
-        change = audit.last_change(session, "parameter-sets/1")
+        change = audit.find_last_change(session, "parameter-sets/1")
     assert (change.action, change.after["meaning"]) == ("recorded ACTIVE for", MEANING)
 
 
@@ -342,7 +342,7 @@ def test_a_move_succeeds_where_person_and_state_allow_it_and_nowhere_else(engine
                 _make(session, actor, blobs, move, table)
             assert session.get_one(ParameterSet, 1).onboard_state == state, (state, move)
     with open_reading(engine) as session:
-        assert not lists.newest(session, Uplink)
+        assert not lists.list_newest(session, Uplink)
 
 
 def test_the_list_of_moves_leaves_no_state_and_no_service_out():

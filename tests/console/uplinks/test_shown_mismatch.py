@@ -59,7 +59,7 @@ class Board:
         self.hold_each_claim_to_its_basis()
 
     def hold_each_claim_to_its_basis(self) -> None:
-        for record in lists.newest(self.session, Uplink, set=1):
+        for record in lists.list_newest(self.session, Uplink, set=1):
             assert record.onboard_state != "VERIFIED" or record.method is not None
             assert record.onboard_state != "ACTIVE" or record.method is not None or record.printed_name == "Dee"
 

@@ -133,7 +133,7 @@ def test_what_held_at_a_time_is_the_fold_of_what_happened_until_then(engine, ste
         _write(session, steps)
         known = timeline.get_state_at(session, 1, _at(until))
         assert _answered(known) == _replayed(steps, until)
-        listed = timeline.events(session, 1, until=_at(until))
+        listed = timeline.list_events(session, 1, until=_at(until))
         assert _folded(listed[::-1]) == _answered(known)[:2]
         assert [event.at_utc for event in listed] == sorted((event.at_utc for event in listed), reverse=True)
         assert _paged(session, length, _at(until)) == listed
@@ -141,7 +141,9 @@ def test_what_held_at_a_time_is_the_fold_of_what_happened_until_then(engine, ste
 
 def _paged(session: Session, length: int, until: str) -> list[Any]:
     pages: list[Any] = []
-    while page := timeline.events(session, 1, until=until, before_id=pages[-1].id if pages else None, limit=length):
+    while page := timeline.list_events(
+        session, 1, until=until, before_id=pages[-1].id if pages else None, limit=length
+    ):
         pages += page
     return pages
 
@@ -171,7 +173,7 @@ def test_the_timeline_tells_every_step_with_who_and_their_words(engine, people, 
     define(engine, people["ana"])
     advance(engine, people["dee"], "SENT", set_id=promoted.id)
     with open_reading(engine) as session:
-        told = [(event.kind, event.who, event.said) for event in timeline.events(session, 1)]
+        told = [(event.kind, event.who, event.said) for event in timeline.list_events(session, 1)]
     assert told[:5] == [
         ("uplink", "Dee", "pass 4711"),
         ("table definition", "Ana", "As flown."),
@@ -195,7 +197,7 @@ def test_a_roll_back_on_the_ground_leaves_the_board_as_it_was_and_says_so(engine
         approve(session, people["cy"], approval)
         approvals.promote(session, people["dee"], 1, ground.version)
     with open_reading(engine) as session:
-        known, newest = timeline.get_state_at(session, 1), timeline.events(session, 1, limit=1)[0]
+        known, newest = timeline.get_state_at(session, 1), timeline.list_events(session, 1, limit=1)[0]
     assert known.differs
     assert known.sentence == f"baseline PS-ST16-1-0, on board {promoted.name} ACTIVE: differs"
     assert (newest.kind, newest.sentence) == ("roll-back", "PS-ST16-1-0 became the baseline again.")
@@ -235,9 +237,9 @@ def test_what_cannot_be_asked_is_refused(engine):
         with pytest.raises(NotFoundError, match="77"):
             timeline.get_state_at(session, 77)
         with pytest.raises(NotFoundError, match="77"):
-            timeline.events(session, 77)
+            timeline.list_events(session, 77)
         with pytest.raises(RefusedInputError, match="begin again without a cursor"):
-            timeline.events(session, 1, before_id=99999)
+            timeline.list_events(session, 1, before_id=99999)
 
 
 PAGE = "/sensors/1/timeline"
@@ -305,8 +307,8 @@ def test_a_source_that_is_markup_is_shown_as_text(site):
 def test_every_state_of_the_store_is_left_as_it_was_by_looking(site):
     board.advance(site, "SENT")
     with open_reading(site.engine) as session:
-        before = [row.id for row in lists.newest(session, Uplink)]
+        before = [row.id for row in lists.list_newest(session, Uplink)]
     for address in (PAGE, "/uplink", "/parameter-sets/1/uplink"):
         site.visitor("olga").get(address)
     with open_reading(site.engine) as session:
-        assert [row.id for row in lists.newest(session, Uplink)] == before
+        assert [row.id for row in lists.list_newest(session, Uplink)] == before

@@ -46,7 +46,7 @@ def _deliveries(session: Session) -> list[WebhookDelivery]:
 def test_only_administrators_manage_webhooks_and_no_key_of_theirs(session, people, box):
     _, secret = api_keys.create_key(session, people["root"], label="x", scopes=["runs"])
     refused = [(people[name], "administrator") for name in ("ana", "cy", "dee", "eve")]
-    for actor, says in (*refused, (api_keys.actor_of_key(session, secret), "API key")):
+    for actor, says in (*refused, (api_keys.find_actor_of_key(session, secret), "API key")):
         with pytest.raises(ForbiddenError, match=says):
             webhooks.create_webhook(session, actor, box, label="x", url=URL)
         with pytest.raises(ForbiddenError, match=says):
@@ -86,7 +86,7 @@ def test_a_message_says_what_who_and_which_record_of_the_chain(session, hook, bo
     row = _deliveries(session)[0]
     record = audit.list_records(session, limit=1)[0]
     body = json.loads(row.body)
-    assert body["id"] == webhooks.message_id(row.id)
+    assert body["id"] == webhooks.make_message_id(row.id)
     assert (body["object"], body["action"], body["actor"]) == (record.object, "created", "Command line")
     assert body["data"]["audit_hash"] == record.hash
     assert row.audit_id == record.id
@@ -98,7 +98,7 @@ def test_a_signature_is_the_hmac_of_id_second_and_body_by_the_bytes_of_each_secr
     keys = [b"k" * 32, b"\xff" * 24]
     secrets = ["whsec_" + base64.b64encode(key).decode() for key in keys]
     expected = [hmac.new(key, b'msg_7.1700000000.{"a":1}', hashlib.sha256).digest() for key in keys]
-    signed = webhooks.signature(secrets, "msg_7", 1700000000, '{"a":1}')
+    signed = webhooks.sign_message(secrets, "msg_7", 1700000000, '{"a":1}')
     assert signed == " ".join("v1," + base64.b64encode(one).decode() for one in expected)
 
 
@@ -138,7 +138,7 @@ def test_a_message_that_was_given_up_can_be_sent_again_with_its_id_and_its_words
         webhooks.settle(session, row.id, status=None, outcome="No answer.")
     body = row.body
     webhooks.redeliver(session, people["root"], row.id)
-    record = audit.last_change(session, f"webhooks/{hook.id}")
+    record = audit.find_last_change(session, f"webhooks/{hook.id}")
     assert (record.action, record.actor, record.after) == ("redelivered", "Root", {"message": f"msg_{row.id}"})
     last = {"state": "FAILED", "attempts": webhooks.MOST_ATTEMPTS, "status": None, "outcome": "No answer."}
     assert last.items() <= record.before.items(), "the last attempt is kept where another will take its place"
@@ -228,7 +228,7 @@ def test_plain_secrets_of_before_are_encrypted_once_keep_their_key_and_leave_no_
         assert not any(OLD.encode() in path.read_bytes() for path in place.parent.glob(f"{place.name}*"))
     with open_reading(engine) as session:
         assert audit.verify(session).ok
-        record = audit.last_change(session, f"webhooks/{number}")
+        record = audit.find_last_change(session, f"webhooks/{number}")
     assert record.action == "encrypted the secret of"
 
 

@@ -265,7 +265,7 @@ def test_promotions_at_once_leave_one_baseline_and_one_chain(
         outcomes = sorted(pool.map(promote, range(3)))
     assert outcomes[1:] == ["stale", "stale"]
     with open_reading(postgresql) as session:
-        listed = lists.newest(session, ParameterSet)
+        listed = lists.list_newest(session, ParameterSet)
         assert [row.name for row in listed if row.ground_state == "BASELINE"] == outcomes[:1]
         assert audit.verify(session).ok
 
@@ -283,13 +283,13 @@ def test_the_ladder_and_the_question_of_when_work(
         read_back(session, dee, blobs, 1, sent, "pass 4711", seen.version)
         uplinks.activate(session, dee, 1, "pass 4711", "I saw it.", proved(session, dee, PASSWORD), seen.version)
     with open_reading(postgresql) as session:
-        assert uplinks.baseline_at(session, 1, "2000-01-01") is None
-        assert [row.name for row, _ in uplinks.onboard_at(session, 1, "2100-01-01")] == ["PS-ST16-1-0"]
+        assert uplinks.find_baseline_at(session, 1, "2000-01-01") is None
+        assert [row.name for row, _ in uplinks.list_onboard_at(session, 1, "2100-01-01")] == ["PS-ST16-1-0"]
         assert (
             timeline.get_state_at(session, 1).sentence == "baseline PS-ST16-1-0, on board PS-ST16-1-0 ACTIVE: the same"
         )
-        listed = timeline.events(session, 1)
+        listed = timeline.list_events(session, 1)
         assert [event.state for event in listed] == ["ACTIVE", "VERIFIED", "LOADED", "SENT", None, "BASELINE"]
-        assert timeline.events(session, 1, before_id=listed[1].id, limit=2) == listed[2:4]
+        assert timeline.list_events(session, 1, before_id=listed[1].id, limit=2) == listed[2:4]
         tile = list_fleet_tiles(session)[0]
     assert (tile.status, tile.active is not None) == ("off", True)

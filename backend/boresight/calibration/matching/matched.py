@@ -69,7 +69,7 @@ from boresight.calibration.telemetry_pieces import (
 )
 from boresight.columns import Columns, write_columns
 from boresight.estimation.arcs import ArcSet
-from boresight.estimation.executor import Executor, Told
+from boresight.estimation.executor import Executor, ProgressCallback
 from boresight.estimation.filters.history import FilterState
 from boresight.estimation.stored_arcs import ArcsPiece, StoredArcs, write_arcs
 from boresight.sky.catalogue import Catalogue
@@ -107,7 +107,7 @@ def order_set(
     minimum_stars: int,
     folder: Path,
     executor: Executor,
-    done: Told,
+    done: ProgressCallback,
 ) -> Problem:
     """Order the stars of every exposure of a set."""
     work = [
@@ -435,10 +435,10 @@ class Dataset:
         rows = [judged_matches((part.rows() for part in state.ranges), ends) for state in (first, last)]
         return EvaluatedSet(sets, *(sets._of_rows(part) for part in rows))
 
-    def _first_done(self, verb: str) -> Told:
+    def _first_done(self, verb: str) -> ProgressCallback:
         return lambda k, n: self._told(READING + (1 - READING) * k / n, f"{verb} {k} of {n} pieces")
 
-    def _at(self, under: MatchingState, done: Told | None = None) -> Matched:
+    def _at(self, under: MatchingState, done: ProgressCallback | None = None) -> Matched:
         """Match all ranges of frames; files go into a folder of their own."""
         if self.stands:
             return self._standing

@@ -55,10 +55,10 @@ def _hash(secret: str) -> str:
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
-def actor_of_key(session: Session, secret: str, request_id: str | None = None) -> Actor:
+def find_actor_of_key(session: Session, secret: str, request_id: str | None = None) -> Actor:
     """Return whom a secret lets act; a reading transaction is enough."""
     parts = secret.split("_", 2)
-    key = rows.key_with_prefix(session, parts[1]) if len(parts) == 3 else None
+    key = rows.find_key_by_prefix(session, parts[1]) if len(parts) == 3 else None
     if key is None or not hmac.compare_digest(key.key_hash, _hash(secret)):
         raise UnauthenticatedError("This API key is not known; check that it was copied whole.")
     if key.revoked_utc is not None:
@@ -75,13 +75,13 @@ def actor_of_key(session: Session, secret: str, request_id: str | None = None) -
 
 def list_keys(session: Session, user_id: int | None = None) -> Sequence[ApiKey]:
     """Return a person's keys, or everyone's, newest first."""
-    return rows.keys(session, user_id)
+    return rows.list_keys(session, user_id)
 
 
 def record_uses(session: Session, used_utc: Mapping[str, str]) -> None:
     """Write when keys were last used, by prefix; not a change that anybody made, so not in the audit log."""
     for prefix, at_utc in used_utc.items():
-        key = rows.key_with_prefix(session, prefix)
+        key = rows.find_key_by_prefix(session, prefix)
         if key is not None and at_utc > (key.last_used_utc or ""):
             key.last_used_utc = at_utc
 

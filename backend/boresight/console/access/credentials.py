@@ -275,19 +275,19 @@ def _note(request: Request, known: Identity) -> Actor:
 
 
 def _look_up(request: Request) -> Identity:
-    known = _of_key(request) or _of_log_in(request)
+    known = _identify_key_owner(request) or _identify_log_in_owner(request)
     known = replace(known, data_version=request.scope["state"].get(DATA_VERSION))
     if known.sharing is not None:
         request.app.state.credential_cache.keep(request.scope, known)
     return known
 
 
-def _of_key(request: Request) -> Identity | None:
+def _identify_key_owner(request: Request) -> Identity | None:
     secret = bearer(request.headers)
     if secret is None:
         return None
     with open_reading(request.app.state.engine) as session:
-        actor = api_keys.actor_of_key(session, secret)
+        actor = api_keys.find_actor_of_key(session, secret)
         rows = CredentialRows.read(session, "key", actor.credential.removeprefix("key:"))
     use = partial(request.app.state.maintenance.used, actor.credential)
     use(active=True)
@@ -296,7 +296,7 @@ def _of_key(request: Request) -> Identity | None:
     return Identity(actor, None, Sharing(own, own), until_s, use, rows)
 
 
-def _of_log_in(request: Request) -> Identity:
+def _identify_log_in_owner(request: Request) -> Identity:
     cookie: LogInCookie = request.app.state.log_in_cookie
     if cookie.name not in request.cookies:
         raise UnauthenticatedError("You are not logged in; log in, or send an API key as a Bearer token.")

@@ -34,7 +34,7 @@ FORGET_S = 3600.0
 MOST_COUNTS = 20_000
 
 
-def place_of_address(address: str) -> str:
+def name_place(address: str) -> str:
     """Return the place that an address stands for: of IPv6 the network of 64 bits, which one customer has whole."""
     try:
         parsed = ipaddress.ip_address(address)
@@ -172,16 +172,18 @@ def record(session: Session, failed: Mapping[FailedAttempt, Failures]) -> None:
     """Put failed attempts into the audit log, the most frequent each by itself, the rest together."""
     ranked = sorted(failed.items(), key=lambda pair: -pair[1].count)
     for attempt, failures in ranked[:MOST_RECORDS]:
-        user = rows.user_named(session, attempt.name.strip(), comparison_key(attempt.name))
+        user = rows.find_user(session, attempt.name.strip(), comparison_key(attempt.name))
         told = {"name": attempt.name, "address": attempt.address, "log_in": attempt.session_id}
         subject = "sessions" if user is None else f"users/{user.id}"
-        audit.append(session, SYSTEM, REFUSED, subject, None, told | _times([failures]))
+        audit.append(session, SYSTEM, REFUSED, subject, None, told | _describe_times([failures]))
     if rest := ranked[MOST_RECORDS:]:
         told = {"names": len({one.name for one, _ in rest}), "addresses": len({one.address for one, _ in rest})}
-        audit.append(session, SYSTEM, REFUSED, "sessions", None, told | _times([failures for _, failures in rest]))
+        audit.append(
+            session, SYSTEM, REFUSED, "sessions", None, told | _describe_times([failures for _, failures in rest])
+        )
 
 
-def _times(found: Sequence[Failures]) -> dict[str, int | str]:
+def _describe_times(found: Sequence[Failures]) -> dict[str, int | str]:
     return {
         "count": sum(one.count for one in found),
         "since_utc": min(one.since_utc for one in found),

@@ -73,7 +73,7 @@ def _page(request: Request, actor: Actor, shown: UsersContext, session: Session)
         refused=shown.refusal,
         people=people if administrator else [],
         names={person.id: person.printed_name for person in people},
-        administrators=users.administrators(session),
+        administrators=users.list_administrators(session),
         keys=api_keys.list_keys(session, None if administrator else actor.user_id),
         roles=WHAT_A_ROLE_MAY,
         scopes=SCOPES,

@@ -26,7 +26,7 @@ from boresight.console.access.log_in_attempts import (
     Failures,
     LoginAttempt,
     LoginLimiter,
-    place_of_address,
+    name_place,
 )
 from boresight.console.access.passwords import NO_PROOF, NewPassword, PasswordProof, StoredPassword
 from boresight.console.access.sessions import ClientAddress
@@ -106,8 +106,8 @@ class PasswordWorker:
 
     async def check_log_in(self, name: str, password: str, client: ClientAddress) -> PasswordProof:
         """Check name and password of somebody who is not known yet."""
-        place = place_of_address(client.address)
-        stored, known = await self._read(partial(_stored_at, name=name, place=place))
+        place = name_place(client.address)
+        stored, known = await self._read(partial(_read_stored_at, name=name, place=place))
         tried = LoginAttempt(comparison_key(name), place, known)
         lane = self._returning if known else self._anybody
         return await self._check(FailedAttempt.of(name, client.address), tried, lane, stored, password)
@@ -125,14 +125,14 @@ class PasswordWorker:
         self, actor: Actor, name: str, password: str, client: ClientAddress, refuse: Callable[[Session], None]
     ) -> PasswordProof:
         """Check name and password of a second person at the console of who acts."""
-        place = place_of_address(client.address)
+        place = name_place(client.address)
 
         def read(session: Session) -> tuple[StoredPassword, bool] | None:
             try:
                 refuse(session)
             except BoresightError:
                 return None  # the service says it again, in its transaction
-            return _stored_at(session, name, place)
+            return _read_stored_at(session, name, place)
 
         found = await self._read(read)
         if found is None:
@@ -226,7 +226,7 @@ class PasswordWorker:
                 failed_log_ins.record(session, failed)
 
 
-def _stored_at(session: Session, name: str, place: str) -> tuple[StoredPassword, bool]:
+def _read_stored_at(session: Session, name: str, place: str) -> tuple[StoredPassword, bool]:
     """Read what is stored under a log-in name, and whether the person logged in from a place before."""
-    stored = passwords.stored_under(session, name)
-    return stored, sessions.logged_in_from(session, stored.user_id, place)
+    stored = passwords.read_stored_under(session, name)
+    return stored, sessions.has_logged_in_from(session, stored.user_id, place)

@@ -116,10 +116,10 @@ class NewPassword:
         return self.password_hash
 
 
-def stored_under(session: Session, name: str) -> StoredPassword:
+def read_stored_under(session: Session, name: str) -> StoredPassword:
     """Read what is stored under a log-in name."""
     name = name.strip()
-    return _stored(rows.user_named(session, name, comparison_key(name)) if _is_text(name) else None)
+    return _stored(rows.find_user(session, name, comparison_key(name)) if _is_text(name) else None)
 
 
 def read_stored(session: Session, user_id: int | None) -> StoredPassword:
@@ -178,7 +178,7 @@ def _refusal(password: str, names: tuple[str, ...]) -> str | None:
     return describe_weakness(password, names)
 
 
-def password_by(session: Session, user_id: int) -> str | None:
+def name_password_setter(session: Session, user_id: int) -> str | None:
     """Say who else gave a person's password, as a signature keeps it; None when it is the person's own since long.
 
     It is somebody else's when they gave the one that is in use, and may be when the person set one within `TOLD_FOR_S`

@@ -12,29 +12,29 @@ from boresight.platform.db.data_version import DataVersionReader
 from boresight.platform.db.sessions import Session
 
 
-def user_named(session: Session, name: str, key: str) -> User | None:
+def find_user(session: Session, name: str, key: str) -> User | None:
     """Return the person with exactly this log-in name, else the one whose name has this key."""
     found = session.scalar(sa.select(User).where(User.name == name))
     return found or session.scalar(sa.select(User).where(User.name_key == key))
 
 
-def user_printed(session: Session, printed_name: str, key: str) -> User | None:
+def find_user_by_printed_name(session: Session, printed_name: str, key: str) -> User | None:
     """Return a person whose printed name is this one, or has this key."""
     alike = (User.printed_name == printed_name) | (User.printed_key == key)
     return session.scalar(sa.select(User).where(alike).limit(1))
 
 
-def users(session: Session) -> Sequence[User]:
+def list_users(session: Session) -> Sequence[User]:
     """Return everyone, by log-in name."""
     return session.scalars(sa.select(User).order_by(User.name)).all()
 
 
-def key_with_prefix(session: Session, prefix: str) -> ApiKey | None:
+def find_key_by_prefix(session: Session, prefix: str) -> ApiKey | None:
     """Return the key whose secret begins so."""
     return session.scalar(sa.select(ApiKey).where(ApiKey.prefix == prefix))
 
 
-def keys(session: Session, user_id: int | None) -> Sequence[ApiKey]:
+def list_keys(session: Session, user_id: int | None) -> Sequence[ApiKey]:
     """Return a person's keys, or everyone's, newest first."""
     query = sa.select(ApiKey).order_by(ApiKey.id.desc())
     if user_id is not None:
@@ -42,17 +42,19 @@ def keys(session: Session, user_id: int | None) -> Sequence[ApiKey]:
     return session.scalars(query).all()
 
 
-def with_token(session: Session, token_hash: str) -> LoginSession | None:
+def find_log_in(session: Session, token_hash: str) -> LoginSession | None:
     """Return the log-in whose secret has this hash."""
     return session.scalar(sa.select(LoginSession).where(LoginSession.token_hash == token_hash))
 
 
-def addresses(session: Session, user_id: int) -> Sequence[str]:
+def list_addresses(session: Session, user_id: int) -> Sequence[str]:
     """Return the addresses that a person's log-ins were made from, as far back as log-ins are kept."""
     return session.scalars(sa.select(LoginSession.address).where(LoginSession.user_id == user_id).distinct()).all()
 
 
-def end_open(session: Session, user_id: int, ended_utc: str, because: str, *, spare_id: int | None = None) -> int:
+def end_open_log_ins(
+    session: Session, user_id: int, ended_utc: str, because: str, *, spare_id: int | None = None
+) -> int:
     """End the open log-ins of a person, but for one; returns how many there were."""
     change = sa.update(LoginSession).where(LoginSession.user_id == user_id, LoginSession.ended_utc.is_(None))
     if spare_id is not None:
@@ -82,7 +84,7 @@ def has_lapsed(session: Session, *, created_before_utc: str, used_before_utc: st
     return session.scalar(query) is not None
 
 
-def end_lapsed(session: Session, ended_utc: str, *, created_before_utc: str, used_before_utc: str) -> None:
+def end_lapsed_log_ins(session: Session, ended_utc: str, *, created_before_utc: str, used_before_utc: str) -> None:
     """Write the end of the log-ins that were made or used too long ago."""
     because = sa.case((LoginSession.created_utc < created_before_utc, "expired"), else_="idle")
     change = sa.update(LoginSession).where(_lapsed(created_before_utc, used_before_utc))
@@ -95,18 +97,18 @@ def has_ended_before(session: Session, before_utc: str) -> bool:
     return session.scalar(query) is not None
 
 
-def forget_ended(session: Session, before_utc: str) -> None:
+def forget_ended_log_ins(session: Session, before_utc: str) -> None:
     """Remove the log-ins that ended before a time."""
     session.execute(sa.delete(LoginSession).where(LoginSession.ended_utc < before_utc))
 
 
-def ended_since(session: Session, since_utc: str) -> dict[int, str]:
+def read_ends_since(session: Session, since_utc: str) -> dict[int, str]:
     """Return the ends of the log-ins that ended after a time, by id."""
     query = sa.select(LoginSession.id, LoginSession.ended_utc).where(LoginSession.ended_utc > since_utc)
     return {row[0]: row[1] or "" for row in session.execute(query)}
 
 
-def newest_revocation(session: Session) -> tuple[str | None, str | None]:
+def read_newest_revocation(session: Session) -> tuple[str | None, str | None]:
     """Return when a key was last revoked and a person last disabled."""
     revoked = session.scalar(sa.select(sa.func.max(ApiKey.revoked_utc)))
     return revoked, session.scalar(sa.select(sa.func.max(User.disabled_utc)))

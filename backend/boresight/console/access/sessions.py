@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from boresight.console import list_queries as lists
 from boresight.console.access import queries as rows
-from boresight.console.access.log_in_attempts import place_of_address
+from boresight.console.access.log_in_attempts import name_place
 from boresight.console.access.tables import LoginSession
 from boresight.errors import ForbiddenError, NotFoundError, SessionEndedError, UnauthenticatedError
 from boresight.platform.actors import Actor, SessionLimits, refuse_key, require_person
@@ -61,14 +61,14 @@ def _hash(token: str) -> str:
     return hashlib.sha256(token.encode()).hexdigest()
 
 
-def logged_in_from(session: Session, user_id: int | None, place: str) -> bool:
-    """Whether a person logged in from a place, as `place_of_address` names it, as far back as log-ins are kept."""
-    return user_id is not None and any(place_of_address(one) == place for one in rows.addresses(session, user_id))
+def has_logged_in_from(session: Session, user_id: int | None, place: str) -> bool:
+    """Whether a person logged in from a place, as `name_place` names it, as far back as log-ins are kept."""
+    return user_id is not None and any(name_place(one) == place for one in rows.list_addresses(session, user_id))
 
 
 def find(session: Session, token: str) -> LoginSession:
     """Return the log-in of a secret."""
-    row = rows.with_token(session, _hash(token))
+    row = rows.find_log_in(session, _hash(token))
     if row is None:
         raise UnauthenticatedError("This log-in is not known here; log in again.")
     if row.ended_because is not None:
@@ -89,7 +89,9 @@ def list_sessions(
     own_id = require_person(actor, "see log-ins")
     if user_id not in {None, own_id}:
         _require_administrator(actor)
-    return lists.newest(session, LoginSession, before_id=before_id, limit=limit, user=user_id or own_id, open=is_open)
+    return lists.list_newest(
+        session, LoginSession, before_id=before_id, limit=limit, user=user_id or own_id, open=is_open
+    )
 
 
 def end_session(session: Session, actor: Actor, session_id: int) -> LoginSession:
@@ -108,7 +110,7 @@ def end_session(session: Session, actor: Actor, session_id: int) -> LoginSession
 def end_other_sessions(session: Session, actor: Actor) -> int:
     """End every log-in of the person who acts but the one that acts; returns how many that were."""
     user_id = require_person(actor, "end log-ins")
-    count = rows.end_open(session, user_id, utc_now(), "ended", spare_id=actor.session_id)
+    count = rows.end_open_log_ins(session, user_id, utc_now(), "ended", spare_id=actor.session_id)
     if count:
         audit.append(session, actor, "ended the other log-ins of", f"users/{user_id}", None, {"log_ins": count})
     return count
@@ -136,8 +138,8 @@ def need_tidying(session: Session, limits: SessionLimits, grace_s: float) -> boo
 
 def tidy(session: Session, limits: SessionLimits, grace_s: float) -> None:
     """Write the end of the log-ins that lapsed, and forget those that ended long ago."""
-    rows.end_lapsed(session, utc_now(), **_bounds(limits, grace_s))
-    rows.forget_ended(session, utc_after(-KEPT_FOR_S))
+    rows.end_lapsed_log_ins(session, utc_now(), **_bounds(limits, grace_s))
+    rows.forget_ended_log_ins(session, utc_after(-KEPT_FOR_S))
 
 
 def _bounds(limits: SessionLimits, grace_s: float) -> dict[str, str]:

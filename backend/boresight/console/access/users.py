@@ -78,9 +78,9 @@ def _refuse_taken(session: Session, name: str, printed_name: str) -> None:
     ours = {comparison_key(text) for own in (SYSTEM, COMMAND_LINE) for text in (own.name, own.printed_name)}
     if not ours.isdisjoint({comparison_key(name), comparison_key(printed_name)}):
         raise ConflictError(f"{printed_name!r} is what Boresight's own records are signed with; choose another name.")
-    if (other := rows.user_named(session, name, comparison_key(name))) is not None:
+    if (other := rows.find_user(session, name, comparison_key(name))) is not None:
         raise ConflictError(f"There is a user {other.name!r} already; choose another log-in name.")
-    if (other := rows.user_printed(session, printed_name, comparison_key(printed_name))) is not None:
+    if (other := rows.find_user_by_printed_name(session, printed_name, comparison_key(printed_name))) is not None:
         raise ConflictError(f"The printed name {other.printed_name!r} is that of {other.name!r}; print another.")
 
 
@@ -92,10 +92,10 @@ def get_person_names(session: Session, user_id: int) -> tuple[str, ...]:
 
 def authenticate(session: Session, proof: PasswordProof, request_id: str | None = None) -> Actor:
     """Return the person who proved to be one by name and password."""
-    return _actor(require_proof(session, proof), request_id)
+    return _make_actor(require_proof(session, proof), request_id)
 
 
-def _actor(user: User, request_id: str | None = None, session_id: int | None = None) -> Actor:
+def _make_actor(user: User, request_id: str | None = None, session_id: int | None = None) -> Actor:
     roles = frozenset(user.roles)
     return Actor(user.id, user.name, user.printed_name, roles, "session", None, request_id, session_id=session_id)
 
@@ -107,7 +107,7 @@ def get_actor(session: Session, user_id: int, session_id: int | None = None, *, 
         raise SessionEndedError("disabled")
     if not sets_password:
         _refuse_password_of_another(user)
-    return _actor(user, session_id=session_id)
+    return _make_actor(user, session_id=session_id)
 
 
 def _refuse_password_of_another(user: User) -> None:
@@ -162,7 +162,7 @@ def end_sessions(session: Session, actor: Actor, user_id: int) -> None:
 def _end_sessions(session: Session, user: User, because: str) -> None:
     """End every log-in of a person; the number of times is part of the row that the audit log seals."""
     user.session_epoch += 1
-    rows.end_open(session, user.id, utc_now(), because)
+    rows.end_open_log_ins(session, user.id, utc_now(), because)
 
 
 def change_roles(session: Session, actor: Actor, user_id: int, roles: Collection[str]) -> User:
@@ -202,10 +202,10 @@ def enable_user(session: Session, actor: Actor, user_id: int) -> User:
 
 def list_users(session: Session) -> Sequence[User]:
     """Return everyone, by log-in name."""
-    return rows.users(session)
+    return rows.list_users(session)
 
 
-def administrators(session: Session) -> list[str]:
+def list_administrators(session: Session) -> list[str]:
     """Return the printed names of who can give roles now."""
     people = list_users(session)
     return [one.printed_name for one in people if "administrator" in one.roles and one.disabled_utc is None]
@@ -219,7 +219,7 @@ def _require_administrator(actor: Actor) -> None:
 
 def _keep_an_administrator(session: Session, leaving: User) -> None:
     """Refuse to leave the installation without an administrator."""
-    others = (user for user in rows.users(session) if user.id != leaving.id and user.disabled_utc is None)
+    others = (user for user in rows.list_users(session) if user.id != leaving.id and user.disabled_utc is None)
     if "administrator" in leaving.roles and not any("administrator" in user.roles for user in others):
         raise ConflictError(f"{leaving.printed_name} is the only administrator; make another one first.")
 

@@ -27,12 +27,12 @@ def in_state(state: str) -> sa.ColumnElement[bool]:
     }[state]
 
 
-def open_alarms(session: Session) -> dict[str, Alarm]:
+def list_open_alarms(session: Session) -> dict[str, Alarm]:
     """Return every alarm that is not closed, by its source."""
     return {row.source: row for row in session.scalars(sa.select(Alarm).where(Alarm.closed_utc.is_(None)))}
 
 
-def open_of_sensors(session: Session, kind: str, sensor_ids: Collection[int]) -> Sequence[Alarm]:
+def list_open_of_sensors(session: Session, kind: str, sensor_ids: Collection[int]) -> Sequence[Alarm]:
     """Return the alarms of a kind about some sensors that are not closed, oldest first."""
     query = sa.select(Alarm).where(Alarm.closed_utc.is_(None), Alarm.kind == kind, among(Alarm.sensor_id, sensor_ids))
     return session.scalars(query.order_by(Alarm.id)).all()
@@ -44,12 +44,12 @@ def count_unacknowledged(session: Session) -> int:
     return session.scalar(query) or 0
 
 
-def overdue_shelves(session: Session) -> Sequence[Alarm]:
+def list_overdue_shelves(session: Session) -> Sequence[Alarm]:
     """Return the alarms whose time on the shelf is over."""
     query = sa.select(Alarm).where(Alarm.closed_utc.is_(None), Alarm.shelved_until_utc <= utc_now())
     return session.scalars(query.order_by(Alarm.id)).all()
 
 
-def events(session: Session, alarm_id: int) -> Sequence[AlarmEvent]:
+def list_events(session: Session, alarm_id: int) -> Sequence[AlarmEvent]:
     """Return what became of an alarm, in order."""
     return session.scalars(sa.select(AlarmEvent).where(AlarmEvent.alarm_id == alarm_id).order_by(AlarmEvent.id)).all()

@@ -52,8 +52,14 @@ class AlarmCause:
 
 def evaluate_rules(session: Session, sensor_ids: Sequence[int] | None = None) -> list[AlarmCause]:
     """Return what is wrong with the fleet, or with some of its sensors."""
-    baselines, stamps = sensors_rows.baseline_heads(session, sensor_ids), trends.stamps(session, sensor_ids)
-    onboard, fleet = sensors_rows.onboard_heads(session, sensor_ids), sensors_rows.sensor_heads(session, sensor_ids)
+    baselines, stamps = (
+        sensors_rows.list_baseline_heads(session, sensor_ids),
+        trends.read_trend_stamps(session, sensor_ids),
+    )
+    onboard, fleet = (
+        sensors_rows.list_onboard_heads(session, sensor_ids),
+        sensors_rows.list_sensor_heads(session, sensor_ids),
+    )
     drifts = get_drift_verdicts(session, fleet, baselines, stamps)
     return [
         found
@@ -136,20 +142,20 @@ def update_installation_alarms(session: Session, found: Mapping[str, AlarmCause 
 def find_changed_sensors(session: Session, sensor_ids: Sequence[int] | None = None) -> list[int]:
     """Return the sensors, of all or of some, for which `update_alarms` would change an alarm; reads only, so no writer waits."""
     found, known = _compare_sensors(session, sensor_ids)
-    shelved = {row.sensor_id for row in queries.overdue_shelves(session)}
+    shelved = {row.sensor_id for row in queries.list_overdue_shelves(session)}
     moved = {(found.get(source) or known[source]).sensor_id for source in _find_differences(found, known)}
     return sorted(sensor_id for sensor_id in shelved | moved if sensor_id is not None)
 
 
 def has_installation_changed(session: Session, found: Mapping[str, AlarmCause | None]) -> bool:
     """Whether `update_installation_alarms` would change an alarm; reads only."""
-    overdue = any(row.sensor_id is None for row in queries.overdue_shelves(session))
+    overdue = any(row.sensor_id is None for row in queries.list_overdue_shelves(session))
     return overdue or bool(_find_differences(*_compare_installation(session, found)))
 
 
 def find_active(session: Session, source: str) -> Alarm | None:
     """Return the alarm of a source that is up."""
-    row = queries.open_alarms(session).get(source)
+    row = queries.list_open_alarms(session).get(source)
     return row if row is not None and row.active else None
 
 
@@ -172,7 +178,7 @@ def _compare_sensors(session: Session, sensor_ids: Sequence[int] | None) -> Comp
     """Return what is wrong with sensors, and their open alarms, by source."""
     known = {
         source: row
-        for source, row in queries.open_alarms(session).items()
+        for source, row in queries.list_open_alarms(session).items()
         if row.sensor_id is not None and (sensor_ids is None or row.sensor_id in sensor_ids)
     }
     return {one.source: one for one in evaluate_rules(session, sensor_ids)}, known
@@ -180,7 +186,7 @@ def _compare_sensors(session: Session, sensor_ids: Sequence[int] | None) -> Comp
 
 def _compare_installation(session: Session, found: Mapping[str, AlarmCause | None]) -> Compared:
     """Return what is wrong with the installation, and its open alarms of these sources."""
-    known = {source: row for source, row in queries.open_alarms(session).items() if source in found}
+    known = {source: row for source, row in queries.list_open_alarms(session).items() if source in found}
     return {source: one for source, one in found.items() if one is not None}, known
 
 
@@ -237,7 +243,7 @@ def _return(session: Session, row: Alarm) -> bool:
 
 
 def _unshelve_overdue(session: Session) -> int:
-    overdue = queries.overdue_shelves(session)
+    overdue = queries.list_overdue_shelves(session)
     for row in overdue:
         row.shelved_until_utc = None
         step(session, SYSTEM, row, "UNSHELVED", "Its time on the shelf is over.")

@@ -79,7 +79,7 @@ def is_shelved(row: Alarm) -> bool:
 
 def acknowledge(session: Session, actor: Actor, alarm_id: int, text: str, seen_version: int | None) -> Alarm:
     """Say that somebody has seen it and takes care; one that is over is closed by it."""
-    row = _to_handle(session, actor, alarm_id, seen_version, "acknowledge an alarm")
+    row = _take_to_handle(session, actor, alarm_id, seen_version, "acknowledge an alarm")
     if row.acknowledged:
         raise ConflictError(f"Alarm {row.id} is acknowledged already; comment on it, or shelve it.")
     row.acknowledged = 1
@@ -90,7 +90,7 @@ def acknowledge(session: Session, actor: Actor, alarm_id: int, text: str, seen_v
 
 def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: str, seen_version: int | None) -> Alarm:
     """Take an alarm out of the count until a time."""
-    row = _to_handle(session, actor, alarm_id, seen_version, "shelve an alarm")
+    row = _take_to_handle(session, actor, alarm_id, seen_version, "shelve an alarm")
     until_utc = read_time(until)
     if not utc_now() < until_utc <= utc_after(MOST_DAYS * DAY_S):
         raise RefusedInputError(f"An alarm is shelved until a time to come, {MOST_DAYS:.0f} days from now at most.")
@@ -101,7 +101,7 @@ def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: st
 
 def unshelve(session: Session, actor: Actor, alarm_id: int, seen_version: int | None) -> Alarm:
     """Take an alarm from the shelf before its time."""
-    row = _to_handle(session, actor, alarm_id, seen_version, "unshelve an alarm")
+    row = _take_to_handle(session, actor, alarm_id, seen_version, "unshelve an alarm")
     if row.shelved_until_utc is None:
         raise ConflictError(f"Alarm {row.id} is not shelved.")
     row.shelved_until_utc = None
@@ -111,7 +111,7 @@ def unshelve(session: Session, actor: Actor, alarm_id: int, seen_version: int | 
 
 def assign(session: Session, actor: Actor, alarm_id: int, user_id: int | None, seen_version: int | None) -> Alarm:
     """Ask a person to take care of an alarm; None asks nobody in particular."""
-    row = _to_handle(session, actor, alarm_id, seen_version, "assign an alarm")
+    row = _take_to_handle(session, actor, alarm_id, seen_version, "assign an alarm")
     person = None if user_id is None else session.get(User, user_id)
     if user_id is not None and (person is None or person.disabled_utc is not None):
         raise NotFoundError(f"There is no user {user_id} who could take care of it.")
@@ -122,12 +122,12 @@ def assign(session: Session, actor: Actor, alarm_id: int, user_id: int | None, s
 
 def comment(session: Session, actor: Actor, alarm_id: int, text: str, seen_version: int | None) -> Alarm:
     """Say something about an alarm."""
-    row = _to_handle(session, actor, alarm_id, seen_version, "comment on an alarm")
+    row = _take_to_handle(session, actor, alarm_id, seen_version, "comment on an alarm")
     step(session, actor, row, "COMMENTED", _said(text, needed="comment"))
     return row
 
 
-def _to_handle(session: Session, actor: Actor, alarm_id: int, seen_version: int | None, what: str) -> Alarm:
+def _take_to_handle(session: Session, actor: Actor, alarm_id: int, seen_version: int | None, what: str) -> Alarm:
     require_person(actor, what)
     require_role(actor, *HANDLERS)
     row = session.get_known(Alarm, alarm_id)
@@ -151,7 +151,7 @@ def list_alarms(
     sought = sought or AlarmFilter()
     if sought.state is not None and sought.state not in STATES:
         raise RefusedInputError(f"There is no alarm state {sought.state!r}; choose from {', '.join(STATES)}.")
-    return lists.newest(
+    return lists.list_newest(
         session,
         Alarm,
         before_id=before_id,
@@ -163,18 +163,20 @@ def list_alarms(
     )
 
 
-def open_of_sensors(session: Session, kind: str, sensor_ids: Collection[int]) -> dict[int, Alarm]:
+def list_newest_open_of_sensors(session: Session, kind: str, sensor_ids: Collection[int]) -> dict[int, Alarm]:
     """Return the newest alarm of a kind that is not closed of each of some sensors that has any, by sensor."""
     return {
-        row.sensor_id: row for row in queries.open_of_sensors(session, kind, sensor_ids) if row.sensor_id is not None
+        row.sensor_id: row
+        for row in queries.list_open_of_sensors(session, kind, sensor_ids)
+        if row.sensor_id is not None
     }
 
 
 def list_alarm_events(session: Session, alarm_id: int) -> Sequence[AlarmEvent]:
     """Return what became of an alarm, in order."""
-    return queries.events(session, session.get_known(Alarm, alarm_id).id)
+    return queries.list_events(session, session.get_known(Alarm, alarm_id).id)
 
 
-def unacknowledged(session: Session) -> int:
+def count_unacknowledged(session: Session) -> int:
     """Return how many alarms wait for somebody to see them; shelved ones do not."""
     return queries.count_unacknowledged(session)

@@ -22,7 +22,7 @@ def assess_before_submission(
         if not approvals.is_submittable(session, actor, parameter_set_id):
             return None
         case = read_gate_inputs(session, parameter_set_id)
-        report = gates.latest_report(session, parameter_set_id)
+        report = gates.find_valid_report(session, parameter_set_id)
     if report is not None and (case.validation is None or report.document.get("held_out")):
         return None
     return gates.examine(case, forecast_sources.blobs, forecast_sources.catalogue(), forecast_sources.catalogue_folder)

@@ -54,10 +54,10 @@ class TriedProfile:
         return self.run.id
 
 
-def profile_in_force(session: Session, sensor_id: int) -> GateProfile:
+def get_profile_in_force(session: Session, sensor_id: int) -> GateProfile:
     """Return a sensor's profile; the default as version 0 where nobody set or needed one, a row that is not stored."""
     sensor = session.get_known(Sensor, sensor_id)
-    return rows.newest_profile(session, sensor_id) or _default(sensor)
+    return rows.find_newest_profile(session, sensor_id) or _default(sensor)
 
 
 def _default(sensor: Sensor) -> GateProfile:
@@ -75,12 +75,12 @@ def _default(sensor: Sensor) -> GateProfile:
 def list_profiles(session: Session, sensor_id: int) -> Sequence[GateProfile]:
     """Return a sensor's profiles, newest first."""
     sensor = session.get_known(Sensor, sensor_id)
-    return rows.profiles(session, sensor_id) or [_default(sensor)]
+    return rows.list_profiles(session, sensor_id) or [_default(sensor)]
 
 
 def ensure_profile(session: Session, actor: Actor, sensor_id: int) -> GateProfile:
     """Return the profile in force, its row written if it was not."""
-    row = profile_in_force(session, sensor_id)
+    row = get_profile_in_force(session, sensor_id)
     return row if row.id is not None else _add(session, actor, row, None)
 
 
@@ -93,18 +93,18 @@ def set_profile(
     seen_number: int | None,
 ) -> GateProfile:
     """Put a profile into force for a sensor."""
-    complete = checked(session, actor, sensor_id, document, reason, seen_number)
+    complete = check_profile(session, actor, sensor_id, document, reason, seen_number)
     return put_into_force(session, actor, sensor_id, complete, reason)
 
 
-def checked(
+def check_profile(
     session: Session, actor: Actor, sensor_id: int, document: Mapping[str, Any], reason: str, seen_number: int | None
 ) -> dict[str, Any]:
     """Return a profile complete, as it would be stored, if this actor may put it into force now."""
     require_role(actor, "administrator")
     require_scope(actor, "sensors")
     refuse_control_characters(reason=reason)
-    current = profile_in_force(session, sensor_id)
+    current = get_profile_in_force(session, sensor_id)
     in_force = DocumentInForce("gate profile", name_profile(sensor_id), current.number, current.sha256)
     require_seen_document(session, in_force, seen_number)
     complete = gates.parse_profile(document).document()
@@ -167,20 +167,20 @@ def _add(
 def dry_run(session: Session, blobs: BlobStore, sensor_id: int, document: Mapping[str, Any]) -> list[TriedProfile]:
     """Judge a sensor's newest runs by a profile that is not in force, to see what it would have blocked."""
     tried = gates.parse_profile(document)
-    current = gates.parse_profile(profile_in_force(session, sensor_id).document)
+    current = gates.parse_profile(get_profile_in_force(session, sensor_id).document)
     found = []
-    for run in rows.runs_with_results(session, sensor_id, RUNS_TRIED):
-        row = set_rows.set_of_run(session, run.id)
-        report = None if row is None else rows.newest_report(session, row.id)
+    for run in rows.list_runs_with_results(session, sensor_id, RUNS_TRIED):
+        row = set_rows.find_set_of_run(session, run.id)
+        report = None if row is None else rows.find_newest_report(session, row.id)
         basis = "the set's gate report" if report else "the run's own result"
-        measured = gates.read_measurements(report.document) if report else _measured(blobs, run)
+        measured = gates.read_measurements(report.document) if report else _measure(blobs, run)
         new, now = gates.judge(tried, measured), gates.judge(current, measured)
         judged = (new["verdict"], new["blocking"], now["verdict"], now["blocking"])
         found.append(TriedProfile(run, row.name if row else None, *judged, basis))
     return found
 
 
-def _measured(blobs: BlobStore, run: Run) -> dict[str, Measurement]:
+def _measure(blobs: BlobStore, run: Run) -> dict[str, Measurement]:
     try:
         result = read_result(blobs, str(run.result_sha256), run.id)
         sensor = parse_sensor(run.sensor_document)

@@ -24,7 +24,7 @@ from boresight.console.access import users
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals import queries as rows
 from boresight.console.approvals import staleness
-from boresight.console.approvals.gate_profiles import ensure_profile, profile_in_force
+from boresight.console.approvals.gate_profiles import ensure_profile, get_profile_in_force
 from boresight.console.approvals.tables import GateReport, Waiver
 from boresight.console.fleet.tables import Sensor as SensorRow
 from boresight.console.parameter_sets import queries as set_rows
@@ -32,7 +32,7 @@ from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.calibration_document import read_result
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.console.transitions import require_seen, whose_baseline
+from boresight.console.transitions import describe_baseline, require_seen
 from boresight.console.uplinks import queries as table_definitions
 from boresight.errors import (
     BoresightError,
@@ -81,8 +81,8 @@ def read_gate_inputs(session: Session, parameter_set_id: int) -> StoredGateInput
     """Read a set's case."""
     row = session.get_known(ParameterSet, parameter_set_id)
     run = None if row.run_id is None else session.get_one(Run, row.run_id)
-    incumbent = _incumbent(session, row)
-    definition = table_definitions.definition_in_force(session, row.sensor_id)
+    incumbent = _find_incumbent(session, row)
+    definition = table_definitions.find_definition_in_force(session, row.sensor_id)
     validation = _choose_validation_frames(session, row, run, incumbent)
     return StoredGateInputs(
         parameter_set_id=row.id,
@@ -94,7 +94,7 @@ def read_gate_inputs(session: Session, parameter_set_id: int) -> StoredGateInput
         made_with=None if run is None else run.sensor_document,
         settings=None if run is None else run.settings,
         validation=None if validation is None else (validation.name, validation.table_sha256),
-        profile=profile_in_force(session, row.sensor_id).document,
+        profile=get_profile_in_force(session, row.sensor_id).document,
         definition=None if definition is None else definition.document,
         bound=compute_bound_hashes(session, row),
     )
@@ -103,20 +103,20 @@ def read_gate_inputs(session: Session, parameter_set_id: int) -> StoredGateInput
 def compute_bound_hashes(session: Session, row: ParameterSet) -> dict[str, str | None]:
     """Return the hashes of everything that a report on a set rests on, as they are now."""
     run = None if row.run_id is None else session.get_one(Run, row.run_id)
-    incumbent = set_rows.baseline(session, row.sensor_id)
-    definition = table_definitions.definition_in_force(session, row.sensor_id)
+    incumbent = set_rows.find_baseline(session, row.sensor_id)
+    definition = table_definitions.find_definition_in_force(session, row.sensor_id)
     return {
         "set_sha256": compute_sha256(row.document),
         "run_result_sha256": None if run is None else run.result_sha256,
-        "profile_sha256": profile_in_force(session, row.sensor_id).sha256,
+        "profile_sha256": get_profile_in_force(session, row.sensor_id).sha256,
         "incumbent_sha256": None if incumbent is None else incumbent.sha256,
         "table_definition_sha256": None if definition is None else definition.sha256,
     }
 
 
-def _incumbent(session: Session, row: ParameterSet) -> ParameterSet | None:
+def _find_incumbent(session: Session, row: ParameterSet) -> ParameterSet | None:
     """Return the baseline that a set would replace; None where it is the baseline itself."""
-    baseline = set_rows.baseline(session, row.sensor_id)
+    baseline = set_rows.find_baseline(session, row.sensor_id)
     return None if baseline is None or baseline.id == row.id else baseline
 
 
@@ -126,7 +126,7 @@ def _choose_validation_frames(
     behind = [run, None if incumbent is None or incumbent.run_id is None else session.get_one(Run, incumbent.run_id)]
     fitted = {known.telemetry_set_id for known in behind if known is not None}
     own = None if run is None or run.validation_set_id is None else session.get(TelemetrySet, run.validation_set_id)
-    others = lists.newest(  # of so many, one at least was not fitted
+    others = lists.list_newest(  # of so many, one at least was not fitted
         session, TelemetrySet, sensor=row.sensor_id, purpose="validation", in_use=True, limit=len(fitted) + 1
     )
     candidates = [*([] if own is None else [own]), *others]
@@ -223,10 +223,10 @@ def _record(session: Session, actor: Actor, assessment: GateAssessment) -> GateR
     bound = assessment.document["bound"]
     moved = [_word(name) for name, now in compute_bound_hashes(session, row).items() if bound[name] != now]
     if moved:
-        since = whose_baseline(session, row.sensor_id)
+        since = describe_baseline(session, row.sensor_id)
         raise StaleError(f"The {' and the '.join(moved)} moved while {row.name} was assessed.{since} Do it again.")
     sha256 = compute_sha256(assessment.document)
-    newest = rows.newest_report(session, row.id)
+    newest = rows.find_newest_report(session, row.id)
     if newest is not None and newest.sha256 == sha256:
         return newest
     report = GateReport(
@@ -248,16 +248,16 @@ def _word(name: str) -> str:
     return name.removesuffix("_sha256").replace("_", " ")
 
 
-def latest_report(session: Session, parameter_set_id: int) -> GateReport | None:
+def find_valid_report(session: Session, parameter_set_id: int) -> GateReport | None:
     """Return a set's newest report if what it rests on is as it was; None otherwise."""
-    report = rows.newest_report(session, parameter_set_id)
-    return None if report is None or moved_since(session, report) else report
+    report = rows.find_newest_report(session, parameter_set_id)
+    return None if report is None or list_moved_since(session, report) else report
 
 
 def get_report(session: Session, parameter_set_id: int, sha256: str | None = None) -> GateReport:
     """Return a set's newest report, or the one with a hash; refuse where there is none."""
     row = session.get_known(ParameterSet, parameter_set_id)
-    report = rows.newest_report(session, parameter_set_id, sha256)
+    report = rows.find_newest_report(session, parameter_set_id, sha256)
     if report is None and sha256 is not None:
         raise NotFoundError(
             f"{row.name} (parameter set {row.id}) has no gate report {sha256}; leave sha256 out for the newest."
@@ -267,7 +267,7 @@ def get_report(session: Session, parameter_set_id: int, sha256: str | None = Non
     return report
 
 
-def moved_since(session: Session, report: GateReport) -> list[str]:
+def list_moved_since(session: Session, report: GateReport) -> list[str]:
     """Name what moved of all that a report rests on; it holds while nothing did."""
     bound, now = (
         report.document["bound"],
@@ -276,19 +276,19 @@ def moved_since(session: Session, report: GateReport) -> list[str]:
     return [_word(name) for name in now if bound[name] != now[name]]
 
 
-def report_for_submission(
+def choose_report_for_submission(
     session: Session, actor: Actor, blobs: BlobStore, parameter_set_id: int, assessment: GateAssessment | None = None
 ) -> GateReport:
     """Return the report that a request binds: the one given, the one that holds, or a light one from the run's own result."""
     if assessment is not None:
         return _record(session, actor, assessment)
-    known = latest_report(session, parameter_set_id)
+    known = find_valid_report(session, parameter_set_id)
     return known or _record(session, actor, measure(session, blobs, None, parameter_set_id))
 
 
-def with_waivers(session: Session, report: GateReport, bound: Collection[int] | None = None) -> dict[str, Any]:
+def read_with_waivers(session: Session, report: GateReport, bound: Collection[int] | None = None) -> dict[str, Any]:
     """Return a report with the waivers laid over it: who waived what, what blocks, and the verdict in words."""
-    return _laid_over(report, rows.waivers(session, [report.parameter_set_id]), bound)
+    return _laid_over(report, rows.list_waivers(session, [report.parameter_set_id]), bound)
 
 
 def _laid_over(report: GateReport, waivers: Collection[Waiver], bound: Collection[int] | None = None) -> dict[str, Any]:
@@ -298,12 +298,12 @@ def _laid_over(report: GateReport, waivers: Collection[Waiver], bound: Collectio
     return gates.summarise(report.document, waived, {waiver.gate for waiver in waivers})
 
 
-def verdicts(session: Session, parameter_set_ids: Collection[int]) -> dict[int, str]:
+def read_verdicts(session: Session, parameter_set_ids: Collection[int]) -> dict[int, str]:
     """Return the verdict, in words, of each of some sets that was ever assessed; waivers stay in it for ever."""
-    given = rows.waivers(session, parameter_set_ids)
+    given = rows.list_waivers(session, parameter_set_ids)
     return {
         number: _laid_over(report, [waiver for waiver in given if waiver.parameter_set_id == number])["words"]
-        for number, report in rows.newest_reports(session, parameter_set_ids).items()
+        for number, report in rows.list_newest_reports(session, parameter_set_ids).items()
     }
 
 
@@ -336,7 +336,7 @@ def waive(  # noqa: PLR0913, PLR0917 - a waiver has all of these, and a form giv
     row = session.get_known(ParameterSet, parameter_set_id)
     require_seen(session, row, seen_version)
     until = _checked(gate, code, reason, expires_utc)
-    report = _blocking_report(session, parameter_set_id, row.name, gate)
+    report = _get_blocking_report(session, parameter_set_id, row.name, gate)
     users.require_password(session, actor, proof)
     waiver = Waiver(
         parameter_set_id=row.id,
@@ -371,11 +371,11 @@ def _checked(gate: str, code: str, reason: str, expires_utc: str) -> str:
     return until
 
 
-def _blocking_report(session: Session, parameter_set_id: int, name: str, gate: str) -> GateReport:
-    report = latest_report(session, parameter_set_id)
+def _get_blocking_report(session: Session, parameter_set_id: int, name: str, gate: str) -> GateReport:
+    report = find_valid_report(session, parameter_set_id)
     if report is None:
         raise ConflictError(f"{name} has no gate report that holds now: assess it, then waive what blocks it.")
-    document = with_waivers(session, report)
+    document = read_with_waivers(session, report)
     answer = next(one for one in document["gates"] if one["name"] == gate)
     if gate not in document["blocking"]:
         how = "waived already" if answer["waived"] else answer["status"]

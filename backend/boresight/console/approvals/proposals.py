@@ -14,7 +14,7 @@ from boresight.console import list_queries as lists
 from boresight.console.alarms import rules as alarm_rules
 from boresight.console.approvals import queries as rows
 from boresight.console.approvals.tables import PROPOSAL_KINDS, PROPOSAL_STATES, ChangeProposal
-from boresight.console.transitions import move, require_seen, who_changed
+from boresight.console.transitions import describe_last_change, move, require_seen
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.actors import SYSTEM, Actor, require_role, require_scope
 from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_now
@@ -37,19 +37,21 @@ def list_proposals(
     for asked, known in ((kind, PROPOSAL_KINDS), (state, PROPOSAL_STATES)):
         if asked is not None and asked not in known:
             raise RefusedInputError(f"{asked!r} is none of {', '.join(known)}.")
-    return lists.newest(
+    return lists.list_newest(
         session, ChangeProposal, before_id=before_id, limit=limit, sensor=sensor_id, kind=kind, state=state
     )
 
 
-def open_proposals(session: Session, sensor_id: int | None = None, kind: str | None = None) -> Sequence[ChangeProposal]:
+def list_open_proposals(
+    session: Session, sensor_id: int | None = None, kind: str | None = None
+) -> Sequence[ChangeProposal]:
     """Return every proposal that waits, of a sensor or of all, newest first."""
-    return lists.newest(session, ChangeProposal, sensor=sensor_id, kind=kind, state="OPEN")
+    return lists.list_newest(session, ChangeProposal, sensor=sensor_id, kind=kind, state="OPEN")
 
 
-def confirmed_by_number(session: Session, sensor_id: int, kind: str) -> dict[int, ChangeProposal]:
+def list_confirmed_by_number(session: Session, sensor_id: int, kind: str) -> dict[int, ChangeProposal]:
     """Return the proposals that came into force, by the number of the version that they became."""
-    found = lists.newest(session, ChangeProposal, sensor=sensor_id, kind=kind, state="CONFIRMED")
+    found = lists.list_newest(session, ChangeProposal, sensor=sensor_id, kind=kind, state="CONFIRMED")
     return {row.number: row for row in found if row.number is not None}
 
 
@@ -65,10 +67,10 @@ def withdraw(session: Session, actor: Actor, proposal_id: int, seen_version: int
     return row
 
 
-def why_closed(session: Session, row: ChangeProposal) -> str | None:
+def explain_closed(session: Session, row: ChangeProposal) -> str | None:
     """Say why nobody can decide on a proposal any more; None while somebody can."""
     if row.state != "OPEN":
-        return f"Proposal {row.id} is {row.state}: {who_changed(session, row)}. Propose the change anew."
+        return f"Proposal {row.id} is {row.state}: {describe_last_change(session, row)}. Propose the change anew."
     if row.expires_utc <= utc_now() and not alarm_rules.is_held(session):
         return f"Proposal {row.id} expired at {row.expires_utc}. Propose the change anew."
     return None
@@ -76,7 +78,7 @@ def why_closed(session: Session, row: ChangeProposal) -> str | None:
 
 def require_open(session: Session, row: ChangeProposal) -> None:
     """Refuse to decide on what is decided; one whose time is over is EXPIRED from now on."""
-    why = why_closed(session, row)
+    why = explain_closed(session, row)
     if why is None:
         return
     if row.state == "OPEN":
@@ -106,19 +108,19 @@ def close(
 
 def make_stale(session: Session, actor: Actor, sensor_id: int, kind: str, number: int) -> None:
     """Close every proposal that was made against a version which is in force no more."""
-    for row in open_proposals(session, sensor_id, kind):
+    for row in list_open_proposals(session, sensor_id, kind):
         if row.base_number != number:
             close(session, actor, row, "STALE", "made stale", reason=f"version {number} came into force")
 
 
-def any_due(session: Session) -> bool:
+def is_any_due(session: Session) -> bool:
     """Whether there are proposals whose time is over and that still stand open."""
-    return bool(rows.due_proposals(session, utc_now())) and not alarm_rules.is_held(session)
+    return bool(rows.list_due_proposals(session, utc_now())) and not alarm_rules.is_held(session)
 
 
 def expire_due(session: Session) -> Sequence[ChangeProposal]:
     """Close every proposal whose time is over, and return them."""
-    found = () if alarm_rules.is_held(session) else rows.due_proposals(session, utc_now())
+    found = () if alarm_rules.is_held(session) else rows.list_due_proposals(session, utc_now())
     for row in found:
         _expire(session, row)
     return found

@@ -24,23 +24,23 @@ from boresight.platform.db.sessions import Session
 UNDECIDED = ("OPEN", "APPROVED")  # states that a promotion of another set makes stale
 
 
-def submitters(session: Session, states: Collection[str]) -> frozenset[int]:
+def list_submitter_ids(session: Session, states: Collection[str]) -> frozenset[int]:
     """Return who submitted the requests that are in one of these states."""
     return frozenset(session.scalars(sa.select(Approval.submitted_by).where(Approval.state.in_(states)).distinct()))
 
 
-def find_latest(session: Session, parameter_set_id: int, *states: str) -> Approval | None:
+def find_latest_approval(session: Session, parameter_set_id: int, *states: str) -> Approval | None:
     """Return a set's newest request in one of these states."""
     query = sa.select(Approval).where(Approval.parameter_set_id == parameter_set_id, Approval.state.in_(states))
     return session.scalar(query.order_by(Approval.id.desc()).limit(1))
 
 
-def undecided_of_sensor(session: Session, sensor_id: int) -> Sequence[Approval]:
+def list_undecided_of_sensor(session: Session, sensor_id: int) -> Sequence[Approval]:
     """Return a sensor's requests that are not decided, with those approved and not yet promoted."""
     return session.scalars(_undecided().where(ParameterSet.sensor_id == sensor_id)).all()
 
 
-def due(session: Session, now_utc: str) -> Sequence[Approval]:
+def list_due_approvals(session: Session, now_utc: str) -> Sequence[Approval]:
     """Return the requests that are not decided, or approved and not yet promoted, and whose time is over."""
     return session.scalars(_undecided().where(Approval.expires_utc <= now_utc)).all()
 
@@ -53,14 +53,14 @@ def _undecided() -> sa.Select[Approval]:
     return query.order_by(Approval.id)
 
 
-def newest_open(session: Session, sensor_ids: Collection[int]) -> dict[int, int]:
+def read_newest_open(session: Session, sensor_ids: Collection[int]) -> dict[int, int]:
     """Return the number of the newest open request of each of some sensors that has any, by sensor."""
     query = sa.select(ParameterSet.sensor_id, sa.func.max(Approval.id)).join(Approval)
     query = query.where(Approval.state == "OPEN", among(ParameterSet.sensor_id, sensor_ids))
     return {row[0]: row[1] for row in session.execute(query.group_by(ParameterSet.sensor_id))}
 
 
-def signatures(session: Session, approval_id: int) -> Sequence[Signature]:
+def list_signatures(session: Session, approval_id: int) -> Sequence[Signature]:
     """Return who signed a request, in order."""
     return session.scalars(
         sa.select(Signature).where(Signature.approval_id == approval_id).order_by(Signature.id)
@@ -73,12 +73,12 @@ def find_signature(session: Session, approval_id: int, user_id: int) -> Signatur
     return session.scalar(query.where(Signature.user_id == user_id))
 
 
-def remarks(session: Session, approval_id: int) -> Sequence[Remark]:
+def list_remarks(session: Session, approval_id: int) -> Sequence[Remark]:
     """Return what was said about a request, in order."""
     return session.scalars(sa.select(Remark).where(Remark.approval_id == approval_id).order_by(Remark.id)).all()
 
 
-def openings(session: Session, approval_id: int) -> Sequence[Opening]:
+def list_openings(session: Session, approval_id: int) -> Sequence[Opening]:
     """Return who opened which evidence of a request, in order."""
     return session.scalars(sa.select(Opening).where(Opening.approval_id == approval_id).order_by(Opening.id)).all()
 
@@ -89,7 +89,7 @@ def find_opening(session: Session, approval_id: int, user_id: int, evidence: str
     return session.scalar(query.where(Opening.evidence == evidence))
 
 
-def profiles(
+def list_profiles(
     session: Session, sensor_id: int, limit: int | None = None, *, until: int | None = None
 ) -> Sequence[GateProfile]:
     """Return a sensor's profiles, newest first; at most `limit`, from the version `until` back."""
@@ -99,12 +99,12 @@ def profiles(
     return session.scalars(query.order_by(GateProfile.number.desc()).limit(limit)).all()
 
 
-def newest_profile(session: Session, sensor_id: int) -> GateProfile | None:
+def find_newest_profile(session: Session, sensor_id: int) -> GateProfile | None:
     """Return the profile in force; None where the default holds and nobody needed it yet."""
-    return next(iter(profiles(session, sensor_id, limit=1)), None)
+    return next(iter(list_profiles(session, sensor_id, limit=1)), None)
 
 
-def newest_report(session: Session, parameter_set_id: int, sha256: str | None = None) -> GateReport | None:
+def find_newest_report(session: Session, parameter_set_id: int, sha256: str | None = None) -> GateReport | None:
     """Return a set's newest gate report, of all or of those with a hash, whether or not what it judged has moved since."""
     query = sa.select(GateReport).where(GateReport.parameter_set_id == parameter_set_id)
     if sha256 is not None:
@@ -112,37 +112,37 @@ def newest_report(session: Session, parameter_set_id: int, sha256: str | None = 
     return session.scalar(query.order_by(GateReport.id.desc()).limit(1))
 
 
-def newest_reports(session: Session, parameter_set_ids: Collection[int]) -> dict[int, GateReport]:
+def list_newest_reports(session: Session, parameter_set_ids: Collection[int]) -> dict[int, GateReport]:
     """Return the newest report of each of some sets that has one."""
     newest = sa.select(sa.func.max(GateReport.id)).where(GateReport.parameter_set_id.in_(parameter_set_ids))
     query = sa.select(GateReport).where(GateReport.id.in_(newest.group_by(GateReport.parameter_set_id)))
     return {row.parameter_set_id: row for row in session.scalars(query)}
 
 
-def waivers(session: Session, parameter_set_ids: Collection[int]) -> Sequence[Waiver]:
+def list_waivers(session: Session, parameter_set_ids: Collection[int]) -> Sequence[Waiver]:
     """Return every waiver of some sets, in the order in which they were made."""
     query = sa.select(Waiver).where(Waiver.parameter_set_id.in_(parameter_set_ids))
     return session.scalars(query.order_by(Waiver.id)).all()
 
 
-def waivers_in_force(session: Session, parameter_set_id: int, now_utc: str) -> Sequence[Waiver]:
+def list_waivers_in_force(session: Session, parameter_set_id: int, now_utc: str) -> Sequence[Waiver]:
     """Return a set's waivers that have not expired, in order."""
     query = sa.select(Waiver).where(Waiver.parameter_set_id == parameter_set_id, Waiver.expires_utc > now_utc)
     return session.scalars(query.order_by(Waiver.id)).all()
 
 
-def runs_with_results(session: Session, sensor_id: int, limit: int) -> Sequence[Run]:
+def list_runs_with_results(session: Session, sensor_id: int, limit: int) -> Sequence[Run]:
     """Return a sensor's newest runs that ended with a result, newest first."""
     query = sa.select(Run).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED", Run.result_sha256.is_not(None))
     return session.scalars(query.order_by(Run.id.desc()).limit(limit)).all()
 
 
-def due_proposals(session: Session, now_utc: str) -> Sequence[ChangeProposal]:
+def list_due_proposals(session: Session, now_utc: str) -> Sequence[ChangeProposal]:
     """Return the open proposals whose time is over, oldest first."""
     is_due = (ChangeProposal.state == "OPEN", ChangeProposal.expires_utc <= now_utc)
     return session.scalars(sa.select(ChangeProposal).where(*is_due).order_by(ChangeProposal.id)).all()
 
 
-def count_open(session: Session) -> int:
+def count_open_proposals(session: Session) -> int:
     """Count the proposals that wait."""
     return session.scalar(sa.select(sa.func.count()).where(ChangeProposal.state == "OPEN")) or 0

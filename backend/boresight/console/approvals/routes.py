@@ -150,10 +150,10 @@ Examined = Annotated[gates.GateAssessment, Depends(_examine)]
 
 def _shown(session: Session, row: GateReport) -> Beside:
     """Return a report with the waivers laid over it, and whether what it rests on is as it was."""
-    document = gates.with_waivers(session, row)
+    document = gates.read_with_waivers(session, row)
     laid_over = {name: document[name] for name in LAID_OVER}
-    given = approval_queries.waivers(session, [row.parameter_set_id])
-    return Beside(row, **laid_over, holds=not gates.moved_since(session, row), waivers=given)
+    given = approval_queries.list_waivers(session, [row.parameter_set_id])
+    return Beside(row, **laid_over, holds=not gates.list_moved_since(session, row), waivers=given)
 
 
 @gate_report_router.post(
@@ -242,7 +242,7 @@ def list_approvals(
     parameter_set_id: Id | None = None,
 ) -> Listing[Approval]:
     """List requests for approval, newest first."""
-    return page.cut(lists.newest(session, Approval, **page.rows, state=state, set=parameter_set_id))
+    return page.cut(lists.list_newest(session, Approval, **page.rows, state=state, set=parameter_set_id))
 
 
 @router.get("/{approval_id}", summary="Read a request", response_model=schemas.Approval)
@@ -254,7 +254,7 @@ def get_approval(approval_id: Id, session: Reading) -> Approval:
 @router.get("/{approval_id}/signers", summary="List who may sign", response_model=Page[schemas.Signer])
 def list_signers(approval_id: Id, policy: ServerPolicy, session: Reading) -> Listing[Beside]:
     """List every approver with whether they may sign this request, and if not, which part in the set excludes them."""
-    found = approvals.who_may_sign(session, approval_id, policy=policy)
+    found = approvals.list_signers_of(session, approval_id, policy=policy)
     return Listing(
         [
             Beside(
@@ -348,7 +348,7 @@ def list_remarks(approval_id: Id, session: Reading) -> Listing[Remark]:
 @discussion_router.post("/remarks", summary="Say something about it", status_code=201, response_model=schemas.Remark)
 def remark(approval_id: Id, new: NewRemark, actor: Who, session: Writing) -> Remark:
     """Add a remark to a request, be it decided or not; it is never edited."""
-    return approvals.remark(session, actor, approval_id, new.text)
+    return approvals.add_remark(session, actor, approval_id, new.text)
 
 
 @discussion_router.get("/openings", summary="Read who opened which evidence", response_model=Page[schemas.Opening])

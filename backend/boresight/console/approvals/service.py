@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from boresight.console.access import users
-from boresight.console.access.passwords import PasswordProof, password_by
+from boresight.console.access.passwords import PasswordProof, name_password_setter
 from boresight.console.access.tables import User
 from boresight.console.alarms import rules as alarm_rules
 from boresight.console.alarms.rules import update_alarms
@@ -23,10 +23,10 @@ from boresight.console.approvals import queries as rows
 from boresight.console.approvals.gates import GateAssessment
 from boresight.console.approvals.signers import (
     Signer,
+    list_second_persons,
     list_signers,
     refuse_signer,
     refuse_who_never_signs,
-    second_persons,
 )
 from boresight.console.approvals.staleness import (
     compute_binding,
@@ -43,11 +43,11 @@ from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.service import record_promotion
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.transitions import (
+    describe_last_change,
     move,
     name_subject,
     require_seen,
     resting_state,
-    who_changed,
 )
 from boresight.errors import ConflictError, ForbiddenError, RefusedInputError, StaleError
 from boresight.platform.actors import (
@@ -86,7 +86,7 @@ class Decision:
             raise RefusedInputError("Say why you refuse: the comment is what the submitter learns from.")
 
 
-def signatory(session: Session, actor: Actor, *, policy: Policy = POLICY) -> Signatory | None:
+def find_signatory(session: Session, actor: Actor, *, policy: Policy = POLICY) -> Signatory | None:
     """Return who would sign, to narrow the list of requests to those open to them; None where they may sign none at all."""
     try:
         user_id = refuse_who_never_signs(session, actor)
@@ -96,7 +96,7 @@ def signatory(session: Session, actor: Actor, *, policy: Policy = POLICY) -> Sig
     return Signatory(user_id, now_utc, policy.four_eyes)
 
 
-def why_not_sign(session: Session, actor: Actor, approval_id: int, *, policy: Policy = POLICY) -> str | None:
+def explain_why_not_sign(session: Session, actor: Actor, approval_id: int, *, policy: Policy = POLICY) -> str | None:
     """Say why this actor may not sign a request; None when nothing but a password is missing."""
     approval = session.get_known(Approval, approval_id)
     try:
@@ -109,7 +109,7 @@ def why_not_sign(session: Session, actor: Actor, approval_id: int, *, policy: Po
     return None
 
 
-def who_may_sign(session: Session, approval_id: int, *, policy: Policy = POLICY) -> list[Signer]:
+def list_signers_of(session: Session, approval_id: int, *, policy: Policy = POLICY) -> list[Signer]:
     """Return every approver with whether they may sign a request, and if not, why."""
     return list_signers(session, session.get_known(Approval, approval_id), policy)
 
@@ -177,12 +177,12 @@ def _refuse_decided(session: Session, approval: Approval, decision: str) -> None
     """Refuse to decide what is decided; only a refusal still stops what was approved and not yet promoted."""
     if approval.state == "STALE":
         raise StaleError(
-            f"Request {approval.id} is STALE: {who_changed(session, approval)}. The set must be submitted again."
+            f"Request {approval.id} is STALE: {describe_last_change(session, approval)}. The set must be submitted again."
         )
     parameter_set = session.get_one(ParameterSet, approval.parameter_set_id)
     can_block = approval.state == "APPROVED" and parameter_set.ground_state == "APPROVED"
     if approval.state != "OPEN" and not (decision == "REFUSE" and can_block):
-        raise ConflictError(f"Request {approval.id} is {approval.state}: {who_changed(session, approval)}.")
+        raise ConflictError(f"Request {approval.id} is {approval.state}: {describe_last_change(session, approval)}.")
 
 
 def _sign(
@@ -209,7 +209,7 @@ def _sign(
         shown_sha256=compute_binding_sha256(approval),
         signed_utc=utc_now(),
         console=console,
-        password_by=password_by(session, user_id),
+        password_by=name_password_setter(session, user_id),
     )
     session.put(signature)
     _decide(session, actor, approval, parameter_set, signature, policy)
@@ -236,7 +236,7 @@ def _decide(
         move(session, actor, approval, "REJECTED", "refused", reason=reason, **told)
         move(session, actor, parameter_set, resting_state(parameter_set, "REJECTED"), "refused", reason=reason)
         return
-    signed = len(second_persons(session, approval, policy))
+    signed = len(list_second_persons(session, approval, policy))
     told["approvals"] = f"{signed} of {approval.needed}"
     if signed < approval.needed:
         move(session, actor, approval, "OPEN", "approved", reason=reason, **told)
@@ -265,15 +265,15 @@ def assign(
     approval = session.get_known(Approval, approval_id)
     require_seen(session, approval, seen_version)
     if approval.state != "OPEN":
-        raise ConflictError(f"Request {approval.id} is {approval.state}: {who_changed(session, approval)}.")
-    named = None if user_id is None else _signer(session, approval, user_id, policy)
+        raise ConflictError(f"Request {approval.id} is {approval.state}: {describe_last_change(session, approval)}.")
+    named = None if user_id is None else _get_signer(session, approval, user_id, policy)
     approval.assigned_to = None if named is None else named.id
     asked = "nobody in particular" if named is None else named.printed_name
     move(session, actor, approval, "OPEN", "assigned", assigned_to=asked)
     return approval
 
 
-def _signer(session: Session, approval: Approval, user_id: int, policy: Policy) -> User:
+def _get_signer(session: Session, approval: Approval, user_id: int, policy: Policy) -> User:
     user = session.get_known(User, user_id)
     if user.disabled_utc is not None:
         raise ConflictError(f"{user.printed_name} is disabled; ask another approver.")
@@ -287,7 +287,7 @@ def _signer(session: Session, approval: Approval, user_id: int, policy: Policy) 
     return user
 
 
-def remark(session: Session, actor: Actor, approval_id: int, text: str) -> Remark:
+def add_remark(session: Session, actor: Actor, approval_id: int, text: str) -> Remark:
     """Say something about a request, be it decided or not."""
     user_id = require_person(actor, "discuss a request")
     require_role(actor, "analyst", "operator", "approver", "administrator")
@@ -309,7 +309,7 @@ def remark(session: Session, actor: Actor, approval_id: int, text: str) -> Remar
 
 def list_remarks(session: Session, approval_id: int) -> Sequence[Remark]:
     """Return what was said about a request, in order."""
-    return rows.remarks(session, session.get_known(Approval, approval_id).id)
+    return rows.list_remarks(session, session.get_known(Approval, approval_id).id)
 
 
 def record_opening(session: Session, actor: Actor, approval_id: int, evidence: str) -> Opening:
@@ -326,7 +326,7 @@ def record_opening(session: Session, actor: Actor, approval_id: int, evidence: s
 
 def list_openings(session: Session, approval_id: int) -> Sequence[Opening]:
     """Return who opened which evidence of a request, in order."""
-    return rows.openings(session, session.get_known(Approval, approval_id).id)
+    return rows.list_openings(session, session.get_known(Approval, approval_id).id)
 
 
 def promote(
@@ -337,14 +337,14 @@ def promote(
     require_scope(actor, "parameter-sets")
     row = session.get_known(ParameterSet, parameter_set_id)
     require_seen(session, row, seen_version)
-    approval = rows.find_latest(session, row.id, "APPROVED")
+    approval = rows.find_latest_approval(session, row.id, "APPROVED")
     if row.ground_state != "APPROVED" or approval is None:
-        raise ConflictError(f"{row.name} is {row.ground_state}, not APPROVED: {who_changed(session, row)}.")
+        raise ConflictError(f"{row.name} is {row.ground_state}, not APPROVED: {describe_last_change(session, row)}.")
     refuse_expired(session, approval, row)
     refuse_changed_binding(session, actor, approval, row)
     refuse_blocked(session, row)
     _refuse_lone(session, approval, policy)
-    incumbent = set_rows.baseline(session, row.sensor_id)
+    incumbent = set_rows.find_baseline(session, row.sensor_id)
     now = utc_now()
     if incumbent is not None:
         incumbent.baseline_to_utc = now
@@ -359,7 +359,7 @@ def promote(
 
 def _refuse_lone(session: Session, approval: Approval, policy: Policy) -> None:
     """Refuse an approval that lacks second persons: it was signed while four-eyes was off, or its signer made the set."""
-    signed = len(second_persons(session, approval, policy))
+    signed = len(list_second_persons(session, approval, policy))
     if signed < approval.needed:
         raise ConflictError(
             f"Request {approval.id} has {signed} of {approval.needed} approvals by a second person: it was signed "
@@ -384,13 +384,13 @@ def submit(  # noqa: PLR0913 - who asks for what and why, with the evidence
 ) -> Approval:
     """Ask that a set become baseline, or a former one again, binding the hashes of what an approver will be shown."""
     require_role(actor, "analyst", *(["operator"] if back else []))
-    row = _submittable(session, actor, parameter_set_id, reason, seen_version)
+    row = _get_submittable(session, actor, parameter_set_id, reason, seen_version)
     if back and row.baseline_from_utc is None:
         raise ConflictError(f"{row.name} was never baseline, so there is nothing to roll back to; submit it instead.")
     if not reason.strip():
         what = "the sensor should go back to this set" if back else "this set should become the baseline"
         raise RefusedInputError(f"Give the reason why {what}.")
-    gates.report_for_submission(session, actor, blobs, row.id, assessment)
+    gates.choose_report_for_submission(session, actor, blobs, row.id, assessment)
     return _open(session, actor, row, reason.strip(), policy)
 
 
@@ -405,7 +405,7 @@ def is_submittable(session: Session, actor: Actor, parameter_set_id: int) -> boo
     return bool(may) and session.get_known(ParameterSet, parameter_set_id).ground_state in SUBMITTABLE
 
 
-def _submittable(
+def _get_submittable(
     session: Session, actor: Actor, parameter_set_id: int, reason: str, seen_version: int | None
 ) -> ParameterSet:
     require_scope(actor, "parameter-sets")
@@ -414,7 +414,9 @@ def _submittable(
     row = session.get_known(ParameterSet, parameter_set_id)
     require_seen(session, row, seen_version)
     if row.ground_state not in SUBMITTABLE:
-        raise ConflictError(f"{row.name} is {row.ground_state}: {who_changed(session, row)}. It cannot be submitted.")
+        raise ConflictError(
+            f"{row.name} is {row.ground_state}: {describe_last_change(session, row)}. It cannot be submitted."
+        )
     return row
 
 
@@ -449,10 +451,10 @@ def withdraw(
     refuse_control_characters(reason=reason)
     row = session.get_known(ParameterSet, parameter_set_id)
     require_seen(session, row, seen_version)
-    approval = rows.find_latest(session, row.id, "OPEN", "APPROVED")
+    approval = rows.find_latest_approval(session, row.id, "OPEN", "APPROVED")
     if row.ground_state not in {"SUBMITTED", "APPROVED"} or approval is None:
         raise ConflictError(
-            f"{row.name} is {row.ground_state}, not submitted: {who_changed(session, row)}. "
+            f"{row.name} is {row.ground_state}, not submitted: {describe_last_change(session, row)}. "
             "There is nothing to withdraw."
         )
     if actor.user_id != approval.submitted_by:

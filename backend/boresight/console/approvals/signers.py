@@ -51,7 +51,7 @@ def list_parts(session: Session, approval: Approval) -> list[SetPart]:
         done.append((run.launched_by, LAUNCHER, f"launched run {run.id} behind this set"))
         done += [
             (campaign.launched_by, LAUNCHER, f"launched campaign {campaign.id} behind this set")
-            for campaign in campaign_rows.campaigns_of_run(session, run.id)
+            for campaign in campaign_rows.list_campaigns_of_run(session, run.id)
             if campaign.launched_by != run.launched_by
         ]
     done.append((row.created_by, CREATOR, "created this set"))
@@ -86,10 +86,10 @@ def _listed(parts: Sequence[SetPart]) -> str:
 def list_signers(session: Session, approval: Approval, policy: Policy) -> list[Signer]:
     """Return every approver of this installation with whether they may sign a request now, by log-in name."""
     parts = list_parts(session, approval) if policy.four_eyes else []
-    signed = {one.user_id: one.signed_utc for one in rows.signatures(session, approval.id)}
+    signed = {one.user_id: one.signed_utc for one in rows.list_signatures(session, approval.id)}
     return [
         _signer(user, [part for part in parts if part.user_id == user.id], signed.get(user.id))
-        for user in user_rows.users(session)
+        for user in user_rows.list_users(session)
         if "approver" in user.roles and user.disabled_utc is None
     ]
 
@@ -106,8 +106,8 @@ def _signer(user: User, own: Sequence[SetPart], signed_utc: str | None) -> Signe
     return Signer(user, roles, None if signed_utc is None else f"{name} signed it already, at {signed_utc}.")
 
 
-def second_persons(session: Session, approval: Approval, policy: Policy) -> Sequence[Signature]:
+def list_second_persons(session: Session, approval: Approval, policy: Policy) -> Sequence[Signature]:
     """Return the approvals of a request that count: with four-eyes, only those of second persons."""
     first = {part.user_id for part in list_parts(session, approval)} if policy.four_eyes else set()
-    signed = rows.signatures(session, approval.id)
+    signed = rows.list_signatures(session, approval.id)
     return [row for row in signed if row.decision == "APPROVE" and row.user_id not in first]

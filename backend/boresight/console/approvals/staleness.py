@@ -15,8 +15,8 @@ from boresight.console.approvals.tables import Approval
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
-from boresight.console.transitions import move, resting_state, whose_baseline
-from boresight.console.uplinks.queries import definition_in_force
+from boresight.console.transitions import describe_baseline, move, resting_state
+from boresight.console.uplinks.queries import find_definition_in_force
 from boresight.errors import ConflictError, StaleError
 from boresight.platform.actors import SYSTEM, Actor
 from boresight.platform.db.documents import compute_sha256
@@ -37,10 +37,10 @@ OF_GATES = ("gate_report_sha256", "profile_sha256")  # absent from requests of b
 def compute_binding(session: Session, parameter_set: ParameterSet) -> dict[str, Any]:
     """Return the hashes of what an approver of this set is shown now, and the waivers in force."""
     run = None if parameter_set.run_id is None else session.get(Run, parameter_set.run_id)
-    report = rows.newest_report(session, parameter_set.id)
-    profile = rows.newest_profile(session, parameter_set.sensor_id)
-    definition = definition_in_force(session, parameter_set.sensor_id)
-    incumbent = set_rows.baseline(session, parameter_set.sensor_id)
+    report = rows.find_newest_report(session, parameter_set.id)
+    profile = rows.find_newest_profile(session, parameter_set.sensor_id)
+    definition = find_definition_in_force(session, parameter_set.sensor_id)
+    incumbent = set_rows.find_baseline(session, parameter_set.sensor_id)
     return {
         "set_sha256": compute_sha256(parameter_set.document),
         "run_result_sha256": None if run is None else run.result_sha256,
@@ -48,7 +48,7 @@ def compute_binding(session: Session, parameter_set: ParameterSet) -> dict[str, 
         "profile_sha256": None if profile is None else profile.sha256,
         "table_definition_sha256": None if definition is None else definition.sha256,
         "incumbent_sha256": None if incumbent is None else incumbent.sha256,
-        "waivers": [waiver.id for waiver in rows.waivers_in_force(session, parameter_set.id, utc_now())],
+        "waivers": [waiver.id for waiver in rows.list_waivers_in_force(session, parameter_set.id, utc_now())],
     }
 
 
@@ -76,11 +76,11 @@ def compute_binding_sha256(approval: Approval) -> str:
 
 def find_blocking_gates(session: Session, parameter_set: ParameterSet) -> list[Mapping[str, Any]]:
     """Return the gates of a set's newest report that stop it and that no waiver in force lifts."""
-    report = rows.newest_report(session, parameter_set.id)
+    report = rows.find_newest_report(session, parameter_set.id)
     if report is None:
         return []
     blocking = set(report.document.get("blocking", ()))
-    waived = {waiver.gate for waiver in rows.waivers_in_force(session, parameter_set.id, utc_now())}
+    waived = {waiver.gate for waiver in rows.list_waivers_in_force(session, parameter_set.id, utc_now())}
     gates = [gate for gate in report.document.get("gates", ()) if gate["name"] in blocking]
     return [gate for gate in gates if gate["critical"] or not gate["waivable"] or gate["name"] not in waived]
 
@@ -105,14 +105,14 @@ def make_others_stale(session: Session, actor: Actor, promoted: ParameterSet) ->
 
 def make_stale_of_sensor(session: Session, actor: Actor, sensor_id: int, why: str) -> None:
     """Void every request of a sensor that is not decided, or approved and not promoted yet."""
-    for approval in rows.undecided_of_sensor(session, sensor_id):
+    for approval in rows.list_undecided_of_sensor(session, sensor_id):
         _make_stale(session, actor, approval, why)
 
 
 def make_stale_of_set(session: Session, actor: Actor, parameter_set_id: int, why: str) -> None:
     """Void the request of one set, if it has one that is not decided, or approved and not promoted yet."""
     row = session.get_one(ParameterSet, parameter_set_id)
-    for approval in rows.undecided_of_sensor(session, row.sensor_id):
+    for approval in rows.list_undecided_of_sensor(session, row.sensor_id):
         if approval.parameter_set_id == parameter_set_id:
             _make_stale(session, actor, approval, why)
 
@@ -130,7 +130,7 @@ def refuse_changed_binding(session: Session, actor: Actor, approval: Approval, r
     names = find_changed_bindings(session, approval, row)
     if not names:
         return
-    since = whose_baseline(session, row.sensor_id)
+    since = describe_baseline(session, row.sensor_id)
     _make_stale(session, actor, approval, f"the {' and the '.join(names)} moved")
     keep_despite_refusal(session)
     raise StaleError(f"The {' and the '.join(names)} moved since {row.name} was submitted.{since} Submit it again.")
@@ -143,12 +143,12 @@ def is_expired(approval: Approval) -> bool:
 
 def is_any_request_due(session: Session) -> bool:
     """Whether there are requests whose time is over and that still stand open."""
-    return bool(rows.due(session, utc_now())) and not alarm_rules.is_held(session)
+    return bool(rows.list_due_approvals(session, utc_now())) and not alarm_rules.is_held(session)
 
 
 def expire_due_requests(session: Session) -> Sequence[Approval]:
     """Close every request whose time is over, and return them; their sets may be submitted again."""
-    due = () if alarm_rules.is_held(session) else rows.due(session, utc_now())
+    due = () if alarm_rules.is_held(session) else rows.list_due_approvals(session, utc_now())
     for approval in due:
         _expire(session, approval)
     return due

@@ -34,7 +34,7 @@ from boresight.console.pages.tables import (
 from boresight.errors import RefusedInputError
 from boresight.platform.audit import log as audit
 from boresight.platform.audit.tables import AuditRecord
-from boresight.platform.blobs.files import total_bytes
+from boresight.platform.blobs.files import count_bytes
 from boresight.verdicts.numbers import MISSING, QUANTITIES, parameter
 
 LONGEST_VALUE = 120
@@ -246,7 +246,7 @@ def audit_page(
     except RefusedInputError as error:
         refusal = str(error)
     newest = audit.list_records(session, limit=1)
-    blobs = files if verify or total_bytes(session) <= READ_AT_EVERY_VISIT else None
+    blobs = files if verify or count_bytes(session) <= READ_AT_EVERY_VISIT else None
     short = not newest or newest[0].id <= VERIFIED_AT_EVERY_VISIT
     return render(
         request,
@@ -255,7 +255,7 @@ def audit_page(
         lines=[make_audit_line(record) for record in found.rows],
         last=found.last,
         refusal=refusal,
-        words=audit.words(session),
+        words=audit.read_words(session),
         chain=audit.verify(session, blobs=blobs, again=False) if short or verify else None,
         light=maintenance.light(),
         head=audit.head(session),

@@ -108,7 +108,7 @@ def campaign_page(request: Request, session: Reading, actor: Who, campaign_id: i
 
 def _lines(session: Session, campaign_id: int) -> list[dict[str, Any]]:
     """Return what the sensors came to, the worst first: what failed, then by verdict."""
-    lines = [make_result_line(one) for one in campaigns.results(session, campaign_id)]
+    lines = [make_result_line(one) for one in campaigns.list_results(session, campaign_id)]
     return sorted(lines, key=_rank)
 
 
@@ -176,7 +176,9 @@ class OfferedSensors:
 def _offer(session: Session, given: FormData | QueryParams) -> OfferedSensors:
     """Read what the form offers that was sent, or that an address begins: what is ticked, and what it seeks."""
     members = _chosen(given)
-    choices = sensors.choices(session, find=str(given.get("find", "")), keep=[member.sensor_id for member in members])
+    choices = sensors.list_choices(
+        session, find=str(given.get("find", "")), keep=[member.sensor_id for member in members]
+    )
     chosen = {one for member in members for one in (member.telemetry_set_id, member.validation_set_id)}
     keep = [one for one in chosen if isinstance(one, int)]
     found: dict[int, SensorSets] = {}

@@ -52,17 +52,17 @@ def add_runs(session: Session, values: Sequence[Mapping[str, Any]]) -> dict[int,
     """Insert many runs as QUEUED, one a sensor, with the first line of each one's log; return their ids by sensor."""
     now = utc_now()
     fixed = {"state": "QUEUED", "attempt": 0, "cancel_requested": 0, "launched_utc": now}
-    added = _inserted(session, Run, [{**one, **fixed} for one in values], Run.id, Run.sensor_id)
+    added = _insert(session, Run, [{**one, **fixed} for one in values], Run.id, Run.sensor_id)
     write_events(session, [(run_id, 0, Line.moved("QUEUED")) for run_id in sorted(run_id for run_id, _ in added)])
     return {sensor_id: run_id for run_id, sensor_id in added}
 
 
 def add_members(session: Session, values: Sequence[Mapping[str, Any]]) -> None:
     """Insert many sensors of a campaign."""
-    _inserted(session, CampaignRun, values, CampaignRun.id)
+    _insert(session, CampaignRun, values, CampaignRun.id)
 
 
-def _inserted(session: Session, model: type[Base], values: Sequence[Mapping[str, Any]], *returned: Any) -> list[Any]:
+def _insert(session: Session, model: type[Base], values: Sequence[Mapping[str, Any]], *returned: Any) -> list[Any]:
     """Insert many rows in few statements, note them for their seals, and return columns of each, its id first."""
     if not values:
         return []
@@ -73,13 +73,13 @@ def _inserted(session: Session, model: type[Base], values: Sequence[Mapping[str,
     return rows
 
 
-def campaigns_of_run(session: Session, run_id: int) -> Sequence[Campaign]:
+def list_campaigns_of_run(session: Session, run_id: int) -> Sequence[Campaign]:
     """Return the campaigns that a run belongs to."""
     query = sa.select(Campaign).join(CampaignRun, CampaignRun.campaign_id == Campaign.id)
     return session.scalars(query.where(CampaignRun.run_id == run_id).order_by(Campaign.id)).all()
 
 
-def counts(session: Session, campaign_ids: Collection[int]) -> dict[int, Counted]:
+def count_members(session: Session, campaign_ids: Collection[int]) -> dict[int, Counted]:
     """Count the sensors of campaigns by the state of their runs."""
     counted = session.execute(
         sa.select(CampaignRun.campaign_id, Run.state, sa.func.count(), sa.func.max(CampaignRun.id))
@@ -118,12 +118,12 @@ def cancel_all(session: Session, campaign_id: int, reason: str) -> list[tuple[in
     return request_cancels(session, Run.id.in_(of_campaign), reason)
 
 
-def sets_numbered(session: Session, set_ids: Collection[int]) -> list[TelemetrySet]:
+def list_sets(session: Session, set_ids: Collection[int]) -> list[TelemetrySet]:
     """Return telemetry sets; while they are held, the session finds them without a statement each."""
     return list(session.scalars(sa.select(TelemetrySet).where(among(TelemetrySet.id, set_ids))))
 
 
-def newest_sets(session: Session, sensor_ids: Collection[int]) -> dict[tuple[int, str], int]:
+def read_newest_sets(session: Session, sensor_ids: Collection[int]) -> dict[tuple[int, str], int]:
     """Return the newest set in use of each of these sensors and purpose, by (sensor id, purpose)."""
     query = (
         sa.select(TelemetrySet.sensor_id, TelemetrySet.purpose, sa.func.max(TelemetrySet.id))

@@ -16,8 +16,8 @@ from boresight.console.campaigns.queries import Counted, MemberStatus
 from boresight.console.campaigns.tables import Campaign
 from boresight.console.fleet import queries as sensor_rows
 from boresight.console.fleet.tables import Sensor
-from boresight.console.runs.dry_runs import RunRequest, check_run_request, expected_s, refuse_label
-from boresight.console.runs.presets import chosen_settings
+from boresight.console.runs.dry_runs import RunRequest, check_run_request, estimate_s, refuse_label
+from boresight.console.runs.presets import choose_settings
 from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES
 from boresight.errors import BoresightError, ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
@@ -53,17 +53,19 @@ def plan_members(
 ) -> list[CampaignMemberPlan]:
     """Check every sensor's request."""
     wanted = (
-        [MemberRequest(head.id) for head in sensor_rows.sensor_heads(session)] if members is None else list(members)
+        [MemberRequest(head.id) for head in sensor_rows.list_sensor_heads(session)]
+        if members is None
+        else list(members)
     )
     ids = [member.sensor_id for member in wanted]
     _refuse_members(ids)
-    fleet = {sensor.id: sensor for sensor in sensor_rows.sensors(session, ids)}
+    fleet = {sensor.id: sensor for sensor in sensor_rows.list_sensors(session, ids)}
     if strange := [number for number in ids if number not in fleet]:
         raise NotFoundError(f"There is no sensor {strange[0]}; choose from the list.")
-    newest = rows.newest_sets(session, ids)
+    newest = rows.read_newest_sets(session, ids)
     named = [(member, *_choose_sets(member, newest)) for member in wanted]
     numbers = {number for _, *numbers in named for number in numbers if number is not None}
-    held = rows.sets_numbered(session, numbers)  # while these are held, a request finds its own without a statement
+    held = rows.list_sets(session, numbers)  # while these are held, a request finds its own without a statement
     plans = [
         _plan_member(session, fleet[member.sensor_id], calibration, validation, settings, label)
         for member, calibration, validation in named
@@ -206,7 +208,7 @@ def launch_campaign(
     refuse_label(label)
     if not label.strip():
         raise RefusedInputError("Give the campaign a label: what it is for, in a few words.")
-    named, chosen = chosen_settings(session, preset, settings)
+    named, chosen = choose_settings(session, preset, settings)
     plans = plan_members(session, members, chosen, label.strip())
     if validate_only:
         return _dry_run(session, plans, label.strip(), named, chosen)
@@ -230,7 +232,7 @@ def _dry_run(
         "settings": requests[0].settings.document() if requests else dict(settings),
         "sensors": len(plans),
         "runs": len(requests),
-        "predicted_s": expected_s(session, requests),
+        "predicted_s": estimate_s(session, requests),
         "refused": [
             {"sensor_id": planned.sensor.id, "sensor": planned.sensor.name, "refusal": planned.refusal}
             for planned in refused
@@ -302,17 +304,19 @@ def get_campaign(session: Session, campaign_id: int) -> Campaign:
 def read_campaign(session: Session, campaign_id: int) -> CampaignView:
     """Return a campaign with its counts."""
     row = get_campaign(session, campaign_id)
-    return make_campaign_view(row, rows.counts(session, [row.id])[row.id])
+    return make_campaign_view(row, rows.count_members(session, [row.id])[row.id])
 
 
 def list_campaigns(session: Session, *, before_id: int | None = None, limit: int | None = None) -> list[CampaignView]:
     """Return a page of campaigns with their counts, newest first; the next starts before the last one's id."""
-    found = lists.newest(session, Campaign, before_id=before_id, limit=limit)
-    counted = rows.counts(session, [row.id for row in found])
+    found = lists.list_newest(session, Campaign, before_id=before_id, limit=limit)
+    counted = rows.count_members(session, [row.id for row in found])
     return [make_campaign_view(row, counted[row.id]) for row in found]
 
 
-def results(session: Session, campaign_id: int, *, after_id: int = 0, limit: int | None = None) -> list[MemberStatus]:
+def list_results(
+    session: Session, campaign_id: int, *, after_id: int = 0, limit: int | None = None
+) -> list[MemberStatus]:
     """Return where every sensor of a campaign stands, in the order of launch."""
     get_campaign(session, campaign_id)
     return rows.list_member_statuses(session, campaign_id, after_id=after_id, limit=limit)

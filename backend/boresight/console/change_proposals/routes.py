@@ -35,7 +35,7 @@ class ProposalComment(Shape):
 
 
 def _shown(session: Session, row: ChangeProposal) -> Beside:
-    return Beside(row, differences=second_person.differences(session, row))
+    return Beside(row, differences=second_person.list_differences(session, row))
 
 
 def in_force_or_proposed(

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.console.access.passwords import password_by
+from boresight.console.access.passwords import name_password_setter
 from boresight.console.access.tables import User
 from boresight.console.approvals import gate_profiles, proposals
 from boresight.console.approvals import queries as gate_rows
@@ -54,14 +54,16 @@ def change(
     if not policy.second_person:
         change_now = gate_profiles.set_profile if kind == "gate-profile" else table_definitions.set_definition
         return change_now(session, actor, sensor_id, document, reason, seen_number)
-    complete = _checked(session, actor, kind, sensor_id, document, reason, seen_number)
-    same = [row for row in proposals.open_proposals(session, sensor_id, kind) if row.sha256 == compute_sha256(complete)]
+    complete = _check_document(session, actor, kind, sensor_id, document, reason, seen_number)
+    same = [
+        row for row in proposals.list_open_proposals(session, sensor_id, kind) if row.sha256 == compute_sha256(complete)
+    ]
     if same:
         raise ConflictError(f"Proposal {same[0].id} asks for this change already: have another person confirm it.")
     row = ChangeProposal(
         sensor_id=sensor_id,
         kind=kind,
-        base_number=_in_force(session, kind, sensor_id),
+        base_number=_read_number_in_force(session, kind, sensor_id),
         document=complete,
         sha256=compute_sha256(complete),
         reason=reason.strip(),
@@ -77,13 +79,13 @@ def change(
     return row
 
 
-def why_not_decide(session: Session, actor: Actor, row: ChangeProposal) -> str | None:
+def explain_why_not_decide(session: Session, actor: Actor, row: ChangeProposal) -> str | None:
     """Say why this actor may neither confirm nor refuse a proposal; None when they may."""
     try:
         _refuse_decider(session, actor, row)
     except ForbiddenError as refusal:
         return str(refusal)
-    return proposals.why_closed(session, row)
+    return proposals.explain_closed(session, row)
 
 
 def confirm(
@@ -94,7 +96,7 @@ def confirm(
     _refuse_decider(session, actor, row)
     require_seen(session, row, seen_version)
     proposals.require_open(session, row)
-    number = _in_force(session, row.kind, row.sensor_id)
+    number = _read_number_in_force(session, row.kind, row.sensor_id)
     if number != row.base_number:
         proposals.make_stale(session, actor, row.sensor_id, row.kind, number)
         keep_despite_refusal(session)
@@ -103,7 +105,7 @@ def confirm(
             f"{number} is in force by now. Propose the change anew."
         )
     refuse_control_characters(comment=comment)
-    told = password_by(session, require_person(actor, "confirm a change"))
+    told = name_password_setter(session, require_person(actor, "confirm a change"))
     row.number = number + 1
     proposals.close(session, actor, row, "CONFIRMED", "confirmed", comment=comment, password_by=told)
     put = gate_profiles.put_into_force if row.kind == "gate-profile" else table_definitions.put_into_force
@@ -119,14 +121,14 @@ def refuse(session: Session, actor: Actor, proposal_id: int, seen_version: int |
     proposals.require_open(session, row)
     if not comment.strip():
         raise RefusedInputError("Say why you refuse: the comment is what the proposer learns from.")
-    told = password_by(session, require_person(actor, "refuse a change"))
+    told = name_password_setter(session, require_person(actor, "refuse a change"))
     proposals.close(session, actor, row, "REFUSED", "refused", comment=comment, password_by=told)
     return row
 
 
-def differences(session: Session, row: ChangeProposal) -> list[ChangedEntry]:
+def list_differences(session: Session, row: ChangeProposal) -> list[ChangedEntry]:
     """Return what a proposal changes in the version that it was made against."""
-    before, after = dict(_leaves(_base(session, row))), dict(_leaves(row.document))
+    before, after = dict(_leaves(_read_base(session, row))), dict(_leaves(row.document))
     places = [*before, *(place for place in after if place not in before)]
     return [
         ChangedEntry(place, before.get(place), after.get(place))
@@ -144,7 +146,7 @@ def _refuse_decider(session: Session, actor: Actor, row: ChangeProposal) -> None
         raise ForbiddenError("Somebody else set your password; set your own first, then decide.")
 
 
-def _checked(
+def _check_document(
     session: Session,
     actor: Actor,
     kind: str,
@@ -154,23 +156,23 @@ def _checked(
     seen_number: int | None,
 ) -> dict[str, Any]:
     """Return a document as it would be stored, if it could be put into force now."""
-    check = gate_profiles.checked if kind == "gate-profile" else table_definitions.checked
+    check = gate_profiles.check_profile if kind == "gate-profile" else table_definitions.check_definition
     return check(session, actor, sensor_id, document, reason, seen_number)
 
 
-def _in_force(session: Session, kind: str, sensor_id: int) -> int:
+def _read_number_in_force(session: Session, kind: str, sensor_id: int) -> int:
     """Return the number of the version in force; 0 for the default, or none."""
     if kind == "gate-profile":
-        return gate_profiles.profile_in_force(session, sensor_id).number
-    row = table_definitions.definition_in_force(session, sensor_id)
+        return gate_profiles.get_profile_in_force(session, sensor_id).number
+    row = table_definitions.find_definition_in_force(session, sensor_id)
     return 0 if row is None else row.number
 
 
-def _base(session: Session, row: ChangeProposal) -> Mapping[str, Any]:
+def _read_base(session: Session, row: ChangeProposal) -> Mapping[str, Any]:
     if row.kind == "gate-profile":
-        profiles = gate_rows.profiles(session, row.sensor_id, 1, until=row.base_number)
+        profiles = gate_rows.list_profiles(session, row.sensor_id, 1, until=row.base_number)
         return profiles[0].document if profiles else gate_profiles.DEFAULT
-    definitions = table_rows.definitions(session, row.sensor_id, 1, until=row.base_number)
+    definitions = table_rows.list_definitions(session, row.sensor_id, 1, until=row.base_number)
     return definitions[0].document if definitions else {}
 
 

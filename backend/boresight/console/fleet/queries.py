@@ -21,12 +21,14 @@ from boresight.platform.db.documents import among
 from boresight.platform.db.sessions import Session
 
 
-def sensor_named(session: Session, name: str) -> Sensor | None:
+def find_sensor(session: Session, name: str) -> Sensor | None:
     """Return the sensor with a name."""
     return session.scalar(sa.select(Sensor).where(Sensor.name == name))
 
 
-def sensors(session: Session, sensor_ids: Collection[int] | None = None, *, documents: bool = True) -> Sequence[Sensor]:
+def list_sensors(
+    session: Session, sensor_ids: Collection[int] | None = None, *, documents: bool = True
+) -> Sequence[Sensor]:
     """Return the fleet, or some of it, by name; on request without their documents, which then cannot be asked for."""
     query = (
         sa.select(Sensor)
@@ -36,19 +38,19 @@ def sensors(session: Session, sensor_ids: Collection[int] | None = None, *, docu
     return session.scalars(query.order_by(Sensor.name)).all()
 
 
-def sensor_heads(session: Session, sensor_ids: Collection[int] | None = None) -> Sequence[Any]:
+def list_sensor_heads(session: Session, sensor_ids: Collection[int] | None = None) -> Sequence[Any]:
     """Return id, name and version of the sensors of the fleet, or of some, by name."""
     query = sa.select(Sensor.id, Sensor.name, Sensor.version).where(*_filter_sensors(Sensor.id, sensor_ids))
     return session.execute(query.order_by(Sensor.name)).all()
 
 
-def names(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, str]:
+def read_names(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, str]:
     """Return the names of the fleet, or of some sensors, by their numbers."""
     query = sa.select(Sensor.id, Sensor.name).where(*_filter_sensors(Sensor.id, sensor_ids))
     return {row[0]: row[1] for row in session.execute(query)}
 
 
-def names_holding(session: Session, text: str, limit: int) -> dict[int, str]:
+def read_names_holding(session: Session, text: str, limit: int) -> dict[int, str]:
     """Return the first sensors by name whose name holds a text in letters of either case, their names by their numbers."""
     query = sa.select(Sensor.id, Sensor.name).where(*_holding(text)).order_by(Sensor.name).limit(limit)
     return {row[0]: row[1] for row in session.execute(query)}
@@ -64,7 +66,7 @@ def _holding(text: str) -> list[sa.ColumnElement[bool]]:
     return [Sensor.name.icontains(text, autoescape=True)] if text else []
 
 
-def baselines(
+def list_baselines(
     session: Session, sensor_ids: Collection[int] | None = None, *, documents: bool = True
 ) -> dict[int, ParameterSet]:
     """Return each sensor's baseline, or those of some, by sensor; on request without their documents."""
@@ -72,7 +74,7 @@ def baselines(
     return {row.sensor_id: row for row in session.scalars(query)}
 
 
-def baseline_heads(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, Any]:
+def list_baseline_heads(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, Any]:
     """Return id, name, run_id and baseline_from_utc of each sensor's baseline, or of those of some, by sensor."""
     columns = (ParameterSet.sensor_id, ParameterSet.id, ParameterSet.name, ParameterSet.run_id)
     query = _baselines(sensor_ids, *columns, ParameterSet.baseline_from_utc)
@@ -84,13 +86,13 @@ def _baselines(sensor_ids: Collection[int] | None, *columns: Any) -> sa.Select[A
     return query.where(*_filter_sensors(ParameterSet.sensor_id, sensor_ids))
 
 
-def last_runs(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, Run]:
+def list_last_runs(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, Run]:
     """Return each sensor's newest run, or those of some, by sensor, without their sensors' documents."""
     query = _last_runs(sensor_ids, Run).options(*_but(False, Run.sensor_document, Run.settings))
     return {row.sensor_id: row for row in session.scalars(query)}
 
 
-def last_run_heads(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, Any]:
+def list_last_run_heads(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, Any]:
     """Return id, state, reason and summary of each sensor's newest run, or of those of some, by sensor."""
     query = _last_runs(sensor_ids, Run.sensor_id, Run.id, Run.state, Run.reason, Run.summary)
     return {row.sensor_id: row for row in session.execute(query)}
@@ -103,26 +105,26 @@ def _last_runs(sensor_ids: Collection[int] | None, *columns: Any) -> sa.Select[A
     return sa.select(*columns).where(Run.id.in_(of_each))
 
 
-def set_counts(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, int]:
+def count_sets(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, int]:
     """Count the telemetry sets that are in use of each sensor, or of some, by sensor."""
     query = sa.select(TelemetrySet.sensor_id, sa.func.count()).where(TelemetrySet.archived_utc.is_(None))
     query = query.where(*_filter_sensors(TelemetrySet.sensor_id, sensor_ids))
     return {sensor_id: count for sensor_id, count in session.execute(query.group_by(TelemetrySet.sensor_id))}  # noqa: C416 - rows are not pairs to a type checker
 
 
-def waiting_approvals(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, str]:
+def read_waiting_approvals(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, str]:
     """Return the name of a set that waits for a signature, by sensor."""
     query = sa.select(ParameterSet.sensor_id, ParameterSet.name).join(Approval).where(Approval.state == "OPEN")
     query = query.where(*_filter_sensors(ParameterSet.sensor_id, sensor_ids))
     return {sensor_id: name for sensor_id, name in session.execute(query)}  # noqa: C416 - rows are not pairs to a type checker
 
 
-def onboard_sets(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, list[ParameterSet]]:
+def list_onboard_sets(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, list[ParameterSet]]:
     """Return the sets, without their documents, whose on-board state says what a sensor runs with, by sensor."""
     return _by_sensor(session.scalars(_onboard(sensor_ids, ParameterSet).options(*_but(False, ParameterSet.document))))
 
 
-def onboard_heads(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, list[Any]]:
+def list_onboard_heads(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, list[Any]]:
     """Return id, name and onboard_state of those same sets, by sensor."""
     columns = (ParameterSet.sensor_id, ParameterSet.id, ParameterSet.name, ParameterSet.onboard_state)
     return _by_sensor(session.execute(_onboard(sensor_ids, *columns)))
@@ -150,14 +152,14 @@ def _filter_sensors(column: Any, sensor_ids: Collection[int] | None) -> list[sa.
     return [] if sensor_ids is None else [among(column, sensor_ids)]
 
 
-def finished(session: Session, sensor_ids: Collection[int]) -> dict[int, list[Any]]:
+def list_finished_runs(session: Session, sensor_ids: Collection[int]) -> dict[int, list[Any]]:
     """Return sensor_id, id, telemetry_set_id, method, label, ended_utc and summary of the runs that succeeded, by sensor."""
     columns = (Run.sensor_id, Run.id, Run.telemetry_set_id, Run.method, Run.label, Run.ended_utc, Run.summary)
     query = sa.select(*columns).where(Run.sensor_id.in_(sensor_ids), Run.state == "SUCCEEDED")
     return _trend_by_sensor(sensor_ids, session.execute(query.order_by(Run.sensor_id, Run.id)), lambda row: row)
 
 
-def stamps(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, tuple[int, str | None]]:
+def read_trend_stamps(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, tuple[int, str | None]]:
     """Return of each sensor how many of its runs succeeded, and when the last of them ended: it changes when a trend does."""
     every = sa.select(Sensor.id)  # named, or SQLite reads every run that succeeded instead of an index by sensor
     counted = sa.select(Run.sensor_id, sa.func.count(Run.id), sa.func.max(Run.ended_utc)).group_by(Run.sensor_id)
@@ -166,7 +168,7 @@ def stamps(session: Session, sensor_ids: Collection[int] | None = None) -> dict[
     return {sensor_id: (count, ended_utc) for sensor_id, count, ended_utc in rows}
 
 
-def telemetry(session: Session, sensor_ids: Collection[int]) -> dict[int, dict[int, TelemetrySet]]:
+def list_telemetry(session: Session, sensor_ids: Collection[int]) -> dict[int, dict[int, TelemetrySet]]:
     """Return all telemetry sets of each sensor, and those that its runs used, by number."""
     used = sa.select(Run.sensor_id, Run.telemetry_set_id).where(Run.sensor_id.in_(sensor_ids)).distinct()
     pairs = {(sensor_id, set_id) for sensor_id, set_id in session.execute(used)}
@@ -178,7 +180,7 @@ def telemetry(session: Session, sensor_ids: Collection[int]) -> dict[int, dict[i
     }
 
 
-def baselines_over_time(
+def list_baselines_over_time(
     session: Session, sensor_ids: Collection[int]
 ) -> dict[int, list[tuple[Promotion, ParameterSet]]]:
     """Return the promotions of each sensor with their sets, oldest first."""
@@ -188,7 +190,7 @@ def baselines_over_time(
     return _trend_by_sensor(sensor_ids, rows, lambda row: (row[1], row[2]))
 
 
-def records(session: Session, sensor_ids: Collection[int]) -> dict[int, list[tuple[Uplink, ParameterSet]]]:
+def list_records(session: Session, sensor_ids: Collection[int]) -> dict[int, list[tuple[Uplink, ParameterSet]]]:
     """Return what was recorded on board of each sensor's sets, oldest first."""
     query = sa.select(ParameterSet.sensor_id, Uplink, ParameterSet).where(ParameterSet.sensor_id.in_(sensor_ids))
     query = query.join(ParameterSet, Uplink.parameter_set_id == ParameterSet.id)
@@ -204,7 +206,7 @@ def _trend_by_sensor(
     return found
 
 
-def recent_summaries(session: Session, sensor_ids: Collection[int], limit: int) -> dict[int, list[dict[str, Any]]]:
+def list_recent_summaries(session: Session, sensor_ids: Collection[int], limit: int) -> dict[int, list[dict[str, Any]]]:
     """Return of some sensors the summaries of their newest runs that succeeded, oldest first."""
     succeeded = sa.select(Run.id).where(Run.sensor_id == Sensor.id, Run.state == "SUCCEEDED").correlate(Sensor)
     first = succeeded.order_by(Run.id.desc()).offset(limit - 1).limit(1).scalar_subquery()
@@ -252,7 +254,7 @@ def _direct(table: Any, time: Any, sensor_id: int) -> tuple[Any, Any, sa.Select[
     return table, time, sa.select(table).where(table.sensor_id == sensor_id)
 
 
-def keys(
+def list_event_keys(
     session: Session, sensor_id: int, *, until_utc: str | None, before: Key | None, limit: int | None
 ) -> Sequence[Key]:
     """Return where a sensor's events stand, newest first; one query over all kinds."""
@@ -272,14 +274,14 @@ def keys(
     return [Key(*row) for row in session.execute(query if limit is None else query.limit(limit))]
 
 
-def get_key(session: Session, sensor_id: int, kind: int, row_id: int) -> Key | None:
+def find_event_key(session: Session, sensor_id: int, kind: int, row_id: int) -> Key | None:
     """Return where one event stands; None when it is none of the sensor's."""
     table, time, query = _of_sensor(sensor_id)[KINDS[kind]]
     at_utc = session.scalar(query.with_only_columns(time).where(table.id == row_id))
     return None if at_utc is None else Key(at_utc, kind, row_id)
 
 
-def rows_at(session: Session, sensor_id: int, found: Sequence[Key]) -> dict[Key, Any]:
+def read_rows_at(session: Session, sensor_id: int, found: Sequence[Key]) -> dict[Key, Any]:
     """Return the row behind each key; one query a kind."""
     rows: dict[tuple[int, int], Any] = {}
     for kind, (table, _, query) in enumerate(_of_sensor(sensor_id).values()):
@@ -289,13 +291,13 @@ def rows_at(session: Session, sensor_id: int, found: Sequence[Key]) -> dict[Key,
     return {key: rows[key.kind, key.row_id] for key in found}
 
 
-def set_names(session: Session, sensor_id: int) -> dict[int, str]:
+def read_set_names(session: Session, sensor_id: int) -> dict[int, str]:
     """Return the names of a sensor's sets."""
     query = sa.select(ParameterSet.id, ParameterSet.name).where(ParameterSet.sensor_id == sensor_id)
     return {number: name for number, name in session.execute(query)}  # noqa: C416 - rows are not pairs to a type checker
 
 
-def printed_names(session: Session) -> dict[int, str]:
+def read_printed_names(session: Session) -> dict[int, str]:
     """Return everybody's printed name."""
     query = sa.select(User.id, User.printed_name)
     return {number: name for number, name in session.execute(query)}  # noqa: C416 - rows are not pairs to a type checker
@@ -307,26 +309,26 @@ def list_requests(session: Session, sensor_id: int) -> dict[int, Approval]:
     return {row.id: row for row in session.scalars(query)}
 
 
-def first_promotions(session: Session, sensor_id: int) -> dict[int, int]:
+def read_first_promotions(session: Session, sensor_id: int) -> dict[int, int]:
     """Return of each set that was ever baseline its first promotion; any later one is a roll-back to it."""
     query = sa.select(Promotion.parameter_set_id, sa.func.min(Promotion.id)).where(Promotion.sensor_id == sensor_id)
     rows = session.execute(query.group_by(Promotion.parameter_set_id))
     return {set_id: first for set_id, first in rows}  # noqa: C416 - rows are not pairs to a type checker
 
 
-def promotion_at(session: Session, sensor_id: int, time_utc: str) -> Promotion | None:
+def find_promotion_at(session: Session, sensor_id: int, time_utc: str) -> Promotion | None:
     """Return the promotion that a sensor's baseline at a time came from."""
     query = sa.select(Promotion).where(Promotion.sensor_id == sensor_id, Promotion.at_utc <= time_utc)
     return session.scalar(query.order_by(Promotion.at_utc.desc(), Promotion.id.desc()).limit(1))
 
 
-def in_force_at(session: Session, table: type[Versioned], sensor_id: int, time_utc: str) -> Versioned | None:
+def find_in_force_at(session: Session, table: type[Versioned], sensor_id: int, time_utc: str) -> Versioned | None:
     """Return the gate profile or table definition that was in force at a time."""
     query = sa.select(table).where(table.sensor_id == sensor_id, table.created_utc <= time_utc)
     return session.scalar(query.order_by(table.number.desc()).limit(1))
 
 
-def records_after(session: Session, sensor_id: int, time_utc: str) -> Sequence[tuple[ParameterSet, Uplink]]:
+def list_records_after(session: Session, sensor_id: int, time_utc: str) -> Sequence[tuple[ParameterSet, Uplink]]:
     """Return what was recorded on board after a time, oldest first."""
     query = sa.select(ParameterSet, Uplink).join(Uplink, Uplink.parameter_set_id == ParameterSet.id)
     query = query.where(ParameterSet.sensor_id == sensor_id, Uplink.recorded_utc > time_utc)

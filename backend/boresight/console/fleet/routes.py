@@ -16,7 +16,7 @@ from boresight.console.fleet import schemas, timeline
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.timeline import TimelineEvent
-from boresight.console.fleet.trend_document import trend_document
+from boresight.console.fleet.trend_document import make_trend_document
 from boresight.console.operation import Beside, json_response, operations
 from boresight.console.runs import schemas as run_schemas
 from boresight.console.uplinks import schemas as uplink_schemas
@@ -80,7 +80,10 @@ def get_sensor_at(
 ) -> dict[str, Any]:
     """Say what was the sensor's baseline at a time, and what was recorded on board."""
     session.get_known(Sensor, sensor_id)
-    baseline, onboard = uplinks.baseline_at(session, sensor_id, at), uplinks.onboard_at(session, sensor_id, at)
+    baseline, onboard = (
+        uplinks.find_baseline_at(session, sensor_id, at),
+        uplinks.list_onboard_at(session, sensor_id, at),
+    )
     return {"at": at, "baseline": baseline, "onboard": _on_board(onboard)}
 
 
@@ -125,7 +128,7 @@ def list_sensor_timeline(
     Promotions and roll-backs, requests and signatures, waivers, packages, records on board and read-backs, gate profiles and
     table definitions.
     """
-    return page.cut(timeline.events(session, sensor_id, until=until, **page.rows))
+    return page.cut(timeline.list_events(session, sensor_id, until=until, **page.rows))
 
 
 trend_router = operations("/sensors/{sensor_id}/trend", tags=["sensors"])
@@ -148,17 +151,19 @@ def get_sensor_trend(sensor_id: Id, session: Reading) -> Response:
     `drift` says whether the baseline still holds, at 0.1 % false alarms for each look, and whether the parameters move with
     time; `advice` whether to recalibrate now. What takes no part in the tests says why in `left_out`.
     """
-    return json_response(trend_document(session, sensor_id))
+    return json_response(make_trend_document(session, sensor_id))
 
 
 @trend_router.get("/figure", summary="Read its figure", response_model=run_schemas.PlotlyFigure)
 def get_sensor_trend_figure(sensor_id: Id, session: Reading, model: Model = None) -> Response:
     """Read the trend as Plotly JSON."""
-    document = trend_document(session, sensor_id)
+    document = make_trend_document(session, sensor_id)
     return Response(figure_json(trend.draw(document, _known(model))), media_type="application/json")
 
 
 @trend_router.get("/data", summary="Read its numbers", response_class=CsvFile, responses=IN_CSV)
 def get_sensor_trend_data(sensor_id: Id, session: Reading, model: Model = None) -> Response:
     """Read the numbers behind the figure as CSV."""
-    return csv_response(trend.table(trend_document(session, sensor_id), _known(model)), f"sensor-{sensor_id}-trend.csv")
+    return csv_response(
+        trend.table(make_trend_document(session, sensor_id), _known(model)), f"sensor-{sensor_id}-trend.csv"
+    )

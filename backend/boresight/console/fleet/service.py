@@ -41,7 +41,7 @@ def register_sensor(
         raise RefusedInputError(
             f"{description.name!r} is no sensor name: use up to 64 letters, digits, spaces and . _ -."
         )
-    if rows.sensor_named(session, description.name) is not None:
+    if rows.find_sensor(session, description.name) is not None:
         raise ConflictError(f"There is a sensor {description.name} already; edit it, or choose another name.")
     row = Sensor(
         name=description.name,
@@ -92,15 +92,15 @@ class SensorChoices:
     fleet: int
 
 
-def choices(session: Session, *, find: str = "", keep: Iterable[int] = ()) -> SensorChoices:
+def list_choices(session: Session, *, find: str = "", keep: Iterable[int] = ()) -> SensorChoices:
     """Return what a chooser offers: a small fleet whole; of a larger one what is kept and the first that hold `find`."""
     refuse_control_characters(find=find)
     find = find.strip()[:LONGEST_NAME]
-    first = rows.names_holding(session, "", MOST_CHOICES + 1)
+    first = rows.read_names_holding(session, "", MOST_CHOICES + 1)
     if len(first) <= MOST_CHOICES:
         return SensorChoices(first, is_all=True, find=find, found=len(first), fitting=len(first), fleet=len(first))
-    found = dict(list((rows.names_holding(session, find, MOST_CHOICES) if find else first).items())[:MOST_CHOICES])
-    kept = rows.names(session, set(keep) - found.keys())
+    found = dict(list((rows.read_names_holding(session, find, MOST_CHOICES) if find else first).items())[:MOST_CHOICES])
+    kept = rows.read_names(session, set(keep) - found.keys())
     kept = dict(sorted(kept.items(), key=lambda one: one[1]))
     fleet = count(session)
     fitting = rows.count_holding(session, find) if find else fleet

@@ -55,7 +55,7 @@ def get_drift_verdicts(
     unknown = [sensor.id for sensor in sensors if of_store.get(sensor.id, (None,))[0] != rests_on[sensor.id]]
     anew = unknown if most is None else unknown[:most]
     for start in range(0, len(anew), TOGETHER):
-        asked = queries.sensors(session, anew[start : start + TOGETHER])
+        asked = queries.list_sensors(session, anew[start : start + TOGETHER])
         for sensor_id, trend in read_trends(session, asked).items():
             found = judge_drift(trend)
             of_store[sensor_id] = (rests_on[sensor_id], DriftVerdict(found.verdict, found.sentence, document(found)))
@@ -112,10 +112,10 @@ class SensorFacts:
 
 def list_sensor_statuses(session: Session, sensor_ids: Collection[int] | None = None) -> list[SensorStatus]:
     """Return how every sensor of the fleet stands, or some, by name; a fraction of what their tiles cost."""
-    heads = queries.sensor_heads(session, sensor_ids)
-    baselines, runs = queries.baseline_heads(session, sensor_ids), queries.last_run_heads(session, sensor_ids)
-    onboard, counts = queries.onboard_heads(session, sensor_ids), queries.set_counts(session, sensor_ids)
-    waiting, drifting = queries.waiting_approvals(session, sensor_ids), _drifting(session)
+    heads = queries.list_sensor_heads(session, sensor_ids)
+    baselines, runs = queries.list_baseline_heads(session, sensor_ids), queries.list_last_run_heads(session, sensor_ids)
+    onboard, counts = queries.list_onboard_heads(session, sensor_ids), queries.count_sets(session, sensor_ids)
+    waiting, drifting = queries.read_waiting_approvals(session, sensor_ids), _list_drifting(session)
     known = {
         head.id: SensorFacts(
             baseline=baselines.get(head.id),
@@ -151,9 +151,9 @@ def list_fleet_tiles(session: Session, sensor_ids: Collection[int] | None = None
 def list_tiles(session: Session, stand: Sequence[SensorStatus], *, documents: bool = True) -> list[SensorTile]:
     """Return the tiles of sensors that stand so, in their order; on request sensors and baselines come without documents."""
     ids = [one.sensor_id for one in stand]
-    sensors = {sensor.id: sensor for sensor in queries.sensors(session, ids, documents=documents)}
-    baselines, runs = queries.baselines(session, ids, documents=documents), queries.last_runs(session, ids)
-    onboard, counts = queries.onboard_sets(session, ids), queries.set_counts(session, ids)
+    sensors = {sensor.id: sensor for sensor in queries.list_sensors(session, ids, documents=documents)}
+    baselines, runs = queries.list_baselines(session, ids, documents=documents), queries.list_last_runs(session, ids)
+    onboard, counts = queries.list_onboard_sets(session, ids), queries.count_sets(session, ids)
     return [
         SensorTile(
             sensor=sensors[one.sensor_id],
@@ -181,7 +181,7 @@ def _ground_shifted(
 ) -> Iterator[tuple[int, bool | None]]:
     """Yield whether the ground calibration does not hold; None where more than `MOST_JUDGED` were to be asked anew by this look."""
     asked = [head for head in heads if _is_on_the_ground(known[head.id])]
-    stamps = queries.stamps(session, [head.id for head in asked])
+    stamps = queries.read_trend_stamps(session, [head.id for head in asked])
     asked = [head for head in asked if head.id in stamps]
     baselines = {head.id: known[head.id].baseline for head in asked}
     judged = get_drift_verdicts(session, asked, baselines, stamps, most=MOST_JUDGED)
@@ -190,9 +190,9 @@ def _ground_shifted(
         yield head.id, None if found is None else found.verdict == "GROUND SHIFT"
 
 
-def _drifting(session: Session) -> dict[int | None, Alarm]:
+def _list_drifting(session: Session) -> dict[int | None, Alarm]:
     """Return the alarms of sensors that drift now, by sensor; one on the shelf waits for its time."""
-    found = [row for row in alarms_queries.open_alarms(session).values() if row.kind == "DRIFT" and row.active]
+    found = [row for row in alarms_queries.list_open_alarms(session).values() if row.kind == "DRIFT" and row.active]
     return {row.sensor_id: row for row in found if not (row.shelved_until_utc or "") > utc_now()}
 
 

@@ -69,10 +69,10 @@ class TimelineReader:
     def of_sensor(cls, session: Session, sensor_id: int) -> TimelineReader:
         """Read the names that a sensor's events speak of."""
         return cls(
-            sensor_rows.set_names(session, sensor_id),
-            sensor_rows.printed_names(session),
+            sensor_rows.read_set_names(session, sensor_id),
+            sensor_rows.read_printed_names(session),
             sensor_rows.list_requests(session, sensor_id),
-            sensor_rows.first_promotions(session, sensor_id),
+            sensor_rows.read_first_promotions(session, sensor_id),
         )
 
     def read(self, key: sensor_rows.Key, row: Any) -> TimelineEvent:
@@ -221,7 +221,7 @@ def get_state_at(session: Session, sensor_id: int, time: str | None = None) -> A
     """Say what was baseline and what was on board at a time, and who said so."""
     time_utc = utc_now() if time is None else read_time(time)
     sensor = session.get_known(Sensor, sensor_id)
-    promotion = sensor_rows.promotion_at(session, sensor_id, time_utc)
+    promotion = sensor_rows.find_promotion_at(session, sensor_id, time_utc)
     approval = (
         None if promotion is None or promotion.approval_id is None else session.get(Approval, promotion.approval_id)
     )
@@ -231,11 +231,11 @@ def get_state_at(session: Session, sensor_id: int, time: str | None = None) -> A
         baseline=None if promotion is None else session.get_one(ParameterSet, promotion.parameter_set_id),
         promotion=promotion,
         approval=approval,
-        signatures=[] if approval is None else approval_rows.signatures(session, approval.id),
-        on_board=uplink_rows.records_until(session, sensor_id, time_utc),
-        learned_later=_learned_later(session, sensor_id, time_utc),
-        profile=sensor_rows.in_force_at(session, GateProfile, sensor_id, time_utc),
-        definition=sensor_rows.in_force_at(session, TableDefinition, sensor_id, time_utc),
+        signatures=[] if approval is None else approval_rows.list_signatures(session, approval.id),
+        on_board=uplink_rows.list_records_until(session, sensor_id, time_utc),
+        learned_later=_list_learned_later(session, sensor_id, time_utc),
+        profile=sensor_rows.find_in_force_at(session, GateProfile, sensor_id, time_utc),
+        definition=sensor_rows.find_in_force_at(session, TableDefinition, sensor_id, time_utc),
     )
 
 
@@ -251,24 +251,24 @@ class SensorSituation:
 
 def read_situations(session: Session) -> list[SensorSituation]:
     """Return ground and board of every sensor now, by name, in three queries for the whole fleet."""
-    baselines, recorded = sensor_rows.baseline_heads(session), uplink_rows.newest_states(session)
+    baselines, recorded = sensor_rows.list_baseline_heads(session), uplink_rows.read_newest_states(session)
     return [
         SensorSituation(
             head.id, head.name, baselines[head.id].id if head.id in baselines else None, recorded.get(head.id, ())
         )
-        for head in sensor_rows.sensor_heads(session)
+        for head in sensor_rows.list_sensor_heads(session)
     ]
 
 
-def _learned_later(session: Session, sensor_id: int, time_utc: str) -> Records:
+def _list_learned_later(session: Session, sensor_id: int, time_utc: str) -> Records:
     return [
         (row, record)
-        for row, record in sensor_rows.records_after(session, sensor_id, time_utc)
+        for row, record in sensor_rows.list_records_after(session, sensor_id, time_utc)
         if ((record.evidence or {}).get("happened_utc") or record.recorded_utc) <= time_utc
     ]
 
 
-def events(
+def list_events(
     session: Session,
     sensor_id: int,
     *,
@@ -278,21 +278,21 @@ def events(
 ) -> list[TimelineEvent]:
     """Return what happened to a sensor, newest first; the next page starts before the last one's id."""
     session.get_known(Sensor, sensor_id)
-    found = sensor_rows.keys(
+    found = sensor_rows.list_event_keys(
         session,
         sensor_id,
         until_utc=None if until is None else read_time(until),
-        before=None if before_id is None else _key(session, sensor_id, before_id),
+        before=None if before_id is None else _find_key(session, sensor_id, before_id),
         limit=limit,
     )
     reader = TimelineReader.of_sensor(session, sensor_id)
-    return [reader.read(key, row) for key, row in sensor_rows.rows_at(session, sensor_id, found).items()]
+    return [reader.read(key, row) for key, row in sensor_rows.read_rows_at(session, sensor_id, found).items()]
 
 
-def _key(session: Session, sensor_id: int, event_id: int) -> sensor_rows.Key:
+def _find_key(session: Session, sensor_id: int, event_id: int) -> sensor_rows.Key:
     """Return where an event stands."""
     row_id, kind = divmod(event_id, len(sensor_rows.KINDS))
-    if (key := sensor_rows.get_key(session, sensor_id, kind, row_id)) is None:
+    if (key := sensor_rows.find_event_key(session, sensor_id, kind, row_id)) is None:
         raise RefusedInputError("This sensor has no event to go on from; begin again without a cursor.")
     return key
 

@@ -134,8 +134,8 @@ def read_trend(session: Session, sensor_id: int) -> Trend:
 def read_trends(session: Session, sensors: Sequence[Sensor]) -> dict[int, Trend]:
     """Gather some sensors over the mission, in as many queries as for one."""
     ids = [sensor.id for sensor in sensors]
-    finished, telemetry = rows.finished(session, ids), rows.telemetry(session, ids)
-    promoted, records = rows.baselines_over_time(session, ids), rows.records(session, ids)
+    finished, telemetry = rows.list_finished_runs(session, ids), rows.list_telemetry(session, ids)
+    promoted, records = rows.list_baselines_over_time(session, ids), rows.list_records(session, ids)
     return {
         sensor.id: _trend(
             sensor,

@@ -146,7 +146,7 @@ def _reasons(drift: DriftResult, data: UnseenTelemetry, baseline: ParameterSet, 
 SCHEMA = "boresight.trend/1"
 
 
-def trend_document(session: Session, sensor_id: int) -> dict[str, Any]:
+def make_trend_document(session: Session, sensor_id: int) -> dict[str, Any]:
     """Return a sensor over the mission, with the drift tests and the advice."""
     trend = read_trend(session, sensor_id)
     found = judge_drift(trend)

@@ -61,7 +61,7 @@ class EventCursor:
     @classmethod
     def now(cls, session: Session, progress: int = 0) -> EventCursor:
         """Return the cursor after everything stored, and after this progress."""
-        return cls(run_events.newest_event_id(session), audit.newest_id(session), progress)
+        return cls(run_events.read_newest_event_id(session), audit.read_newest_id(session), progress)
 
 
 PART_OF_KIND = {"run": "run_event", "log": "run_event", "audit": "record", "progress": "progress"}
@@ -122,10 +122,10 @@ class RecentProgress:
         return [event for event in self._kept if event.number > number]
 
 
-def events_after(session: Session, cursor: EventCursor) -> list[Event]:
+def list_events_after(session: Session, cursor: EventCursor) -> list[Event]:
     """Return the rows after a cursor as events, those of either kind in their order, at most a page of each."""
-    lines = [_make_run_event(row) for row in run_events.events_after(session, cursor.run_event, PAGE)]
-    records = [_make_record_event(row) for row in audit.heads_after(session, cursor.record, PAGE)]
+    lines = [_make_run_event(row) for row in run_events.list_events_after(session, cursor.run_event, PAGE)]
+    records = [_make_record_event(row) for row in audit.list_heads_after(session, cursor.record, PAGE)]
     return list(heapq.merge(lines, records, key=lambda event: str(event.data["at_utc"])))
 
 
@@ -238,7 +238,7 @@ class Broadcast:
         self._is_closed = False
         with open_reading(self._database) as session:
             self.cursor = self._found = EventCursor.now(session, self._ring.newest)
-            self._revoked = login_sessions.newest_revocation(session)
+            self._revoked = login_sessions.read_newest_revocation(session)
         self._ended_utc = utc_now()
         self._thread.start()
 
@@ -298,7 +298,7 @@ class Broadcast:
             self._find_endings()
         while found and not self._is_closed:
             with open_reading(self._database) as session:
-                events = events_after(session, self._found)
+                events = list_events_after(session, self._found)
             found = len(events) >= PAGE  # otherwise neither kind has more
             with self._lock:
                 self._find(events)
@@ -307,8 +307,8 @@ class Broadcast:
     def _find_endings(self) -> None:
         """Have the streams ask again whose log-in has ended, and all of them after a key was revoked or a person disabled."""
         with open_reading(self._database) as session:
-            ended = login_sessions.ended_since(session, self._ended_utc)
-            revoked = login_sessions.newest_revocation(session)
+            ended = login_sessions.read_ends_since(session, self._ended_utc)
+            revoked = login_sessions.read_newest_revocation(session)
         if ended:
             self._ended_utc = max(ended.values())
         if ended or revoked != self._revoked:

@@ -65,7 +65,7 @@ class Heartbeat:
         with open_reading(self._database) as session:
             if alarm_rules.is_held(session):
                 return
-            waiting = staleness.is_any_request_due(session) or proposals.any_due(session)
+            waiting = staleness.is_any_request_due(session) or proposals.is_any_due(session)
         if waiting:
             with open_writing(self._database) as session:
                 staleness.expire_due_requests(session)

@@ -177,7 +177,7 @@ class Maintenance:
         if self._found.state != "verified" or time.monotonic() - self._head_kept_s < self._kept.every_s:
             return
         with open_reading(self._database) as session:
-            head = audit.newest_head(session)
+            head = audit.find_newest_head(session)
             before, file = self._read_head()
             is_on_record = file is not None and audit.head_was_kept(session, file)
             if (is_on_record and before is None) or (before is not None and not audit.holds(session, before)):
@@ -205,7 +205,7 @@ class Maintenance:
         with open_writing(self._database) as session:
             audit.tell_head_kept(session, file)
         with open_reading(self._database) as session:
-            return audit.newest_head(session)
+            return audit.find_newest_head(session)
 
     def suspect(self, sha256: str) -> None:
         """Look at a stored file now, which somebody found corrupt."""
@@ -219,8 +219,8 @@ class Maintenance:
         """Read stored files again: those that are suspected, and some of the others, on from where the last round ended."""
         with open_reading(self._database) as session:
             suspected = self._suspects | set(rules.list_files_in_alarm(session))
-            doubtful = files.sizes(session, sorted(suspected))
-            others = files.registered(session, self._read_to) if self._blobs.kept_at is None else ()
+            doubtful = files.list_sizes(session, sorted(suspected))
+            others = files.list_registered(session, self._read_to) if self._blobs.kept_at is None else ()
         bad = {sha256 for sha256, size in doubtful if self._is_bad(sha256, size)}
         self._read_to, ends_s = "", time.monotonic() + READ_S
         for sha256, size in others:
@@ -256,7 +256,7 @@ class Maintenance:
 
     def _check_installation(self, session: Session) -> dict[str, AlarmCause | None]:
         """Return what is wrong with the installation, by source."""
-        named = files.sizes(session, sorted(self._suspects))
+        named = files.list_sizes(session, sorted(self._suspects))
         wrong = [
             files.BadFile(sha256, what, files.list_users(session, sha256))
             for sha256, size in named

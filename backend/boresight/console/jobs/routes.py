@@ -15,7 +15,15 @@ from starlette.responses import StreamingResponse
 
 from boresight.console.access.credentials import is_still_valid
 from boresight.console.access.dependencies import Database, Who
-from boresight.console.jobs.broadcast import Broadcast, Event, EventBatch, EventCursor, Feed, Listener, events_after
+from boresight.console.jobs.broadcast import (
+    Broadcast,
+    Event,
+    EventBatch,
+    EventCursor,
+    Feed,
+    Listener,
+    list_events_after,
+)
 from boresight.console.operation import operations
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Engine, open_reading
@@ -116,7 +124,7 @@ async def _past(database: Engine, broadcast: Broadcast, cursor: EventCursor) -> 
 def _missed(database: Engine, cursor: EventCursor) -> Iterable[Event]:
     """Return a page of the rows after a cursor."""
     with open_reading(database) as session:
-        return events_after(session, cursor)
+        return list_events_after(session, cursor)
 
 
 class _Live:

@@ -101,7 +101,7 @@ class WebhookSender:
         host, port = parsed(message.url)
         address = self.targets.addresses(host, port)[0]
         netloc = f"[{address}]:{port}" if ":" in address else f"{address}:{port}"
-        identity, now_s = webhook_messages.message_id(message.delivery_id), int(time.time())
+        identity, now_s = webhook_messages.make_message_id(message.delivery_id), int(time.time())
         headers = {
             "Host": parts.netloc,
             "Content-Type": "application/json",
@@ -109,7 +109,7 @@ class WebhookSender:
             "User-Agent": f"Boresight/{boresight.__version__}",
             "webhook-id": identity,
             "webhook-timestamp": str(now_s),
-            "webhook-signature": webhook_messages.signature(message.secrets, identity, now_s, message.body),
+            "webhook-signature": webhook_messages.sign_message(message.secrets, identity, now_s, message.body),
         }
         address_of_request = urlunsplit((parts.scheme, netloc, parts.path or "/", parts.query, ""))
         async with (

@@ -10,7 +10,7 @@ from boresight.console.notes.tables import Note
 from boresight.platform.db.sessions import Session
 
 
-def notes(session: Session, subject_kind: str, subject_id: int) -> Sequence[Note]:
+def list_notes(session: Session, subject_kind: str, subject_id: int) -> Sequence[Note]:
     """Return the notes on a thing, in order."""
     query = sa.select(Note).where(Note.subject_kind == subject_kind, Note.subject_id == subject_id)
     return session.scalars(query.order_by(Note.id)).all()

@@ -27,7 +27,7 @@ TABLES: dict[str, tuple[type[Run | Sensor | ParameterSet], str]] = {
 def list_notes(session: Session, kind: str, subject_id: int) -> Sequence[Note]:
     """Return the notes on a thing, in order."""
     _require_subject(session, kind, subject_id)
-    return queries.notes(session, kind, subject_id)
+    return queries.list_notes(session, kind, subject_id)
 
 
 def add_note(session: Session, actor: Actor, kind: str, subject_id: int, text: str) -> Note:

@@ -64,7 +64,7 @@ def find_worst_status(standings: Sequence[fleet.SensorStatus]) -> FleetStatus:
 def read_fleet_status(session: Session) -> tuple[FleetStatus, int, int]:
     """Return how the fleet stands, how many requests wait for a signature, and how many alarms to be acknowledged."""
     waiting = lists.count(session, "approvals", {"state": "OPEN"})
-    return find_worst_status(fleet.list_sensor_statuses(session)), waiting, alarms.unacknowledged(session)
+    return find_worst_status(fleet.list_sensor_statuses(session)), waiting, alarms.count_unacknowledged(session)
 
 
 @dataclass(frozen=True)

@@ -310,7 +310,7 @@ def _who_grants(request: Request, status: int) -> str:
         return ""
     try:
         with open_reading(get_server(request).engine) as session:
-            names = users.administrators(session)
+            names = users.list_administrators(session)
     except Exception:
         log.exception("A refusal could not name the administrators")
         return ""

@@ -96,7 +96,7 @@ def parameter_sets_page(request: Request, session: Reading) -> HTMLResponse:
         choices=list_sensor_choices(session, view),
         states=GROUND_STATES,
         on_board=ONBOARD_STATES,
-        verdicts=gates.verdicts(session, {row.id for row in found.rows}),
+        verdicts=gates.read_verdicts(session, {row.id for row in found.rows}),
     )
 
 
@@ -111,7 +111,7 @@ def _csv_rows(session: Session, view: TableView, names: RunNames) -> Iterator[Be
     """Lay out the sets of a view for a program; the verdicts of many are read at once."""
     rows = iter(read_all(session, view))
     while some := list(islice(rows, READ_AT_ONCE)):
-        verdicts = gates.verdicts(session, {row.id for row in some})
+        verdicts = gates.read_verdicts(session, {row.id for row in some})
         yield from (_csv_row(row, names, verdicts.get(row.id)) for row in some)
 
 
@@ -229,14 +229,14 @@ def list_lineage(session: Session, row: ParameterSet, requests: Sequence[Approva
 def find_incumbent(session: Session, row: ParameterSet, requests: Sequence[Approval]) -> ParameterSet | None:
     """Return what a set is measured against: the baseline of now, or for a promoted set the one that it replaced."""
     if row.baseline_from_utc is None:
-        return set_queries.baseline(session, row.sensor_id)
+        return set_queries.find_baseline(session, row.sensor_id)
     return find_bound_incumbent(session, row, next((known for known in requests if known.state == "APPROVED"), None))
 
 
 def find_bound_incumbent(session: Session, row: ParameterSet, request: Approval | None) -> ParameterSet | None:
     """Return the set that was baseline when a request was made; None where the request names none."""
     sha256 = request.bound.get("incumbent_sha256") if request is not None else None
-    return None if sha256 is None else set_queries.other_with_document(session, row, sha256)
+    return None if sha256 is None else set_queries.find_other_with_document(session, row, sha256)
 
 
 @parameter_set_router.get("/parameter-sets/{set_id:int}", response_class=HTMLResponse)
@@ -255,7 +255,7 @@ def _page(
     reason: str = "",
 ) -> HTMLResponse:
     row = session.get_known(ParameterSet, set_id)
-    requests = lists.newest(session, Approval, set=set_id)
+    requests = lists.list_newest(session, Approval, set=set_id)
     sensor = session.get_known(Sensor, row.sensor_id)
     incumbent = find_incumbent(session, row, requests)
     return render(
@@ -268,8 +268,10 @@ def _page(
         incumbent=incumbent,
         rows=set_rows(row.document, incumbent.document if incumbent else None, sensor.document),
         requests=requests,
-        signatures=[signature for known in requests for signature in approval_queries.signatures(session, known.id)],
-        uplinks=lists.newest(session, Uplink, set=set_id),
+        signatures=[
+            signature for known in requests for signature in approval_queries.list_signatures(session, known.id)
+        ],
+        uplinks=lists.list_newest(session, Uplink, set=set_id),
         conversions=list_conversions(session, row),
         panel=make_gates_panel(session, actor, row),
         lineage=list_lineage(session, row, requests),

@@ -12,53 +12,53 @@ from boresight.platform.db.documents import among
 from boresight.platform.db.sessions import Session
 
 
-def next_number(session: Session, sensor_id: int) -> int:
+def read_next_number(session: Session, sensor_id: int) -> int:
     """Return the number that the sensor's next set gets; the first is 0."""
     highest = session.scalar(sa.select(sa.func.max(ParameterSet.number)).where(ParameterSet.sensor_id == sensor_id))
     return 0 if highest is None else highest + 1
 
 
-def set_of_run(session: Session, run_id: int) -> ParameterSet | None:
+def find_set_of_run(session: Session, run_id: int) -> ParameterSet | None:
     """Return the set that was made from a run."""
     return session.scalar(sa.select(ParameterSet).where(ParameterSet.run_id == run_id))
 
 
-def runs_with_sets(session: Session, run_ids: Collection[int]) -> set[int]:
+def list_runs_with_sets(session: Session, run_ids: Collection[int]) -> set[int]:
     """Return those of some runs that a set was made of."""
     return set(session.scalars(sa.select(ParameterSet.run_id).where(among(ParameterSet.run_id, run_ids))))
 
 
-def heads(session: Session, set_ids: Collection[int]) -> dict[int, Any]:
+def read_heads(session: Session, set_ids: Collection[int]) -> dict[int, Any]:
     """Return name and sensor_id of some sets, by id."""
     query = sa.select(ParameterSet.id, ParameterSet.name, ParameterSet.sensor_id)
     return {row.id: row for row in session.execute(query.where(ParameterSet.id.in_(set_ids)))}
 
 
-def baseline(session: Session, sensor_id: int) -> ParameterSet | None:
+def find_baseline(session: Session, sensor_id: int) -> ParameterSet | None:
     """Return the sensor's baseline."""
     query = sa.select(ParameterSet).where(ParameterSet.sensor_id == sensor_id)
     return session.scalar(query.where(ParameterSet.ground_state == "BASELINE"))
 
 
-def other_with_document(session: Session, row: ParameterSet, sha256: str) -> ParameterSet | None:
+def find_other_with_document(session: Session, row: ParameterSet, sha256: str) -> ParameterSet | None:
     """Return the newest other set of a set's sensor whose document has this hash."""
     query = sa.select(ParameterSet).where(ParameterSet.sensor_id == row.sensor_id, ParameterSet.sha256 == sha256)
     return session.scalar(query.where(ParameterSet.id != row.id).order_by(ParameterSet.id.desc()).limit(1))
 
 
-def active_set(session: Session, sensor_id: int) -> ParameterSet | None:
+def find_active_set(session: Session, sensor_id: int) -> ParameterSet | None:
     """Return the set that was read back as active on board."""
     query = sa.select(ParameterSet).where(ParameterSet.sensor_id == sensor_id)
     return session.scalar(query.where(ParameterSet.onboard_state == "ACTIVE"))
 
 
-def promotions(session: Session, sensor_id: int) -> Sequence[Promotion]:
+def list_promotions(session: Session, sensor_id: int) -> Sequence[Promotion]:
     """Return every promotion of a sensor, newest first."""
     query = sa.select(Promotion).where(Promotion.sensor_id == sensor_id)
     return session.scalars(query.order_by(Promotion.at_utc.desc(), Promotion.id.desc())).all()
 
 
-def baseline_at(session: Session, sensor_id: int, time_utc: str) -> ParameterSet | None:
+def find_baseline_at(session: Session, sensor_id: int, time_utc: str) -> ParameterSet | None:
     """Return what was the sensor's baseline at a time."""
     query = sa.select(ParameterSet).join(Promotion, Promotion.parameter_set_id == ParameterSet.id)
     query = query.where(Promotion.sensor_id == sensor_id, Promotion.at_utc <= time_utc)

@@ -56,7 +56,7 @@ def list_parameter_sets(
     ground_state: Annotated[str | None, Query(examples=["BASELINE"])] = None,
 ) -> Listing[ParameterSet]:
     """List parameter sets, newest first."""
-    return page.cut(lists.newest(session, ParameterSet, **page.rows, sensor=sensor_id, state=ground_state))
+    return page.cut(lists.list_newest(session, ParameterSet, **page.rows, sensor=sensor_id, state=ground_state))
 
 
 @router.post("", summary="Make a candidate of a run", status_code=201, response_model=schemas.ParameterSet)

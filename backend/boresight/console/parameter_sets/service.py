@@ -86,8 +86,8 @@ def create_from_run(session: Session, actor: Actor, blobs: BlobStore, run_id: in
     """Make a candidate from a run's result; asked again for the same run, return the one that is there."""
     require_role(actor, "analyst")
     require_scope(actor, "parameter-sets")
-    run = _succeeded_run(session, run_id)
-    if (existing := rows.set_of_run(session, run_id)) is not None:
+    run = _get_succeeded_run(session, run_id)
+    if (existing := rows.find_set_of_run(session, run_id)) is not None:
         return existing
     result = read_result(blobs, str(run.result_sha256), run.id)
     _refuse_unusable(run_id, result)
@@ -97,7 +97,7 @@ def create_from_run(session: Session, actor: Actor, blobs: BlobStore, run_id: in
     return _add(session, actor, sensor, document, ground_state="CANDIDATE", run_id=run.id)
 
 
-def _succeeded_run(session: Session, run_id: int) -> Run:
+def _get_succeeded_run(session: Session, run_id: int) -> Run:
     run = session.get_known(Run, run_id)
     if run.state != "SUCCEEDED" or run.result_sha256 is None:
         why = f": {run.reason}" if run.reason else ""
@@ -128,7 +128,7 @@ def _add(
     ground_state: str,
     run_id: int | None = None,
 ) -> ParameterSet:
-    number = rows.next_number(session, sensor.id)
+    number = rows.read_next_number(session, sensor.id)
     model = CAMERA_MODELS[document["camera_model"]]
     units = dict(zip(model.parameter_names, model.units, strict=True))
     body = {**document, "schema": SCHEMA, "name": f"PS-{sensor.name}-{number}", "units": units}
@@ -160,7 +160,7 @@ def convert_parameter_set(
 
 def get_incumbent_parameters(session: Session, run: Run) -> dict[str, float | None]:
     """Return the baseline's parameters in SI; none where the run started from them or there is no baseline."""
-    baseline = rows.baseline(session, run.sensor_id)
+    baseline = rows.find_baseline(session, run.sensor_id)
     if baseline is None:
         return {}
     parameters: Mapping[str, float | None] = baseline.document.get("parameters") or {}

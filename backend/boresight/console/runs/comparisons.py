@@ -117,7 +117,7 @@ def read_run_ids(asked: Sequence[str]) -> list[int]:
 
 def read_runs(session: Session, run_ids: Sequence[int]) -> list[Run]:
     """Read the rows of several runs in one query, in the order asked for."""
-    found = {run.id: run for run in lists.newest(session, Run, among=list(run_ids), limit=MOST_RUNS)}
+    found = {run.id: run for run in lists.list_newest(session, Run, among=list(run_ids), limit=MOST_RUNS)}
     if missing := [run_id for run_id in run_ids if run_id not in found]:
         raise NotFoundError(f"There is no run {missing[0]}; choose one of the list.")
     return [found[run_id] for run_id in run_ids]
@@ -125,11 +125,11 @@ def read_runs(session: Session, run_ids: Sequence[int]) -> list[Run]:
 
 def read_compared(session: Session, blobs: BlobStore, run_ids: Sequence[int]) -> list[ComparedRun]:
     """Read the runs and their results."""
-    found = [ComparedRun(run, runs.result(session, blobs, run.id) or {}) for run in read_runs(session, run_ids)]
+    found = [ComparedRun(run, runs.find_result(session, blobs, run.id) or {}) for run in read_runs(session, run_ids)]
     models = {one.camera_model: one.run.id for one in reversed(found)}
     if len(models) > 1:
         (first, first_id), (second, second_id) = sorted(models.items(), key=lambda item: run_ids.index(item[1]))[:2]
-        sets = [row for one in found if (row := parameter_sets.set_of_run(session, one.run.id)) is not None]
+        sets = [row for one in found if (row := parameter_sets.find_set_of_run(session, one.run.id)) is not None]
         raise UnlikeModelsError(
             f"Run #{first_id} uses the camera model {first} and run #{second_id} uses {second}: their parameters are not"
             " the same quantities. Compare runs of one model, or make a parameter set of a run and open its page: it has the"
@@ -149,7 +149,7 @@ def compare(session: Session, blobs: BlobStore, run_ids: Sequence[int], referenc
     place = 0 if reference_id is None else run_ids.index(reference_id)
     base = compared[place]
     names = CAMERA_MODELS[base.camera_model].parameter_names
-    related = [_shared(session, blobs, one.run, base.run) for one in compared]
+    related = [_describe_shared(session, blobs, one.run, base.run) for one in compared]
     contrasts = [
         contrast(one.result, base.result, names, shared)
         if one is not base and one.result.get("parameters") and base.result.get("parameters")
@@ -159,7 +159,7 @@ def compare(session: Session, blobs: BlobStore, run_ids: Sequence[int], referenc
     return Comparison(compared, place, names, [one for one, _ in related], [said for _, said in related], contrasts)
 
 
-def _shared(session: Session, blobs: BlobStore, run: Run, reference: Run) -> tuple[SharedData, str]:
+def _describe_shared(session: Session, blobs: BlobStore, run: Run, reference: Run) -> tuple[SharedData, str]:
     """Tell what data a run shares with the reference, in numbers and in words."""
     if run.sensor_id != reference.sensor_id:
         return SharedData(0, 0), "another sensor: the difference holds what one sensor has and the other has not"

@@ -14,7 +14,7 @@ from typing import Any
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.fleet.tables import Sensor
-from boresight.console.runs.queries import recent_runs
+from boresight.console.runs.queries import list_recent_runs
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.db.sessions import Session
@@ -125,7 +125,9 @@ class TimedRun:
 
 def list_timed_runs(session: Session, method: str) -> list[TimedRun]:
     """Return what the newest runs of a method took, newest first: of those that waited for no frames where there are any."""
-    timed = [run for run in recent_runs(session, method, RUNS_TIMED) if run[1].get("seconds") and run[1].get("stars")]
+    timed = [
+        run for run in list_recent_runs(session, method, RUNS_TIMED) if run[1].get("seconds") and run[1].get("stars")
+    ]
     unthrottled = [run for run in timed if not _downlink_s(run[0], frames=1)]
     return [TimedRun(summary["stars"], _computed_s(settings, summary)) for settings, summary in unthrottled or timed]
 
@@ -202,7 +204,7 @@ def dry_run(session: Session, request: RunRequest, forecast_sources: ForecastSou
     }
 
 
-def expected_s(session: Session, requests: Sequence[RunRequest]) -> float:
+def estimate_s(session: Session, requests: Sequence[RunRequest]) -> float:
     """Return how long runs of one method will take together, seconds of computing."""
     if not requests:
         return 0.0

@@ -10,7 +10,7 @@ from typing import Any
 from boresight.calibration.frame_view import frame_view, read_run_states
 from boresight.calibration.matching.rematch import compute_magnitude_limit
 from boresight.calibration.options import CalibrationSettings
-from boresight.console.runs.service import get_run, result
+from boresight.console.runs.service import find_result, get_run
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.blobs.store import BlobStore
@@ -115,7 +115,7 @@ def _read_result(session: Session, blobs: BlobStore, run: Run) -> Mapping[str, A
     """The run's calibration, complete or so far; empty where there is none, or where it does not count."""
     if run.state in TERMINAL_RUN_STATES and run.result_sha256 is None:
         return {}
-    return result(session, blobs, run.id) or {}
+    return find_result(session, blobs, run.id) or {}
 
 
 def _with_limit(sensor: Sensor, index: FrameIndex, catalogue: Catalogue) -> Sensor:

@@ -84,7 +84,7 @@ _BY_KEY = {offer.key: offer for offer in BUILT_IN}
 
 def list_offers(session: Session) -> list[OfferedPreset]:
     """Return what can be chosen: Boresight's own, then the newest version of each of the mission's, by name."""
-    return [*BUILT_IN, *map(make_offer, queries.presets_in_use(session))]
+    return [*BUILT_IN, *map(make_offer, queries.list_presets_in_use(session))]
 
 
 def make_offer(row: Preset) -> OfferedPreset:
@@ -114,7 +114,7 @@ def list_presets(
     session: Session, *, archived: bool = False, before_id: int | None = None, limit: int | None = None
 ) -> Sequence[Preset]:
     """Return a page of saved versions, newest first, the archived ones where asked."""
-    return lists.newest(session, Preset, before_id=before_id, limit=limit, in_use=None if archived else True)
+    return lists.list_newest(session, Preset, before_id=before_id, limit=limit, in_use=None if archived else True)
 
 
 def save_preset(session: Session, actor: Actor, name: str, sentence: str, settings: Mapping[str, Any]) -> Preset:
@@ -124,7 +124,7 @@ def save_preset(session: Session, actor: Actor, name: str, sentence: str, settin
     name, sentence = normal_name("name", name), sentence.strip()
     _refuse_words(name, sentence)
     document = _whole(settings)
-    before = queries.newest_preset(session, name)
+    before = queries.find_newest_preset(session, name)
     if (
         before is not None
         and before.archived_utc is None
@@ -166,7 +166,7 @@ def archive_preset(session: Session, actor: Actor, preset_id: int) -> Preset:
     return row
 
 
-def chosen_settings(
+def choose_settings(
     session: Session, preset: str | None, settings: Mapping[str, Any]
 ) -> tuple[str | None, dict[str, Any]]:
     """Return the name of a preset and its settings with those given over them; without a preset those given alone."""

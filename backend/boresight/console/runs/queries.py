@@ -86,18 +86,18 @@ def write_events(session: Session, lines: Sequence[tuple[int, int, Line]]) -> No
         session.execute(sa.insert(RunEvent), journals.chained(session, RunEvent, given))
 
 
-def events_of_run(session: Session, run_id: int, after_id: int, limit: int | None) -> list[RunEvent]:
+def list_events(session: Session, run_id: int, after_id: int, limit: int | None) -> list[RunEvent]:
     """Return the log of one run in order, from the line after `after_id`; at most `limit` lines, None for all."""
     query = sa.select(RunEvent).where(RunEvent.run_id == run_id, RunEvent.id > after_id)
     return list(session.scalars(query.order_by(RunEvent.id).limit(limit)))
 
 
-def newest_event_id(session: Session) -> int:
+def read_newest_event_id(session: Session) -> int:
     """Return the number of the newest log line of any run; 0 where there is none."""
     return session.scalar(sa.select(sa.func.max(RunEvent.id))) or 0
 
 
-def events_after(session: Session, after_id: int, limit: int) -> list[RunEvent]:
+def list_events_after(session: Session, after_id: int, limit: int) -> list[RunEvent]:
     """Return the log lines of all runs in order, from the line after `after_id`."""
     return list(session.scalars(sa.select(RunEvent).where(RunEvent.id > after_id).order_by(RunEvent.id).limit(limit)))
 
@@ -126,7 +126,7 @@ class ClaimedRun:
     validation_sha256: str | None
 
 
-def waiting_runs(session: Session, limit: int) -> list[WaitingRun]:
+def list_waiting_runs(session: Session, limit: int) -> list[WaitingRun]:
     """Return the QUEUED runs, oldest first."""
     query = (
         sa.select(Run.id, Run.attempt, Run.method, Run.settings, TelemetrySet.frames, TelemetrySet.stars)
@@ -138,7 +138,7 @@ def waiting_runs(session: Session, limit: int) -> list[WaitingRun]:
     return [WaitingRun(*row) for row in session.execute(query)]
 
 
-def claimed_runs(session: Session, run_ids: Sequence[int]) -> list[ClaimedRun]:
+def list_claimed_runs(session: Session, run_ids: Sequence[int]) -> list[ClaimedRun]:
     """Read what the computation of claimed runs needs, in the order of their ids."""
     validation = aliased(TelemetrySet)
     query = (
@@ -226,7 +226,7 @@ def claim(
     ).all()
     held = sorted((run_id, attempt) for run_id, attempt in taken)
     write_events(session, [(*one, Line.begun(one[1], owner)) for one in held])
-    return claimed_runs(session, [run_id for run_id, _ in held])
+    return list_claimed_runs(session, [run_id for run_id, _ in held])
 
 
 def _fenced(held: HeldRun) -> sa.Update:
@@ -296,7 +296,7 @@ def finish_all(session: Session, ends: Sequence[RunEnd]) -> dict[HeldRun, str]:
     """Write how runs ended, each once, however many in a few statements."""
     if strange := {end.state for end in ends}.difference(TERMINAL_RUN_STATES):
         raise ValueError(f"Expected some of {TERMINAL_RUN_STATES} / Received {strange}")
-    now, held = utc_now(), _held(session, [end.run_id for end in ends])
+    now, held = utc_now(), _read_held(session, [end.run_id for end in ends])
     written = [_as_asked(end, held[end.run_id, end.attempt]) for end in ends if (end.run_id, end.attempt) in held]
     _register_results(session, written, now)
     _write_ends(session, [end for end in written if end.result_sha256 is None], now)
@@ -312,7 +312,7 @@ def finish_all(session: Session, ends: Sequence[RunEnd]) -> dict[HeldRun, str]:
     return {(end.run_id, end.attempt): end.state for end in written}
 
 
-def _held(session: Session, run_ids: Collection[int]) -> dict[HeldRun, tuple[str, str | None]]:
+def _read_held(session: Session, run_ids: Collection[int]) -> dict[HeldRun, tuple[str, str | None]]:
     """Return state and reason of those runs that an attempt holds. It stays so until the commit: there is one writer at a time."""
     query = sa.select(Run.id, Run.attempt, Run.state, Run.reason).where(
         Run.id.in_(run_ids), Run.state.in_(HOLDING_STATES)
@@ -406,14 +406,14 @@ def _matched(session: Session, statement: sa.Update) -> bool:
     return session.execute(statement.returning(Run.id)).first() is not None
 
 
-def runs_of_set(session: Session, telemetry_set_id: int, limit: int) -> tuple[list[Run], int]:
+def list_runs_of_set(session: Session, telemetry_set_id: int, limit: int) -> tuple[list[Run], int]:
     """Return the newest runs that fitted or validated with a telemetry set, and how many there are."""
     uses = sa.or_(Run.telemetry_set_id == telemetry_set_id, Run.validation_set_id == telemetry_set_id)
     newest = list(session.scalars(sa.select(Run).where(uses).order_by(Run.id.desc()).limit(limit)))
     return newest, session.scalar(sa.select(sa.func.count()).select_from(Run).where(uses)) or 0
 
 
-def newest_finished(session: Session, sensor_id: int, limit: int) -> list[Run]:
+def list_newest_finished(session: Session, sensor_id: int, limit: int) -> list[Run]:
     """Return a sensor's newest runs that succeeded, those with a validation set before all others."""
     query = sa.select(Run).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED")
     return list(session.scalars(query.order_by(Run.validation_set_id.is_(None), Run.id.desc()).limit(limit)))
@@ -425,7 +425,7 @@ def count_queued_before(session: Session, run_id: int) -> int:
     return session.scalar(query) or 0
 
 
-def neighbours(session: Session, run_id: int) -> tuple[int | None, int | None]:
+def read_neighbours(session: Session, run_id: int) -> tuple[int | None, int | None]:
     """Return the numbers of the runs before and after one, None at an end."""
     before = session.scalar(sa.select(sa.func.max(Run.id)).where(Run.id < run_id))
     return before, session.scalar(sa.select(sa.func.min(Run.id)).where(Run.id > run_id))
@@ -437,7 +437,7 @@ def count_by_state(session: Session) -> dict[str, int]:
     return {row[0]: row[1] for row in rows}
 
 
-def recent_runs(session: Session, method: str, limit: int) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+def list_recent_runs(session: Session, method: str, limit: int) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     """Return settings and summary of the newest runs of a method that succeeded."""
     query = sa.select(Run.settings, Run.summary).where(Run.state == "SUCCEEDED", Run.method == method)
     newest = session.execute(query.where(Run.summary.is_not(None)).order_by(Run.id.desc()).limit(limit))
@@ -449,12 +449,12 @@ def list_sensors(session: Session, run_ids: Collection[int]) -> list[int]:
     return list(session.scalars(sa.select(Run.sensor_id).where(Run.id.in_(run_ids)).distinct().order_by(Run.sensor_id)))
 
 
-def newest_preset(session: Session, name: str) -> Preset | None:
+def find_newest_preset(session: Session, name: str) -> Preset | None:
     """Return the newest version of a name, archived or not."""
     return session.scalar(sa.select(Preset).where(Preset.name == name).order_by(Preset.number.desc()).limit(1))
 
 
-def presets_in_use(session: Session) -> Sequence[Preset]:
+def list_presets_in_use(session: Session) -> Sequence[Preset]:
     """Return the newest version of every name that is not archived, by name."""
     newest = sa.select(sa.func.max(Preset.id)).where(Preset.archived_utc.is_(None)).group_by(Preset.name)
     return session.scalars(sa.select(Preset).where(Preset.id.in_(newest)).order_by(Preset.name)).all()

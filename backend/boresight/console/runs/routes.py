@@ -137,20 +137,20 @@ def get_run_result(run_id: Id, session: Reading, blobs: Blobs) -> Response:
 @router.get("/{run_id}/log", summary="Read the log", response_model=Page[schemas.LogLine], dependencies=[SAME_FOR_ALL])
 def get_run_log(run_id: Id, session: Reading, page: Paged) -> Listing[RunEvent]:
     """Read a run's log in the order it happened."""
-    return page.cut(runs.log_lines(session, run_id, after_id=page.last_id or 0, limit=page.limit + 1))
+    return page.cut(runs.list_log_lines(session, run_id, after_id=page.last_id or 0, limit=page.limit + 1))
 
 
 @router.get("/{run_id}/report", summary="Read the report", response_class=HTMLResponse)
 def get_run_report(run_id: Id, session: Reading, blobs: Blobs, policy: ServerPolicy) -> HTMLResponse:
     """Read the report of a run that has ended: one HTML file that needs nothing else, figures included."""
-    report = render_report(runs.final_result(session, blobs, run_id), four_eyes=policy.four_eyes)
+    report = render_report(runs.get_final_result(session, blobs, run_id), four_eyes=policy.four_eyes)
     headers = {"Content-Disposition": f'attachment; filename="run-{run_id}-report.html"'}
     return HTMLResponse(report, headers=headers)
 
 
 def result_so_far(session: Session, blobs: BlobStore, run_id: Id) -> dict[str, Any]:
     """Return a run's calibration, complete or so far; with nothing yet, one that only says that it runs."""
-    found = runs.result(session, blobs, run_id)
+    found = runs.find_result(session, blobs, run_id)
     if found is not None:
         return found
     state = runs.get_run(session, run_id).state

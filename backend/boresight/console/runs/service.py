@@ -83,7 +83,7 @@ def list_runs(
     asked = [state] if isinstance(state, str) else list(state or ())
     if strange := [word for word in asked if word not in RUN_STATES]:
         raise RefusedInputError(f"{', '.join(strange)} is no state of a run; choose from {', '.join(RUN_STATES)}.")
-    return lists.newest(
+    return lists.list_newest(
         session,
         Run,
         before_id=before_id,
@@ -101,7 +101,7 @@ def count_by_state(session: Session) -> dict[str, int]:
     return {state: counted.get(state, 0) for state in RUN_STATES}
 
 
-def result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | None:
+def find_result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | None:
     """Return a run's calibration JSON, what there is so far, or None; a simulated sensor's true parameters are `truth`."""
     run = get_run(session, run_id)
     document: dict[str, Any] | None = (run.progress or {}).get("partial")
@@ -113,10 +113,10 @@ def result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | 
     return _in_model_order(document if truth is None else {**document, "truth": truth})
 
 
-def final_result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any]:
+def get_final_result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any]:
     """Return the calibration JSON of a run that has ended with one."""
     run = get_run(session, run_id)
-    document = result(session, blobs, run_id)
+    document = find_result(session, blobs, run_id)
     if run.result_sha256 is None or document is None:
         raise ConflictError(f"Run {run_id} is {run.state} and has no result; wait for its end, or launch it again.")
     return document
@@ -133,7 +133,7 @@ def _in_model_order(document: dict[str, Any]) -> dict[str, Any]:
     return document | ordered
 
 
-def log_lines(session: Session, run_id: int, *, after_id: int = 0, limit: int | None = None) -> list[RunEvent]:
+def list_log_lines(session: Session, run_id: int, *, after_id: int = 0, limit: int | None = None) -> list[RunEvent]:
     """Return a run's log in order, from the line after `after_id`: all of it, or at most `limit` lines."""
     get_run(session, run_id)
-    return queries.events_of_run(session, run_id, after_id, limit)
+    return queries.list_events(session, run_id, after_id, limit)

@@ -224,7 +224,7 @@ def _prepared(
     with open_reading(engine) as session:
         document = session.get_known(Sensor, upload.number("sensor_id")).document
     limits = settings.telemetry_limits
-    with telemetry_sets.prepared(
+    with telemetry_sets.hold_prepared(
         document, forecast_sources.catalogue(), upload.path, upload.file_name, limits
     ) as prepared:
         forecast_sources.blobs.send_ahead(prepared.original, prepared.table)
@@ -297,7 +297,7 @@ def _edge_of_data(radial: Mapping[str, Any]) -> tuple[float, str] | None:
 def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: int) -> HTMLResponse:
     """Show a set with its quality report."""
     row = session.get_known(TelemetrySet, set_id)
-    used_by, uses = run_queries.runs_of_set(session, row.id, RUNS_SHOWN)
+    used_by, uses = run_queries.list_runs_of_set(session, row.id, RUNS_SHOWN)
     names = read_names(session, used_by, sensors_of=[row])
     blob = session.get(Blob, row.original_sha256)
     return render(

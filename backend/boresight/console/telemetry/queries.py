@@ -12,13 +12,13 @@ from boresight.platform.db.documents import among
 from boresight.platform.db.sessions import Session
 
 
-def set_with_bytes(session: Session, sensor_id: int, original_sha256: str) -> TelemetrySet | None:
+def find_set_with_bytes(session: Session, sensor_id: int, original_sha256: str) -> TelemetrySet | None:
     """Return the sensor's set that was uploaded as these bytes."""
     query = sa.select(TelemetrySet).where(TelemetrySet.sensor_id == sensor_id)
     return session.scalar(query.where(TelemetrySet.original_sha256 == original_sha256))
 
 
-def oldest_set(session: Session, sensor_id: int, purpose: str, *, archived: bool) -> int | None:
+def find_oldest_set(session: Session, sensor_id: int, purpose: str, *, archived: bool) -> int | None:
     """Return the number of a sensor's oldest set of a purpose, of those in use or of all."""
     query = sa.select(sa.func.min(TelemetrySet.id))
     query = query.where(TelemetrySet.sensor_id == sensor_id, TelemetrySet.purpose == purpose)
@@ -35,7 +35,7 @@ def read_heads(session: Session, sensor_ids: Collection[int], newest: int, set_i
     return list(session.execute(sa.select(aged).where(wanted).order_by(aged.c.id.desc())))
 
 
-def names(session: Session, set_ids: Collection[int] | None) -> dict[int, str]:
+def read_names(session: Session, set_ids: Collection[int] | None) -> dict[int, str]:
     """Return the names of sets by their numbers; of all where None is given."""
     query = sa.select(TelemetrySet.id, TelemetrySet.name)
     if set_ids is not None:

@@ -60,7 +60,7 @@ def _prepare(
     with open_reading(engine) as session:
         document = session.get_known(Sensor, upload.number("sensor_id")).document
     limits = settings.telemetry_limits
-    with telemetry_sets.prepared(
+    with telemetry_sets.hold_prepared(
         document, forecast_sources.catalogue(), upload.file(), upload.file_name, limits
     ) as prepared:
         forecast_sources.blobs.send_ahead(prepared.original, prepared.table)

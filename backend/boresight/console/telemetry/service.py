@@ -1,6 +1,6 @@
 """Telemetry sets: what was downlinked, kept as it came and as the table that is worked on.
 
-A file is checked whole before anything is stored. That takes seconds and there is one writer, so `prepared` comes
+A file is checked whole before anything is stored. That takes seconds and there is one writer, so `hold_prepared` comes
 before the transaction and `store_prepared` inside it.
 """
 
@@ -52,7 +52,7 @@ class PreparedUpload:
 
 
 @contextmanager
-def prepared(
+def hold_prepared(
     sensor_document: Mapping[str, Any],
     catalogue: Catalogue | None,
     path: Path,
@@ -99,12 +99,12 @@ def add_telemetry_set(
     file_name: str,
     purpose: str = "calibration",
 ) -> TelemetrySet:
-    """Read, check and store an uploaded file of a sensor; see `prepared` and `store_prepared`."""
+    """Read, check and store an uploaded file of a sensor; see `hold_prepared` and `store_prepared`."""
     _refuse_upload(actor, purpose)
     sensor = session.get_known(SensorRow, sensor_id)
-    if (existing := rows.set_with_bytes(session, sensor_id, _sha256_of_file(path))) is not None:
-        return _in_use_again(session, actor, existing)
-    with prepared(sensor.document, catalogue, path, file_name) as upload:
+    if (existing := rows.find_set_with_bytes(session, sensor_id, _sha256_of_file(path))) is not None:
+        return _use_again(session, actor, existing)
+    with hold_prepared(sensor.document, catalogue, path, file_name) as upload:
         return store_prepared(session, actor, blobs, sensor_id, upload, purpose)
 
 
@@ -114,7 +114,7 @@ def _put_both(session: Session, blobs: BlobStore, upload: PreparedUpload) -> tup
     try:
         return original, blobs.put(upload.table)
     except UnavailableError:
-        if not files.sizes(session, [original]):
+        if not files.list_sizes(session, [original]):
             blobs.discard(original)
         raise
 
@@ -130,8 +130,8 @@ def store_prepared(
     """Store what was prepared; the same bytes again are the set that is there."""
     _refuse_upload(actor, purpose)
     sensor_id = session.get_known(SensorRow, sensor_id).id
-    if (existing := rows.set_with_bytes(session, sensor_id, upload.original_sha256)) is not None:
-        return _in_use_again(session, actor, existing)
+    if (existing := rows.find_set_with_bytes(session, sensor_id, upload.original_sha256)) is not None:
+        return _use_again(session, actor, existing)
     original, table = _put_both(session, blobs, upload)
     register_blob(session, blobs, original, upload.media_type)
     register_blob(session, blobs, table, MEDIA_TYPE)
@@ -167,7 +167,7 @@ def _sha256_of_file(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _in_use_again(session: Session, actor: Actor, row: TelemetrySet) -> TelemetrySet:
+def _use_again(session: Session, actor: Actor, row: TelemetrySet) -> TelemetrySet:
     """Take a set out of the archive, where it is in it."""
     if row.archived_utc is not None:
         row.archived_utc = None
@@ -196,7 +196,7 @@ def list_telemetry_sets(
 ) -> Sequence[TelemetrySet]:
     """Return a page of sets, newest first, with the archived ones where asked; the next starts before the last id."""
     in_use = None if archived else True
-    return lists.newest(
+    return lists.list_newest(
         session, TelemetrySet, before_id=before_id, limit=limit, sensor=sensor_id, purpose=purpose, in_use=in_use
     )
 

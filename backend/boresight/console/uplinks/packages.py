@@ -14,15 +14,15 @@ from boresight.console import list_queries as lists
 from boresight.console.access.tables import User
 from boresight.console.approvals import queries as approval_rows
 from boresight.console.approvals import staleness
-from boresight.console.approvals.gates import with_waivers
-from boresight.console.approvals.signers import second_persons
+from boresight.console.approvals.gates import read_with_waivers
+from boresight.console.approvals.signers import list_second_persons
 from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.console.transitions import who_changed
+from boresight.console.transitions import describe_last_change
 from boresight.console.uplinks import queries as rows
 from boresight.console.uplinks.tables import Package, TableDefinition
 from boresight.errors import ConflictError, CorruptFileError, NotFoundError, RefusedInputError
@@ -36,7 +36,7 @@ SIGNED = ("printed_name", "decision", "meaning", "comment", "signed_utc", "shown
 WAIVED = ("gate", "code", "reason", "printed_name", "made_utc", "expires_utc")
 
 
-def described(session: Session, row: ParameterSet) -> dict[str, Any]:
+def describe_set(session: Session, row: ParameterSet) -> dict[str, Any]:
     """Return everything that a package says of a set."""
     return {
         "id": row.id,
@@ -45,16 +45,16 @@ def described(session: Session, row: ParameterSet) -> dict[str, Any]:
         "ground_state": row.ground_state,
         "document": row.document,
         "created_utc": row.created_utc,
-        "run": _run(session, row),
-        "gates": _gates(session, row),
-        "approval": _approval(session, row),
+        "run": _describe_run(session, row),
+        "gates": _describe_gates(session, row),
+        "approval": _describe_approval(session, row),
     }
 
 
-def four_eyes(session: Session, row: ParameterSet, policy: Policy) -> dict[str, Any]:
+def describe_four_eyes(session: Session, row: ParameterSet, policy: Policy) -> dict[str, Any]:
     """Say whether this installation asks for a second person, and whether one approved this set: None where nobody signed."""
-    approval = approval_rows.find_latest(session, row.id, "APPROVED")
-    second = None if approval is None else second_persons(session, approval, Policy())
+    approval = approval_rows.find_latest_approval(session, row.id, "APPROVED")
+    second = None if approval is None else list_second_persons(session, approval, Policy())
     kept = None if approval is None or second is None else len(second) >= approval.needed
     if not policy.four_eyes:
         sentence = "FOUR EYES ARE OFF: this installation lets one person submit, sign and export alone."
@@ -67,7 +67,7 @@ def four_eyes(session: Session, row: ParameterSet, policy: Policy) -> dict[str, 
     return {"enforced": policy.four_eyes, "kept": kept, "sentence": sentence}
 
 
-def _run(session: Session, row: ParameterSet) -> dict[str, Any] | None:
+def _describe_run(session: Session, row: ParameterSet) -> dict[str, Any] | None:
     """Say which run a set was made of, from which data; None for a ground calibration."""
     run = None if row.run_id is None else session.get_one(Run, row.run_id)
     if run is None:
@@ -77,14 +77,14 @@ def _run(session: Session, row: ParameterSet) -> dict[str, Any] | None:
         "method": run.method,
         "result_sha256": run.result_sha256,
         "launched_utc": run.launched_utc,
-        "launched_by": _printed(session, run.launched_by),
+        "launched_by": _name_person(session, run.launched_by),
         "started_from": run.sensor_document["initial"],
-        "telemetry": _telemetry(session, run.telemetry_set_id),
-        "validation": _telemetry(session, run.validation_set_id),
+        "telemetry": _describe_telemetry(session, run.telemetry_set_id),
+        "validation": _describe_telemetry(session, run.validation_set_id),
     }
 
 
-def _telemetry(session: Session, telemetry_set_id: int | None) -> dict[str, Any] | None:
+def _describe_telemetry(session: Session, telemetry_set_id: int | None) -> dict[str, Any] | None:
     if telemetry_set_id is None:
         return None
     row = session.get_one(TelemetrySet, telemetry_set_id)
@@ -99,50 +99,52 @@ def _telemetry(session: Session, telemetry_set_id: int | None) -> dict[str, Any]
     }
 
 
-def _gates(session: Session, row: ParameterSet) -> dict[str, Any] | None:
+def _describe_gates(session: Session, row: ParameterSet) -> dict[str, Any] | None:
     """Say what the gate report that was signed found, with the waivers that the request binds; None when nothing was judged."""
-    approval = approval_rows.find_latest(session, row.id, "APPROVED")
+    approval = approval_rows.find_latest_approval(session, row.id, "APPROVED")
     bound = {} if approval is None else approval.bound
-    report = approval_rows.newest_report(session, row.id, bound.get("gate_report_sha256"))
+    report = approval_rows.find_newest_report(session, row.id, bound.get("gate_report_sha256"))
     if report is None:
         return None
-    laid_over = with_waivers(session, report, bound.get("waivers"))
+    laid_over = read_with_waivers(session, report, bound.get("waivers"))
     return {
         "sha256": report.sha256,
         "verdict": laid_over["verdict"],
         "words": laid_over["words"],
         "waived": laid_over["waived"],
         "waivers": [
-            {key: getattr(waiver, key) for key in WAIVED} for waiver in approval_rows.waivers(session, [row.id])
+            {key: getattr(waiver, key) for key in WAIVED} for waiver in approval_rows.list_waivers(session, [row.id])
         ],
         "document": report.document,
     }
 
 
-def _approval(session: Session, row: ParameterSet) -> dict[str, Any] | None:
+def _describe_approval(session: Session, row: ParameterSet) -> dict[str, Any] | None:
     """Return the request by which a set was approved, with its signatures; None for a ground calibration."""
-    approval: Approval | None = approval_rows.find_latest(session, row.id, "APPROVED")
+    approval: Approval | None = approval_rows.find_latest_approval(session, row.id, "APPROVED")
     if approval is None:
         return None
     return {
         "id": approval.id,
         "kind": approval.kind,
         "reason": approval.reason,
-        "submitted_by": _printed(session, approval.submitted_by),
+        "submitted_by": _name_person(session, approval.submitted_by),
         "submitted_utc": approval.submitted_utc,
         "needed": approval.needed,
         "bound": approval.bound,
-        "signatures": [_signed(signature) for signature in approval_rows.signatures(session, approval.id)],
+        "signatures": [
+            _describe_signature(signature) for signature in approval_rows.list_signatures(session, approval.id)
+        ],
     }
 
 
-def _signed(signature: Signature) -> dict[str, Any]:
+def _describe_signature(signature: Signature) -> dict[str, Any]:
     """Say who signed what, and who else knew the password, where somebody did."""
     said = {key: getattr(signature, key) for key in SIGNED}
     return said if signature.password_by is None else said | {"password_by": signature.password_by}
 
 
-def _printed(session: Session, user_id: int | None) -> str:
+def _name_person(session: Session, user_id: int | None) -> str:
     user = None if user_id is None else session.get(User, user_id)
     return "Boresight" if user is None else user.printed_name
 
@@ -167,22 +169,25 @@ def build(
     row = session.get_known(ParameterSet, parameter_set_id)
     if row.ground_state not in EXPORTED:
         raise ConflictError(
-            f"{row.name} is {row.ground_state}: {who_changed(session, row)}. Only an approved set or the baseline is exported."
+            f"{row.name} is {row.ground_state}: {describe_last_change(session, row)}. "
+            "Only an approved set or the baseline is exported."
         )
     _refuse_unsigned(session, actor, row)
-    definition = rows.definition_in_force(session, row.sensor_id)
+    definition = rows.find_definition_in_force(session, row.sensor_id)
     _refuse_other_versions(session, row, definition, flight_software_version, table_id)
-    inputs = _inputs(session, row, definition, policy)
-    existing = _existing(session, row, inputs)
+    inputs = _gather_inputs(session, row, definition, policy)
+    existing = _find_existing(session, row, inputs)
     if existing is not None:
-        return _kept(session, blobs, existing)
+        return _keep(session, blobs, existing)
     inputs["first_built"] = {"at_utc": utc_now(), "audit_head": audit.head(session)}
     return _store(session, actor, blobs, row, definition, inputs)
 
 
 def _refuse_unsigned(session: Session, actor: Actor, row: ParameterSet) -> None:
     """Refuse an approved set that is not any more what was signed; a baseline stays what it became."""
-    approval = approval_rows.find_latest(session, row.id, "APPROVED") if row.ground_state == "APPROVED" else None
+    approval = (
+        approval_rows.find_latest_approval(session, row.id, "APPROVED") if row.ground_state == "APPROVED" else None
+    )
     if approval is not None:
         staleness.refuse_expired(session, approval, row)
         staleness.refuse_changed_binding(session, actor, approval, row)
@@ -216,36 +221,38 @@ def _listed(versions: Mapping[str, str]) -> str:
     return " and ".join(f"{key.replace('_', ' ')} {value}" for key, value in versions.items())
 
 
-def _inputs(session: Session, row: ParameterSet, definition: TableDefinition | None, policy: Policy) -> dict[str, Any]:
+def _gather_inputs(
+    session: Session, row: ParameterSet, definition: TableDefinition | None, policy: Policy
+) -> dict[str, Any]:
     """Gather what the bytes follow from, apart from when they were first built."""
     sensor = session.get_one(Sensor, row.sensor_id)
-    baseline = set_rows.baseline(session, row.sensor_id)
-    way_back = rows.baseline_before(session, row) if row.ground_state == "BASELINE" else baseline
+    baseline = set_rows.find_baseline(session, row.sensor_id)
+    way_back = rows.find_baseline_before(session, row) if row.ground_state == "BASELINE" else baseline
     way_back = way_back or row
-    active = set_rows.active_set(session, row.sensor_id)
+    active = set_rows.find_active_set(session, row.sensor_id)
     elsewhere = active is not None and active.id not in {row.id, way_back.id}
     return {
         "sensor": sensor.document,
         "simulated": bool(sensor.simulated),
-        "subject": described(session, row),
-        "backout": described(session, way_back),
-        "active": described(session, active) if active is not None and elsewhere else None,
+        "subject": describe_set(session, row),
+        "backout": describe_set(session, way_back),
+        "active": describe_set(session, active) if active is not None and elsewhere else None,
         "definition": None
         if definition is None
         else {"number": definition.number, "sha256": definition.sha256, "document": definition.document},
-        "four_eyes": four_eyes(session, row, policy),
+        "four_eyes": describe_four_eyes(session, row, policy),
         "software": {"name": "Boresight", "version": __version__},
     }
 
 
-def _existing(session: Session, row: ParameterSet, inputs: Mapping[str, Any]) -> Package | None:
-    for package in lists.newest(session, Package, set=row.id):
+def _find_existing(session: Session, row: ParameterSet, inputs: Mapping[str, Any]) -> Package | None:
+    for package in lists.list_newest(session, Package, set=row.id):
         if {key: value for key, value in package.inputs.items() if key != "first_built"} == inputs:
             return package
     return None
 
 
-def _kept(session: Session, blobs: BlobStore, package: Package) -> Package:
+def _keep(session: Session, blobs: BlobStore, package: Package) -> Package:
     """Return a package, its bytes laid down again where the folder lost or spoiled them."""
     try:
         blobs.path(package.sha256)
@@ -297,7 +304,7 @@ def read(session: Session, blobs: BlobStore, package_id: int) -> bytes:
     return blobs.read(session.get_known(Package, package_id).sha256)
 
 
-def file_name(session: Session, package: Package) -> str:
+def make_file_name(session: Session, package: Package) -> str:
     """Return a name for the file: the set, and the first digits of the hash."""
     row = session.get_one(ParameterSet, package.parameter_set_id)
     return f"{row.name.replace(' ', '_')}-{package.sha256[:12]}.zip"
@@ -305,7 +312,7 @@ def file_name(session: Session, package: Package) -> str:
 
 def set_named(session: Session, name: str) -> ParameterSet:
     """Return a set by its number or its name, `PS-<sensor>-<n>`."""
-    row = rows.set_named(session, name) or (
+    row = rows.find_set(session, name) or (
         session.get(ParameterSet, int(name)) if name.isdecimal() and len(name) < 19 else None
     )
     if row is None:

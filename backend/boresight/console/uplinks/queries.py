@@ -11,7 +11,7 @@ from boresight.console.uplinks.tables import TableDefinition, Uplink
 from boresight.platform.db.sessions import Session
 
 
-def records_until(session: Session, sensor_id: int, time_utc: str) -> Sequence[tuple[ParameterSet, Uplink]]:
+def list_records_until(session: Session, sensor_id: int, time_utc: str) -> Sequence[tuple[ParameterSet, Uplink]]:
     """Return each of a sensor's sets with its newest record at a time."""
     newest = (
         sa.select(sa.func.max(Uplink.id))
@@ -24,7 +24,7 @@ def records_until(session: Session, sensor_id: int, time_utc: str) -> Sequence[t
     return [(parameter_set, uplink) for parameter_set, uplink in rows]
 
 
-def newest_states(session: Session) -> dict[int, list[tuple[int, str]]]:
+def read_newest_states(session: Session) -> dict[int, list[tuple[int, str]]]:
     """Return of every sensor with records its sets and what was recorded last of each, by sensor, in the order of recording."""
     newest = sa.select(sa.func.max(Uplink.id)).group_by(Uplink.parameter_set_id)
     columns = (ParameterSet.sensor_id, ParameterSet.id, Uplink.onboard_state)
@@ -35,19 +35,19 @@ def newest_states(session: Session) -> dict[int, list[tuple[int, str]]]:
     return found
 
 
-def newest_record(session: Session, parameter_set_id: int, onboard_state: str | None = None) -> Uplink | None:
+def find_newest_record(session: Session, parameter_set_id: int, onboard_state: str | None = None) -> Uplink | None:
     """Return what was recorded last of a set, or last in a state."""
     query = sa.select(Uplink).where(Uplink.parameter_set_id == parameter_set_id).order_by(Uplink.id.desc()).limit(1)
     return session.scalar(query if onboard_state is None else query.where(Uplink.onboard_state == onboard_state))
 
 
-def newest_compared(session: Session, parameter_set_id: int, method: str, after_id: int) -> Uplink | None:
+def find_newest_compared(session: Session, parameter_set_id: int, method: str, after_id: int) -> Uplink | None:
     """Return the newest of a set's records after one that rests on a comparison by a method."""
     query = sa.select(Uplink).where(Uplink.parameter_set_id == parameter_set_id, Uplink.method == method)
     return session.scalar(query.where(Uplink.id > after_id).order_by(Uplink.id.desc()).limit(1))
 
 
-def other_sets(session: Session, row: ParameterSet) -> Sequence[ParameterSet]:
+def list_other_sets(session: Session, row: ParameterSet) -> Sequence[ParameterSet]:
     """Return the other sets of a set's sensor that were ever baseline, newest first: what may be on board instead."""
     query = sa.select(ParameterSet).where(ParameterSet.sensor_id == row.sensor_id, ParameterSet.id != row.id)
     return session.scalars(
@@ -55,24 +55,24 @@ def other_sets(session: Session, row: ParameterSet) -> Sequence[ParameterSet]:
     ).all()
 
 
-def baseline_before(session: Session, row: ParameterSet) -> ParameterSet | None:
+def find_baseline_before(session: Session, row: ParameterSet) -> ParameterSet | None:
     """Return the set that was a sensor's baseline last, apart from this one."""
     query = sa.select(ParameterSet).join(Promotion, Promotion.parameter_set_id == ParameterSet.id)
     query = query.where(Promotion.sensor_id == row.sensor_id, Promotion.parameter_set_id != row.id)
     return session.scalar(query.order_by(Promotion.at_utc.desc(), Promotion.id.desc()).limit(1))
 
 
-def set_named(session: Session, name: str) -> ParameterSet | None:
+def find_set(session: Session, name: str) -> ParameterSet | None:
     """Return the set of a name."""
     return session.scalar(sa.select(ParameterSet).where(ParameterSet.name == name))
 
 
-def definition_in_force(session: Session, sensor_id: int) -> TableDefinition | None:
+def find_definition_in_force(session: Session, sensor_id: int) -> TableDefinition | None:
     """Return a sensor's newest definition."""
-    return next(iter(definitions(session, sensor_id, limit=1)), None)
+    return next(iter(list_definitions(session, sensor_id, limit=1)), None)
 
 
-def definitions(
+def list_definitions(
     session: Session, sensor_id: int, limit: int | None = None, *, until: int | None = None
 ) -> Sequence[TableDefinition]:
     """Return a sensor's definitions, newest first; at most `limit`, from the version `until` back."""

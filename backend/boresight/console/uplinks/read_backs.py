@@ -20,7 +20,7 @@ from boresight.console.transitions import require_seen
 from boresight.console.uplinks import packages
 from boresight.console.uplinks import queries as rows
 from boresight.console.uplinks.service import EntryBasis, add_entry, get_set_for_entry, refuse_shown_mismatch
-from boresight.console.uplinks.table_definitions import parsed
+from boresight.console.uplinks.table_definitions import parse_stored
 from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.actors import Actor
@@ -64,19 +64,19 @@ class SentTable:
 
 def get_sent_table(session: Session, blobs: BlobStore, parameter_set: ParameterSet) -> SentTable:
     """Return the table that was sent of a set."""
-    sent = rows.newest_record(session, parameter_set.id, "SENT")
+    sent = rows.find_newest_record(session, parameter_set.id, "SENT")
     package = _get_sent_package(session, sent)
     row = None if package is None else session.get(TableDefinition, package.table_definition_id or 0)
     if row is None:
         at_utc = utc_now() if sent is None else sent.recorded_utc
-        row = history.in_force_at(session, TableDefinition, parameter_set.sensor_id, at_utc)
-    row = row or history.in_force_at(session, TableDefinition, parameter_set.sensor_id, utc_now())
+        row = history.find_in_force_at(session, TableDefinition, parameter_set.sensor_id, at_utc)
+    row = row or history.find_in_force_at(session, TableDefinition, parameter_set.sensor_id, utc_now())
     if row is None:
         raise RefusedInputError(
             f"There is no table definition to read {parameter_set.name} back with: "
             "have an analyst or an administrator set one."
         )
-    definition = parsed(session, row)
+    definition = parse_stored(session, row)
     if package is not None and package.table_definition_id == row.id:
         return SentTable(row, definition, _read_table(session, blobs, package), package)
     return SentTable(row, definition, tables.encode(definition, parameter_set.document["parameters"]), None)
@@ -114,16 +114,16 @@ def read_back(
     _refuse_unreadable(session, row, read)
     reference = get_sent_table(session, blobs, row)
     if isinstance(read, str):
-        matches, found = _by_crc(reference, read)
+        matches, found = _compare_crc(reference, read)
     else:
-        matches, found = _by_bytes(session, blobs, row, reference, read)
+        matches, found = _compare_bytes(session, blobs, row, reference, read)
     details = {**reference.document(), **found, **happened_on(happened)}
     held = "ACTIVE" if row.onboard_state == "ACTIVE" else "VERIFIED"
     basis = EntryBasis(details, method="crc" if isinstance(read, str) else "bytes")
     return add_entry(session, actor, row, held if matches else "MISMATCH", source, basis)
 
 
-def dump_or_crc(dump: bytes | None, crc: str) -> bytes | str:
+def choose_dump_or_crc(dump: bytes | None, crc: str) -> bytes | str:
     """Return the one that was given."""
     if (dump is None) == (not crc.strip()):
         raise RefusedInputError("Give the dump or the CRC that the spacecraft told: one of them.")
@@ -142,7 +142,7 @@ def _refuse_unreadable(session: Session, row: ParameterSet, read: bytes | str) -
         refuse_shown_mismatch(session, row)
 
 
-def _by_crc(reference: SentTable, told: str) -> tuple[bool, dict[str, Any]]:
+def _compare_crc(reference: SentTable, told: str) -> tuple[bool, dict[str, Any]]:
     """Hold a typed CRC against the one that was sent."""
     checksum, expected = reference.definition.crc, reference.crc
     if checksum is None or expected is None:
@@ -160,7 +160,7 @@ def _by_crc(reference: SentTable, told: str) -> tuple[bool, dict[str, Any]]:
     return same, {"sentence": sentence, "crc": {"name": checksum.name, "expected": expected, "found": found}}
 
 
-def _by_bytes(
+def _compare_bytes(
     session: Session, blobs: BlobStore, row: ParameterSet, reference: SentTable, dump: bytes
 ) -> tuple[bool, dict[str, Any]]:
     """Hold a dump against the bytes that were sent; the dump is kept, and the evidence is its document."""
@@ -180,7 +180,7 @@ def _find_identical_set(
     session: Session, row: ParameterSet, definition: tables.TableDefinition, image: bytes
 ) -> str | None:
     """Return the name of another set of the sensor that a dump is the table of: most often the one before."""
-    for other in rows.other_sets(session, row):
+    for other in rows.list_other_sets(session, row):
         try:
             if tables.encode(definition, other.document["parameters"]) == image:
                 return other.name

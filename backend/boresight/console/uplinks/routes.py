@@ -86,7 +86,7 @@ def list_uplinks(
     session: Reading, page: Paged, parameter_set_id: Id | None = None, sensor_id: Id | None = None
 ) -> Listing[Uplink]:
     """List what was recorded, newest first."""
-    return page.cut(lists.newest(session, Uplink, **page.rows, set=parameter_set_id, sensor=sensor_id))
+    return page.cut(lists.list_newest(session, Uplink, **page.rows, set=parameter_set_id, sensor=sensor_id))
 
 
 @router.post("", summary="Record a step on board", status_code=201, response_model=schemas.Uplink)
@@ -186,7 +186,7 @@ def read_back(
 
     Records VERIFIED (`method` says by what), or MISMATCH with the differing bytes and fields in `evidence`.
     """
-    read = read_backs.dump_or_crc(came.dump, came.crc)
+    read = read_backs.choose_dump_or_crc(came.dump, came.crc)
     return read_backs.read_back(session, actor, blobs, parameter_set_id, read, came.source, seen, came.happened)
 
 
@@ -258,7 +258,7 @@ def list_packages(
     session: Reading, page: Paged, parameter_set_id: Id | None = None, sensor_id: Id | None = None
 ) -> Listing[Package]:
     """List the packages that were built, newest first."""
-    return page.cut(lists.newest(session, Package, **page.rows, set=parameter_set_id, sensor=sensor_id))
+    return page.cut(lists.list_newest(session, Package, **page.rows, set=parameter_set_id, sensor=sensor_id))
 
 
 @package_router.get("/packages/{package_id}", summary="Read a package's entry", response_model=schemas.Package)
@@ -272,7 +272,7 @@ def get_package_content(package_id: Id, session: Reading, blobs: Blobs) -> ZipFi
     """Read the ZIP, its bytes checked against their hash."""
     row = session.get_known(Package, package_id)
     headers = {
-        "Content-Disposition": f'attachment; filename="{packages.file_name(session, row)}"',
+        "Content-Disposition": f'attachment; filename="{packages.make_file_name(session, row)}"',
         "ETag": f'"{row.sha256}"',
     }
     return ZipFile(packages.read(session, blobs, package_id), headers=headers)

@@ -24,7 +24,7 @@ from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.transitions import name_subject, require_seen
 from boresight.console.uplinks import queries as rows
-from boresight.console.uplinks.table_definitions import definition_in_force
+from boresight.console.uplinks.table_definitions import find_definition_in_force
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_person, require_role, require_scope, require_user
@@ -70,8 +70,8 @@ def has_shown_mismatch(session: Session, row: ParameterSet) -> bool:
     What was recorded in between, by statement or by CRC, changes nothing of it: of all that was recorded since the set was
     last SENT only the comparisons of bytes count, and the newest of them decides.
     """
-    sent = rows.newest_record(session, row.id, "SENT")
-    compared = rows.newest_compared(session, row.id, "bytes", 0 if sent is None else sent.id)
+    sent = rows.find_newest_record(session, row.id, "SENT")
+    compared = rows.find_newest_compared(session, row.id, "bytes", 0 if sent is None else sent.id)
     return compared is not None and compared.onboard_state == "MISMATCH"
 
 
@@ -139,7 +139,7 @@ def record(
     _refuse_step(row, onboard_state)
     if onboard_state == "LOADED":
         refuse_shown_mismatch(session, row)
-    details = _package(session, row, package_id, onboard_state) | happened_on(happened)
+    details = _describe_package(session, row, package_id, onboard_state) | happened_on(happened)
     return add_entry(session, actor, row, onboard_state, source, EntryBasis(details))
 
 
@@ -167,21 +167,21 @@ def activate(
     refuse_control_characters(meaning=meaning)
     if not meaning.strip():
         raise RefusedInputError("Say what your signature means, such as: I saw this table active in telemetry.")
-    details = happened_on(happened) | {"shown_sha256": shown_sha256(session, row)}
+    details = happened_on(happened) | {"shown_sha256": compute_shown_sha256(session, row)}
     users.require_password(session, actor, proof)
     _retire_active(session, actor, row, source.strip())
     signed = EntryBasis(details, printed_name=actor.printed_name, meaning=meaning.strip())
     return add_entry(session, actor, row, "ACTIVE", source, signed)
 
 
-def shown_sha256(session: Session, row: ParameterSet) -> str:
+def compute_shown_sha256(session: Session, row: ParameterSet) -> str:
     """Return the hash of what a signature that a set is active stands for: the set, and the record that verified it."""
-    newest = lists.newest(session, Uplink, set=row.id, limit=1)
+    newest = lists.list_newest(session, Uplink, set=row.id, limit=1)
     verified = [{"record": it.id, "state": it.onboard_state, "method": it.method} for it in newest]
     return compute_sha256({"parameter_set": row.name, "set_sha256": row.sha256, "verified": verified})
 
 
-def next_statements(session: Session, row: ParameterSet) -> list[str]:
+def list_next_statements(session: Session, row: ParameterSet) -> list[str]:
     """Return the states that can be recorded next of a set by statement."""
     told = [state for state in NEXT[row.onboard_state] if state in STATED]
     return [state for state in told if state != "LOADED"] if has_shown_mismatch(session, row) else told
@@ -203,7 +203,7 @@ def _refuse_statement(actor: Actor, row: ParameterSet, onboard_state: str) -> No
 
 def _refuse_unread(session: Session, row: ParameterSet) -> None:
     """Refuse to sign for a set that was recorded as VERIFIED by word alone, as earlier versions let it be."""
-    newest = rows.newest_record(session, row.id)
+    newest = rows.find_newest_record(session, row.id)
     if newest is None or newest.method is None:
         raise ConflictError(f"{row.name} is VERIFIED by statement alone; read it back by dump or CRC, then sign.")
 
@@ -221,14 +221,16 @@ def _refuse_step(row: ParameterSet, onboard_state: str) -> None:
         )
 
 
-def _package(session: Session, row: ParameterSet, package_id: int | None, onboard_state: str) -> dict[str, Any]:
+def _describe_package(
+    session: Session, row: ParameterSet, package_id: int | None, onboard_state: str
+) -> dict[str, Any]:
     """Return what is kept of the package that was sent; refuse another set's, and to send one for another table."""
     if package_id is None:
         return {}
     package = session.get(Package, package_id)
     if package is None or package.parameter_set_id != row.id:
         raise RefusedInputError(f"There is no package {package_id} of {row.name}; name one that was built for it.")
-    definition = definition_in_force(session, row.sensor_id)
+    definition = find_definition_in_force(session, row.sensor_id)
     if onboard_state == "SENT" and package.table_definition_id != (definition.id if definition else None):
         raise ConflictError(
             f"Package {package_id} was built for another table definition than the one in force: "
@@ -239,7 +241,7 @@ def _package(session: Session, row: ParameterSet, package_id: int | None, onboar
 
 def _retire_active(session: Session, actor: Actor, row: ParameterSet, source: str) -> None:
     """Make the set that was active UNKNOWN: another is active now."""
-    if (active := set_rows.active_set(session, row.sensor_id)) is not None and active.id != row.id:
+    if (active := set_rows.find_active_set(session, row.sensor_id)) is not None and active.id != row.id:
         add_entry(session, actor, active, "UNKNOWN", f"{row.name} was read back as active: {source}")
 
 
@@ -251,11 +253,11 @@ def get_dump_digest(session: Session, uplink_id: int) -> str:
     return str(dump["sha256"])
 
 
-def baseline_at(session: Session, sensor_id: int, time: str) -> ParameterSet | None:
+def find_baseline_at(session: Session, sensor_id: int, time: str) -> ParameterSet | None:
     """Return what was the sensor's baseline at a time; None before there was one."""
-    return set_rows.baseline_at(session, sensor_id, read_time(time))
+    return set_rows.find_baseline_at(session, sensor_id, read_time(time))
 
 
-def onboard_at(session: Session, sensor_id: int, time: str) -> Sequence[tuple[ParameterSet, Uplink]]:
+def list_onboard_at(session: Session, sensor_id: int, time: str) -> Sequence[tuple[ParameterSet, Uplink]]:
     """Return each set that was on its way or on board at a time, with the record that says so."""
-    return rows.records_until(session, sensor_id, read_time(time))
+    return rows.list_records_until(session, sensor_id, read_time(time))

@@ -29,18 +29,18 @@ from boresight.uplink import table_definition
 LARGEST_DOCUMENT = 200_000
 
 
-def definition_in_force(session: Session, sensor_id: int) -> TableDefinition | None:
+def find_definition_in_force(session: Session, sensor_id: int) -> TableDefinition | None:
     """Return the definition that a sensor's sets are exported by; None where the mission configured none."""
-    return rows.definition_in_force(session, sensor_id)
+    return rows.find_definition_in_force(session, sensor_id)
 
 
 def list_definitions(session: Session, sensor_id: int) -> Sequence[TableDefinition]:
     """Return a sensor's definitions, newest first."""
     session.get_known(Sensor, sensor_id)
-    return rows.definitions(session, sensor_id)
+    return rows.list_definitions(session, sensor_id)
 
 
-def parsed(session: Session, row: TableDefinition) -> table_definition.TableDefinition:
+def parse_stored(session: Session, row: TableDefinition) -> table_definition.TableDefinition:
     """Return what a stored definition says."""
     sensor = session.get_one(Sensor, row.sensor_id)
     return table_definition.parse_definition(row.document, parse_sensor(sensor.document))
@@ -69,11 +69,11 @@ class Layout:
     filled_with: str
 
 
-def layout(session: Session, sensor_id: int, document: Mapping[str, Any]) -> Layout:
+def lay_out(session: Session, sensor_id: int, document: Mapping[str, Any]) -> Layout:
     """Lay the sensor's baseline out by a definition, stored or not."""
     definition = parse_for(session, sensor_id, document)
     sensor = parse_sensor(session.get_known(Sensor, sensor_id).document)
-    camera, baseline = CAMERA_MODELS[sensor.camera_model], set_rows.baseline(session, sensor_id)
+    camera, baseline = CAMERA_MODELS[sensor.camera_model], set_rows.find_baseline(session, sensor_id)
     values = dict(zip(camera.parameter_names, sensor.initial.tolist(), strict=True))
     if baseline is not None:
         values = baseline.document["parameters"]
@@ -97,18 +97,18 @@ def set_definition(
     seen_number: int | None,
 ) -> TableDefinition:
     """Put a definition into force for a sensor."""
-    complete = checked(session, actor, sensor_id, document, reason, seen_number)
+    complete = check_definition(session, actor, sensor_id, document, reason, seen_number)
     return put_into_force(session, actor, sensor_id, complete, reason)
 
 
-def checked(
+def check_definition(
     session: Session, actor: Actor, sensor_id: int, document: Mapping[str, Any], reason: str, seen_number: int | None
 ) -> dict[str, Any]:
     """Return a definition as it would be stored, if this actor may put it into force now."""
     require_role(actor, "analyst", "administrator")
     require_scope(actor, "sensors")
     refuse_control_characters(reason=reason)
-    sensor, current = session.get_known(Sensor, sensor_id), rows.definition_in_force(session, sensor_id)
+    sensor, current = session.get_known(Sensor, sensor_id), rows.find_definition_in_force(session, sensor_id)
     in_force = DocumentInForce(f"table definition of {sensor.name}", None, 0, None)
     if current is not None:
         in_force = replace(
@@ -130,7 +130,7 @@ def put_into_force(
 ) -> TableDefinition:
     """Make a definition the one in force, of whoever proposed it where somebody did."""
     parse_for(session, sensor_id, document)
-    sensor, current = session.get_known(Sensor, sensor_id), rows.definition_in_force(session, sensor_id)
+    sensor, current = session.get_known(Sensor, sensor_id), rows.find_definition_in_force(session, sensor_id)
     row = TableDefinition(
         sensor_id=sensor_id,
         number=1 if current is None else current.number + 1,

@@ -12,30 +12,30 @@ from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.db.sessions import Engine, Session
 
 
-def webhooks(session: Session, *, enabled_only: bool = False) -> Sequence[Webhook]:
+def list_webhooks(session: Session, *, enabled_only: bool = False) -> Sequence[Webhook]:
     """Return every webhook, newest first, or those that are told things now."""
     query = sa.select(Webhook).order_by(Webhook.id.desc())
     return session.scalars(query.where(Webhook.disabled_utc.is_(None)) if enabled_only else query).all()
 
 
-def records_after(session: Session, audit_id: int, limit: int) -> Sequence[AuditRecord]:
+def list_records_after(session: Session, audit_id: int, limit: int) -> Sequence[AuditRecord]:
     """Return audit records after a number, oldest first."""
     query = sa.select(AuditRecord).where(AuditRecord.id > audit_id).order_by(AuditRecord.id).limit(limit)
     return session.scalars(query).all()
 
 
-def newest_audit_id(session: Session) -> int:
+def read_newest_audit_id(session: Session) -> int:
     """Return the number of the newest audit record, 0 when there is none."""
     return session.scalar(sa.select(sa.func.max(AuditRecord.id))) or 0
 
 
-def next_delivery_id(session: Session) -> int:
+def read_next_delivery_id(session: Session) -> int:
     """Return the number that the next message will have: messages are numbered by their writer, of whom there is one at a time."""
     session.flush()
     return journals.newest(session, journals.AppendOnlyTable(WebhookDelivery))[0] + 1
 
 
-def due(
+def list_due(
     session: Session, now_utc: str, limit: int, of_each: int = 1, *, among: Collection[int]
 ) -> Sequence[tuple[WebhookDelivery, Webhook]]:
     """Return what is to be delivered now to some webhooks that are told things, at most so many of each: one of each first."""
@@ -66,7 +66,7 @@ def put_off(session: Session, webhook_id: int, until_utc: str) -> None:
 
 def is_any_untold(session: Session) -> bool:
     """Whether there is an audit record that a webhook was not told of."""
-    newest = newest_audit_id(session)
+    newest = read_newest_audit_id(session)
     untold = sa.select(Webhook.id).where(Webhook.disabled_utc.is_(None), Webhook.told_audit_id < newest).limit(1)
     return session.scalar(untold) is not None
 

@@ -63,28 +63,28 @@ class SecretStorage:
 def encrypt_all(engine: Engine, box: SecretBox) -> SecretStorage:
     """Encrypt every secret that is stored plain, and say which cannot be read here."""
     with open_reading(engine) as session:
-        if not any(not is_sealed(row.secret) for row in rows.webhooks(session)):
-            return _kept(session, box, 0)
+        if not any(not is_sealed(row.secret) for row in rows.list_webhooks(session)):
+            return _keep(session, box, 0)
     with open_writing(engine) as session:
         rows.overwrite_what_is_deleted(session)
-        plain = [row for row in rows.webhooks(session) if not is_sealed(row.secret)]
+        plain = [row for row in rows.list_webhooks(session) if not is_sealed(row.secret)]
         for row in plain:
             row.secret = box.seal(_standard(row.secret))
             row.version += 1
             audit.append(session, SYSTEM, "encrypted the secret of", f"webhooks/{row.id}")
-        kept = _kept(session, box, len(plain))
+        kept = _keep(session, box, len(plain))
     rows.empty_journal(engine)
     return kept
 
 
-def _kept(session: Session, box: SecretBox, encrypted: int) -> SecretStorage:
-    found = rows.webhooks(session)
+def _keep(session: Session, box: SecretBox, encrypted: int) -> SecretStorage:
+    found = rows.list_webhooks(session)
     return SecretStorage(encrypted, [row.label for row in found if box.open(row.secret) is None])
 
 
 def encrypt_anew(session: Session, box: SecretBox) -> int:
     """Encrypt every secret that can be read with the newest key; return how many."""
-    found = [row for row in rows.webhooks(session) if box.open(row.secret) is not None]
+    found = [row for row in rows.list_webhooks(session) if box.open(row.secret) is not None]
     for row in found:
         row.secret = box.seal(str(box.open(row.secret)))
         earlier = box.open(row.previous_secret)
@@ -94,9 +94,9 @@ def encrypt_anew(session: Session, box: SecretBox) -> int:
     return len(found)
 
 
-def readable_ids(session: Session, box: SecretBox) -> list[int]:
+def list_readable_ids(session: Session, box: SecretBox) -> list[int]:
     """Return the webhooks that are told things now and whose secret can be read here."""
-    return [row.id for row in rows.webhooks(session, enabled_only=True) if box.open(row.secret) is not None]
+    return [row.id for row in rows.list_webhooks(session, enabled_only=True) if box.open(row.secret) is not None]
 
 
 def get_state(row: Webhook, box: SecretBox) -> str:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 
 from boresight.console import list_queries as lists
 from boresight.console.webhooks import queries as rows
-from boresight.console.webhooks.secrets import decode_key, new_secret, readable_ids
+from boresight.console.webhooks.secrets import decode_key, list_readable_ids, new_secret
 from boresight.console.webhooks.tables import Webhook, WebhookDelivery
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.actors import Actor, refuse_key, require_role
@@ -33,14 +33,14 @@ from boresight.platform.web.targets import WebhookTargets, parsed, refuse_addres
 from boresight.platform.web.text_validation import refuse_control_characters
 
 
-def signature(secrets: Sequence[str], message_id: str, timestamp: int, body: str) -> str:
+def sign_message(secrets: Sequence[str], message_id: str, timestamp: int, body: str) -> str:
     """Return the `webhook-signature` of a message sent at a second of Unix time, by each secret that holds."""
     signed = f"{message_id}.{timestamp}.{body}".encode()
     digests = (hmac.new(decode_key(secret), signed, hashlib.sha256).digest() for secret in secrets)
     return " ".join(f"v1,{base64.b64encode(digest).decode()}" for digest in digests)
 
 
-def message_id(delivery_id: int) -> str:
+def make_message_id(delivery_id: int) -> str:
     """Return the id under which a receiver knows a message again."""
     return f"msg_{delivery_id}"
 
@@ -105,15 +105,15 @@ def create_webhook(
     row = Webhook(
         label=label.strip(),
         url=url.strip(),
-        actions=sorted({_known_kind(action) for action in actions}),
+        actions=sorted({_read_kind(action) for action in actions}),
         secret=box.seal(secret),
-        told_audit_id=rows.newest_audit_id(session),
+        told_audit_id=rows.read_newest_audit_id(session),
         created_utc=utc_now(),
         created_by=actor.user_id,
     )
     session.put(row)
-    audit.append(session, actor, "created", _subject(row), None, _described(row))
-    row.told_audit_id = rows.newest_audit_id(session)
+    audit.append(session, actor, "created", _subject(row), None, _describe(row))
+    row.told_audit_id = rows.read_newest_audit_id(session)
     return row, secret
 
 
@@ -135,7 +135,7 @@ def renew_secret(
     return row, secret
 
 
-def _known_kind(action: str) -> str:
+def _read_kind(action: str) -> str:
     """Return a kind of event as it is compared."""
     noun, dot, verb = action.strip().partition(".")
     if not (noun and dot and verb) or not action.strip().replace(".", "").replace("-", "").replace("*", "x").isalnum():
@@ -154,7 +154,7 @@ def get_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
 def list_webhooks(session: Session, actor: Actor) -> Sequence[Webhook]:
     """Return every webhook, newest first."""
     _require_administrator(actor)
-    return rows.webhooks(session)
+    return rows.list_webhooks(session)
 
 
 def disable_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
@@ -174,7 +174,7 @@ def enable_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
         row.disabled_utc = None
         row.version += 1
         audit.append(session, actor, "enabled", _subject(row), {"disabled": True}, {"disabled": False})
-        row.told_audit_id = rows.newest_audit_id(session)
+        row.told_audit_id = rows.read_newest_audit_id(session)
     return row
 
 
@@ -183,7 +183,7 @@ def list_deliveries(
 ) -> Sequence[WebhookDelivery]:
     """Return a page of what was sent or is to be sent to a webhook, newest first."""
     get_webhook(session, actor, webhook_id)
-    return lists.newest(session, WebhookDelivery, before_id=before_id, limit=limit, webhook=webhook_id)
+    return lists.list_newest(session, WebhookDelivery, before_id=before_id, limit=limit, webhook=webhook_id)
 
 
 def try_webhook(session: Session, actor: Actor, webhook_id: int) -> WebhookDelivery:
@@ -202,15 +202,15 @@ def redeliver(session: Session, actor: Actor, delivery_id: int) -> WebhookDelive
     _refuse_disabled(webhook)
     last = {name: getattr(delivery, name) for name in ("state", "attempts", "attempted_utc", "status", "outcome")}
     delivery.state, delivery.attempts, delivery.due_utc = "PENDING", 0, utc_now()
-    audit.append(session, actor, "redelivered", _subject(webhook), last, {"message": message_id(delivery.id)})
+    audit.append(session, actor, "redelivered", _subject(webhook), last, {"message": make_message_id(delivery.id)})
     return delivery
 
 
 def queue_new(session: Session) -> int:
     """Make messages of the audit records that webhooks were not told of yet; returns how many."""
     made = 0
-    for webhook in rows.webhooks(session, enabled_only=True):
-        for record in rows.records_after(session, webhook.told_audit_id, RECORDS_A_TURN):
+    for webhook in rows.list_webhooks(session, enabled_only=True):
+        for record in rows.list_records_after(session, webhook.told_audit_id, RECORDS_A_TURN):
             if _wants(webhook, name_kind(record)):
                 _queue(session, webhook, record.id, make_message(record))
                 made += 1
@@ -220,17 +220,19 @@ def queue_new(session: Session) -> int:
 
 def is_any_due(session: Session, box: SecretBox) -> bool:
     """Whether there is a message to be delivered from here, or one to be made."""
-    return rows.is_any_untold(session) or bool(rows.due(session, utc_now(), 1, among=readable_ids(session, box)))
+    return rows.is_any_untold(session) or bool(
+        rows.list_due(session, utc_now(), 1, among=list_readable_ids(session, box))
+    )
 
 
 def is_head_told(session: Session, head: ExternalHead | None) -> bool:
     """Whether every webhook that asked for heads of the audit log by name was told of this one."""
-    return head is None or not _untold(session, head)
+    return head is None or not _list_untold(session, head)
 
 
 def tell_head(session: Session, head: ExternalHead) -> int:
     """Queue a message with a head of the audit log for whoever asked for it by name; returns how many."""
-    untold = _untold(session, head)
+    untold = _list_untold(session, head)
     content = {
         "type": HEAD,
         "at_utc": head.at_utc,
@@ -244,17 +246,17 @@ def tell_head(session: Session, head: ExternalHead) -> int:
     return len(untold)
 
 
-def _untold(session: Session, head: ExternalHead) -> list[Webhook]:
+def _list_untold(session: Session, head: ExternalHead) -> list[Webhook]:
     """Return the webhooks that named heads and were not told of this one; who is told everything is not told of every minute."""
-    named = (webhook for webhook in rows.webhooks(session, enabled_only=True) if HEAD in webhook.actions)
+    named = (webhook for webhook in rows.list_webhooks(session, enabled_only=True) if HEAD in webhook.actions)
     return [webhook for webhook in named if webhook.told_head != head.hash]
 
 
 def take_due(session: Session, limit: int, box: SecretBox) -> list[WebhookMessage]:
     """Take messages that are due and whose secret can be read here; they are not due again before their lease is over."""
     taken, now_utc = [], utc_now()
-    readable = readable_ids(session, box)
-    for delivery, webhook in rows.due(session, now_utc, limit, of_each=MESSAGES_A_TURN, among=readable):
+    readable = list_readable_ids(session, box)
+    for delivery, webhook in rows.list_due(session, now_utc, limit, of_each=MESSAGES_A_TURN, among=readable):
         delivery.due_utc = utc_after(LEASE_S)
         former = webhook.previous_secret if (webhook.previous_until_utc or "") > now_utc else None
         opened = (box.open(stored) for stored in (webhook.secret, former))
@@ -285,14 +287,14 @@ def _wants(webhook: Webhook, kind: str) -> bool:
 
 def _queue(session: Session, webhook: Webhook, audit_id: int | None, content: dict[str, object]) -> WebhookDelivery:
     """Add a message, due now, with its own id in its words."""
-    body = json.dumps({"id": message_id(rows.next_delivery_id(session)), **content}, ensure_ascii=False)
+    body = json.dumps({"id": make_message_id(rows.read_next_delivery_id(session)), **content}, ensure_ascii=False)
     delivery = WebhookDelivery(
         webhook_id=webhook.id, audit_id=audit_id, body=body, state="PENDING", due_utc=utc_now(), created_utc=utc_now()
     )
     return session.put(delivery)
 
 
-def _described(row: Webhook) -> dict[str, object]:
+def _describe(row: Webhook) -> dict[str, object]:
     """Describe a webhook for the audit log, without its secret."""
     return {"label": row.label, "url": row.url, "actions": row.actions}
 

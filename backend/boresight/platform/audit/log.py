@@ -23,7 +23,7 @@ from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.audit.verification import RowMismatch, VerificationFindings
 from boresight.platform.blobs import files
 from boresight.platform.blobs.store import BlobStore
-from boresight.platform.db.lists import newest_rows
+from boresight.platform.db.lists import list_newest_rows
 from boresight.platform.db.sessions import Session
 from boresight.platform.db.times import read_time
 
@@ -74,9 +74,9 @@ def append(
     )
 
 
-def newest_head(session: Session) -> ExternalHead | None:
+def find_newest_head(session: Session) -> ExternalHead | None:
     """Return number, hash and time of the newest record, to be kept elsewhere; None where there is none."""
-    newest = next(iter(newest_rows(session, rows.RECORDS, limit=1)), None)
+    newest = next(iter(list_newest_rows(session, rows.RECORDS, limit=1)), None)
     return None if newest is None else ExternalHead(newest.id, newest.hash, newest.at_utc)
 
 
@@ -88,7 +88,7 @@ def holds(session: Session, kept: ExternalHead) -> bool:
 
 def head_was_kept(session: Session, file: Path) -> bool:
     """Whether the log says that heads were kept in a file: it must be there from then on."""
-    told = newest_rows(session, rows.RECORDS, object=HEAD_FILE, action=HEAD_KEPT)
+    told = list_newest_rows(session, rows.RECORDS, object=HEAD_FILE, action=HEAD_KEPT)
     return any((record.after or {}).get("file") == str(file.absolute()) for record in told)
 
 
@@ -103,9 +103,9 @@ def head(session: Session) -> str:
     return chain.head(session)
 
 
-def last_change(session: Session, subject: str) -> AuditRecord | None:
+def find_last_change(session: Session, subject: str) -> AuditRecord | None:
     """Return who last changed an object, as its newest record."""
-    return rows.last_change(session, subject)
+    return rows.find_last_change(session, subject)
 
 
 def list_records(
@@ -117,7 +117,7 @@ def list_records(
     limit: int | None = None,
 ) -> Sequence[AuditRecord]:
     """Return a page of records, newest first; the next page starts before the last one's id."""
-    return newest_rows(session, rows.RECORDS, before_id=before_id, limit=limit, **(sought or {"object": subject}))
+    return list_newest_rows(session, rows.RECORDS, before_id=before_id, limit=limit, **(sought or {"object": subject}))
 
 
 def get_record(session: Session, record_id: int) -> AuditRecord:
@@ -128,9 +128,9 @@ def get_record(session: Session, record_id: int) -> AuditRecord:
     return record
 
 
-def words(session: Session) -> tuple[Sequence[str], Sequence[str]]:
+def read_words(session: Session) -> tuple[Sequence[str], Sequence[str]]:
     """Return who acted and what was done lately, to choose from."""
-    return rows.words(session)
+    return rows.read_words(session)
 
 
 def sought(

@@ -30,7 +30,7 @@ RECORDS = List(
 )
 
 
-def last_change(session: Session, subject: str) -> AuditRecord | None:
+def find_last_change(session: Session, subject: str) -> AuditRecord | None:
     """Return the newest record about an object, such as `parameter-sets/3`, written or still to be."""
     waiting = (record for record in reversed(chain.pending(session)) if record.object == subject)
     if (newest := next(waiting, None)) is not None:
@@ -49,12 +49,12 @@ def find_newest(
     return session.scalar(query.order_by(AuditRecord.id.desc()).limit(1))
 
 
-def newest_id(session: Session) -> int:
+def read_newest_id(session: Session) -> int:
     """Return the number of the newest record."""
     return session.scalar(sa.select(sa.func.max(AuditRecord.id))) or 0
 
 
-def heads_after(session: Session, after_id: int, limit: int) -> Sequence[Mapping[str, Any]]:
+def list_heads_after(session: Session, after_id: int, limit: int) -> Sequence[Mapping[str, Any]]:
     """Return number, time, actor, action and object of the records after a number, oldest first."""
     columns = (AuditRecord.id, AuditRecord.at_utc, AuditRecord.actor, AuditRecord.action, AuditRecord.object)
     query = sa.select(*columns).where(AuditRecord.id > after_id).order_by(AuditRecord.id).limit(limit)
@@ -66,7 +66,7 @@ def record(session: Session, record_id: int) -> AuditRecord | None:
     return session.get(AuditRecord, record_id)
 
 
-def words(session: Session) -> tuple[Sequence[str], Sequence[str]]:
+def read_words(session: Session) -> tuple[Sequence[str], Sequence[str]]:
     """Return who acted lately, and what was done lately: a long log is not read for two lists of words."""
     newest = sa.select(AuditRecord.actor, AuditRecord.action).order_by(AuditRecord.id.desc()).limit(LATELY).subquery()
     actors = session.scalars(sa.select(newest.c.actor).distinct().order_by(newest.c.actor)).all()
@@ -86,7 +86,7 @@ def walk(session: Session) -> Generator[dict[str, Any], None, None]:
             yield dict(zip(chain.COLUMNS, row, strict=True))
 
 
-def response_under(session: Session, key: str, actor: str) -> IdempotentResponse | None:
+def find_response(session: Session, key: str, actor: str) -> IdempotentResponse | None:
     """Return what an actor was answered under a key."""
     return session.get(IdempotentResponse, (key, actor))
 

@@ -30,19 +30,19 @@ class BadFile:
         return f"{self.sha256[:12]} ({', '.join(self.used_by) or 'of no row'}): {self.what}"
 
 
-def registered(session: Session, after: str) -> Sequence[tuple[str, int]]:
+def list_registered(session: Session, after: str) -> Sequence[tuple[str, int]]:
     """Return addresses and sizes of stored files in the order of the addresses, from the one after `after`."""
     query = sa.select(Blob.sha256, Blob.size_bytes).where(Blob.sha256 > after).order_by(Blob.sha256).limit(AT_A_TIME)
     return [(sha256, size) for sha256, size in session.execute(query)]
 
 
-def sizes(session: Session, addresses: Sequence[str]) -> Sequence[tuple[str, int]]:
+def list_sizes(session: Session, addresses: Sequence[str]) -> Sequence[tuple[str, int]]:
     """Return addresses and sizes of those of some files that rows name."""
     query = sa.select(Blob.sha256, Blob.size_bytes).where(Blob.sha256.in_(addresses)).order_by(Blob.sha256)
     return [(sha256, size) for sha256, size in session.execute(query)]
 
 
-def total_bytes(session: Session) -> int:
+def count_bytes(session: Session) -> int:
     """Return how many bytes the rows say are stored."""
     return session.scalar(sa.select(sa.func.coalesce(sa.func.sum(Blob.size_bytes), 0))) or 0
 
@@ -61,7 +61,7 @@ def wrong_with(blobs: BlobStore, sha256: str, size: int, *, again: bool) -> str 
 def bad_files(session: Session, blobs: BlobStore, *, again: bool) -> Iterator[BadFile | None]:
     """Look at every file that a row names; yields what is wrong with it, None where nothing is."""
     last = ""
-    while some := registered(session, last):
+    while some := list_registered(session, last):
         for sha256, size in some:
             what = wrong_with(blobs, sha256, size, again=again)
             yield None if what is None else BadFile(sha256, what, list_users(session, sha256))

@@ -39,7 +39,7 @@ def _equals_one(column: Any) -> Condition:
     return lambda value: column == number if abs(number := int(value)) < MOST_NUMBER else sa.false()
 
 
-def newest_rows(
+def list_newest_rows(
     session: Session, known: List, *, before_id: int | None = None, limit: int | None = None, **where: Any
 ) -> list[Any]:
     """Return a page of a list, newest first, narrowed by what is not None; the next starts before the last one's id."""

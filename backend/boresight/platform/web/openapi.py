@@ -101,7 +101,7 @@ SENTENCES = {
 }
 
 
-class Place(BaseModel):
+class FieldError(BaseModel):
     """One place in the input where something is wrong."""
 
     row: int | None = Field(None, description="Line in the file; the header is line 1.")
@@ -120,7 +120,7 @@ class ProblemDocument(BaseModel):
     detail: str = Field(examples=["Column row_px is missing; add it or rename the one that holds it."])
     instance: str = Field(examples=["/api/v1/telemetry-sets"])
     request_id: str | None
-    errors: list[Place]
+    errors: list[FieldError]
 
 
 def refusals(*statuses: int) -> dict[int | str, dict[str, Any]]:

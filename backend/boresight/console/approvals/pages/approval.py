@@ -137,7 +137,7 @@ def request_page(
     row = session.get_known(ParameterSet, approval.parameter_set_id)
     sensor = session.get_known(Sensor, row.sensor_id)
     incumbent = find_bound_incumbent(session, row, approval)
-    result = runs.result(session, get_server(request).blobs, row.run_id) if row.run_id is not None else None
+    result = runs.find_result(session, get_server(request).blobs, row.run_id) if row.run_id is not None else None
     rows = set_rows(row.document, incumbent.document if incumbent else None, sensor.document)
     policy = get_server(request).policy
     has_figures = row.run_id is not None
@@ -159,10 +159,10 @@ def request_page(
         figures=[FIGURES[name] for name in EVIDENCE_FIGURES if has_figures],
         wide=WIDE,
         remarks=approvals.list_remarks(session, approval_id),
-        signatures=approval_queries.signatures(session, approval_id),
-        pending=proposals.open_proposals(session, row.sensor_id) if approval.state in {"OPEN", "APPROVED"} else [],
-        signers=approvals.who_may_sign(session, approval_id, policy=policy) if approval.state == "OPEN" else [],
-        blocked=approvals.why_not_sign(session, actor, approval_id, policy=policy),
+        signatures=approval_queries.list_signatures(session, approval_id),
+        pending=proposals.list_open_proposals(session, row.sensor_id) if approval.state in {"OPEN", "APPROVED"} else [],
+        signers=approvals.list_signers_of(session, approval_id, policy=policy) if approval.state == "OPEN" else [],
+        blocked=approvals.explain_why_not_sign(session, actor, approval_id, policy=policy),
         decisions=_decisions(approval, row),
         meanings=MEANINGS.values(),
         refusal=refusal,
@@ -273,15 +273,15 @@ def _csv_row(entry: InboxRow) -> Beside:
 
 def _entries(request: Request, session: Session, actor: Actor, found: Sequence[Approval]) -> list[InboxRow]:
     names, policy = read_names(session), get_server(request).policy
-    verdicts = gates.verdicts(session, {known.parameter_set_id for known in found})
+    verdicts = gates.read_verdicts(session, {known.parameter_set_id for known in found})
     return [
         InboxRow(
             known,
             session.get_known(ParameterSet, known.parameter_set_id),
             names.person(known.submitted_by),
             verdicts.get(known.parameter_set_id),
-            sum(one.decision == "APPROVE" for one in approval_queries.signatures(session, known.id)),
-            approvals.why_not_sign(session, actor, known.id, policy=policy),
+            sum(one.decision == "APPROVE" for one in approval_queries.list_signatures(session, known.id)),
+            approvals.explain_why_not_sign(session, actor, known.id, policy=policy),
         )
         for known in found
     ]
@@ -348,7 +348,7 @@ async def open_evidence(
     """Keep that a piece of evidence was opened, and go there."""
     with open_reading(get_server(request).engine) as session:
         row = session.get_known(ParameterSet, session.get_known(Approval, approval_id).parameter_set_id)
-        incumbent = set_queries.baseline(session, row.sensor_id)
+        incumbent = set_queries.find_baseline(session, row.sensor_id)
     known = list_evidence_addresses(row, incumbent)
     if evidence not in known:
         raise NotFoundError(f"There is no evidence {evidence!r} for this request; choose one of its list.")
@@ -364,7 +364,7 @@ async def remark(
     request: Request, session: Reading, actor: Who, approval_id: int, text: Annotated[str, Form()] = ""
 ) -> Response:
     """Say something about a request."""
-    outcome = await attempt(request, partial(approvals.remark, actor=actor, approval_id=approval_id, text=text))
+    outcome = await attempt(request, partial(approvals.add_remark, actor=actor, approval_id=approval_id, text=text))
     if outcome.value is None:
         typed = TypedText("remark", text=text)
         page = partial(request_page, request, session, actor, approval_id, refusal=outcome.refusal, typed=typed)

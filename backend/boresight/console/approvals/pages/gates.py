@@ -96,9 +96,9 @@ def make_gates_panel(
     report_sha256: str | None = None,
 ) -> GatesPanel:
     """Fill the panel of a set, as an actor sees it."""
-    report = approval_queries.newest_report(session, row.id, report_sha256)
-    moved = [] if report is None else gates.moved_since(session, report)
-    document = None if report is None else gates.with_waivers(session, report)
+    report = approval_queries.find_newest_report(session, row.id, report_sha256)
+    moved = [] if report is None else gates.list_moved_since(session, report)
+    document = None if report is None else gates.read_with_waivers(session, report)
     rows = [] if document is None else gate_rows(document)
     now = utc_now()
     return GatesPanel(
@@ -109,8 +109,8 @@ def make_gates_panel(
         verdict="" if document is None else document["verdict"],
         rows=rows,
         assessed_by=_name(session, report),
-        profile_number=gate_profiles.profile_in_force(session, row.sensor_id).number,
-        given=[(waiver, waiver.expires_utc > now) for waiver in approval_queries.waivers(session, [row.id])],
+        profile_number=gate_profiles.get_profile_in_force(session, row.sensor_id).number,
+        given=[(waiver, waiver.expires_utc > now) for waiver in approval_queries.list_waivers(session, [row.id])],
         may_assess=None if actor.roles.intersection(gates.ASSESSORS) else ONLY_ASSESSORS,
         may_waive=None if actor.roles.intersection({"analyst", "approver"}) else ONLY_WAIVERS,
         waivable=[one for one in rows if one.blocking and one.waivable and not moved],
@@ -243,8 +243,8 @@ def _profile_page(request: Request, actor: Actor, sensor_id: int, shown: GatePro
                 for row, earlier in zip(versions, [*versions[1:], None], strict=True)
             ],
             names=read_names(session),
-            pending=proposals.open_proposals(session, sensor_id, "gate-profile"),
-            confirmed=proposals.confirmed_by_number(session, sensor_id, "gate-profile"),
+            pending=proposals.list_open_proposals(session, sensor_id, "gate-profile"),
+            confirmed=proposals.list_confirmed_by_number(session, sensor_id, "gate-profile"),
             second_person=get_server(request).policy.second_person,
             summary=None if shown.tried is None else describe_effect(shown.tried),
             may_set=None

@@ -66,7 +66,7 @@ NOTHING = WaitingItems(0, ())
 
 
 def _signatures(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
-    signatory = approvals.signatory(session, actor, policy=policy)
+    signatory = approvals.find_signatory(session, actor, policy=policy)
     if signatory is None:
         return NOTHING
     return _requests(session, {"open_to": signatory}, "standby", "waits for your signature", "Review")
@@ -75,7 +75,7 @@ def _signatures(session: Session, actor: Actor, policy: Policy) -> WaitingItems:
 def _requests(session: Session, where: Mapping[str, Any], level: str, words: str, label: str) -> WaitingItems:
     """Count the requests that a list is narrowed to, and write the newest of them."""
     newest = lists.read_page(session, "approvals", where, "-request", limit=MOST_ACTIONS)
-    sets = set_queries.heads(session, [request.parameter_set_id for request in newest])
+    sets = set_queries.read_heads(session, [request.parameter_set_id for request in newest])
     first = [
         WaitingAction(level, f"{sets[request.parameter_set_id].name} {words}.", f"/approvals/{request.id}", label)
         for request in newest
@@ -85,7 +85,9 @@ def _requests(session: Session, where: Mapping[str, Any], level: str, words: str
 
 def _proposals(session: Session, actor: Actor) -> WaitingItems:
     able = [
-        row for row in proposals.open_proposals(session) if second_person.why_not_decide(session, actor, row) is None
+        row
+        for row in proposals.list_open_proposals(session)
+        if second_person.explain_why_not_decide(session, actor, row) is None
     ]
     first = [
         WaitingAction(
@@ -107,7 +109,7 @@ def _alarms(session: Session, actor: Actor, names: Mapping[int, str]) -> Waiting
     for alarm in newest:
         gist = f"{names.get(alarm.sensor_id or 0, 'A sensor')} drifts." if alarm.kind == "DRIFT" else alarm.sentence
         first.append(WaitingAction(alarm.level, f"Alarm {alarm.id}: {gist}", f"/alarms/{alarm.id}", "Handle"))
-    return WaitingItems(alarms.unacknowledged(session), first)
+    return WaitingItems(alarms.count_unacknowledged(session), first)
 
 
 def _promotions(session: Session, actor: Actor) -> Iterator[WaitingItems]:
@@ -138,7 +140,7 @@ def _calibrations(session: Session, standings: Sequence[SensorStatus], actor: Ac
     if "analyst" not in actor.roles:
         return NOTHING
     converged = {one.last_run.id for one in standings if _converged(one)}
-    unused = converged - set_queries.runs_with_sets(session, converged)
+    unused = converged - set_queries.list_runs_with_sets(session, converged)
     found = [action for one in _shown_first(standings) if (action := _next_step(one, unused)) is not None]
     return WaitingItems(len(found), found[:MOST_ACTIONS])
 
@@ -219,8 +221,8 @@ def _shown_first(standings: Sequence[SensorStatus]) -> Sequence[SensorStatus]:
 
 
 def _list_recent_calibrations(session: Session, tiles: Sequence[SensorTile]) -> dict[int, RecentCalibrations]:
-    summaries = sensor_queries.recent_summaries(session, [tile.sensor.id for tile in tiles], RUNS_IN_A_SPARKLINE)
-    drifting = alarms.open_of_sensors(session, "DRIFT", [tile.sensor.id for tile in tiles])
+    summaries = sensor_queries.list_recent_summaries(session, [tile.sensor.id for tile in tiles], RUNS_IN_A_SPARKLINE)
+    drifting = alarms.list_newest_open_of_sensors(session, "DRIFT", [tile.sensor.id for tile in tiles])
     return {
         tile.sensor.id: _read_recent_calibrations(summaries.get(tile.sensor.id, ()), drifting.get(tile.sensor.id))
         for tile in tiles
@@ -263,12 +265,12 @@ def _fleet(session: Session) -> FleetView:
         standings,
         tiles,
         _list_recent_calibrations(session, tiles),
-        approval_queries.newest_open(session, [tile.sensor.id for tile in tiles]),
+        approval_queries.read_newest_open(session, [tile.sensor.id for tile in tiles]),
         runs.count_by_state(session),
         _events(session, standings),
         lists.count(session, "approvals", {"state": "OPEN"}),
-        approval_queries.count_open(session),
-        approval_queries.submitters(session, CAME_BACK),
+        approval_queries.count_open_proposals(session),
+        approval_queries.list_submitter_ids(session, CAME_BACK),
     )
 
 

@@ -27,7 +27,7 @@ from boresight.console.fleet.pages.sensors import read_document
 from boresight.console.fleet.status import list_fleet_tiles
 from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.trend import read_trend
-from boresight.console.fleet.trend_document import advise, trend_document
+from boresight.console.fleet.trend_document import advise, make_trend_document
 from boresight.console.notes import service as notes
 from boresight.console.pages.rendering import RefusalContext, attempt, redirect, render
 from boresight.console.parameter_sets import queries as set_queries
@@ -75,9 +75,9 @@ class BeforeAfter:
 
 def before_after(session: Session, blobs: BlobStore, sensor_id: int) -> BeforeAfter | None:
     """Return what the newest finished run of a sensor would change, one with a validation set first; None without a run."""
-    for run in run_queries.newest_finished(session, sensor_id, LOOKED_AT):
+    for run in run_queries.list_newest_finished(session, sensor_id, LOOKED_AT):
         try:
-            result = runs.result(session, blobs, run.id)
+            result = runs.find_result(session, blobs, run.id)
         except (ConflictError, NotFoundError):  # its file is gone or no calibration; an older run may still have one
             continue
         if result is not None and (judged := judged_on(result)) is not None:
@@ -143,7 +143,7 @@ LEVEL_OF_DRIFT = {"DRIFT": "serious", "GROUND SHIFT": "caution", "HOLDS": "norma
 @router.get("/sensors/{sensor_id:int}/trend", response_class=HTMLResponse, dependencies=[KNOWN])
 def trend_page(request: Request, session: Reading, sensor_id: int) -> HTMLResponse:
     """Show a sensor over the mission."""
-    document = trend_document(session, sensor_id)
+    document = make_trend_document(session, sensor_id)
     return render(
         request,
         "fleet/trend.html",
@@ -259,8 +259,8 @@ def _read_as_of(session: Session, sensor_id: int, time: str) -> AsOf | None:
     if not time.strip():
         return None
     try:
-        baseline = uplinks.baseline_at(session, sensor_id, time.strip())
-        return AsOf(time, baseline, uplinks.onboard_at(session, sensor_id, time.strip()), None)
+        baseline = uplinks.find_baseline_at(session, sensor_id, time.strip())
+        return AsOf(time, baseline, uplinks.list_onboard_at(session, sensor_id, time.strip()), None)
     except RefusedInputError as refusal:
         return AsOf(time, None, (), str(refusal))
 
@@ -275,12 +275,12 @@ class SensorContext:
 
 def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: SensorContext) -> HTMLResponse:
     with open_reading(get_server(request).engine) as session:
-        sensor, baseline = session.get_known(Sensor, sensor_id), set_queries.baseline(session, sensor_id)
+        sensor, baseline = session.get_known(Sensor, sensor_id), set_queries.find_baseline(session, sensor_id)
         newest = runs.list_runs(session, sensor_id=sensor_id, limit=RUNS_SHOWN)
         names = read_names(session, newest)
-        sets = lists.newest(session, ParameterSet, sensor=sensor_id, limit=SETS_SHOWN)
-        promotions = set_queries.promotions(session, sensor_id)
-        promoted = set_queries.heads(session, {one.parameter_set_id for one in promotions})
+        sets = lists.list_newest(session, ParameterSet, sensor=sensor_id, limit=SETS_SHOWN)
+        promotions = set_queries.list_promotions(session, sensor_id)
+        promoted = set_queries.read_heads(session, {one.parameter_set_id for one in promotions})
         values = baseline_values(sensor, baseline)
         advice = advise(read_trend(session, sensor_id))
         return render(
@@ -291,7 +291,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Sensor
             tile=list_fleet_tiles(session, [sensor_id])[0],
             names=names,
             baseline=baseline,
-            verdict_of_baseline=gates.verdicts(session, [baseline.id]).get(baseline.id) if baseline else None,
+            verdict_of_baseline=gates.read_verdicts(session, [baseline.id]).get(baseline.id) if baseline else None,
             values=values,
             has_truth=bool(sensor.truth),
             measured=baseline is not None and baseline.run_id is not None,
@@ -352,7 +352,7 @@ def timeline_page(
     sensor = session.get_known(Sensor, sensor_id)
     answer, refusal = _answer(session, sensor_id, at.strip())
     before_id = parse_row_id(before)
-    found = timeline.events(session, sensor_id, before_id=before_id, limit=EVENTS_A_PAGE + 1)
+    found = timeline.list_events(session, sensor_id, before_id=before_id, limit=EVENTS_A_PAGE + 1)
     events = found[:EVENTS_A_PAGE]
     return render(
         request,

@@ -232,4 +232,4 @@ def list_sensor_choices(
 ) -> SensorChoices:
     """Return what the filter by sensor of a list offers, the one that the view is narrowed to among it."""
     narrowed = parse_row_id(view.where.get("sensor", ""))
-    return sensors.choices(session, find=find, keep=[*keep, *([narrowed] if narrowed else [])])
+    return sensors.list_choices(session, find=find, keep=[*keep, *([narrowed] if narrowed else [])])

@@ -202,17 +202,17 @@ class OfferedData:
 
 def offer(session: Session, find: str, sensor_id: int | None, set_ids: Sequence[str] = ()) -> OfferedData:
     """Read what a form offers that is about a sensor, by default the first by name, and names these sets."""
-    choices = sensors.choices(session, find=find, keep=[] if sensor_id is None else [sensor_id])
+    choices = sensors.list_choices(session, find=find, keep=[] if sensor_id is None else [sensor_id])
     if choices.is_all:
         sets = telemetry_sets.list_telemetry_sets(session, limit=MOST_SETS + 1)
         if len(sets) <= MOST_SETS:
-            return OfferedData(choices, sensor_queries.sensors(session), sets, is_whole=True)
+            return OfferedData(choices, sensor_queries.list_sensors(session), sets, is_whole=True)
     if not choices.names:  # nothing holds what is sought
-        choices = replace(choices, names=dict(list(sensors.choices(session).names.items())[:1]))
+        choices = replace(choices, names=dict(list(sensors.list_choices(session).names.items())[:1]))
     chosen = next(number for number in (sensor_id, *choices.names) if number is not None and number in choices.names)
     sets = telemetry_sets.list_telemetry_sets(session, sensor_id=chosen, limit=MOST_SETS)
     older = _older(session, set_ids, chosen, {known.id for known in sets})
-    return OfferedData(choices, sensor_queries.sensors(session, [chosen]), [*sets, *older], is_whole=False)
+    return OfferedData(choices, sensor_queries.list_sensors(session, [chosen]), [*sets, *older], is_whole=False)
 
 
 def _older(session: Session, set_ids: Sequence[str], sensor_id: int, known: set[int]) -> Iterator[TelemetrySet]:
@@ -288,7 +288,7 @@ def first_choice(
 
 def about_its_sensor(session: Session, typed: TypedForm) -> TypedForm:
     """Return a form with the newest sets of the sensor that it names and that sensor's own free parameters."""
-    fleet = sensor_queries.sensors(session, _number(typed.sensor_id))
+    fleet = sensor_queries.list_sensors(session, _number(typed.sensor_id))
     free = {sensor.id: list_free_parameters(sensor) for sensor in fleet}
     return replace(typed, **newest_sets(session, next(iter(free), None)), free=free)
 

@@ -129,8 +129,8 @@ def read_names(session: Session, found: Iterable[Run] = (), *, sensors_of: Itera
 def _names(session: Session, sensor_ids: Collection[int] | None, set_ids: Collection[int] | None) -> RunNames:
     """Read the names of every person, and of these sensors and telemetry sets; of all where None is given."""
     return RunNames(
-        {} if sensor_ids == set() else sensor_queries.names(session, sensor_ids),
-        {} if set_ids == set() else telemetry_rows.names(session, set_ids),
+        {} if sensor_ids == set() else sensor_queries.read_names(session, sensor_ids),
+        {} if set_ids == set() else telemetry_rows.read_names(session, set_ids),
         {person.id: person.printed_name for person in users.list_users(session)},
     )
 

@@ -164,7 +164,7 @@ router = APIRouter(dependencies=[Depends(csrf)])
 
 def make_live_part(request: Request, session: Session, run: Run) -> dict[str, Any]:
     """Gather what the head of `runs/run.html` shows."""
-    progress, log = run.progress or {}, runs.log_lines(session, run.id)
+    progress, log = run.progress or {}, runs.list_log_lines(session, run.id)
     workers = get_server(request).workers
     return {
         "notices": list_notices(session, run, log, workers.state() if workers else None),
@@ -220,7 +220,7 @@ def filter_lines(rows: Sequence[RunEvent], level: str) -> list[RunEvent]:
 def make_log_part(request: Request, session: Session, run: Run) -> dict[str, Any]:
     """Gather what the part `log` of `runs/run.html` shows."""
     level = request.query_params.get("level", "info")
-    rows = runs.log_lines(session, run.id)
+    rows = runs.list_log_lines(session, run.id)
     return {
         "lines": filter_lines(rows, level),
         "symbols": SYMBOLS,
@@ -232,7 +232,7 @@ def make_log_part(request: Request, session: Session, run: Run) -> dict[str, Any
 @run_log_router.get("/runs/{run_id:int}/log/lines", response_class=HTMLResponse)
 def log_lines(request: Request, session: Reading, run_id: int, after: int = 0, level: str = "info") -> HTMLResponse:
     """Give the lines after a line as list items, for a page that follows the log."""
-    rows = runs.log_lines(session, run_id, after_id=after)
+    rows = runs.list_log_lines(session, run_id, after_id=after)
     return render(request, "runs/log_lines.html", lines=filter_lines(rows, level), symbols=SYMBOLS)
 
 
@@ -246,7 +246,9 @@ def _attachment(name: str) -> dict[str, str]:
 @run_file_router.get("/runs/{run_id:int}/log")
 def log(session: Reading, run_id: int) -> PlainTextResponse:
     """Give every line of a run's log as text: time, attempt, kind, message."""
-    lines = [f"{line.at_utc} {line.attempt} {line.kind} {line.message}" for line in runs.log_lines(session, run_id)]
+    lines = [
+        f"{line.at_utc} {line.attempt} {line.kind} {line.message}" for line in runs.list_log_lines(session, run_id)
+    ]
     return PlainTextResponse("".join(f"{line}\n" for line in lines), headers=_attachment(f"run-{run_id}.log"))
 
 

@@ -543,7 +543,7 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
         sensor=session.get_known(Sensor, run.sensor_id),
         data=session.get_known(TelemetrySet, run.telemetry_set_id),
         validation=None if validation is None else session.get_known(TelemetrySet, validation),
-        result=None if is_void else runs.result(session, get_server(request).blobs, run_id),
+        result=None if is_void else runs.find_result(session, get_server(request).blobs, run_id),
     )
 
 
@@ -557,7 +557,7 @@ def make_run_head(desk: RunReview) -> dict[str, Any]:
         "parameter_set": made,
         "gates": list_run_gates(desk.session, made),
         "header": make_run_header(desk.run, by, desk.data, desk.validation),
-        "neighbours": run_queries.neighbours(desk.session, desk.run.id),
+        "neighbours": run_queries.read_neighbours(desk.session, desk.run.id),
     }
 
 
@@ -565,16 +565,16 @@ def list_run_gates(session: Session, made: ParameterSet | None) -> dict[str, Any
     """Read the newest gate report of a run's set, a row a gate; None where the run has no set, no rows before it is assessed."""
     if made is None:
         return None
-    report = approval_queries.newest_report(session, made.id)
+    report = approval_queries.find_newest_report(session, made.id)
     if report is None:
         return {"words": "", "rows": []}
-    document = gates.with_waivers(session, report)
+    document = gates.read_with_waivers(session, report)
     return {"words": document["words"], "rows": gate_rows(document)}
 
 
 def find_parameter_set(session: Session, run: Run) -> ParameterSet | None:
     """Return the set that was made from a run, if one was."""
-    return set_queries.set_of_run(session, run.id)
+    return set_queries.find_set_of_run(session, run.id)
 
 
 @router.post("/runs/{run_id:int}/parameter-set")

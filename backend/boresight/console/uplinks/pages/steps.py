@@ -260,8 +260,8 @@ def _page(
     request: Request, actor: Actor, blobs: BlobStore, set_id: int, shown: UplinkStepsContext, session: Session
 ) -> HTMLResponse:
     row = session.get_known(ParameterSet, set_id)
-    records = lists.newest(session, Uplink, set=set_id)
-    built = lists.newest(session, Package, set=set_id)
+    records = lists.list_newest(session, Uplink, set=set_id)
+    built = lists.list_newest(session, Package, set=set_id)
     exported = find_exported_package(built, records)
     names = read_names(session)
     reference, why = _reference(session, blobs, row)
@@ -280,7 +280,7 @@ def _page(
         members=_members(session, blobs, exported),
         reference=reference,
         why_no_reference=why,
-        next_states=uplinks.next_statements(session, row),
+        next_states=uplinks.list_next_statements(session, row),
         why_not_sent=_why_not_sent(row),
         may_export=row.ground_state in packages.EXPORTED,
         readable=row.onboard_state in read_backs.READABLE,
@@ -379,7 +379,7 @@ async def read_back(request: Request, actor: Who, blobs: Blobs, set_id: int) -> 
     typed, dump = await _form(request)
 
     def change(session: Session) -> Uplink:
-        read = read_backs.dump_or_crc(dump, typed.get("crc", ""))
+        read = read_backs.choose_dump_or_crc(dump, typed.get("crc", ""))
         source, happened = typed.get("source", ""), typed.get("happened_utc")
         return read_backs.read_back(session, actor, blobs, set_id, read, source, seen_version(typed), happened)
 

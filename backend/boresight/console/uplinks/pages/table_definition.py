@@ -137,8 +137,8 @@ def _page(
         places=[] if layout is None else list_layout_lines(layout),
         refusal=refusal,
         names=read_names(session),
-        pending=proposals.open_proposals(session, sensor_id, "table-definition"),
-        confirmed=proposals.confirmed_by_number(session, sensor_id, "table-definition"),
+        pending=proposals.list_open_proposals(session, sensor_id, "table-definition"),
+        confirmed=proposals.list_confirmed_by_number(session, sensor_id, "table-definition"),
         second_person=policy.second_person,
         entries=ENTRIES,
         parameters=CAMERA_MODELS[sensor.document["camera_model"]].parameter_names,
@@ -150,7 +150,7 @@ def _page(
 def _laid_out(session: Session, sensor_id: int, text: str) -> tuple[Layout | None, RefusalContext | None]:
     """Lay the baseline out by what the text says, or say why that cannot be."""
     try:
-        return table_definitions.layout(session, sensor_id, read_document(text)), None
+        return table_definitions.lay_out(session, sensor_id, read_document(text)), None
     except NotFoundError:
         raise
     except BoresightError as error:
