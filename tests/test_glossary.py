@@ -1,5 +1,6 @@
 """The glossary and the code use the same words."""
 
+import ast
 import re
 from collections import Counter
 from pathlib import Path
@@ -7,6 +8,18 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 LINES = [line for line in (ROOT / "docs/glossary.md").read_text(encoding="utf-8").splitlines() if line.startswith("- ")]
 TERM = re.compile(r"- \*\*(?P<term>[^*]+)\*\*: .+\.(?P<names>(?: `[\w.]+`)+)")
+#: Words of the project's own that standard ones replaced; none is the name of a class, a function or a module again.
+REPLACED = set(
+    re.findall(
+        r"\w+",
+        """Answering AtHand Border Climb ClusterSpread Codings Conditions Course Desk Drawn Engine Evidence Fitness Flight
+        Flights Insurance InThisProcess Judgement Keeping Kept Loan Lookout Mark Marks MatchedSet Misfit Once OnlyTry Orders
+        Paces Place Ready RematchedSet Rounds Shown Sighting Sightings Sought Specimen Spread Standing StreamedSet Telling
+        Told Turns Upkeep Watch Workplace climb course dressed fitness held_out judgements lookout only_try orders paces
+        sighting specimen upkeep weigh""",
+    )
+)
+IN_SCRIPTS = re.compile(r"\b(?:class|function|const|let|@typedef \{.*\}) (\w+)")
 DEFINED = re.compile(r"\b(?:def|class) (\w+)|^ *(\w+)(?::| =)|[(,] *(\w+): ", re.MULTILINE)
 
 
@@ -28,3 +41,17 @@ def test_each_code_name_of_the_glossary_is_a_name_in_the_code():
         name.rpartition(".")[2] for line in LINES for name in re.findall(r"`([\w.]+)`", TERM.fullmatch(line)["names"])
     }
     assert sorted(named - known) == []
+
+
+def test_no_replaced_word_names_a_class_a_function_or_a_module_again():
+    found = []
+    for path in (path for top in ("backend", "tests", "benchmarks") for path in (ROOT / top).rglob("*.py")):
+        nodes = ast.walk(ast.parse(path.read_bytes()))
+        defined = [
+            node.name for node in nodes if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+        ]
+        found += [f"{path.relative_to(ROOT)}: {name}" for name in (path.stem, *defined) if name in REPLACED]
+    for path in (ROOT / "frontend/static").rglob("*.js"):
+        names = IN_SCRIPTS.findall(path.read_text(encoding="utf-8"))
+        found += [f"{path.relative_to(ROOT)}: {name}" for name in (path.stem, *names) if name in REPLACED]
+    assert found == []

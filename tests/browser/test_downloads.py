@@ -38,7 +38,7 @@ PIXELS = """async ([address]) => {
 }"""
 
 
-class Desk:
+class RunPage:
     def __init__(self, window, run_id):
         self.window, self.run_id, self.part = window, run_id, None
 
@@ -60,7 +60,7 @@ class Desk:
 @pytest.fixture(scope="module")
 def desk(people, sequential_run):
     with people.seat("analyst") as window:
-        yield Desk(window, sequential_run)
+        yield RunPage(window, sequential_run)
 
 
 @pytest.fixture(scope="module")

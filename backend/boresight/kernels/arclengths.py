@@ -13,7 +13,7 @@ The derivative of an arc is taken backwards. With c = s_i.s_j and g = (s_j - c s
 where t = (s_x / s_z, s_y / s_z, 1) are the tangents of a star: g is at right angles to the ray, so that whatever changes the ray's
 length alone drops out. A model is what fills t and the 2 by 8 derivatives of its first two components; all else is the same for
 every model. The loops take the number of the model (`CameraModel.kernel`) before its state x.
-`tests/test_kernels.py` holds every loop against plain NumPy.
+`tests/kernels/test_kernels.py` holds every loop against plain NumPy.
 """
 
 from __future__ import annotations

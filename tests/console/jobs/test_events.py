@@ -31,11 +31,11 @@ from boresight.platform.db.sessions import open_engine, open_reading, open_writi
 from tests.served import House, add_people, serving, settings_in
 from tests.stores import open_migrated, url_in
 
-Told = dict[str, Any]
+Message = dict[str, Any]
 
 
 @contextmanager
-def following(client: httpx.Client, last_event_id: str | None = None, **params: Any) -> Iterator[Iterator[Told]]:
+def following(client: httpx.Client, last_event_id: str | None = None, **params: Any) -> Iterator[Iterator[Message]]:
     headers = {"Last-Event-ID": last_event_id} if last_event_id else {}
     with client.stream("GET", "/api/v1/events", params=params, headers=headers, timeout=10) as answer:
         assert answer.status_code == 200, answer.read()
@@ -43,8 +43,8 @@ def following(client: httpx.Client, last_event_id: str | None = None, **params: 
         yield _events(answer.iter_lines())
 
 
-def _events(lines: Iterator[str]) -> Iterator[Told]:
-    told: Told = {}
+def _events(lines: Iterator[str]) -> Iterator[Message]:
+    told: Message = {}
     for line in lines:
         name, _, value = line.partition(": ")
         if line:
@@ -54,7 +54,7 @@ def _events(lines: Iterator[str]) -> Iterator[Told]:
             told = {}
 
 
-def _until(events: Iterator[Told], **wanted: Any) -> Told:
+def _until(events: Iterator[Message], **wanted: Any) -> Message:
     return next(told for told in events if wanted.items() <= (told.get("data") or {}).items())
 
 
@@ -164,7 +164,7 @@ def test_a_log_in_that_was_ended_stops_hearing(house):
 def test_stopping_the_server_ends_the_streams_at_once(tmp_path):
     settings = settings_in(tmp_path)
     add_people(settings)
-    heard: list[Told] = []
+    heard: list[Message] = []
     with serving(settings) as (address, app):
         client = House(address, app, b"", {}).log_in("victor")
         begun = threading.Event()
