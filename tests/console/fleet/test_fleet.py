@@ -288,13 +288,13 @@ def test_an_alarm_is_found_by_its_state_and_counted_while_it_waits(store):
         (row,) = alarms.list_alarms(session, alarms.AlarmFilter(state="unacknowledged", kind="DRIFT", sensor_id=1))
         assert alarms.count_unacknowledged(session) == 1
         row.shelved_until_utc = utc_after(60)
-        alarms.step(session, COMMAND_LINE, row, "SHELVED", "Later.")
+        alarms.record_step(session, COMMAND_LINE, row, "SHELVED", "Later.")
         assert alarms.count_unacknowledged(session) == 0
         found = {state: len(alarms.list_alarms(session, alarms.AlarmFilter(state=state))) for state in alarms.STATES}
         assert found == {"unacknowledged": 0, "acknowledged": 0, "shelved": 1, "closed": 0}
         row.shelved_until_utc = utc_after(-1)
         assert [late.id for late in alarms_queries.list_overdue_shelves(session)] == [row.id]
-        alarms.step(session, COMMAND_LINE, row, "UNSHELVED", "")
+        alarms.record_step(session, COMMAND_LINE, row, "UNSHELVED", "")
 
 
 def test_a_trend_and_the_newest_summaries_are_read(store):

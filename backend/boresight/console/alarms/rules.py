@@ -23,7 +23,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from boresight.console.alarms import queries
-from boresight.console.alarms.service import close_if_over, step
+from boresight.console.alarms.service import close_if_over, record_step
 from boresight.console.alarms.tables import Alarm
 from boresight.console.fleet import queries as sensors_rows
 from boresight.console.fleet import queries as trends
@@ -217,7 +217,7 @@ def _raise(session: Session, found: AlarmCause) -> bool:
         version=0,
     )
     session.put(row)
-    step(session, SYSTEM, row, "RAISED", found.sentence)
+    record_step(session, SYSTEM, row, "RAISED", found.sentence)
     return True
 
 
@@ -229,7 +229,7 @@ def _renew(session: Session, row: Alarm, found: AlarmCause) -> bool:
     row.level, row.sentence, row.evidence = found.level, found.sentence, dict(found.details)
     if again:
         row.active, row.acknowledged, row.returned_utc = 1, 0, None
-    step(session, SYSTEM, row, "RAISED AGAIN" if again else "COMMENTED", found.sentence)
+    record_step(session, SYSTEM, row, "RAISED AGAIN" if again else "COMMENTED", found.sentence)
     return True
 
 
@@ -237,7 +237,7 @@ def _return(session: Session, row: Alarm) -> bool:
     if not row.active:
         return False
     row.active, row.returned_utc = 0, utc_now()
-    step(session, SYSTEM, row, "RETURNED", "The condition is over.")
+    record_step(session, SYSTEM, row, "RETURNED", "The condition is over.")
     close_if_over(session, SYSTEM, row)
     return True
 
@@ -246,7 +246,7 @@ def _unshelve_overdue(session: Session) -> int:
     overdue = queries.list_overdue_shelves(session)
     for row in overdue:
         row.shelved_until_utc = None
-        step(session, SYSTEM, row, "UNSHELVED", "Its time on the shelf is over.")
+        record_step(session, SYSTEM, row, "UNSHELVED", "Its time on the shelf is over.")
     return len(overdue)
 
 

@@ -47,10 +47,10 @@ def close_if_over(session: Session, actor: Actor, row: Alarm) -> None:
     """Close an alarm that is over and was acknowledged."""
     if not row.active and row.acknowledged:
         row.closed_utc = utc_now()
-        step(session, actor, row, "CLOSED", "It is over and was acknowledged.")
+        record_step(session, actor, row, "CLOSED", "It is over and was acknowledged.")
 
 
-def step(session: Session, actor: Actor, row: Alarm, event: str, text: str, **told: Any) -> None:
+def record_step(session: Session, actor: Actor, row: Alarm, event: str, text: str, **told: Any) -> None:
     """Keep a step in an alarm's life: one version further, an event, an audit record."""
     row.version += 1
     name = actor.printed_name
@@ -83,7 +83,7 @@ def acknowledge(session: Session, actor: Actor, alarm_id: int, text: str, seen_v
     if row.acknowledged:
         raise ConflictError(f"Alarm {row.id} is acknowledged already; comment on it, or shelve it.")
     row.acknowledged = 1
-    step(session, actor, row, "ACKNOWLEDGED", _said(text))
+    record_step(session, actor, row, "ACKNOWLEDGED", _said(text))
     close_if_over(session, actor, row)
     return row
 
@@ -95,7 +95,7 @@ def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: st
     if not utc_now() < until_utc <= utc_after(MOST_DAYS * DAY_S):
         raise RefusedInputError(f"An alarm is shelved until a time to come, {MOST_DAYS:.0f} days from now at most.")
     row.shelved_until_utc = until_utc
-    step(session, actor, row, "SHELVED", _said(reason, needed="reason why it may wait"), until_utc=until_utc)
+    record_step(session, actor, row, "SHELVED", _said(reason, needed="reason why it may wait"), until_utc=until_utc)
     return row
 
 
@@ -105,7 +105,7 @@ def unshelve(session: Session, actor: Actor, alarm_id: int, seen_version: int | 
     if row.shelved_until_utc is None:
         raise ConflictError(f"Alarm {row.id} is not shelved.")
     row.shelved_until_utc = None
-    step(session, actor, row, "UNSHELVED", "")
+    record_step(session, actor, row, "UNSHELVED", "")
     return row
 
 
@@ -116,14 +116,14 @@ def assign(session: Session, actor: Actor, alarm_id: int, user_id: int | None, s
     if user_id is not None and (person is None or person.disabled_utc is not None):
         raise NotFoundError(f"There is no user {user_id} who could take care of it.")
     row.assigned_to = None if person is None else person.id
-    step(session, actor, row, "ASSIGNED", "to nobody" if person is None else f"to {person.printed_name}")
+    record_step(session, actor, row, "ASSIGNED", "to nobody" if person is None else f"to {person.printed_name}")
     return row
 
 
 def comment(session: Session, actor: Actor, alarm_id: int, text: str, seen_version: int | None) -> Alarm:
     """Say something about an alarm."""
     row = _take_to_handle(session, actor, alarm_id, seen_version, "comment on an alarm")
-    step(session, actor, row, "COMMENTED", _said(text, needed="comment"))
+    record_step(session, actor, row, "COMMENTED", _said(text, needed="comment"))
     return row
 
 

@@ -128,7 +128,7 @@ def list_sensor_statuses(session: Session, sensor_ids: Collection[int] | None = 
         )
         for head in heads
     }
-    for sensor_id, shifted in _ground_shifted(session, heads, known):
+    for sensor_id, shifted in _find_ground_shifts(session, heads, known):
         known[sensor_id] = replace(known[sensor_id], ground_shifted=shifted)
     return [
         SensorStatus(
@@ -176,7 +176,7 @@ def _is_on_the_ground(known: SensorFacts) -> bool:
     return not any(word in WORSE_THAN_NORMAL for word, _ in list_findings(known))
 
 
-def _ground_shifted(
+def _find_ground_shifts(
     session: Session, heads: Sequence[Any], known: Mapping[int, SensorFacts]
 ) -> Iterator[tuple[int, bool | None]]:
     """Yield whether the ground calibration does not hold; None where more than `MOST_JUDGED` were to be asked anew by this look."""

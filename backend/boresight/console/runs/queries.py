@@ -259,7 +259,7 @@ def read_states(session: Session, run_ids: Collection[int]) -> dict[HeldRun, str
 
 def record_progress(session: Session, run_id: int, attempt: int, progress: Mapping[str, Any]) -> bool:
     """Write how far a run is; False when this attempt no longer holds it."""
-    return _matched(session, _fenced((run_id, attempt)).values(progress=dict(progress)))
+    return _has_matched(session, _fenced((run_id, attempt)).values(progress=dict(progress)))
 
 
 @dataclass(frozen=True)
@@ -383,7 +383,7 @@ def _put_back(session: Session, held: HeldRun, cause: str, *, is_lost: bool) -> 
     if read_states(session, [held[0]]).get(held) == "CANCELLING":
         return finish(session, *held, "CANCELLED") is not None
     write = _fenced(held).values(state="QUEUED", owner=None, lease_until_utc=None, progress=sa.null())
-    if not _matched(session, write):
+    if not _has_matched(session, write):
         return False
     lines = (Line.attempt_ended(held[1], cause, is_lost=is_lost), Line.queued_again(cause))
     write_events(session, [(*held, line) for line in lines])
@@ -402,7 +402,7 @@ def give_up_expired(session: Session, max_attempts: int) -> list[HeldRun]:
     return [(run_id, attempt) for run_id, attempt, _ in lapsed]
 
 
-def _matched(session: Session, statement: sa.Update) -> bool:
+def _has_matched(session: Session, statement: sa.Update) -> bool:
     return session.execute(statement.returning(Run.id)).first() is not None
 
 

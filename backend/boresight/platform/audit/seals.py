@@ -137,7 +137,7 @@ def iterate_digests(session: Session, model: type[Base], ids: Sequence[int] | No
             yield row[0], _digest(model, dict(zip(names, row, strict=True)))
 
 
-def orphans(session: Session, model: type[Base]) -> frozenset[int]:
+def find_orphans(session: Session, model: type[Base]) -> frozenset[int]:
     """Return the keys of a sealed table's rows that refer to a row of an unsealed table that is not there.
 
     The row itself is as it was sealed then, and what it names was edited or removed by hand: no transaction could.

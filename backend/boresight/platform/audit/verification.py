@@ -210,7 +210,7 @@ def _misfits(
     sealed: Iterable[Seal] = scratch.execute(GET, (name,))
     waiting = iter(sealed)
     seal = next(waiting, None)
-    orphans = journals.orphans(session, model)
+    orphans = journals.find_orphans(session, model)
     for row_id, digest in journals.iterate_digests(session, model):
         found.rows += 1
         while seal is not None and seal[0] < row_id:
