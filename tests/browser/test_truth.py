@@ -111,7 +111,8 @@ def test_a_page_says_that_its_server_is_gone_and_recovers_with_it(people, instal
         run, first = (window.read(f"/api/v1/runs/{number}") for number in (run_id, sequential_run))
         assert run["attempt"] > 1
         result = window.result(run_id)
-        assert result["parameters"] == window.result(sequential_run)["parameters"]
+        # the filter is handed on from call to call, as many as its pace makes, and each rounds once
+        assert result["parameters"] == pytest.approx(window.result(sequential_run)["parameters"], rel=1e-10)
         assert run["summary"]["status"] == first["summary"]["status"]
         window.figures_drawn()
         assert window.drawn("convergence")[1]["x"] == result["history"]["frame"]
