@@ -57,6 +57,9 @@ PARTS: dict[str, Part] = {
     "accuracy": Part(
         "accuracy:measure", "error beside time: SciPy, filterpy, Ceres, OpenCV and tetra3rs on the same stars"
     ),
+    "efficiency": Part(
+        "efficiency:measure", "batch and filter beside a plain maximum-likelihood fit, with tangential, sixth-order and wide lenses"
+    ),
     "fresh": Part("growth:measure_fresh", "what a fresh process pays before its first calibration, beside a warm one"),
     "growth": Part("growth:measure", "time and memory from a thousand frames to a million"),
     "spread": Part("spread:measure", "one batch over one worker, two, and two of which one is killed"),

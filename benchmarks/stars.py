@@ -55,18 +55,18 @@ def synthetic(frames: int, rng: np.random.Generator) -> ArcSet:
     sensor, truth = st16_sensor(SENSOR), st16_truth(SENSOR)
     counts = np.full(frames * EXPOSURES_A_FRAME, STARS)
     size = (sensor.rows, sensor.columns)
-    arcs = _field(INVERTED_WANG, truth, size, sensor.pixel_pitch_m, counts, sensor.centroid_sigma_px, rng)
+    arcs = uniform_field(INVERTED_WANG, truth, size, sensor.pixel_pitch_m, counts, sensor.centroid_sigma_px, rng)
     arcs = replace(arcs, frame=np.arange(frames), frame_start=np.arange(frames + 1) * EXPOSURES_A_FRAME)
     return arcsets.whiten(arcs, arcsets.angular_sigma(INVERTED_WANG, sensor.initial, arcs))[0]
 
 
 def wu_field(counts: IntArray, rng: np.random.Generator, noise_px: float = WU_IMPLIED_SIGMA_PX) -> ArcSet:
     """Weighed arcs of exposures of so many stars each over W's detector, one a frame."""
-    arcs = _field(PINHOLE_RADIAL, WU_TRUTH, (WU_ROWS, WU_COLUMNS), WU_PIXEL_PITCH_M, counts, noise_px, rng)
+    arcs = uniform_field(PINHOLE_RADIAL, WU_TRUTH, (WU_ROWS, WU_COLUMNS), WU_PIXEL_PITCH_M, counts, noise_px, rng)
     return arcsets.whiten(arcs, arcsets.angular_sigma(PINHOLE_RADIAL, WU_TRUTH, arcs))[0]
 
 
-def _field(
+def uniform_field(
     camera: CameraModel, truth: FloatArray, size: tuple[int, int], pitch: float, counts: IntArray, noise_px: float,
     rng: np.random.Generator,
 ) -> ArcSet:  # fmt: skip
@@ -78,7 +78,7 @@ def _field(
     places, _ = arcsets.order(star_start, s_i)
     noise = noise_px * rng.normal(size=(2, n))
     return ArcSet(
-        model=camera.kernel, pitch=pitch, frame=np.arange(len(counts)), frame_start=np.arange(len(counts) + 1),
+        camera=camera, pitch=pitch, frame=np.arange(len(counts)), frame_start=np.arange(len(counts) + 1),
         star_start=star_start, row_px=(row + noise[0])[places], col_px=(col + noise[1])[places], sigma_px=np.full(n, noise_px),
         s_i=np.ascontiguousarray(s_i[places]), source_row=places, phi=np.empty(0), band=np.empty((0, 5)),
     )  # fmt: skip

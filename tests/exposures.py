@@ -4,8 +4,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.cameras.inverted_wang import INVERTED_WANG
-from boresight.kernels import matching as loops
+from boresight.kernels import matching
+from tests.compiled import CompiledParts
 from tests.estimation.fields import COLUMNS, GROUND, NOISE_PX, PITCH, ROWS, SCALE
+
+loops = CompiledParts(matching)
 
 SIGMA = NOISE_PX * PITCH / GROUND[0]
 ROOT = np.diag(3.0 * SCALE)

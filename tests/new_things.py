@@ -11,22 +11,25 @@ import numpy as np
 import orjson
 import pytest
 from click.testing import CliRunner, Result
+from sqlalchemy.orm import Session
 
 from benchmarks.pages.drawings import guide_page
 from boresight.cameras import CAMERA_MODELS
 from boresight.cli import main
 from boresight.console.fleet import service as sensors
+from boresight.console.fleet.tables import Sensor
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.figures import FIGURES
 from boresight.figures.example_calibration import get_example_calibrations
 from boresight.figures.report import render_report
 from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
 from boresight.platform.blobs.opening import open_blobs
-from boresight.platform.blobs.store import register_blob
+from boresight.platform.blobs.store import BlobStore, register_blob
+from boresight.platform.db.engines import open_engine
 from boresight.platform.db.sessions import open_writing, utc_now
 from boresight.simulation.scenes import calibration_scenario, simulate
-from boresight.simulation.sensors import wu_sensor
 from boresight.sky.catalogue import load_catalogue
 from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import parse_sensor, sensor_document
@@ -43,45 +46,106 @@ SENSOR = SCENARIO.sensor
 
 def furnished(folder: Path) -> int:
     """Fill a store: people, a sensor, and two runs that ended with the example's calibration; returns the sensor's number."""
-    settings, now = settings_in(folder), utc_now()
+    settings = settings_in(folder)
     blobs = open_blobs(settings.blob_place)
-    result = get_example_calibrations()["filter"]
-    address = blobs.put(orjson.dumps(result))
     engine = open_migrated(url_in(folder))
     with open_writing(engine) as session:
         person = add_person(session, "ada", "analyst")
         sensor = sensors.register_sensor(session, COMMAND_LINE, sensor_document(SENSOR))
-        register_blob(session, blobs, address, "application/json")
-        telemetry = TelemetrySet(
-            sensor_id=sensor.id, name="TS-1", purpose="calibration", original_sha256=address, table_sha256=address, frames=60,
-            stars=result["stars"], quality={"exposures": 120, "warnings": []}, uploaded_utc=now,
-        )  # fmt: skip
-        session.add(telemetry)
-        session.flush()
-        session.add_all(
-            Run(
-                sensor_id=sensor.id, telemetry_set_id=telemetry.id, method="sqrf", settings={}, sensor_document=sensor.document,
-                state="SUCCEEDED", launched_utc=now, started_utc=now, ended_utc=now, launched_by=person.id, result_sha256=address,
-                summary={"status": "converged"},
-            )
-            for _ in range(2)
-        )  # fmt: skip
+        add_runs(session, blobs, person.id, sensor.id, get_example_calibrations()["filter"], count=2)
         found = sensor.id
     engine.dispose()
     return found
+
+
+def add_runs(session: Session, blobs: BlobStore, person: int, sensor_id: int, result: Any, count: int) -> list[Run]:
+    """Add runs that ended with a result, and the set that they took."""
+    now, address = utc_now(), blobs.put(orjson.dumps(result))
+    register_blob(session, blobs, address, "application/json")
+    telemetry = TelemetrySet(
+        sensor_id=sensor_id, name=f"TS-{sensor_id}", purpose="calibration", original_sha256=address, table_sha256=address,
+        frames=60, stars=result["stars"], quality={"exposures": 120, "warnings": []}, uploaded_utc=now,
+    )  # fmt: skip
+    session.add(telemetry)
+    session.flush()
+    made = [
+        Run(
+            sensor_id=sensor_id, telemetry_set_id=telemetry.id, method=result["method"], settings={},
+            sensor_document=session.get_one(Sensor, sensor_id).document, state="SUCCEEDED", launched_utc=now, started_utc=now,
+            ended_utc=now, launched_by=person, result_sha256=address, summary={"status": "converged"},
+        )
+        for _ in range(count)
+    ]  # fmt: skip
+    session.add_all(made)
+    audit.append(session, COMMAND_LINE, "run.succeeded", f"telemetry_sets/{telemetry.id}")
+    return made
 
 
 def command(*words: str | Path) -> Result:
     return CliRunner().invoke(main, list(map(str, words)))
 
 
-def camera(ada: httpx.Client) -> dict[str, Any]:
-    document = sensor_document(wu_sensor()) | {"name": "lens-1", "camera_model": "dummy_lens"}
+def camera(ada: httpx.Client, folder: Path) -> dict[str, Any]:
+    """Take a sensor of a new model all the way: simulated, calibrated, converted, registered, shown."""
+    model = CAMERA_MODELS["dummy_lens"]
+    x = model.plain(2250.0, 972.0, 1296.0, 2.2e-6)
+    names = model.parameter_names
+    true = dict(zip(names, (x + 0.5 * np.array(model.default_typical_sigma)).tolist(), strict=True))
+    document = sensor_document(SENSOR) | {
+        "name": "lens-1", "camera_model": "dummy_lens", "initial": dict(zip(names, x.tolist(), strict=True)),
+        "centroid_sigma_px": 0.2, "typical_sigma": dict(zip(names, model.default_typical_sigma, strict=True)), "free": list(names),
+    }  # fmt: skip
+    sensor, scenario, result = (folder / name for name in ("lens.json", "lens-scenario.json", "lens-result.json"))
+    sensor.write_bytes(orjson.dumps(document))
+    scenario.write_bytes(orjson.dumps({"sensor": document, "truth": true, "frames": 20, "seed": 3}))
+    telemetry = folder / "lens" / "calibration.csv"
+    done = {
+        "simulate": command("simulate", scenario, "--out", folder / "lens"),
+        "calibrate": command("calibrate", telemetry, "--sensor", sensor, "--match", "given", "--json", result),
+        "convert": command(
+            "convert",
+            result,
+            "--sensor",
+            sensor,
+            "--to",
+            "brown_conrady",
+            "--out",
+            folder / "brown.json",
+            "--allow-px",
+            "1",
+        ),
+        "report": command("report", result, "--out", folder / "lens.html"),
+    }
+    printed = {name: one.output for name, one in done.items()}
+    found = json.loads(result.read_bytes())
+    error = np.array([found["parameters"][name] - true[name] for name in names])
+    registered = ada.post("/api/v1/sensors", json=document)
+    engine = open_engine(url_in(folder))
+    with open_writing(engine) as session:
+        sensor_id = registered.json()["id"]
+        run_id = add_runs(session, open_blobs(settings_in(folder).blob_place), 1, sensor_id, found, count=1)[0].id
+    engine.dispose()
+    pages = {
+        "form": ada.get(f"/runs/new?sensor={sensor_id}").text,
+        "sensor": ada.get(f"/sensors/{sensor_id}").text,
+        "run": ada.get(f"/runs/{run_id}").text,
+        "report": (folder / "lens.html").read_text(),
+        "rest": ada.get(f"/api/v1/runs/{run_id}/result").text,
+    }
     return {
         "registered": list(CAMERA_MODELS),
         "sensor_read": parse_sensor(document).camera_model,
-        "sensor_registered": ada.post("/api/v1/sensors", json=document).status_code,
+        "sensor_registered": registered.status_code,
         "offered": "dummy_lens" in ada.post("/api/v1/sensors", json=document | {"camera_model": "nothing"}).text,
+        "exit_codes": {name: one.exit_code for name, one in done.items()},
+        "printed": printed,
+        "status": found["status"],
+        "free": found["free"],
+        "errors_in_sigma": [e / found["sigma"][name] for e, name in zip(error, names, strict=True)],
+        "nees": error @ np.linalg.solve(np.array(found["covariance"]["matrix"]), error),
+        "misfit_px": json.loads((folder / "brown.json").read_text())["conversion"]["misfit_px"]["max"],
+        "figures": {name: ada.get(f"/api/v1/runs/{run_id}/figures/{name}").status_code for name in FIGURES},
+        "on": {place: "division" in text or "focal_px" in text for place, text in pages.items()},
     }
 
 
@@ -198,7 +262,7 @@ def run(folder: Path) -> dict[str, Any]:
             ada.headers["X-CSRF-Token"] = answer.raise_for_status().json()["csrf_token"]
             with httpx.Client(base_url=address, timeout=60) as nobody:
                 return {
-                    "camera": camera(ada),
+                    "camera": camera(ada, folder),
                     "chart": chart(ada),
                     "gate": gate(ada, sensor_id, folder),
                     "finding": finding(ada, sensor_id, folder),

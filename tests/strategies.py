@@ -33,13 +33,7 @@ def sensors(draw):
     model = CAMERA_MODELS[draw(st.sampled_from(sorted(CAMERA_MODELS)))]
     rows, columns = draw(st.integers(256, 4096)), draw(st.integers(256, 4096))
     pitch = draw(st.floats(2e-6, 2e-5, **_FLOAT_OPTIONS))
-    half_size = 0.5 * pitch * np.hypot(rows, columns)
-    nominal = {
-        "f_m": half_size / np.tan(np.radians(draw(st.floats(2.0, 15.0, **_FLOAT_OPTIONS)))),
-        "g_y": 1.0,
-        "s": 1.0,
-    }
-    nominal |= {"m0_px": rows / 2, "n0_px": columns / 2, "u0_px": columns / 2, "v0_px": rows / 2}
+    focal_px = 0.5 * np.hypot(rows, columns) / np.tan(np.radians(draw(st.floats(2.0, 15.0, **_FLOAT_OPTIONS))))
     names = model.parameter_names
     free = draw(st.lists(st.sampled_from(names), min_size=1, unique=True))
     return Sensor(
@@ -50,7 +44,7 @@ def sensors(draw):
         camera_model=model.name,
         parity=draw(st.sampled_from([1, -1])),
         centroid_sigma_px=draw(st.floats(0.01, 2.0, **_FLOAT_OPTIONS)),
-        initial=np.array([nominal.get(name, 0.0) for name in names]),
+        initial=model.plain(focal_px, rows / 2, columns / 2, pitch),
         typical_sigma=np.array(model.default_typical_sigma),
         free=tuple(name for name in names if name in free),
         magnitude_limit=draw(st.none() | st.floats(3.0, 9.0, **_FLOAT_OPTIONS)),

@@ -70,7 +70,9 @@ R, T           `reach T`         distorted radius r B over the focal length, and
 x              `x`               state, the parameters in the order s f u0 v0 k1 k2
 =============  ================  =============================================================================
 
-Arrays are structures of arrays, float64, and their docstrings name each dimension: `(n_stars,)`, `(n_arcs, 8)`.
+The other cameras' letters stand in their files, `boresight.cameras`.
+
+Arrays are structures of arrays, float64, and their docstrings name each dimension: `(n_stars,)`, `(n_arcs, n_parameters)`.
 An *exposure* is one image; a *frame* is one telemetry reading (two exposures on the ST-16); a *set* is a series of frames.
 
 References

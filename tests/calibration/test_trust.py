@@ -26,7 +26,8 @@ from tests.calibration.sets import Case, case, field, simulated
 
 PARTS = {
     "arc_sigma_map", "two_halves", "efficiency", "more_data", "drop_one", "nis_over_time", "whiteness", "stars",
-    "residual_against", "residuals", "residual_field", "residual_distribution", "residual_outliers", "worst_frames",
+    "residual_against", "residuals", "residual_field", "residual_distribution", "residual_outliers", "residual_spline",
+    "worst_frames",
 }  # fmt: skip
 
 

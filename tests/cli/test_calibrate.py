@@ -282,7 +282,7 @@ def test_what_is_read_is_not_written_over(boresight, lens):
 
 def test_a_calibration_keeps_its_covariance(boresight, calibration, simulated, tmp_path):
     words = ("convert", calibration, "--sensor", simulated / "sensor.json", "--to", "pinhole_radial")
-    assert_refused(boresight(*words, "--out", tmp_path / "out.json"), "decentring")
+    assert_refused(boresight(*words, "--out", tmp_path / "out.json"), "tilt")
     done = accepted(boresight(*words, "--out", tmp_path / "out.json", "--allow-px", "50"))
     assert "cannot express" in done.stdout
     written = json.loads((tmp_path / "out.json").read_text())
@@ -428,3 +428,64 @@ def test_telemetry_of_another_camera_is_said_to_be_that(boresight, simulated, ha
         boresight("match", half[0], "--sensor", tmp_path / "narrow.json", "--out", tmp_path / "matched.csv")
     )
     assert "given identities agree with this sensor" in done.stdout
+
+
+def test_choose_prints_its_sentence_and_writes_a_sensor_file_that_calibrates(boresight, simulated, tmp_path):
+    out, answer = tmp_path / "chosen.json", tmp_path / "choice.json"
+    words = (
+        "choose",
+        simulated / "calibration.csv",
+        "--sensor",
+        simulated / "sensor.json",
+        "--out",
+        out,
+        "--json",
+        answer,
+    )
+    done = accepted(boresight(*words))
+    found = json.loads(answer.read_text())
+    assert found["schema"] == "boresight.choice/1"
+    assert found["sentence"] in done.stdout
+    assert found["chosen"]["camera_model"] == "inverted_wang"
+    again = accepted(
+        boresight("calibrate", simulated / "calibration.csv", "--sensor", out, "--match", "given", "--json", "-")
+    )
+    calibrated = json.loads(again.stdout)
+    assert calibrated["free"] == found["chosen"]["free"]
+    for name, sigma in calibrated["sigma"].items():
+        if sigma is not None:
+            assert abs(calibrated["parameters"][name] - found["chosen"]["parameters"][name]) < sigma
+
+
+def test_choose_keeps_the_sensor_file_that_it_reads(boresight, simulated):
+    sensor = simulated / "sensor.json"
+    before = sensor.read_bytes()
+    assert_refused(
+        boresight("choose", simulated / "calibration.csv", "--sensor", sensor, "--out", sensor), "choose another name"
+    )
+    assert sensor.read_bytes() == before
+
+
+def test_a_conversion_follows_what_the_camera_leaves_where_there_is_something(
+    boresight, simulated, calibration, tmp_path
+):
+    words = (
+        "convert",
+        calibration,
+        "--sensor",
+        simulated / "sensor.json",
+        "--to",
+        "pinhole_radial",
+        "--allow-px",
+        "50",
+    )
+    assert_refused(boresight(*words, "--residual", "--out", tmp_path / "out.json"), "no residual spline")
+    document = json.loads(calibration.read_text(encoding="utf-8"))
+    document["trust"]["residual_spline"]["test"]["p"] = 1e-9
+    with_structure = tmp_path / "calibration.json"
+    with_structure.write_text(json.dumps(document), encoding="utf-8")
+    done = accepted(boresight("convert", with_structure, *words[2:], "--residual", "--out", tmp_path / "out.json"))
+    assert "residual spline" in done.stdout
+    told = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["conversion"]
+    assert told["residual"]["p"] == 1e-9
+    assert len(told["turn_rad"]) == 3

@@ -25,7 +25,7 @@ from tests.cli.conftest import accepted, assert_refused, read_rows, write_rows
 from tests.stores import open_migrated, url_in
 
 COMMANDS = (
-    "calibrate", "match", "evaluate", "convert", "assess", "reproduce", "check", "simulate", "report", "export", "table",
+    "calibrate", "choose", "match", "evaluate", "convert", "assess", "reproduce", "check", "simulate", "report", "export", "table",
     "serve", "demo", "warm", "migrate", "backup", "restore", "user", "audit",
 )  # fmt: skip
 PASSWORD = "correct horse battery"

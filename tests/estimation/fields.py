@@ -48,7 +48,7 @@ def arranged(starts, frame_start, row_px, col_px, s_i, noise_px):
     star_start = np.array(starts)
     places, _ = arcsets.order(star_start, s_i)
     return ArcSet(
-        model=INVERTED_WANG.kernel,
+        camera=INVERTED_WANG,
         pitch=PITCH,
         frame=np.arange(len(frame_start) - 1),
         frame_start=np.array(frame_start),
@@ -83,7 +83,7 @@ START_SIGMA = np.array([1e-3, 5e-4, 10.0, 10.0, 0.5, 1.0])
 
 def wu_field(rng, frames=100, mean_stars=19.0, noise_px=0.2):
     starts, *stars = drawn(rng, PINHOLE, WU_TRUTH, WU_PITCH, (WU_ROWS, WU_COLUMNS), frames, mean_stars, noise_px)
-    return replace(arranged(starts, np.arange(frames + 1), *stars, noise_px), model=PINHOLE.kernel, pitch=WU_PITCH)
+    return replace(arranged(starts, np.arange(frames + 1), *stars, noise_px), camera=PINHOLE, pitch=WU_PITCH)
 
 
 def wu_weighed(field, x=WU_TRUTH):
@@ -94,7 +94,7 @@ def whitened_rows(arcs, x, free, scale, band=None):
     e, H = np.empty(arcs.n_arcs), np.empty((arcs.n_arcs, len(free)))
     stars = (arcs.star_start, arcs.row_px, arcs.col_px)
     kernels.whitened_rows(
-        arcs.model, x, arcs.pitch, *stars, arcs.phi, arcs.band if band is None else band, free, scale, e, H
+        arcs.camera.kind, x, arcs.pitch, *stars, arcs.phi, arcs.band if band is None else band, free, scale, e, H
     )
     return e, H
 
@@ -108,3 +108,9 @@ def whitened_plainly(arcs, x):
         e[a0 : a0 + n] = np.linalg.solve(L, e[a0 : a0 + n])
         a0 += n
     return e
+
+
+def directions_by_definition(camera, x, row, col, pitch):
+    """Direction from the camera's definition as Python, which takes complex numbers."""
+    ray = np.array([*camera.star(tuple(x), pitch, row, col)[:2], 1.0])
+    return ray / np.sqrt(np.sum(ray * ray))

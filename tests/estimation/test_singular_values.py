@@ -45,6 +45,7 @@ from tests.estimation.fields import (
     WU_ROWS,
     WU_START,
     WU_TRUTH,
+    directions_by_definition,
     rotation,
     star_field,
     weighed,
@@ -102,7 +103,9 @@ def test_slopes_by_a_complex_step_through_the_camera():
     for p in range(8):
         x = TRUTH.astype(complex)
         x[p] += 1e-20j * SCALE[p]
-        w = INVERTED_WANG.directions(x, row, col, PITCH)
+        w = np.array(
+            [directions_by_definition(INVERTED_WANG, x, *place, PITCH) for place in zip(row, col, strict=True)]
+        )
         A = w.T @ w
         for k in range(3):  # d(lambda) = d(det(A - lambda I)) / (product of the gaps), at the real lambda
             lam = sigma[k] ** 2

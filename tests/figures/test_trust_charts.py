@@ -42,6 +42,7 @@ PART_OF = {
     "residual-rms": "residual_field",
     "residual-distribution": "residual_distribution",
     "residual-outliers": "residual_outliers",
+    "residual-spline": "residual_spline",
     "stars": "stars",
 }
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from boresight.calibration.parameter_file import parse_parameters
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.telemetry.quality.detector import OffDetector, check_against_sensor
@@ -46,6 +47,25 @@ def test_a_right_description_is_read_in_the_models_order_from_a_file_too(documen
     assert parse_sensor({**document, "free": ["g_y", "f_m"]}).free == ("f_m", "g_y")
     with pytest.raises(RefusedInputError, match="does not exist"):
         read_sensor(tmp_path / "none.json")
+
+
+@pytest.mark.parametrize("model", CAMERA_MODELS)
+def test_a_focal_length_may_be_given_in_pixels_by_its_name(document, model):
+    camera, pitch = CAMERA_MODELS[model], document["detector"]["pixel_pitch_m"]
+    x = dict(zip(camera.parameter_names, camera.plain(2000.0, 383.5, 511.5, pitch).tolist(), strict=True))
+    spread = dict(zip(camera.parameter_names, camera.default_typical_sigma, strict=True))
+    in_metres = document | {"camera_model": model, "initial": x, "typical_sigma": spread | {"f_m": 3 * pitch}}
+    in_pixels = in_metres | {
+        "initial": {"f_px" if name == "f_m" else name: 2000.0 if name == "f_m" else value for name, value in x.items()},
+        "typical_sigma": {"f_px" if name == "f_m" else name: spread[name] if name != "f_m" else 3 for name in spread},
+        "free": ["f_px", *camera.parameter_names[-1:]],
+    }
+    sensor, same = parse_sensor(in_metres), parse_sensor(in_pixels)
+    np.testing.assert_array_equal(same.initial, sensor.initial)
+    np.testing.assert_array_equal(same.typical_sigma, sensor.typical_sigma)
+    assert set(same.free) == {"f_m", camera.parameter_names[-1]}
+    np.testing.assert_array_equal(parse_parameters(in_pixels["initial"], sensor, "a file")[0], sensor.initial)
+    assert "f_px" in refusal(in_pixels | {"initial": in_pixels["initial"] | {"f_m": 0.01}})
 
 
 @settings(max_examples=effort(12, 60), deadline=None)
@@ -95,7 +115,7 @@ def test_a_wrong_number_is_named(document, path, value, words):
         ("detector.rows", 0, "detector.rows is 0"),
         ("detector.columns", 10.5, "whole number of pixels"),
         ("detector.pixel_pitch_m", 6.9, "check its unit"),
-        ("camera_model", "fisheye", "choose inverted_wang"),
+        ("camera_model", "fisheye", "inverted_wang or "),
         ("camera_model", ["inverted_wang"], "camera_model is"),
         ("parity", 0, "give 1 for a right-handed"),
         ("parity", True, "parity is True"),

@@ -19,6 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from boresight.errors import RefusedInputError
+from boresight.figures.example_calibration import get_example_calibrations
 from boresight.telemetry.sensors import parse_sensor
 from boresight.uplink.comparison import FILL, compare
 from boresight.uplink.package import build_package
@@ -294,3 +295,26 @@ def test_other_values_are_told_from_damage_by_the_dumps_own_crc_and_many_differe
 def test_a_dump_of_another_length_is_refused_with_both_lengths(dump: bytes) -> None:
     with pytest.raises(RefusedInputError, match=f"{len(dump)} bytes .* has 32"):
         compare(DEFINITION, SENT, dump)
+
+
+def test_what_the_camera_leaves_travels_as_a_table_with_sigmas_that_says_what_it_is():
+    spline = get_example_calibrations()["batch"]["trust"]["residual_spline"] | {"structure": True}
+    subject = make_set("pinhole_radial", 2, 1e-6, "APPROVED")
+    subject["document"]["residual_spline"] = spline
+    files = _files(make_inputs(subject=subject))
+    table, rows = json.loads(files["correction_table.json"]), _rows(files["correction_table.csv"])
+    assert table["schema"] == "boresight.correction-table/1"
+    assert table["parameter_set"] == {"name": subject["name"], "sha256": subject["sha256"]}
+    assert set(table["units"]) == {"places", "displacements", "sigma"}
+    assert len(rows) == len(table["row_px"]) * len(table["col_px"])
+    n = len(table["col_px"])
+    for i, j in ((0, 0), (3, 5), (-1, -1)):
+        row = rows[(i % len(table["row_px"])) * n + j % n]
+        assert [float(row["row_px"]), float(row["col_px"])] == [table["row_px"][i], table["col_px"][j]]
+        for name in ("d_row_px", "sigma_row_px", "d_col_px", "sigma_col_px"):
+            assert float(row[name]) == table[name][i][j]
+    assert json.loads(files["MANIFEST.json"])["correction_table"]["files"] == [
+        "correction_table.json",
+        "correction_table.csv",
+    ]
+    assert "correction_table.json" not in {name.rpartition("/")[2] for name in _files(make_inputs())}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -35,6 +35,7 @@ from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.quality.detector import OffDetector, check_against_sensor
 from boresight.telemetry.schema import Telemetry, joined
 from boresight.telemetry.sensors import Sensor
+from boresight.waiting import telling
 
 #: Seconds between two progress reports with a partial result.
 REPORT_EVERY_S = 0.25
@@ -216,7 +217,8 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     clock = _Timer()
     parameters = select_free_parameters(sensor, settings)
     context = CalibrationContext(cancelled or never, report, cache_folder, scratch_folder, executor)
-    with open_dataset(telemetry, sensor, catalogue, parameters, settings, context) as (sets, off):
+    told = nullcontext() if report is None else telling(lambda message, _: report(Progress(0.0, message, None)))
+    with told, open_dataset(telemetry, sensor, catalogue, parameters, settings, context) as (sets, off):
         document, ended = _calibrated(sets, parameters, sets.settings, sha256s or {}, context, clock)
     document["stars_off_detector"] = off.document()
     document["advice"] += off.sentences()

@@ -5,20 +5,16 @@ centroid: the mean of n stars knows a place to centroid_sigma_px / sqrt(n), so t
 just begin to see it. The strongly distorted lens of W Table 1 misses this: its 0.1 arcsec would be as large as all that a
 calibration of 2,400 frames leaves open. Whoever needs it closer, or can do with less, says so.
 
-`inverted_wang` gives the tangent of a ray as a polynomial of the place on the detector, `pinhole_radial` the place as a polynomial
-of the tangent. With R = rho / f (the focal lengths below) the one is the inverse series of the other::
+The target is fitted to the source's directions over a grid of the detector by Gauss and Newton, from the target without distortion
+that has the source's focal length and principal point. What is left is the misfit, which comes with the answer; how much of it may
+be is said above. Some models contain others: `brown_conrady` every `pinhole_radial`, `inverted_wang_decentred` every
+`inverted_wang`; and every model has the lens without distortion. Between the two families there is none but that: the one's
+polynomial runs from the detector to the sky, the other's from the sky to the detector, and the inverse of neither ends where the
+other does. Directions in D are kept as they are: a rotation, which arcs cannot see, would be a change of C_SD.
 
-    r = R (1 + b_2 f^2 R^2 + b_4 f^4 R^4)          R = r (1 + k_1 r^2 + k_2 r^4)
-    k_1 = -b_2 f^2      k_2 = 3 k_1^2 - b_4 f^4    up to a term in R^7
-
-and neither series ends where the other does. Exact is only the lens without distortion, and without the decentring a_1, a_2, which
-`pinhole_radial` has not: both then scale rows by 1 / f and columns by g_y / f, so
-
-    s = 1 / g_y     f_pinhole = f / g_y     u_0 = n_0     v_0 = m_0.
-
-So the start is that of the series, and where it is not exact the target is fitted to the source's directions over a grid of the
-detector by Gauss and Newton. What is left is the misfit, which comes with the answer; how much of it may be is said
-above. Directions in D are kept as they are: a rotation, which arcs cannot see, would be a change of C_SD.
+Where a calibration found that its camera leaves a displacement d over the detector (`residual_spline`), the target can follow the
+camera with it: a star seen at p has the direction that the source gives p - d(p). d is known up to a rotation of the sky, so the
+target may turn there, and the turn is told: C_SD has to turn back.
 
 The covariance follows by the derivative of the fit, with J the derivatives of all directions: dx' = (J'^T J')^-1 J'^T J dx. What
 the target cannot express, (J - J' dx'/dx) dx, is lost; its largest size over the detector comes with the answer. A value or a
@@ -28,7 +24,7 @@ sigma that moves no star by a millionth of a pixel is rounding, and is given as 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -36,22 +32,18 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.parameter_file import parse_parameters
-from boresight.calibration.result import numbers
+from boresight.calibration.residual_spline import ResidualSpline, find_in
 from boresight.cameras import CAMERA_MODELS
-from boresight.cameras.model import CameraModel
+from boresight.cameras.model import NEUTRAL, CameraModel
 from boresight.errors import RefusedInputError
+from boresight.estimation.attitude import rotation_vector, to_matrix, to_quaternion, vector_to_quaternion
+from boresight.estimation.residual_spline import Surface
 from boresight.telemetry.sensors import Sensor, parse_sensor, sensor_document
 
 #: What counts as rounding, pixels.
 EXACT_PX = 1e-6
 GRID = 21
 ITERATIONS = 12
-
-#: Why the two models do not always say the same.
-REASON = (
-    "the one model's radial polynomial runs from the detector to the sky, the other's from the sky to the detector, and only "
-    "inverted_wang has decentring"
-)
 
 
 @dataclass(frozen=True)
@@ -62,7 +54,8 @@ class Conversion:
     given. `misfit_px`, `rms_px`: largest, and root mean square, distance over the detector between where the two models see a
     star; infinite where the target sees none. `misfit_rad`, `rms_rad`: the same as angles between the two directions of a
     pixel. `lost_sigma_px`: largest one-sigma over the detector of that part of the given covariance which the target cannot
-    express; 0 without one.
+    express; 0 without one. `turn`: (3, 3) rotation of the source's directions that the target was fitted to, one but for a
+    residual, which is known up to a rotation.
     """
 
     x: FloatArray
@@ -72,35 +65,50 @@ class Conversion:
     misfit_rad: float
     rms_rad: float
     lost_sigma_px: float
+    turn: FloatArray
 
 
 def convert(
-    x: FloatArray, source: str, target: str, detector: tuple[int, int, float], *, P: FloatArray | None = None
+    x: FloatArray,
+    source: str,
+    target: str,
+    detector: tuple[int, int, float],
+    *,
+    P: FloatArray | None = None,
+    residual: Surface | None = None,
 ) -> Conversion:
     """Write parameters of one camera model in another, as closely as that can say them.
 
     `x`: (n_parameters,) of the source, SI. `source`, `target`: names in `CAMERA_MODELS`. `detector`: rows, columns, and pixel
-    pitch in metres. `P`: (n_parameters, n_parameters) covariance of x.
+    pitch in metres. `P`: (n_parameters, n_parameters) covariance of x. `residual`: what the source leaves over, to be said too.
     """
     if source == target:
-        return Conversion(x.copy(), None if P is None else P.copy(), 0.0, 0.0, 0.0, 0.0, 0.0)
+        return Conversion(x.copy(), None if P is None else P.copy(), 0.0, 0.0, 0.0, 0.0, 0.0, np.eye(3))
     seen, meant = CAMERA_MODELS[source], CAMERA_MODELS[target]
     places, pitch = _grid(detector), detector[2]
-    s, J = seen.directions_and_jacobian(x, *places, pitch)
+    s, J = seen.directions_and_jacobian(x, *(places if residual is None else _undone(places, residual)), pitch)
     pixel = np.sqrt(seen.solid_angle(x, *places, pitch))
-    y = _SERIES[source, target](x)
-    if not np.max(_angles(meant, y, places, pitch, s) / pixel) <= EXACT_PX:
-        y = _fit(meant, y, places, pitch, s)
-    J_target = meant.directions_and_jacobian(y, *places, pitch)[1]
+    plain = meant.plain(seen.focal_px(x, pitch), *seen.principal_point(x), pitch)
+    y, turn = _fit(meant, plain, places, pitch, s, turning=residual is not None)
+    s = s @ turn.T
+    at, J_target = meant.directions_and_jacobian(y, *places, pitch)
     reach_px = np.max(np.linalg.norm(J_target, axis=1) / pixel[:, None], axis=0)
     y = np.where(np.abs(y) * reach_px < EXACT_PX, 0.0, y)
     away = _angles(meant, y, places, pitch, s)
     carried, lost = None, 0.0
     if P is not None and np.isfinite(away).all():
-        carried, lost = _carried(J_target, J, P, pixel)
+        carried, lost = _carried(
+            J_target, turn @ J, P, pixel, np.zeros((len(s), 3, 0)) if residual is None else _turns(at)
+        )
         known = np.sqrt(np.maximum(np.diag(carried), 0.0)) * reach_px >= EXACT_PX
         carried = carried * np.outer(known, known)
-    return Conversion(y, carried, *_sizes(away / pixel), *_sizes(away), lost)
+    return Conversion(y, carried, *_sizes(away / pixel), *_sizes(away), lost, turn)
+
+
+def _undone(places: tuple[FloatArray, FloatArray], residual: Surface) -> tuple[FloatArray, FloatArray]:
+    """Places (n,) at which the source alone would show the stars that are seen at these."""
+    d = residual(*places)
+    return places[0] - d[:, 0], places[1] - d[:, 1]
 
 
 def _grid(detector: tuple[int, int, float]) -> tuple[FloatArray, FloatArray]:
@@ -123,18 +131,34 @@ def _sizes(away: FloatArray) -> tuple[float, float]:
 
 
 def _fit(
-    camera: CameraModel, start: FloatArray, places: tuple[FloatArray, FloatArray], pitch: float, s: FloatArray
-) -> FloatArray:
-    """Least squares of directions over the grid from a start; the best state on the way."""
-    y, best, least = start, start, np.inf
+    camera: CameraModel,
+    start: FloatArray,
+    places: tuple[FloatArray, FloatArray],
+    pitch: float,
+    s: FloatArray,
+    *,
+    turning: bool = False,
+) -> tuple[FloatArray, FloatArray]:
+    """Least squares of directions over the grid from a start: the best state on the way, and the turn of s where that is free."""
+    y, turn = start, np.eye(3)
+    best, least = (y, turn), np.inf
     for _ in range(ITERATIONS):
         at, J = camera.directions_and_jacobian(y, *places, pitch)
-        cost = float(np.sum((at - s) ** 2))
+        cost = float(np.sum((at - s @ turn.T) ** 2))
         if not cost < least:  # NaN, or no better: rounding, or a step too far
             break
-        best, least = y, cost
-        y = y - _solved(J, (at - s)[..., None])[:, 0]
+        best, least = (y, turn), cost
+        columns = np.concatenate([J, _turns(at)], axis=-1) if turning else J
+        step = _solved(columns, (at - s @ turn.T)[..., None])[:, 0]
+        y = y - step[: len(y)]
+        if turning:
+            turn = to_matrix(vector_to_quaternion(step[len(y) :])) @ turn
     return best
+
+
+def _turns(s: FloatArray) -> FloatArray:
+    """Derivatives (n, 3, 3) of directions by a small rotation about the axes of D."""
+    return np.stack([np.cross(axis, s) for axis in np.eye(3)], axis=-1)
 
 
 def _solved(J: FloatArray, change: FloatArray) -> FloatArray:
@@ -146,32 +170,16 @@ def _solved(J: FloatArray, change: FloatArray) -> FloatArray:
     return np.asarray(answer / size[:, None])
 
 
-def _carried(J_target: FloatArray, J: FloatArray, P: FloatArray, pixel: FloatArray) -> tuple[FloatArray, float]:
-    """Covariance in the target, and the largest sigma in pixels of what it cannot express."""
-    D = _solved(J_target, J)
-    rest = J - J_target @ D
+def _carried(
+    J_target: FloatArray, J: FloatArray, P: FloatArray, pixel: FloatArray, turns: FloatArray
+) -> tuple[FloatArray, float]:
+    """Covariance in the target, and the largest sigma in pixels of what neither it nor the turns (n, 3, k) can express."""
+    columns = np.concatenate([J_target, turns], axis=-1)
+    D = _solved(columns, J)
+    rest = J - columns @ D
     variance = np.einsum("nip,pq,niq->n", rest, P, rest)
+    D = D[: J_target.shape[-1]]
     return D @ P @ D.T, float(np.sqrt(np.max(np.maximum(variance, 0.0) / pixel**2)))
-
-
-def _pinhole_of_wang(x: FloatArray) -> FloatArray:
-    """Start of `pinhole_radial` from [f m0 n0 b4 b2 a1 a2 g_y]; k2 by the inverse series."""
-    f, m0, n0, b4, b2, _, _, g_y = x
-    k1 = -b2 * f**2
-    return np.array([1 / g_y, f / g_y, n0, m0, k1, 3 * k1**2 - b4 * f**4])
-
-
-def _wang_of_pinhole(x: FloatArray) -> FloatArray:
-    """Start of `inverted_wang` from [s f u0 v0 k1 k2]."""
-    s, f_pinhole, u0, v0, k1, k2 = x
-    f = f_pinhole / s
-    return np.array([f, v0, u0, (3 * k1**2 - k2) / f**4, -k1 / f**2, 0.0, 0.0, 1 / s])
-
-
-_SERIES: dict[tuple[str, str], Callable[[FloatArray], FloatArray]] = {
-    ("inverted_wang", "pinhole_radial"): _pinhole_of_wang,
-    ("pinhole_radial", "inverted_wang"): _wang_of_pinhole,
-}
 
 
 SCHEMA = "boresight.parameters/1"
@@ -181,24 +189,34 @@ ARCSEC_PER_RAD = math.degrees(1.0) * 3600.0
 
 
 def converted(
-    document: Mapping[str, Any], sensor: Sensor, name: str, target: str, allowed_px: float | None = None
+    document: Mapping[str, Any],
+    sensor: Sensor,
+    name: str,
+    target: str,
+    allowed_px: float | None = None,
+    *,
+    with_residual: bool = False,
 ) -> dict[str, Any]:
     """Write parameters of a sensor in another camera model, schema `boresight.parameters/1`.
 
     `document`: calibration, parameter set, or names and values, as `parameter_file` reads it. `sensor`: whose parameters they
     are. `name`: what refusals call the document. `target`: name of the other model. `allowed_px`: largest misfit over the
-    detector; `ALLOWED_SHARE` of the sensor's centroid_sigma_px where None. Raises RefusedInputError when there is no such
-    model, the parameters are none of this sensor, the other model cannot follow them closely enough, or what comes out is no
-    plausible camera; says by how much, and why.
+    detector; `ALLOWED_SHARE` of the sensor's centroid_sigma_px where None. `with_residual`: the target follows the source with
+    the residual spline of its calibration; sigmas stay those of the parameters, and the spline's own is told beside. Raises
+    RefusedInputError when there is no such model, the parameters are none of this sensor, the other model cannot follow them
+    closely enough, or what comes out is no plausible camera; says by how much, and why.
     """
     x, P = _given(document, sensor, name, target)
     allowed = ALLOWED_SHARE * sensor.centroid_sigma_px if allowed_px is None else allowed_px
-    found = convert(x, sensor.camera_model, target, (sensor.rows, sensor.columns, sensor.pixel_pitch_m), P=P)
+    spline = _residual(document, name) if with_residual else None
+    residual = None if spline is None else spline.surface
+    detector = (sensor.rows, sensor.columns, sensor.pixel_pitch_m)
+    found = convert(x, sensor.camera_model, target, detector, P=P, residual=residual)
     if not found.misfit_px <= allowed:
         raise RefusedInputError(_refusal(name, sensor.camera_model, target, found, allowed, by_rule=allowed_px is None))
     camera = CAMERA_MODELS[target]
     names = list(camera.parameter_names)
-    sigma = [None] * len(names) if found.P is None else numbers(np.sqrt(np.maximum(np.diag(found.P), 0.0)))
+    sigma = [None] * len(names) if found.P is None else np.sqrt(np.maximum(np.diag(found.P), 0.0)).tolist()
     written = {
         "schema": SCHEMA,
         "sensor": sensor.name,
@@ -207,10 +225,38 @@ def converted(
         "units": dict(zip(names, camera.units, strict=True)),
         "sigma": dict(zip(names, sigma, strict=True)),
         "covariance": None if found.P is None else {"names": names, "matrix": found.P.tolist()},
-        "conversion": _how(name, sensor.camera_model, x, found, allowed, _assumed(document, sensor)),
+        "conversion": _how(name, sensor.camera_model, x, found, allowed, _assumed(document, sensor))
+        | _told(spline, found),
     }
     parse_parameters(written, sensor_under(sensor, written), f"{name} in {target}")
     return written
+
+
+def _residual(document: Mapping[str, Any], name: str) -> ResidualSpline:
+    """Read the residual spline; refuse where there is none to be followed."""
+    spline = find_in(document)
+    if spline is None:
+        raise RefusedInputError(
+            f"{name} has no residual spline beyond its noise: convert it without --residual, or give the calibration that "
+            "`boresight calibrate --json` wrote."
+        )
+    return spline
+
+
+def _told(spline: ResidualSpline | None, found: Conversion) -> dict[str, Any]:
+    """Say what residual the target follows too, and how far its directions are turned about the axes of D: C_SD turns back."""
+    if spline is None:
+        return {}
+    largest = np.hypot(*spline.displacement_px)
+    return {
+        "residual": {
+            "max_px": float(largest.max()),
+            "rms_px": float(np.sqrt(np.mean(largest**2))),
+            "max_sigma_px": float(spline.sigma_px.max()),
+            "p": spline.p,
+        },
+        "turn_rad": rotation_vector(to_quaternion(found.turn)).tolist(),
+    }
 
 
 def _given(document: Mapping[str, Any], sensor: Sensor, name: str, target: str) -> tuple[FloatArray, FloatArray | None]:
@@ -241,8 +287,19 @@ def _refusal(name: str, source: str, target: str, found: Conversion, allowed_px:
     rule = f" ({100 * ALLOWED_SHARE:g} % of the sensor's centroid_sigma_px)" if by_rule else ""
     return (
         f"{name} cannot be written in {target}: at best it and {source} {size}, where {allowed_px:.2g} px is allowed{rule}, "
-        f"because {REASON}; calibrate the telemetry under {target} instead, or allow more."
+        f"because {_reason(source, target)}; calibrate the telemetry under {target} instead, or allow more."
     )
+
+
+def _reason(source: str, target: str) -> str:
+    """Why the one model cannot say what the other does."""
+    seen, meant = CAMERA_MODELS[source], CAMERA_MODELS[target]
+    lacking = {one.role for one in seen.parameters} & set(NEUTRAL) - {one.role for one in meant.parameters}
+    if lacking:
+        return f"{target} has no {' and no '.join(sorted(role.value for role in lacking))}"
+    if seen.equations.runs != meant.equations.runs:
+        return f"the radial polynomial of {source} runs {seen.equations.runs}, that of {target} {meant.equations.runs}"
+    return f"{target} has fewer terms of the radius, or measures it otherwise"
 
 
 def _how(

@@ -410,7 +410,7 @@ def _why_none(kept: int, why_invalid: str | None, reasons: list[str | None]) -> 
 def _arcs(here: Telemetry, sensor: Sensor, s_i: FloatArray, placed: IntArray) -> ArcSet:
     """The stars of an exposure that have a direction, in the shape that residuals are taken of; it has no arcs."""
     return ArcSet(
-        model=CAMERA_MODELS[sensor.camera_model].kernel,
+        camera=CAMERA_MODELS[sensor.camera_model],
         pitch=sensor.pixel_pitch_m,
         frame=here.frame[:1],
         frame_start=np.array([0, 1]),
@@ -470,7 +470,7 @@ def _add_residuals(
     sigma = arcs.sigma_px[:, None] * np.sqrt(np.maximum(np.diagonal(seen.M, axis1=1, axis2=2), LEAST_SHARE))
     predicted = np.column_stack([arcs.row_px, arcs.col_px]) - seen.r
     measured_s = camera.directions(state.x, arcs.row_px, arcs.col_px, arcs.pitch)
-    predicted_s = camera.directions(state.x, *predicted.T, arcs.pitch)
+    predicted_s = camera.directions(state.x, predicted[:, 0], predicted[:, 1], arcs.pitch)
     apart = 2 * np.arcsin(np.minimum(np.linalg.norm(measured_s - predicted_s, axis=1) / 2, 1.0)) * ARCSEC
     for j, i in enumerate(placed.tolist()):
         if not np.isfinite(seen.r[j]).all():

@@ -5,7 +5,7 @@ document                                        covariance
 ==============================================  ==========================================================
 calibration JSON, `boresight.calibration/1`     its own; a ground calibration's for parameters it held fixed
 `{"parameters": {"f_m": 0.016, ...}}`           none, unless it has `covariance` as above
-`{"f_m": 0.016, ...}`                           none
+`{"f_m": 0.016, ...}`                           none; `f_px`, in pixels, may stand for `f_m`
 ==============================================  ==========================================================
 """
 
@@ -27,7 +27,7 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.telemetry.read.checks import Faults
 from boresight.telemetry.read.formats import read_json
-from boresight.telemetry.sensors import Sensor, check_geometry
+from boresight.telemetry.sensors import Sensor, check_geometry, in_metres
 
 #: Statuses under which a calibration's numbers are no calibration.
 FAILED = ("diverged", "too_few_stars", "running")
@@ -71,6 +71,7 @@ def parse_parameters(document: Mapping[str, Any], sensor: Sensor, name: str) -> 
     values = document.get("parameters", document)
     if not isinstance(values, Mapping):
         raise RefusedInputError(f"{name} has `parameters` that are no object: write names and numbers.")
+    values = in_metres(values, CAMERA_MODELS[sensor.camera_model].parameter_names, sensor.pixel_pitch_m)
     _check_names(values, sensor, name)
     x = np.array([values[parameter] for parameter in CAMERA_MODELS[sensor.camera_model].parameter_names], np.float64)
     faults = Faults(name)

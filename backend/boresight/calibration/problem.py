@@ -191,7 +191,7 @@ def _ordered(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, rows: IntArr
         given = telemetry.sigma_px[rows]
         sigma_px = np.where(np.isfinite(given), given, sigma_px)
     arcs = ArcSet(
-        model=CAMERA_MODELS[sensor.camera_model].kernel,
+        camera=CAMERA_MODELS[sensor.camera_model],
         pitch=sensor.pixel_pitch_m,
         frame=frames,
         frame_start=np.append(frame_start, len(starts) - 1).astype(np.int64),

@@ -1,18 +1,17 @@
-"""Camera models: one a file, one line in the registry below.
-
-A model answers with star directions in D for detector positions (`directions`), with their derivatives
-(`directions_and_jacobian`) and with the detector position of a direction (`project`).
-"""
+"""Camera models, one a file: whatever file of this folder defines one is found; `model` says what follows from it."""
 
 from __future__ import annotations
 
-from boresight.cameras.inverted_wang import INVERTED_WANG
+from importlib import import_module
+from pkgutil import iter_modules
+
 from boresight.cameras.model import CameraModel
-from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 
 CAMERA_MODELS: dict[str, CameraModel] = {
-    INVERTED_WANG.name: INVERTED_WANG,
-    PINHOLE_RADIAL.name: PINHOLE_RADIAL,
+    value.name: value
+    for module in iter_modules(__path__, f"{__name__}.")
+    for value in vars(import_module(module.name)).values()
+    if isinstance(value, CameraModel)
 }
 
 __all__ = ["CAMERA_MODELS", "CameraModel"]

@@ -36,184 +36,104 @@ x = [s f u_0 v_0 k_1 k_2] in SI (1, m, px, px, 1, 1). W Table 1 gives the typica
 
 from __future__ import annotations
 
+import math
+from typing import Annotated, Any, NamedTuple
+
 import numpy as np
-from numpy.typing import ArrayLike
 
-from boresight.arrays import FloatArray
-from boresight.cameras.model import CameraModel
+from boresight.cameras.model import CameraModel, Equations, OpenCV, Parameter, Role
+from boresight.kernels.star import part
 
-KERNEL = 1
-NEWTON_STEPS = 60
-#: Share of R that the last step may be: its error is the square of that.
-SETTLED = 1e-11
-#: Newton steps taken from the root in the dtype of x: only the equation decides where they end, so a complex step passes through.
-LAST_STEPS = 3
+STEPS = 60  # of the bracketed search, which takes about five
+SETTLED = 1e-6  # share of the root that its last step may be: one more step leaves an error of the fourth power of that
 
 
-def turning_radius(k1: float, k2: float) -> float:
-    """Tangent r at which the slope T first falls to zero, infinite where it never does short of a millionth off 90 degrees."""
-    inside = 2.25 * k1 * k1 - 5 * k2
-    denominator = np.sqrt(inside) - 1.5 * k1 if inside >= 0 else 0.0
-    return float(1 / np.sqrt(denominator)) if denominator > 1e-12 else np.inf
+class PinholeRadial(NamedTuple):
+    """State of the camera, SI."""
+
+    s: Annotated[float, Parameter(Role.ASPECT, "s", "1", 1e-5, 0.5, 2.0, change=("ppm", 1e6))]
+    f_m: Annotated[float, Parameter(Role.FOCAL, "f", "m", 1e-7, 1e-4, 100.0, shown=("mm", 1e3), change=("µm", 1e6))]
+    u0_px: Annotated[float, Parameter(Role.COLUMN, "u0", "px", 1.0, -1e5, 1e5)]
+    v0_px: Annotated[float, Parameter(Role.ROW, "v0", "px", 1.0, -1e5, 1e5)]
+    k1: Annotated[float, Parameter(Role.RADIAL, "k1", "1", 1e-2, -1e4, 1e4)]
+    k2: Annotated[float, Parameter(Role.RADIAL, "k2", "1", 1e-1, -1e7, 1e7)]
 
 
-def _reach(r: FloatArray, k1: float, k2: float) -> FloatArray:
-    """R = r B(r)."""
-    r2 = r * r
-    return np.asarray(r * (1 + r2 * (k1 + k2 * r2)))
+@part
+def turning_radius_squared(k1: Any, k2: Any) -> Any:
+    """r^2 at which the slope T first falls to zero, infinite where it never does short of a millionth off 90 degrees."""
+    inside = 2.25 * k1 * k1 - 5.0 * k2
+    if inside < 0.0:
+        return math.inf
+    denominator = math.sqrt(inside) - 1.5 * k1
+    return 1.0 / denominator if denominator > 1e-12 else math.inf
 
 
-def _newton_step(r: FloatArray, reach: FloatArray, k1: float, k2: float) -> FloatArray:
-    """How far Newton's method moves from r, against the sign: (r B - R) / T."""
-    r2 = r * r
-    return np.asarray((_reach(r, k1, k2) - reach) / (1 + r2 * (3 * k1 + 5 * k2 * r2)))
+@part
+def undistorted_radius(reach: Any, k1: Any, k2: Any) -> Any:
+    """Solve r (1 + k1 r^2 + k2 r^4) = R on the branch that rises from zero; NaN where it turns back before R.
 
-
-def _undistorted_radius(reach: FloatArray, k1: float, k2: float) -> FloatArray:
-    """Solve r B(r) = R, (n,), on the branch through zero; NaN beyond its turn. Complex where an argument is."""
-    fixed, c1, c2 = np.real(reach), np.real(k1), np.real(k2)
-    turn = turning_radius(c1, c2)
-    most = _reach(np.asarray(turn), c1, c2) if np.isfinite(turn) else np.inf
-    within = fixed < most
-    goal = np.where(within, fixed, 0.0)
-    low, high, r = np.zeros_like(goal), np.full_like(goal, turn), np.minimum(goal, 0.99 * turn)
-    for _ in range(NEWTON_STEPS):
-        short = _reach(r, c1, c2) <= goal
-        low, high = np.where(short, r, low), np.where(short, high, r)
-        moved = r - _newton_step(r, goal, c1, c2)
-        inside = (moved >= low) & (moved <= high)
-        settled = inside & (np.abs(moved - r) <= SETTLED * goal)
-        r = np.where(inside, moved, 0.5 * (low + high))
-        if settled.all():
+    The last step is taken in the arithmetic of the arguments, so that a complex step passes through.
+    """
+    goal, c1, c2 = np.real(reach), np.real(k1), np.real(k2)
+    turn2 = turning_radius_squared(c1, c2)
+    low, high = 0.0, math.sqrt(turn2)
+    if math.isfinite(high) and not high * (1.0 + turn2 * (c1 + c2 * turn2)) > goal:
+        return math.nan * reach
+    at = min(goal, 0.99 * high)
+    for _ in range(STEPS):
+        at2 = at * at
+        excess = at * (1.0 + at2 * (c1 + c2 * at2)) - goal
+        if excess > 0.0:
+            high = at
+        else:
+            low = at
+        step = excess / (1.0 + at2 * (3.0 * c1 + 5.0 * c2 * at2))
+        at -= step
+        if not low <= at <= high:
+            at = 0.5 * (low + high)
+        elif abs(step) <= SETTLED * at:
             break
-    root = np.where(within, r, np.nan)
-    for _ in range(LAST_STEPS):
-        root = root - _newton_step(root, reach, k1, k2)
-    return np.asarray(root)
+    at2 = at * at
+    return at - (at * (1.0 + at2 * (k1 + k2 * at2)) - reach) / (1.0 + at2 * (3.0 * k1 + 5.0 * k2 * at2))
 
 
-def _rays(x: FloatArray, row_px: ArrayLike, col_px: ArrayLike, pitch: float) -> tuple[FloatArray, ...]:
-    """Return (p, q, r, B) of each pixel; dtype follows x."""
+def star(x: Any, pitch: Any, row_px: Any, col_px: Any) -> Any:
+    """Tangents of one star and their derivatives; d(t_x, t_y) / d(p, q) is ((xx, xy), (xy, yy))."""
     s, f, u0, v0, k1, k2 = x
-    p = (np.asarray(row_px) - v0) * s * pitch / f
-    q = (np.asarray(col_px) - u0) * pitch / f
-    r = _undistorted_radius(np.sqrt(p * p + q * q), k1, k2)
-    return p, q, r, 1 + r * r * (k1 + k2 * r * r)
-
-
-def directions(x: FloatArray, row_px: ArrayLike, col_px: ArrayLike, pitch: float) -> FloatArray:
-    """Star directions of detector positions.
-
-    Parameters
-    ----------
-    x
-        (6,) parameters, SI. May be complex, for derivative checks.
-    row_px, col_px
-        (n,) centroids, pixels.
-    pitch
-        Width of a pixel D_u, metres.
-
-    Returns
-    -------
-    (n, 3) unit vectors in D; NaN where the distortion has turned back before the place.
-    """
-    p, q, _, B = _rays(x, row_px, col_px, pitch)
-    ray = np.stack([p, q, B], axis=-1)
-    return np.asarray(ray / np.sqrt(np.sum(ray * ray, axis=-1, keepdims=True)))
-
-
-def directions_and_jacobian(
-    x: FloatArray, row_px: ArrayLike, col_px: ArrayLike, pitch: float
-) -> tuple[FloatArray, FloatArray]:
-    """Star directions and their derivatives.
-
-    Returns
-    -------
-    s
-        (n, 3) unit vectors in D.
-    ds_dx
-        (n, 3, 6) per parameter in SI.
-    """
-    aspect, f, _, _, k1, k2 = x
-    p, q, r, B = _rays(x, row_px, col_px, pitch)
+    scale, over_f = pitch / f, 1.0 / f
+    across = scale * (row_px - v0)
+    p, q = s * across, scale * (col_px - u0)
+    r = undistorted_radius(np.sqrt(p * p + q * q), k1, k2)
     r2 = r * r
-    T = 1 + r2 * (3 * k1 + 5 * k2 * r2)
-    radial, zero, one = (2 * k1 + 4 * k2 * r2) / (B * T), np.zeros_like(p), np.ones_like(p)
-    dp = [p / aspect, -p / f, zero, -aspect * pitch / f * one, zero, zero]
-    dq = [zero, -q / f, -pitch / f * one, zero, zero, zero]
-    dB_explicit = [zero, zero, zero, zero, r2 * B / T, r2 * r2 * B / T]
-    dr = np.stack(
-        [np.stack([dp[i], dq[i], radial * (p * dp[i] + q * dq[i]) + dB_explicit[i]], axis=-1) for i in range(6)],
-        axis=-1,
-    )
-    ray = np.stack([p, q, B], axis=-1)
-    length = np.sqrt(np.sum(ray * ray, axis=-1, keepdims=True))
-    s = ray / length
-    along = np.einsum("...i,...ip->...p", s, dr)
-    return s, (dr - s[..., :, None] * along[..., None, :]) / length[..., None]
-
-
-def project(x: FloatArray, s: FloatArray, pitch: float) -> tuple[FloatArray, FloatArray]:
-    """Detector positions of directions.
-
-    Parameters
-    ----------
-    x
-        (6,) parameters, SI.
-    s
-        (n, 3) directions in D, any positive length.
-    pitch
-        Width of a pixel D_u, metres.
-
-    Returns
-    -------
-    row_px, col_px
-        (n,) pixels; NaN for a direction behind the sensor or beyond the radius where the distortion turns back.
-    """
-    aspect, f, u0, v0, k1, k2 = x
-    s = np.asarray(s, dtype=float)
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        tx, ty = (np.where(s[..., 2] > 0, s[..., axis] / s[..., 2], np.nan) for axis in (0, 1))
-        r2 = tx * tx + ty * ty
-        B = np.where(r2 < turning_radius(k1, k2) ** 2, 1 + r2 * (k1 + k2 * r2), np.nan)
-        return tx * B * f / (aspect * pitch) + v0, ty * B * f / pitch + u0
-
-
-def principal_point(x: FloatArray) -> tuple[float, float]:
-    """Row and column of the principal point, pixels."""
-    return float(x[3]), float(x[2])
-
-
-def radial_tangent(x: FloatArray, radius_px: ArrayLike, pitch: float) -> tuple[FloatArray, FloatArray]:
-    """Tangent of the off-axis angle at a radius in widths of a pixel, with f, k1 and k2 acting together.
-
-    Returns
-    -------
-    tangent
-        (n,) tan theta = r with r B(r) = R = pitch radius / f, aspect left out.
-    gradient
-        (n, 6) its derivatives in SI: dr/df = -R / (f T), dr/dk1 = -r^3 / T, dr/dk2 = -r^5 / T.
-    """
-    f, k1, k2 = x[1], x[4], x[5]
-    reach = pitch * np.asarray(radius_px, dtype=float) / f
-    r = _undistorted_radius(reach, k1, k2)
-    T = 1 + r**2 * (3 * k1 + 5 * k2 * r**2)
-    gradient = np.zeros((*r.shape, 6))
-    gradient[..., 1], gradient[..., 4], gradient[..., 5] = -reach / (f * T), -(r**3) / T, -(r**5) / T
-    return r, gradient
+    B, T = 1.0 + r2 * (k1 + k2 * r2), 1.0 + r2 * (3.0 * k1 + 5.0 * k2 * r2)
+    inverse, slope = 1.0 / B, (2.0 * k1 + 4.0 * k2 * r2) / T
+    tx, ty = inverse * p, inverse * q
+    xx, xy, yy = inverse * (1.0 - slope * tx * tx), -inverse * slope * tx * ty, inverse * (1.0 - slope * ty * ty)
+    first, second = -r2 / T, -r2 * r2 / T
+    dx = (xx * across, -(xx * p + xy * q) * over_f, -scale * xy, -s * scale * xx, first * tx, second * tx)
+    dy = (xy * across, -(xy * p + yy * q) * over_f, -scale * yy, -s * scale * xy, first * ty, second * ty)
+    return tx, ty, dx, dy
 
 
 PINHOLE_RADIAL = CameraModel(
     name="pinhole_radial",
-    kernel=KERNEL,
-    parameter_names=("s", "f_m", "u0_px", "v0_px", "k1", "k2"),
-    symbols=("s", "f", "u0", "v0", "k1", "k2"),
-    units=("1", "m", "px", "px", "1", "1"),
-    directions=directions,
-    directions_and_jacobian=directions_and_jacobian,
-    project=project,
-    principal_point=principal_point,
-    radial_tangent=radial_tangent,
-    default_typical_sigma=(1e-5, 1e-7, 1.0, 1.0, 1e-2, 1e-1),
-    plausible=((0.5, 2.0), (1e-4, 100.0), (-1e5, 1e5), (-1e5, 1e5), (-1e4, 1e4), (-1e7, 1e7)),
+    state=PinholeRadial,
+    star=star,
+    equations=Equations(
+        runs="from a direction to a detector position; its inverse needs an iteration",
+        source="Wu et al. 2019, Sensors 19, Eqs 1-8, with the distortion radial about the principal point (Eq 6 corrected)",
+        steps=(
+            "t_x = s_x / s_z",
+            "t_y = s_y / s_z",
+            "r^2 = t_x^2 + t_y^2",
+            "B = 1 + k1 r^2 + k2 r^4",
+            "row = v0 + t_x B f / (s pitch)",
+            "column = u0 + t_y B f / pitch",
+        ),
+        inverse="solve r (1 + k1 r^2 + k2 r^4) = R on the branch through zero, R = pitch |(s (row - v0), column - u0)| / f",
+    ),
+    opencv=lambda x, pitch: OpenCV(
+        "plumb_bob", x["f_m"] / pitch, x["f_m"] / (x["s"] * pitch), (x["k1"], x["k2"], 0.0, 0.0, 0.0)
+    ),
 )

@@ -13,6 +13,7 @@ from boresight.cli.administration import certificates, migrate, user, webhook
 from boresight.cli.assess import assess
 from boresight.cli.audit import audit, backup, restore
 from boresight.cli.calibrate import calibrate
+from boresight.cli.choose import choose
 from boresight.cli.convert import convert
 from boresight.cli.evaluate import check, evaluate, match
 from boresight.cli.output import RefusingGroup
@@ -35,6 +36,7 @@ def main(*, debug: bool) -> None:
 
 for command in (
     calibrate,
+    choose,
     match,
     evaluate,
     convert,

@@ -25,6 +25,11 @@ from boresight.errors import RefusedInputError
     type=click.FloatRange(min=0),
     help="Largest misfit over the detector; 1 % of centroid_sigma_px if left out.",
 )
+@click.option(
+    "--residual",
+    is_flag=True,
+    help="Follow the camera with what its calibration found it to leave over: its residual spline.",
+)
 @json_option
 def convert(
     parameters: Path,
@@ -34,6 +39,8 @@ def convert(
     sensor_out: str | None,
     allow_px: float | None,
     json_file: str | None,
+    *,
+    residual: bool,
 ) -> None:
     """Write PARAMETERS in another camera model: values, covariance, and what is left of the fit.
 
@@ -44,7 +51,9 @@ def convert(
     for place in (out_file, sensor_out, json_file):
         check_writable(place)
         _check_kept(place, parameters, sensor_file)
-    written, sensor = _converted(parameters, sensor_file, target, allow_px, sensor_wanted=sensor_out is not None)
+    written, sensor = _converted(
+        parameters, sensor_file, target, allow_px, sensor_wanted=sensor_out is not None, residual=residual
+    )
     write_json(written, out_file)
     if sensor_out is not None:
         write_json(sensor, sensor_out)
@@ -66,7 +75,7 @@ def _check_kept(place: str | None, *inputs: Path) -> None:
 
 
 def _converted(
-    path: Path, sensor_file: Path, target: str, allow_px: float | None, *, sensor_wanted: bool
+    path: Path, sensor_file: Path, target: str, allow_px: float | None, *, sensor_wanted: bool, residual: bool
 ) -> tuple[dict[str, Any], dict[str, Any] | None]:
     """Read the files and convert; the second document is the sensor file."""
     from boresight.calibration.conversion import converted
@@ -75,7 +84,7 @@ def _converted(
     from boresight.telemetry.sensors import read_sensor
 
     sensor = read_sensor(sensor_file)
-    written = converted(read_document(path), sensor, path.name, target, allow_px)
+    written = converted(read_document(path), sensor, path.name, target, allow_px, with_residual=residual)
     return written, described(sensor, written) if sensor_wanted else None
 
 
@@ -98,6 +107,12 @@ def _lines(written: dict[str, Any]) -> Iterator[str]:
             ("allowed", f"{how['allowed_px']:.2g}", ""),
         ]
     )
+    if "residual" in how:
+        left = how["residual"]
+        yield (
+            f"\nit follows the residual spline too: up to {left['max_px']:.2g} px, sigma up to {left['max_sigma_px']:.2g} px; "
+            "the sigmas above are of the parameters alone"
+        )
     if written["covariance"] is not None:
         yield f"\nuncertainty that {written['camera_model']} cannot express: at most {how['lost_sigma_px']:.2g} px (1 sigma)"
     if how["assumed"]:

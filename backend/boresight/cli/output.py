@@ -14,6 +14,7 @@ import orjson
 
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, RefusedInputError
+from boresight.waiting import telling
 
 json_option = click.option(
     "--json", "json_file", metavar="FILE", help="Write the machine-readable result to FILE; - is standard output."
@@ -242,6 +243,7 @@ def progress(message: str) -> Iterator[Progress]:
     """Show progress while the block runs."""
     shown = Progress(message)
     try:
-        yield shown
+        with telling(shown):
+            yield shown
     finally:
         shown.close()

@@ -55,8 +55,8 @@ class ArcSet:
 
     Parameters
     ----------
-    model
-        Number of the camera model in the compiled loops, see `CameraModel.kernel`.
+    camera
+        The camera whose parameters are estimated.
     pitch
         Pixel pitch, metres.
     frame
@@ -77,7 +77,7 @@ class ArcSet:
         (n_arcs, 5) banded Cholesky factor of R, see `boresight.kernels`.
     """
 
-    model: int
+    camera: CameraModel
     pitch: float
     frame: IntArray
     frame_start: IntArray

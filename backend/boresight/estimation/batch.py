@@ -149,7 +149,7 @@ def _of_block(
     """Evaluate A and b of one block."""
     A, b = np.empty((len(free), len(free))), np.empty(len(free))
     chi2, total = kernels.normal_equations(
-        block.model, x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band,
+        block.camera.kind, x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band,
         free, scale, threshold, A, b,
     )  # fmt: skip
     return NormalEquations(A, b, float(chi2), float(total))

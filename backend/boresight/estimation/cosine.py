@@ -86,7 +86,18 @@ def _worth_of_block(
     part = _flat(block, sigma_0)
     e, H = np.empty(part.n_arcs), np.empty((part.n_arcs, len(free)))
     kernels.whitened_rows(
-        part.model, x, part.pitch, part.star_start, part.row_px, part.col_px, part.phi, part.band, free, scale, e, H
+        part.camera.kind,
+        x,
+        part.pitch,
+        part.star_start,
+        part.row_px,
+        part.col_px,
+        part.phi,
+        part.band,
+        free,
+        scale,
+        e,
+        H,
     )
     root = _transposed_product(block.band, H / part.band[:, -1:])
     return H.T @ H, root.T @ root

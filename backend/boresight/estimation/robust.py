@@ -60,6 +60,14 @@ def measure_huber_effect(arcs: Arcs, x: NDArray[np.float64], n_free: int, thresh
 def _beyond_in_block(block: ArcSet, x: NDArray[np.float64], threshold: float) -> tuple[int, float]:
     """Count the arcs of one block beyond the threshold, and sum psi^2."""
     beyond, squares = kernels.count_beyond(
-        block.model, x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band, threshold
+        block.camera.kind,
+        x,
+        block.pitch,
+        block.star_start,
+        block.row_px,
+        block.col_px,
+        block.phi,
+        block.band,
+        threshold,
     )
     return int(beyond), float(squares)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import IntArray
+from boresight.cameras import CameraModel
 from boresight.columns import Columns, write_columns
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.blocks import FRAMES, in_blocks
@@ -30,7 +31,7 @@ class ArcsPiece:
     """Consecutive frames of a set in a file."""
 
     columns: Columns
-    model: int
+    camera: CameraModel
     pitch: float
     n_frames: int
     n_exposures: int
@@ -41,7 +42,7 @@ class ArcsPiece:
         arrays: dict[str, Any] = self.columns.read()
         return ArcSet(
             **{name: arrays[name] for name in _STORED},
-            model=self.model, pitch=self.pitch, phi=np.empty(0), band=np.empty((0, 5)),
+            camera=self.camera, pitch=self.pitch, phi=np.empty(0), band=np.empty((0, 5)),
         )  # fmt: skip
 
     def column(self, name: str) -> NDArray[Any]:
@@ -59,7 +60,7 @@ def write_arcs(path: Path, arcs: ArcSet, time_utc: NDArray[np.datetime64] | None
     if time_utc is not None:
         arrays["time_utc"] = time_utc
     columns = write_columns(path, arrays)
-    return ArcsPiece(columns, arcs.model, arcs.pitch, arcs.n_frames, arcs.n_exposures, arcs.n_stars)
+    return ArcsPiece(columns, arcs.camera, arcs.pitch, arcs.n_frames, arcs.n_exposures, arcs.n_stars)
 
 
 @dataclass(frozen=True)

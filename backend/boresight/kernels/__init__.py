@@ -2,7 +2,7 @@
 
 `arclengths` holds the camera, the arcs, the batch and the square-root filters; `singular` and `angles` the references of the
 filters on singular values and on all pairs, `information` their update; `matching` the association of detections with
-stars. None calls another, so that Numba's cache, which looks at one file's age, never serves a stale loop.
+stars. `compilation` says how they are compiled, and where that is kept.
 """
 
 from __future__ import annotations
@@ -10,13 +10,12 @@ from __future__ import annotations
 from boresight.kernels.angles import factor_pairs, pair_rows, whiten_pairs
 from boresight.kernels.arclengths import (
     HALF_BANDWIDTH,
-    N_PARAMETERS,
     arcs_and_factors,
-    carlson_update,
     count_beyond,
-    inflate,
     normal_equations,
     order_stars,
+    project,
+    rays,
     rays_and_jacobians,
     residuals,
     solid_angles,
@@ -27,22 +26,23 @@ from boresight.kernels.arclengths import (
 )
 from boresight.kernels.information import cost, information_update, invert, whiten, worst_departure
 from boresight.kernels.singular import factor_values, value_rows
+from boresight.kernels.star import define
 
 __all__ = [
     "HALF_BANDWIDTH",
-    "N_PARAMETERS",
     "arcs_and_factors",
-    "carlson_update",
     "cost",
     "count_beyond",
+    "define",
     "factor_pairs",
     "factor_values",
-    "inflate",
     "information_update",
     "invert",
     "normal_equations",
     "order_stars",
     "pair_rows",
+    "project",
+    "rays",
     "rays_and_jacobians",
     "residuals",
     "solid_angles",

@@ -9,16 +9,14 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-_N_PARAMETERS = 8
+from boresight.kernels.compilation import FAST, loop, part
 
-# Reordering of sums and fused products are allowed; NaN and infinity keep their meaning.
-_jit = numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz", "afn"}, error_model="numpy")
+_part = part(fastmath=FAST)
 
 
-@_jit
+@_part
 def _tangent_axes(s, axes):
     """Fill axes (n, 2, 3): two unit vectors across each direction."""
     for i in range(s.shape[0]):
@@ -30,7 +28,7 @@ def _tangent_axes(s, axes):
         axes[i, 1, 0], axes[i, 1, 1], axes[i, 1, 2] = y * az - z * ay, z * ax - x * az, x * ay - y * ax
 
 
-@_jit
+@_part
 def _pair(s, i, j, t_i, t_j):
     """Angle of a pair; fills the unit tangents (3,) with which it leaves its ends."""
     cx = s[i, 1] * s[j, 2] - s[i, 2] * s[j, 1]
@@ -45,7 +43,7 @@ def _pair(s, i, j, t_i, t_j):
     return math.atan2(sine, cosine)
 
 
-@_jit
+@_part
 def _add_turns(s, sigma, axes, M, turn):
     """Add K K^T to M (2 n, 2 n), the bulk rotations that no pair sees, of the size of its own entries."""
     n = s.shape[0]
@@ -62,7 +60,7 @@ def _add_turns(s, sigma, axes, M, turn):
                 M[p, q] += turn[p] * turn[q]
 
 
-@_jit
+@_part
 def _factor(M, n):
     """Replace the lower triangle of M (n, n) by its Cholesky factor."""
     for i in range(n):
@@ -73,7 +71,7 @@ def _factor(M, n):
             M[i, j] = math.sqrt(value) if i == j else value / M[j, j]
 
 
-@_jit
+@loop("i1 f2 f1 f2 f3 f3", fastmath=FAST)
 def factor_pairs(star_start, s_i, sigma, phi, G, L):
     """Take the catalogue's pairs of one frame. Called by `estimation.filters.angular`.
 
@@ -116,20 +114,20 @@ def factor_pairs(star_start, s_i, sigma, phi, G, L):
         _factor(L[e], 2 * n)
 
 
-@_jit
+@loop("i1 f2 f3 i1 f1 f2 f2 f3", fastmath=FAST)
 def pair_rows(star_start, s, D, free, scale, phi, e, H):
     """Fill e (n_exposures, pairs of most), measured minus catalogue angles, and H (.., n_free), in units of `scale`.
 
-    Called by `estimation.filters.angular`; s (n_stars, 3) and D (n_stars, 3, N_PARAMETERS) are the measured directions of one
+    Called by `estimation.filters.angular`; s (n_stars, 3) and D (n_stars, 3, n_parameters) are the measured directions of one
     frame and their derivatives, `phi` that of `factor_pairs`.
     """
-    t_i, t_j, h = np.empty(3), np.empty(3), np.empty(_N_PARAMETERS)
+    t_i, t_j, h = np.empty(3), np.empty(3), np.empty(D.shape[2])
     for x in range(star_start.shape[0] - 1):
         a = 0
         for i in range(star_start[x], star_start[x + 1]):
             for j in range(i + 1, star_start[x + 1]):
                 e[x, a] = _pair(s, i, j, t_i, t_j) - phi[x, a]
-                for p in range(_N_PARAMETERS):
+                for p in range(D.shape[2]):
                     h[p] = 0.0
                     for axis in range(3):
                         h[p] -= t_i[axis] * D[i, axis, p] + t_j[axis] * D[j, axis, p]
@@ -138,7 +136,7 @@ def pair_rows(star_start, s, D, free, scale, phi, e, H):
                 a += 1
 
 
-@_jit
+@loop("i1 f2 f3 f3 f3 f1 f2", fastmath=FAST)
 def whiten_pairs(star_start, e, H, G, L, e_white, H_white):
     """Fill the displacement of every star in its sigmas that explains the residuals best, and its derivative.
 
@@ -162,7 +160,7 @@ def whiten_pairs(star_start, e, H, G, L, e_white, H_white):
         _substitute(L[x], 2 * n, e_white[first : first + 2 * n], H_white[first : first + 2 * n])
 
 
-@_jit
+@_part
 def _substitute(L, n, e, H):
     """Solve L L^T y = [e H] in place, e (n,) and H (n, n_free)."""
     for i in range(n):

@@ -20,214 +20,74 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-N_PARAMETERS = 8
+from boresight.kernels.compilation import FAST, loop, part
+from boresight.kernels.star import numbers, star
+
 HALF_BANDWIDTH = 4
 _BAND = HALF_BANDWIDTH + 1
 _HALVINGS = 6  # of a filter step that raises its frame's cost
+_STEPS = 60  # of the search for a place on the detector, which takes about five
+_SETTLED_PX = 1e-7  # the last step of it: its error is the square of that
+_LEAST_SHARE = 1e-3  # of such a step: where less is needed the goal lies beyond what the camera sees
 _THIN = 0.1  # sine of an angle: orders with a thinner triangle are mended
-_STAR = 20  # numbers kept a star: s (3), 1 / |t| = s_z, d t_x / dx (8), d t_y / dx (8)
-_T_X, _T_Y = 4, 12  # where those derivatives begin
-_INVERTED_WANG = 0
 _TIE = 1e-9  # a triangle that is fatter by less is as fat: rounding must not choose an order
 _FEW = 7  # stars of which every order is tried
-_STEPS = 60  # of a bracketed Newton search, which takes about five
-_SETTLED = 1e-11  # share of the root that the last step may be: its error is the square of that
 
-# Reordering of sums and fused products are allowed; NaN and infinity keep their meaning.
-_FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}
-_jit = numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-_inlined = numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy", inline="always")
+_part = part(fastmath=FAST)
+_inlined = part(fastmath=FAST, forceinline=True)
 
 
-@_jit
-def _undistorted_radius(reach, k1, k2):
-    """Solve r (1 + k1 r^2 + k2 r^4) = reach on the branch that rises from zero; NaN where it turns back before reach.
-
-    Newton's method, halving a bracket where a step would leave it: [0, r_turn], r_turn the first zero of the slope.
-    """
-    turn2 = _turn_squared(k1, k2)
-    low, high = 0.0, math.sqrt(turn2)
-    if math.isfinite(high) and not high * (1.0 + turn2 * (k1 + k2 * turn2)) > reach:
-        return math.nan
-    r = min(reach, 0.99 * high)
-    for _ in range(_STEPS):
-        r2 = r * r
-        excess = r * (1.0 + r2 * (k1 + k2 * r2)) - reach
-        if excess > 0.0:
-            high = r
-        else:
-            low = r
-        step = excess / (1.0 + r2 * (3.0 * k1 + 5.0 * k2 * r2))
-        r -= step
-        if not low <= r <= high:
-            r = 0.5 * (low + high)
-        elif abs(step) <= _SETTLED * r:
-            break
-    return r
+@_part
+def _width(camera):
+    """Return how many numbers are kept a star: s (3), 1 / |t| = s_z, and the derivatives of t_x and of t_y."""
+    return 4 + 2 * len(camera)
 
 
-@_jit
-def _turn_squared(k1, k2):
-    """Smallest positive zero of the slope 1 + 3 k1 r^2 + 5 k2 r^4 in r^2; infinite where it does not below 1e12."""
-    half = 1.5 * k1
-    inside = half * half - 5.0 * k2
-    if inside < 0.0:
-        return math.inf
-    root = math.sqrt(inside)
-    if root - half > 1e-12:  # both forms of the quadratic's zeros without cancellation: 1 / (sqrt - 3 k1 / 2)
-        return 1.0 / (root - half)
-    return math.inf
+@_part
+def _stars(camera, x, pitch, row_px, col_px, first, n, w):
+    """Fill the first rows of `w` (at least n, width) with n stars from `first` on."""
+    at, N = numbers(camera, x), len(camera)
+    for i in range(n):
+        tx, ty, dx, dy = star(camera, at, pitch, row_px[first + i], col_px[first + i])
+        norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
+        w[i, 0], w[i, 1], w[i, 2], w[i, 3] = tx * norm, ty * norm, norm, norm
+        for p in range(N):
+            w[i, 4 + p], w[i, 4 + N + p] = dx[p], dy[p]
 
 
-@_jit
-def _pinhole_tangents(x, pitch, row_px, col_px):
-    """Tangents t_x and t_y of one star of `pinhole_radial`, whose module derives it, with its r^2 and B: t = (p, q) / B."""
-    scale = pitch / x[1]
-    p, q = x[0] * scale * (row_px - x[3]), scale * (col_px - x[2])
-    r = _undistorted_radius(math.sqrt(p * p + q * q), x[4], x[5])
-    r2 = r * r
-    B = 1.0 + r2 * (x[4] + x[5] * r2)
-    return p / B, q / B, r2, B
+@_part
+def _directions(camera, x, pitch, row_px, col_px, first, n, w):
+    """Fill the directions alone, the first three numbers of each row of `w`: what derivatives would take is not compiled."""
+    at = numbers(camera, x)
+    for i in range(n):
+        tx, ty, _, _ = star(camera, at, pitch, row_px[first + i], col_px[first + i])
+        norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
+        w[i, 0], w[i, 1], w[i, 2] = tx * norm, ty * norm, norm
 
 
-@_jit
-def _pinhole_star(x, pitch, row_px, col_px, w, i):
-    """Fill `w[i]` (20,) with one star of `pinhole_radial`; d(t_x, t_y) / d(p, q) is ((xx, xy), (xy, yy))."""
-    s, f, u0, v0, k1, k2 = x[0], x[1], x[2], x[3], x[4], x[5]
-    tx, ty, r2, B = _pinhole_tangents(x, pitch, row_px, col_px)
-    T = 1.0 + r2 * (3.0 * k1 + 5.0 * k2 * r2)
-    slope = (2.0 * k1 + 4.0 * k2 * r2) / T
-    inverse, scale, over_f = 1.0 / B, pitch / f, 1.0 / f
-    xx, xy, yy = inverse * (1.0 - slope * tx * tx), -inverse * slope * tx * ty, inverse * (1.0 - slope * ty * ty)
-    across = scale * (row_px - v0)
-    p, q = s * across, scale * (col_px - u0)
-    norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
-    w[i, 0], w[i, 1], w[i, 2], w[i, 3] = tx * norm, ty * norm, norm, norm
-    w[i, 4], w[i, 12] = xx * across, xy * across
-    w[i, 5], w[i, 13] = -(xx * p + xy * q) * over_f, -(xy * p + yy * q) * over_f
-    w[i, 6], w[i, 14] = -scale * xy, -scale * yy
-    w[i, 7], w[i, 15] = -s * scale * xx, -s * scale * xy
-    w[i, 8], w[i, 16] = -tx * r2 / T, -ty * r2 / T
-    w[i, 9], w[i, 17] = -tx * r2 * r2 / T, -ty * r2 * r2 / T
-    w[i, 10], w[i, 11], w[i, 18], w[i, 19] = 0.0, 0.0, 0.0, 0.0
-
-
-@_jit
-def _wang_tangents(x, pitch, row_px, col_px):
-    """Tangents t_x and t_y of one star of `inverted_wang` (E Eqs 1-7), with its U, V, u, v and 1 / (a_1 v + a_2 u + f)."""
-    f = x[0]
-    u, v = pitch * (row_px - x[1]), x[7] * pitch * (col_px - x[2])
-    inverse = 1.0 / (x[5] * v + x[6] * u + f)
-    U, V = u * f * inverse, v * f * inverse
-    rho2 = U * U + V * V
-    B_over_f = (1.0 + rho2 * (x[4] + rho2 * x[3])) / f
-    return B_over_f * U, B_over_f * V, U, V, u, v, inverse
-
-
-@_jit
-def _wang_star(x, pitch, row_px, col_px, w, i):
-    """Fill `w[i]` (20,) with one star of `inverted_wang` (E Eqs 44-77).
-
-    t = (B U, B V) / f depends on the pixel through (U, V) alone, and dB = (2 b2 + 4 b4 rho^2)(U dU + V dV), which is also what
-    E Eq 43 means, without its 0/0 on the principal point. The slope of t over (U, V) is ((xx, xy), (xy, yy)).
-    """
-    f, b4, b2, a1, a2, g_y = x[0], x[3], x[4], x[5], x[6], x[7]
-    tx, ty, U, V, u, v, inverse = _wang_tangents(x, pitch, row_px, col_px)
-    over_f = 1.0 / f
-    rho2 = U * U + V * V
-    B, slope = over_f * (1.0 + rho2 * (b2 + rho2 * b4)), over_f * (2.0 * b2 + 4.0 * b4 * rho2)
-    xx, xy, yy = B + slope * U * U, slope * U * V, B + slope * V * V
-    fd2 = f * inverse * inverse
-    u_u, u_v, v_u, v_v = fd2 * (a1 * v + f), -fd2 * a1 * u, -fd2 * a2 * v, fd2 * (a2 * u + f)
-    along_x, along_y = xx * u + xy * v, xy * u + yy * v
-    tilted = (a1 * v + a2 * u) * inverse * inverse
-    col_x, col_y = pitch * (xx * u_v + xy * v_v), pitch * (xy * u_v + yy * v_v)
-    radial_x, radial_y = rho2 * U * over_f, rho2 * V * over_f
-    dn = col_px - x[2]
-    norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
-    w[i, 0], w[i, 1], w[i, 2], w[i, 3] = tx * norm, ty * norm, norm, norm
-    w[i, 4], w[i, 12] = tilted * along_x - tx * over_f, tilted * along_y - ty * over_f
-    w[i, 5], w[i, 13] = -pitch * (xx * u_u + xy * v_u), -pitch * (xy * u_u + yy * v_u)
-    w[i, 6], w[i, 14] = -g_y * col_x, -g_y * col_y
-    w[i, 7], w[i, 15] = rho2 * radial_x, rho2 * radial_y
-    w[i, 8], w[i, 16] = radial_x, radial_y
-    w[i, 9], w[i, 17] = -fd2 * v * along_x, -fd2 * v * along_y
-    w[i, 10], w[i, 18] = -fd2 * u * along_x, -fd2 * u * along_y
-    w[i, 11], w[i, 19] = dn * col_x, dn * col_y
-
-
-@_jit
-def _eight(x):
-    """Return the state of `inverted_wang` as numbers: the compiler then knows that no store changes them, and keeps them."""
-    return x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]
-
-
-@_jit
-def _six(x):
-    """Return the state of `pinhole_radial` as numbers."""
-    return x[0], x[1], x[2], x[3], x[4], x[5]
-
-
-@_jit
-def _stars(model, x, pitch, row_px, col_px, first, n, w):
-    """Fill the first rows of `w` (at least n, 20) with n stars from `first` on; asking the model once keeps this fast."""
-    if model == _INVERTED_WANG:
-        wang = _eight(x)
-        for i in range(n):
-            _wang_star(wang, pitch, row_px[first + i], col_px[first + i], w, i)
-    else:
-        pinhole = _six(x)
-        for i in range(n):
-            _pinhole_star(pinhole, pitch, row_px[first + i], col_px[first + i], w, i)
-
-
-@_jit
-def _directions(model, x, pitch, row_px, col_px, first, n, w):
-    """Fill the directions alone, the first three numbers of each row of `w`, where no derivative is asked for."""
-    if model == _INVERTED_WANG:
-        wang = _eight(x)
-        for i in range(n):
-            tx, ty, _, _, _, _, _ = _wang_tangents(wang, pitch, row_px[first + i], col_px[first + i])
-            _direction(tx, ty, w, i)
-    else:
-        pinhole = _six(x)
-        for i in range(n):
-            tx, ty, _, _ = _pinhole_tangents(pinhole, pitch, row_px[first + i], col_px[first + i])
-            _direction(tx, ty, w, i)
-
-
-@_jit
-def _direction(tx, ty, w, i):
-    """Fill the direction of star i from its tangents."""
-    norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
-    w[i, 0], w[i, 1], w[i, 2] = tx * norm, ty * norm, norm
-
-
-@_jit
-def _free_columns(w, n, free):
+@_part
+def _free_columns(camera, w, n, free):
     """Move the derivatives of n stars by the free parameters, whose places ascend, to the front; zero beyond."""
-    n_free = free.shape[0]
-    if n_free == N_PARAMETERS:
+    n_free, N = free.shape[0], len(camera)
+    if n_free == N:
         return
     for i in range(n):
         for p in range(n_free):  # nothing is overwritten before it is read
-            w[i, _T_X + p], w[i, _T_Y + p] = w[i, _T_X + free[p]], w[i, _T_Y + free[p]]
-        for p in range(n_free, N_PARAMETERS):
-            w[i, _T_X + p], w[i, _T_Y + p] = 0.0, 0.0
+            w[i, 4 + p], w[i, 4 + N + p] = w[i, 4 + free[p]], w[i, 4 + N + free[p]]
+        for p in range(n_free, N):
+            w[i, 4 + p], w[i, 4 + N + p] = 0.0, 0.0
 
 
-@_jit
-def _padded(scale):
-    """Return the typical sigmas of the free parameters (8,), zero beyond."""
-    eight = np.zeros(N_PARAMETERS)
-    eight[: scale.shape[0]] = scale
-    return eight
+@_part
+def _pad(scale, whole):
+    """Fill `whole` (n_parameters,) with the typical sigmas of the free parameters, zero beyond."""
+    for p in range(whole.shape[0]):
+        whole[p] = scale[p] if p < scale.shape[0] else 0.0
 
 
-@_jit
+@_part
 def _arclength(w, i, j):
     """Return (phi, cos phi, sin phi) between stars i and j by atan2, exact at every separation."""
     cx = w[i, 1] * w[j, 2] - w[i, 2] * w[j, 1]
@@ -239,15 +99,16 @@ def _arclength(w, i, j):
 
 
 @_inlined
-def _exposure_rows(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, scale, w, e, H, at):
+def _exposure_rows(camera, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, scale, w, e, H, at):
     """Whitened residuals `e` and scaled Jacobian `H` (., 8) of one exposure, from row `at` on; returns its sum of squares.
 
     The forward substitution with the banded factor runs while the rows are made: L e' = e, L H' = H (E Eqs 81, 82). The exposure
     has n stars from `s0` and its arcs from `a0` on. Places are passed instead of slices, and the loops over parameters have
     constant length: a slice counts references, a loop of unknown length is not unrolled, and both cost half as much again.
     """
-    _stars(model, x, pitch, row_px, col_px, s0, n, w)
-    _free_columns(w, n, free)
+    N = len(camera)
+    _stars(camera, x, pitch, row_px, col_px, s0, n, w)
+    _free_columns(camera, w, n, free)
     total = 0.0
     for a in range(2 * n - 3):
         i = a // 2
@@ -262,14 +123,14 @@ def _exposure_rows(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, 
         inverse = 1.0 / band[a0 + a, 4]
         if a >= HALF_BANDWIDTH:
             l4, l3, l2, l1 = band[a0 + a, 0], band[a0 + a, 1], band[a0 + a, 2], band[a0 + a, 3]
-            for p in range(N_PARAMETERS):
-                h = ix * w[i, _T_X + p] + iy * w[i, _T_Y + p] + jx * w[j, _T_X + p] + jy * w[j, _T_Y + p]
+            for p in range(N):
+                h = ix * w[i, 4 + p] + iy * w[i, 4 + N + p] + jx * w[j, 4 + p] + jy * w[j, 4 + N + p]
                 h = h * scale[p] - l4 * H[row - 4, p] - l3 * H[row - 3, p] - l2 * H[row - 2, p] - l1 * H[row - 1, p]
                 H[row, p] = h * inverse
             residual -= l4 * e[row - 4] + l3 * e[row - 3] + l2 * e[row - 2] + l1 * e[row - 1]
         else:
-            for p in range(N_PARAMETERS):
-                h = ix * w[i, _T_X + p] + iy * w[i, _T_Y + p] + jx * w[j, _T_X + p] + jy * w[j, _T_Y + p]
+            for p in range(N):
+                h = ix * w[i, 4 + p] + iy * w[i, 4 + N + p] + jx * w[j, 4 + p] + jy * w[j, 4 + N + p]
                 h *= scale[p]
                 for b in range(a):
                     h -= band[a0 + a, 4 - a + b] * H[at + b, p]
@@ -281,9 +142,9 @@ def _exposure_rows(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, 
 
 
 @_inlined
-def _exposure_residuals(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, w, e, at):
+def _exposure_residuals(camera, x, pitch, s0, n, a0, row_px, col_px, phi, band, w, e, at):
     """Whitened residuals `e` of one exposure, from row `at` on, without derivatives; returns its unweighted sum of squares."""
-    _directions(model, x, pitch, row_px, col_px, s0, n, w)
+    _directions(camera, x, pitch, row_px, col_px, s0, n, w)
     total = 0.0
     for a in range(2 * n - 3):
         i = a // 2
@@ -300,7 +161,7 @@ def _exposure_residuals(model, x, pitch, s0, n, a0, row_px, col_px, phi, band, w
     return total
 
 
-@_jit
+@_part
 def _largest_exposure(star_start):
     """Return the number of stars in the fullest exposure, for scratch space."""
     most = 0
@@ -309,72 +170,118 @@ def _largest_exposure(star_start):
     return most
 
 
-@_jit
-def solid_angles(model, x, pitch, row_px, col_px, omega):
-    """Fill `omega` (n_stars,) with the solid angle of one pixel at each star, steradian.
+@loop("camera f1 f i i f1 f1 f1", fastmath=FAST)
+def solid_angles(camera, x, pitch, p, q, row_px, col_px, omega):
+    """Fill `omega` (n_stars,) with the solid angle of one pixel at each star, steradian; p and q are the principal point's places.
 
-    Called by `cameras`: |det d(t_x, t_y) / d(m, n)| / |t|^3, where moving the pixel is moving the principal point back.
+    Called by `cameras.model`, which derives it.
     """
-    w = np.empty((1, _STAR))
-    p, q = (5, 6) if model == _INVERTED_WANG else (6, 7)
+    at = numbers(camera, x)
     for i in range(row_px.shape[0]):
-        _stars(model, x, pitch, row_px, col_px, i, 1, w)
-        omega[i] = abs(w[0, p] * w[0, 8 + q] - w[0, q] * w[0, 8 + p]) * w[0, 3] * w[0, 3] * w[0, 3]
+        tx, ty, dx, dy = star(camera, at, pitch, row_px[i], col_px[i])
+        omega[i] = abs(dx[p] * dy[q] - dx[q] * dy[p]) * (tx * tx + ty * ty + 1.0) ** -1.5
 
 
-@_jit
-def rays_and_jacobians(model, x, pitch, row_px, col_px, s, D):
+@loop("camera f1 f i i f2 f2", fastmath=FAST)
+def project(camera, x, pitch, p, q, s, place):
+    """Fill `place` (n, 2) with row and column of directions `s` (n, 3), pixels; p and q are the principal point's places.
+
+    Called by `cameras.model`, which derives it.
+    """
+    at = numbers(camera, x)
+    _, _, dx, dy = star(camera, at, pitch, x[p], x[q])
+    sign = 1.0 if dx[p] * dy[q] - dx[q] * dy[p] > 0.0 else -1.0
+    for i in range(s.shape[0]):
+        place[i, 0], place[i, 1] = math.nan, math.nan
+        if not s[i, 2] > 0.0:
+            continue
+        goal_x, goal_y = s[i, 0] / s[i, 2], s[i, 1] / s[i, 2]
+        row, col = x[p], x[q]
+        tx, ty, dx, dy = star(camera, at, pitch, row, col)
+        off = math.hypot(goal_x - tx, goal_y - ty)
+        for _ in range(_STEPS):
+            xx, xy, yx, yy = -dx[p], -dx[q], -dy[p], -dy[q]
+            determinant = xx * yy - xy * yx
+            down = (yy * (goal_x - tx) - xy * (goal_y - ty)) / determinant
+            right = (xx * (goal_y - ty) - yx * (goal_x - tx)) / determinant
+            share = 1.0
+            while share > _LEAST_SHARE:
+                tx, ty, dx, dy = star(camera, at, pitch, row + share * down, col + share * right)
+                now = math.hypot(goal_x - tx, goal_y - ty)
+                if now < off and sign * (dx[p] * dy[q] - dx[q] * dy[p]) > 0.0:
+                    break
+                share *= 0.5
+            settled = abs(down) + abs(right) <= _SETTLED_PX
+            if settled or share <= _LEAST_SHARE:
+                if settled:
+                    place[i, 0], place[i, 1] = row + down, col + right
+                break
+            row, col, off = row + share * down, col + share * right, now
+
+
+@loop("camera f1 f f1 f1 f2", fastmath=FAST)
+def rays(camera, x, pitch, row_px, col_px, s):
+    """Fill `s` (n_stars, 3) with unit directions in D. Called by `cameras.model`."""
+    _directions(camera, x, pitch, row_px, col_px, 0, row_px.shape[0], s)
+
+
+@loop("camera f1 f f1 f1 f2 f3", fastmath=FAST)
+def rays_and_jacobians(camera, x, pitch, row_px, col_px, s, D):
     """Fill `s` (n_stars, 3) with unit directions in D and `D` (n_stars, 3, n_parameters) with ds/dx per parameter in SI.
 
     Called by the filters on stars: ds = (I - s s^T) dt / |t|.
     """
-    one = np.empty((1, _STAR))
+    N = len(camera)
+    one = np.empty((1, _width(camera)))
     w = one[0]
     for i in range(row_px.shape[0]):
-        _stars(model, x, pitch, row_px, col_px, i, 1, one)
+        _stars(camera, x, pitch, row_px, col_px, i, 1, one)
         s[i, 0], s[i, 1], s[i, 2] = w[0], w[1], w[2]
         for p in range(D.shape[2]):
-            x_p, y_p = w[3] * w[_T_X + p], w[3] * w[_T_Y + p]
+            x_p, y_p = w[3] * w[4 + p], w[3] * w[4 + N + p]
             along = w[0] * x_p + w[1] * y_p
             D[i, 0, p], D[i, 1, p], D[i, 2, p] = x_p - w[0] * along, y_p - w[1] * along, -w[2] * along
 
 
 @_inlined
-def _add_products(e, H, n_arcs, g, C):
+def _add_products(camera, e, H, n_arcs, g, C):
     """Add H^T e to g (8,) and H^T H to C (8, 8), three rows at a time; e and H have room for two more rows than `n_arcs`.
 
     The whole square, for a triangle is not unrolled; and three rows a turn, for a turn loads and stores every sum once.
     """
+    N = len(camera)
     for a in range(n_arcs, n_arcs + 2):
         e[a] = 0.0
-        for p in range(N_PARAMETERS):
+        for p in range(N):
             H[a, p] = 0.0
     for a in range(0, n_arcs, 3):
-        for p in range(N_PARAMETERS):
+        for p in range(N):
             h0, h1, h2 = H[a, p], H[a + 1, p], H[a + 2, p]
             g[p] += h0 * e[a] + h1 * e[a + 1] + h2 * e[a + 2]
-            for q in range(N_PARAMETERS):
+            for q in range(N):
                 C[p, q] += h0 * H[a, q] + h1 * H[a + 1, q] + h2 * H[a + 2, q]
 
 
-@_jit
-def normal_equations(model, x, pitch, star_start, row_px, col_px, phi, band, free, scale, threshold, A, b):
+@loop("camera f1 f i1 f1 f1 f1 f2 i1 f1 f f2 f1", fastmath=FAST)
+def normal_equations(camera, x, pitch, star_start, row_px, col_px, phi, band, free, scale, threshold, A, b):
     """Accumulate A = H'^T W H' (n_free, n_free) and b = H'^T W e' (n_free,); return (cost, unweighted sum of squares).
 
     Called by `estimation.batch`. H' is whitened and in units of `scale` (the typical sigmas of the free parameters). W holds
     Huber's weights min(1, threshold / |e'|), and an infinite threshold makes the cost chi-square; see `estimation.robust`.
     """
+    N = len(camera)
     most = _largest_exposure(star_start)
     n_free = free.shape[0]
-    w, e, H = np.empty((most, _STAR)), np.empty(2 * most), np.empty((2 * most, N_PARAMETERS))
-    C, g, scales = np.zeros((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_PARAMETERS), _padded(scale)
+    w, e, H = np.empty((most, _width(camera))), np.empty(2 * most), np.empty((2 * most, N))
+    C, g, scales = np.zeros((N, N)), np.zeros(N), np.empty(N)
+    _pad(scale, scales)
     chi2 = 0.0
     total = 0.0
     for k in range(star_start.shape[0] - 1):
         s0 = star_start[k]
         n = star_start[k + 1] - s0
         total += _exposure_rows(
-            model, x, pitch, s0, n, 2 * s0 - 3 * k, row_px, col_px, phi, band, free, scales, w, e, H, 0
+            camera, x, pitch, s0, n, 2 * s0 - 3 * k, row_px, col_px, phi, band, free, scales, w, e, H, 0
         )
         for a in range(2 * n - 3):
             size = abs(e[a])
@@ -384,9 +291,9 @@ def normal_equations(model, x, pitch, star_start, row_px, col_px, phi, band, fre
             chi2 += threshold * (2.0 * size - threshold)
             root = math.sqrt(threshold / size)  # so that the products below hold the weight once
             e[a] *= root
-            for p in range(N_PARAMETERS):
+            for p in range(N):
                 H[a, p] *= root
-        _add_products(e, H, 2 * n - 3, g, C)
+        _add_products(camera, e, H, 2 * n - 3, g, C)
     for p in range(n_free):
         b[p] = g[p]
         for q in range(p + 1):
@@ -394,19 +301,19 @@ def normal_equations(model, x, pitch, star_start, row_px, col_px, phi, band, fre
     return chi2, total
 
 
-@_jit
-def count_beyond(model, x, pitch, star_start, row_px, col_px, phi, band, threshold):
+@loop("camera f1 f i1 f1 f1 f1 f2 f", first=False, fastmath=FAST)
+def count_beyond(camera, x, pitch, star_start, row_px, col_px, phi, band, threshold):
     """Return (arcs whose whitened residual is beyond `threshold`, sum of squares of all, each cut off at it).
 
     Called by `estimation.robust`.
     """
     most = _largest_exposure(star_start)
-    w, e = np.empty((most, _STAR)), np.empty(2 * most)
+    w, e = np.empty((most, _width(camera))), np.empty(2 * most)
     beyond, total = 0, 0.0
     for k in range(star_start.shape[0] - 1):
         s0 = star_start[k]
         n = star_start[k + 1] - s0
-        _exposure_residuals(model, x, pitch, s0, n, 2 * s0 - 3 * k, row_px, col_px, phi, band, w, e, 0)
+        _exposure_residuals(camera, x, pitch, s0, n, 2 * s0 - 3 * k, row_px, col_px, phi, band, w, e, 0)
         for a in range(2 * n - 3):
             size = abs(e[a])
             beyond += size > threshold
@@ -414,49 +321,51 @@ def count_beyond(model, x, pitch, star_start, row_px, col_px, phi, band, thresho
     return beyond, total
 
 
-@_jit
-def residuals(model, x, pitch, star_start, row_px, col_px, phi, e):
+@loop("camera f1 f i1 f1 f1 f1 f1", fastmath=FAST)
+def residuals(camera, x, pitch, star_start, row_px, col_px, phi, e):
     """Fill `e` (n_arcs,) with measured minus catalogue arclength, radians. Called by `estimation.metrics`."""
-    w = np.empty((_largest_exposure(star_start), _STAR))
+    w = np.empty((_largest_exposure(star_start), _width(camera)))
     for k in range(star_start.shape[0] - 1):
         s0, s1 = star_start[k], star_start[k + 1]
         a0 = 2 * s0 - 3 * k
-        _directions(model, x, pitch, row_px, col_px, s0, s1 - s0, w)
+        _directions(camera, x, pitch, row_px, col_px, s0, s1 - s0, w)
         for a in range(2 * (s1 - s0) - 3):
             e[a0 + a] = _arclength(w, a // 2, a // 2 + 1 + a % 2)[0] - phi[a0 + a]
 
 
-@_jit
-def sums_of_squares(model, states, pitch, star_start, row_px, col_px, phi, totals):
+@loop("camera f2 f i1 f1 f1 f1 f1", fastmath=FAST)
+def sums_of_squares(camera, states, pitch, star_start, row_px, col_px, phi, totals):
     """Fill `totals` (n_states,) with the unweighted sum of squares of the whole set at each state (n_states, 8).
 
     Called by `estimation.metrics.tail_rms` (E Eq 32).
     """
-    w = np.empty((_largest_exposure(star_start), _STAR))
+    w = np.empty((_largest_exposure(star_start), _width(camera)))
     for m in range(states.shape[0]):
         total = 0.0
         for k in range(star_start.shape[0] - 1):
             s0, s1 = star_start[k], star_start[k + 1]
             a0 = 2 * s0 - 3 * k
-            _directions(model, states[m], pitch, row_px, col_px, s0, s1 - s0, w)
+            _directions(camera, states[m], pitch, row_px, col_px, s0, s1 - s0, w)
             for a in range(2 * (s1 - s0) - 3):
                 residual = _arclength(w, a // 2, a // 2 + 1 + a % 2)[0] - phi[a0 + a]
                 total += residual * residual
         totals[m] = total
 
 
-@_jit
-def whitened_rows(model, x, pitch, star_start, row_px, col_px, phi, band, free, scale, e, H):
+@loop("camera f1 f i1 f1 f1 f1 f2 i1 f1 f1 f2", fastmath=FAST)
+def whitened_rows(camera, x, pitch, star_start, row_px, col_px, phi, band, free, scale, e, H):
     """Fill whitened `e` (n_arcs,) and `H` (n_arcs, n_free) of several exposures. Called by `estimation.filters.extended`."""
+    N = len(camera)
     most, n_free = _largest_exposure(star_start), free.shape[0]
-    w, one = np.empty((most, _STAR)), np.empty((2 * most, N_PARAMETERS))
-    whitened, scales = np.empty(2 * most), _padded(scale)
+    w, one = np.empty((most, _width(camera))), np.empty((2 * most, N))
+    whitened, scales = np.empty(2 * most), np.empty(N)
+    _pad(scale, scales)
     total = 0.0
     for k in range(star_start.shape[0] - 1):
         s0 = star_start[k]
         n, a0 = star_start[k + 1] - s0, 2 * s0 - 3 * k
         total += _exposure_rows(
-            model, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, scales, w, whitened, one, 0
+            camera, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, scales, w, whitened, one, 0
         )
         for a in range(2 * n - 3):
             e[a0 + a] = whitened[a]
@@ -466,7 +375,7 @@ def whitened_rows(model, x, pitch, star_start, row_px, col_px, phi, band, free, 
 
 
 @_inlined
-def carlson_update(z, S, h, innovation, f, gain):
+def carlson_update(camera, z, S, h, innovation, f, gain):
     """Take in one whitened scalar measurement; z (8,) and upper triangular S (8, 8) change in place.
 
     Fewer than eight free parameters leave the last rows and columns zero: loops of constant length run twice as fast.
@@ -474,7 +383,7 @@ def carlson_update(z, S, h, innovation, f, gain):
     f = S^T h (erratum to E Eq 87), alpha = 1 + f.f, and column by column S becomes S (I - f f^T / alpha)^(1/2)
     (erratum to E Eq 84) in Carlson's form, which stays triangular. Returns the normalised innovation squared.
     """
-    n = N_PARAMETERS
+    n = len(camera)
     for j in range(n):
         value = 0.0
         for i in range(n):
@@ -497,13 +406,13 @@ def carlson_update(z, S, h, innovation, f, gain):
     return innovation * innovation / alpha
 
 
-@_jit
+@_part
 def inflate(S, q, M):
     """Replace S by the upper triangular factor of S S^T + diag(q^2), by Givens rotations of [S M] (erratum to E Eq 88)."""
     n = S.shape[0]
-    M[:] = 0.0
-    for j in range(n):
-        M[j, j] = q[j]
+    for i in range(n):
+        for j in range(n):
+            M[i, j] = q[i] if i == j else 0.0
     for k in range(n - 1, -1, -1):
         for j in range(n):
             if M[k, j] == 0.0:
@@ -516,18 +425,21 @@ def inflate(S, q, M):
                 M[i, j] = c * b - s * a
 
 
-@_jit
+@_part
 def _between_frames(S, q, widening, M):
     """Widen S by a forgetting factor's 1 / sqrt(lambda), then add the process noise q (8,)."""
     if widening != 1.0:
         for i in range(S.shape[0]):
             for j in range(i, S.shape[0]):
                 S[i, j] *= widening
-    if q.max() > 0.0:
+    most = 0.0
+    for j in range(q.shape[0]):
+        most = max(most, q[j])
+    if most > 0.0:
         inflate(S, q, M)
 
 
-@_jit
+@_part
 def _prior_cost(S, z, z_prior, n_free, y):
     """|S^-1 (z - z_prior)|^2 by back substitution, the prior's share of a frame's cost."""
     cost = 0.0
@@ -541,28 +453,29 @@ def _prior_cost(S, z, z_prior, n_free, y):
 
 
 @_inlined
-def _frame_residuals(model, x, pitch, first, last, star_start, row_px, col_px, phi, band, w, e):
+def _frame_residuals(camera, x, pitch, first, last, star_start, row_px, col_px, phi, band, w, e):
     """Whitened residuals `e` of the exposures first <= m < last, one after another; returns their unweighted sum of squares."""
     total = 0.0
     n_arcs = 0
     for m in range(first, last):
         s0 = star_start[m]
         n = star_start[m + 1] - s0
-        total += _exposure_residuals(model, x, pitch, s0, n, 2 * s0 - 3 * m, row_px, col_px, phi, band, w, e, n_arcs)
+        total += _exposure_residuals(camera, x, pitch, s0, n, 2 * s0 - 3 * m, row_px, col_px, phi, band, w, e, n_arcs)
         n_arcs += 2 * n - 3
     return total
 
 
 @_inlined
-def _copy(z, S, z_to, S_to):
+def _copy(camera, z, S, z_to, S_to):
     """Copy a mean (8,) and a root of its covariance (8, 8) with columns contiguous; assigning slices takes ten times as long."""
-    for j in range(N_PARAMETERS):
+    N = len(camera)
+    for j in range(N):
         z_to[j] = z[j]
-        for i in range(N_PARAMETERS):
+        for i in range(N):
             S_to[i, j] = S[i, j]
 
 
-@_jit
+@_part
 def _largest_frame(frame_start, star_start):
     """Return the number of arcs in the fullest frame, for scratch space."""
     most = 0
@@ -572,9 +485,9 @@ def _largest_frame(frame_start, star_start):
     return most
 
 
-@_jit
+@loop("f1 f1 f2F f1 f camera f i1 i1 f1 f1 f1 f2 i1 f1 i f f2 f2 f1 i1 f1 i1", first=False, fastmath=FAST)
 def square_root_filter(
-    x, z, S, q, widening, model, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
+    x, z, S, q, widening, camera, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
     states, sigmas, nis, dof, squares, passes,
 ):  # fmt: skip
     """Run the Carlson filter over frames; x (8,), z (8,) and S (8, 8) change in place, zero beyond the free parameters.
@@ -586,46 +499,48 @@ def square_root_filter(
     Fills per frame: states (n_frames, 8), sigmas (n_frames, n_free) in typical sigmas, nis, dof, squares (post-update sum of
     squares, E Eq 33) and passes. Returns the number of frames done; fewer than asked when the state stopped being finite.
     """
+    N = len(camera)
     n_free = free.shape[0]
     n_frames = frame_start.shape[0] - 1
     most_arcs = _largest_frame(frame_start, star_start)
-    w = np.empty((_largest_exposure(star_start), _STAR))
-    e, H, post = np.empty(most_arcs), np.empty((most_arcs, N_PARAMETERS)), np.empty(most_arcs)
-    z_prior, z_at, S_prior = np.empty(N_PARAMETERS), np.empty(N_PARAMETERS), np.empty((N_PARAMETERS, N_PARAMETERS)).T
+    w = np.empty((_largest_exposure(star_start), _width(camera)))
+    e, H, post = np.empty(most_arcs), np.empty((most_arcs, N)), np.empty(most_arcs)
+    z_prior, z_at, S_prior = np.empty(N), np.empty(N), np.empty((N, N)).T
     f, gain, M, x0 = (
-        np.empty(N_PARAMETERS),
-        np.empty(N_PARAMETERS),
-        np.empty((N_PARAMETERS, N_PARAMETERS)),
+        np.empty(N),
+        np.empty(N),
+        np.empty((N, N)),
         np.empty(n_free),
     )
-    scales = _padded(scale)
+    scales = np.empty(N)
+    _pad(scale, scales)
     for p in range(n_free):
         x0[p] = x[free[p]] - scale[p] * z[p]
     for k in range(n_frames):
         _between_frames(S, q, widening, M)
-        _copy(z, S, z_prior, S_prior)
+        _copy(camera, z, S, z_prior, S_prior)
         n_arcs = 0
         total = 0.0
         frame_nis = 0.0
         done = 0
         for turn in range(linearisations):
-            for p in range(N_PARAMETERS):
+            for p in range(N):
                 z_at[p] = z[p]
             n_arcs = 0
             for m in range(frame_start[k], frame_start[k + 1]):
                 s0 = star_start[m]
                 n = star_start[m + 1] - s0
                 _exposure_rows(
-                    model, x, pitch, s0, n, 2 * s0 - 3 * m, row_px, col_px, phi, band, free, scales, w, e, H, n_arcs
+                    camera, x, pitch, s0, n, 2 * s0 - 3 * m, row_px, col_px, phi, band, free, scales, w, e, H, n_arcs
                 )
                 n_arcs += 2 * n - 3
-            _copy(z_prior, S_prior, z, S)
+            _copy(camera, z_prior, S_prior, z, S)
             frame_nis = 0.0
             for a in range(n_arcs):
                 innovation = e[a]
-                for p in range(N_PARAMETERS):
+                for p in range(N):
                     innovation += H[a, p] * (z[p] - z_at[p])  # it moves inside the frame (erratum to E Eq 83)
-                frame_nis += carlson_update(z, S, H[a], innovation, f, gain)
+                frame_nis += carlson_update(camera, z, S, H[a], innovation, f, gain)
             for p in range(n_free):
                 x[free[p]] = x0[p] + scale[p] * z[p]
             before = _prior_cost(S_prior, z_at, z_prior, n_free, f)
@@ -633,7 +548,7 @@ def square_root_filter(
                 before += e[a] * e[a]
             for _ in range(_HALVINGS):
                 total = _frame_residuals(
-                    model, x, pitch, frame_start[k], frame_start[k + 1], star_start, row_px, col_px, phi, band, w, post
+                    camera, x, pitch, frame_start[k], frame_start[k + 1], star_start, row_px, col_px, phi, band, w, post
                 )
                 after = _prior_cost(S_prior, z, z_prior, n_free, f)
                 for a in range(n_arcs):
@@ -647,12 +562,13 @@ def square_root_filter(
             worst = 0.0
             for a in range(n_arcs):
                 predicted = e[a]
-                for p in range(N_PARAMETERS):
+                for p in range(N):
                     predicted += H[a, p] * (z[p] - z_at[p])
                 worst = max(worst, abs(post[a] - predicted))
             if worst < rest:
                 break
-        states[k] = x
+        for p in range(N):
+            states[k, p] = x[p]
         for p in range(n_free):
             variance = 0.0
             for j in range(p, n_free):
@@ -664,9 +580,9 @@ def square_root_filter(
     return n_frames
 
 
-@_jit
+@loop("f1 f1 f2F f1 f camera f i1 i1 f1 f1 f1 f2 i1 f1 i f f f f2 f2 f1 i1 f1 i1", first=False, fastmath=FAST)
 def unscented_filter(
-    x, z, S, q, widening, model, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
+    x, z, S, q, widening, camera, pitch, frame_start, star_start, row_px, col_px, phi, band, free, scale, linearisations, rest,
     shrunk, straight, states, sigmas, nis, dof, squares, passes,
 ):  # fmt: skip
     """Run the square-root unscented filter over frames; arguments and result as in `square_root_filter`.
@@ -675,18 +591,19 @@ def unscented_filter(
     moves by less than `rest` of its sigmas and no sigma shrinks by more than the share `shrunk`; or only once, where the residuals
     are `straight` (trace of C C^T) over a spread that the posterior stays inside.
     """
+    N = len(camera)
     n_free = free.shape[0]
     n_frames = frame_start.shape[0] - 1
     most = _largest_frame(frame_start, star_start)
-    w = np.empty((_largest_exposure(star_start), _STAR))
-    e, H, C = np.empty(most), np.zeros((most, N_PARAMETERS)), np.empty((most, N_PARAMETERS))
-    plus, minus = np.empty((N_PARAMETERS, most)), np.empty((N_PARAMETERS, most))
-    z_prior, z_at, point = np.empty(N_PARAMETERS), np.empty(N_PARAMETERS), np.empty(x.shape[0])
-    S_prior, S_at = np.empty((N_PARAMETERS, N_PARAMETERS)).T, np.empty((N_PARAMETERS, N_PARAMETERS)).T
+    w = np.empty((_largest_exposure(star_start), _width(camera)))
+    e, H, C = np.empty(most), np.zeros((most, N)), np.empty((most, N))
+    plus, minus = np.empty((N, most)), np.empty((N, most))
+    z_prior, z_at, point = np.empty(N), np.empty(N), np.empty(x.shape[0])
+    S_prior, S_at = np.empty((N, N)).T, np.empty((N, N)).T
     f, gain, M, x0 = (
-        np.empty(N_PARAMETERS),
-        np.empty(N_PARAMETERS),
-        np.empty((N_PARAMETERS, N_PARAMETERS)),
+        np.empty(N),
+        np.empty(N),
+        np.empty((N, N)),
         np.empty(n_free),
     )
     gamma = math.sqrt(n_free)
@@ -694,35 +611,33 @@ def unscented_filter(
         x0[p] = x[free[p]] - scale[p] * z[p]
     for k in range(n_frames):
         _between_frames(S, q, widening, M)
-        z_prior[:] = z
-        S_prior[:] = S
+        _copy(camera, z, S, z_prior, S_prior)
         k0, k1 = frame_start[k], frame_start[k + 1]
         n_arcs = 2 * (star_start[k1] - star_start[k0]) - 3 * (k1 - k0)
         frame_nis = 0.0
         done = 0
         for turn in range(linearisations):
-            z_at[:] = z
-            S_at[:] = S
+            _copy(camera, z, S, z_at, S_at)
             for i in range(n_free):
                 for side in range(2):
                     reach = gamma if side == 0 else -gamma
-                    point[:] = x
+                    for p in range(N):
+                        point[p] = x[p]
                     for p in range(n_free):
                         point[free[p]] = x0[p] + scale[p] * (z_at[p] + reach * S_at[p, i])
                     _frame_residuals(
-                        model, point, pitch, k0, k1, star_start, row_px, col_px, phi, band, w,
+                        camera, point, pitch, k0, k1, star_start, row_px, col_px, phi, band, w,
                         plus[i] if side == 0 else minus[i],
                     )  # fmt: skip
             _regress(plus, minus, S_at, n_free, n_arcs, e, H, C)
             bent = _whiten_spread(C, n_free, n_arcs, e, H)
-            z[:] = z_prior
-            S[:] = S_prior
+            _copy(camera, z_prior, S_prior, z, S)
             frame_nis = 0.0
             for a in range(n_arcs):
                 innovation = e[a]
-                for p in range(N_PARAMETERS):
+                for p in range(N):
                     innovation += H[a, p] * (z[p] - z_at[p])
-                frame_nis += carlson_update(z, S, H[a], innovation, f, gain)
+                frame_nis += carlson_update(camera, z, S, H[a], innovation, f, gain)
             for p in range(n_free):
                 x[free[p]] = x0[p] + scale[p] * z[p]
             done = turn + 1
@@ -730,20 +645,21 @@ def unscented_filter(
                 break
             if math.sqrt(_prior_cost(S, z, z_at, n_free, f)) < rest and _narrowing(S_at, S, n_free) < shrunk:
                 break
-        states[k] = x
+        for p in range(N):
+            states[k, p] = x[p]
         for p in range(n_free):
             variance = 0.0
             for j in range(p, n_free):
                 variance += S[p, j] * S[p, j]
             sigmas[k, p] = math.sqrt(variance)
-        total = _frame_residuals(model, x, pitch, k0, k1, star_start, row_px, col_px, phi, band, w, e)
+        total = _frame_residuals(camera, x, pitch, k0, k1, star_start, row_px, col_px, phi, band, w, e)
         nis[k], dof[k], squares[k], passes[k] = frame_nis, n_arcs, total, done
         if not math.isfinite(total):
             return k
     return n_frames
 
 
-@_jit
+@_part
 def _regress(plus, minus, S, n_free, n_arcs, e, H, C):
     """Mean e (n_arcs,), slope H (n_arcs, 8) and even part C (n_arcs, 8) of residuals at the points z +- gamma S_i (n_free, n_arcs).
 
@@ -764,7 +680,7 @@ def _regress(plus, minus, S, n_free, n_arcs, e, H, C):
             H[a, i] = value / S[i, i]
 
 
-@_jit
+@_part
 def _whiten_spread(C, n_free, n_arcs, e, H):
     """Multiply e and H by W with W (I + C C^T) W^T = I, and return a measure of C C^T: its trace, seen through W.
 
@@ -799,7 +715,7 @@ def _whiten_spread(C, n_free, n_arcs, e, H):
     return bent
 
 
-@_jit
+@_part
 def _narrowing(before, after, n_free):
     """Largest share by which a conditional sigma, a diagonal entry of S, shrank."""
     worst = 0.0
@@ -808,7 +724,7 @@ def _narrowing(before, after, n_free):
     return worst
 
 
-@_jit
+@loop("i1 f2 f1 f1 f2 b1", fastmath=FAST)
 def arcs_and_factors(star_start, s, sigma, phi, band, bad):
     """Catalogue arcs `phi` (n_arcs,) and the banded factors of R (n_arcs, 5) for directions `s` (n_stars, 3), `sigma` rad.
 
@@ -827,7 +743,7 @@ def arcs_and_factors(star_start, s, sigma, phi, band, bad):
         bad[k] = _factor(n, sigma[s0:s1], tangents, band[a0 : a0 + 2 * n - 3])
 
 
-@_jit
+@_part
 def _catalogue_arc(s, i, j, tangent):
     """Arclength between directions i and j; fills its unit tangents (6,) at i, towards j, and at j, towards i."""
     cx = s[i, 1] * s[j, 2] - s[i, 2] * s[j, 1]
@@ -842,7 +758,7 @@ def _catalogue_arc(s, i, j, tangent):
     return math.atan2(sine, cosine)
 
 
-@_jit
+@_part
 def _factor(n, sigma, tangents, band):
     """Banded Cholesky factor of one exposure's R; returns True when a pivot is not positive."""
     n_arcs = 2 * n - 3
@@ -865,7 +781,7 @@ def _factor(n, sigma, tangents, band):
     return False
 
 
-@_jit
+@_part
 def _covariance(sigma, tangents, a, b):
     """Covariance of arcs a > b at the star they share, sigma_j^2 cos psi (E Eq 17 with its erratum); 0 when they share none."""
     ai, bi = a // 2, b // 2
@@ -884,7 +800,7 @@ def _covariance(sigma, tangents, a, b):
     return sigma[star] * sigma[star] * cosine
 
 
-@_jit
+@_part
 def _fatness(x, y, a, b, c):
     """Sine of the smallest angle of the triangle a b c: 0 for collinear or coincident stars, 0.87 at best."""
     ab2 = (x[a] - x[b]) ** 2 + (y[a] - y[b]) ** 2
@@ -899,7 +815,7 @@ def _fatness(x, y, a, b, c):
     return area2 / math.sqrt(longest * middle)
 
 
-@_jit
+@_part
 def _greedy(x, y, pool, n, window, order):
     """Order the n stars of `pool` so that each new triangle is fat, looking `window` candidates ahead; return the thinnest.
 
@@ -922,7 +838,7 @@ def _greedy(x, y, pool, n, window, order):
     return thinnest
 
 
-@_jit
+@_part
 def _thinnest(x, y, order, n, first, last):
     """Return the thinnest of the triangles that begin at places first <= place < last of an order, and where it begins."""
     worst, place = 2.0, -1
@@ -933,7 +849,7 @@ def _thinnest(x, y, order, n, first, last):
     return worst, place
 
 
-@_jit
+@_part
 def _mend(x, y, order, n, wanted):
     """Swap stars of the thinnest triangle with others while that makes all it touches fatter; return the thinnest left.
 
@@ -958,7 +874,7 @@ def _mend(x, y, order, n, wanted):
     return _thinnest(x, y, order, n, 0, n - 2)[0]
 
 
-@_jit
+@_part
 def _exhaustive(x, y, n, order, trial, choice, used, limit):
     """Try every order of at most seven stars, cutting branches that are already worse; return the best thinnest triangle."""
     for i in range(n):
@@ -991,7 +907,7 @@ def _exhaustive(x, y, n, order, trial, choice, used, limit):
     return best
 
 
-@_jit
+@loop("i1 f2 i1 f1", fastmath=FAST)
 def order_stars(star_start, s, order, fatness):
     """Order the stars of each exposure so that no three in a row are near collinear. Called by `estimation.arcs`.
 
@@ -1024,14 +940,14 @@ def order_stars(star_start, s, order, fatness):
                 break
 
 
-@_jit
+@_part
 def _take(trial, s0, n, order):
     """Keep an order of the n stars from `s0` on."""
     for i in range(n):
         order[s0 + i] = s0 + trial[i]
 
 
-@_jit
+@_part
 def _rank(values, n, ranked):
     """Fill `ranked` with the places of the first n values, ascending, equal ones by their place: a heap sort, in no other space."""
     for i in range(n):
@@ -1043,7 +959,7 @@ def _rank(values, n, ranked):
         _sift(values, ranked, 0, last)
 
 
-@_jit
+@_part
 def _sift(values, ranked, root, n):
     """Let the place at `root` sink until both below it have smaller values."""
     while 2 * root + 1 < n:
@@ -1056,13 +972,13 @@ def _sift(values, ranked, root, n):
         root = child
 
 
-@_jit
+@_part
 def _before(values, a, b):
     """Whether the value at place a comes before that at place b."""
     return values[a] < values[b] or (values[a] == values[b] and a < b)
 
 
-@_jit
+@_part
 def _flatten(s, s0, n, x, y, azimuth):
     """Project the n directions from `s0` on onto the tangent plane of their mean; azimuth is about that mean."""
     cx, cy, cz = 0.0, 0.0, 0.0
@@ -1082,7 +998,7 @@ def _flatten(s, s0, n, x, y, azimuth):
         azimuth[i] = math.atan2(y[i], x[i])
 
 
-@_jit
+@_part
 def _interleave(ranked, n, turn, pool):
     """Take stars in turn from three sectors of azimuth, so that neighbours in `pool` lie about 120 degrees apart."""
     third = (n + 2) // 3

@@ -11,16 +11,19 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+
+from boresight.kernels.compilation import loop, part
 
 _SWEEPS = 12
 _ORTHOGONAL = 1e-16
 
-_jit = numba.njit(cache=True, nogil=True, fastmath={"contract", "arcp", "nsz"}, error_model="numpy")
+_FAST = {"contract", "arcp", "nsz"}
+
+_part = part(fastmath=_FAST)
 
 
-@_jit
+@_part
 def _turned(W, V):
     """Turn the columns of W (3, 3) until they are orthogonal, and those of V (3, 3) with them."""
     for _ in range(_SWEEPS):
@@ -46,7 +49,7 @@ def _turned(W, V):
             break
 
 
-@_jit
+@_part
 def _cross(a, b, c):
     """Fill c = a x b, (3,) each."""
     c[0] = a[1] * b[2] - a[2] * b[1]
@@ -54,7 +57,7 @@ def _cross(a, b, c):
     c[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@_jit
+@_part
 def _nearest_rotation(B, C, W, V, u, v):
     """Fill C (3, 3) with the rotation nearest to B (3, 3); returns the curvature s_2 + d s_3. W, V (3, 3), u, v (3, 3) are room."""
     for i in range(3):
@@ -84,7 +87,7 @@ def _nearest_rotation(B, C, W, V, u, v):
     return norms[second] + third
 
 
-@_jit
+@_part
 def _inverse(M, out):
     """Fill out (3, 3) with the inverse of a symmetric matrix M (3, 3)."""
     a = M[1, 1] * M[2, 2] - M[1, 2] * M[1, 2]
@@ -98,7 +101,7 @@ def _inverse(M, out):
     out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
 
 
-@_jit
+@loop("i1 f2 f2 f1 f f3 f3 f1", fastmath=_FAST)
 def attitudes(star_start, s_d, s_i, weight, parallel, C, covariance, cost):
     """Solve Wahba's problem of every exposure.
 

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-_jit = numba.njit(cache=True, nogil=True, error_model="numpy")
+from boresight.kernels.compilation import loop, part
+
+_part = part()
 
 
-@_jit
+@_part
 def _arclength(s, i, j):
     """Return the angle between unit vectors i and j of `s` (n, 3) by atan2, rad."""
     cx = s[i, 1] * s[j, 2] - s[i, 2] * s[j, 1]
@@ -27,7 +28,7 @@ def _arclength(s, i, j):
     return math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), cosine)
 
 
-@_jit
+@_part
 def _worst(excess, kept, n):
     """Return the place of the match to drop from the first n of `excess`, or -1 when all that are kept agree."""
     place, most, largest = -1, 0, 0.0
@@ -44,7 +45,7 @@ def _worst(excess, kept, n):
     return place
 
 
-@_jit
+@loop("i1 f2 f2 b1 f b1")
 def agreeing_matches(exposure_start, s_d, s_i, matched, tolerance, accepted):
     """Mark the matches of each exposure that agree among themselves.
 

@@ -9,13 +9,12 @@ The tests hold the loop against NumPy.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
-_jit = numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, error_model="numpy")
+from boresight.kernels.compilation import FAST, loop
 
 
-@_jit
+@loop("i1 f1 f2 f2 f1 f2 f2 f1", fastmath=FAST - {"afn"})
 def frame_sums(arc_start, e, H, P, chi2, scores, squares, leverage):
     """Add up the rows of every frame.
 

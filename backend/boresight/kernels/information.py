@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-# Reordering of sums and fused products are allowed; NaN and infinity keep their meaning.
-_jit = numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz", "afn"}, error_model="numpy")
+from boresight.kernels.compilation import FAST, loop, part
+
+_part = part(fastmath=FAST)
 
 
-@_jit
+@_part
 def _factor(A, L):
     """Lower Cholesky factor L of A (n, n); NaN on the diagonal where A is not positive definite."""
     for i in range(A.shape[0]):
@@ -26,7 +26,7 @@ def _factor(A, L):
             L[i, j] = math.sqrt(value) if i == j else value / L[j, j]
 
 
-@_jit
+@_part
 def _solve(L, b):
     """Solve L L^T y = b in place."""
     n = b.shape[0]
@@ -40,35 +40,42 @@ def _solve(L, b):
         b[i] /= L[i, i]
 
 
-@_jit
+@loop("f2 f2", first=False, fastmath=FAST)
 def invert(A, inverse):
     """Fill the inverse of a positive definite A (n, n). Called by `estimation.filters.information`."""
     n = A.shape[0]
-    L, column = np.zeros((n, n)), np.empty(n)
+    _invert(A, inverse, np.empty((n, n)), np.empty(n))
+
+
+@_part
+def _invert(A, inverse, L, column):
+    """Fill the inverse; L (n, n) and `column` (n,) are room."""
+    n = A.shape[0]
     _factor(A, L)
     for j in range(n):
-        column[:] = 0.0
-        column[j] = 1.0
+        for i in range(n):
+            column[i] = 1.0 if i == j else 0.0
         _solve(L, column)
         for i in range(n):
             inverse[i, j] = column[i]
 
 
-@_jit
+@loop("f2 f1 f1 f1 f2 f1 f2 f2", first=False, fastmath=FAST)
 def information_update(prior, z_prior, z_at, e, H, z, posterior, P):
     """Fill z (n,), `posterior` = prior + H^T H (n, n) and its inverse P; returns the normalised innovation squared.
 
     Called by `estimation.filters.information`. e (m,) and H (m, n) are whitened rows linearised at `z_at`.
     """
     n = prior.shape[0]
-    posterior[:] = prior
-    b = np.zeros(n)
-    step = z_prior - z_at
+    b, L, column = np.zeros(n), np.empty((n, n)), np.empty(n)
+    for p in range(n):
+        for q in range(n):
+            posterior[p, q] = prior[p, q]
     total = 0.0
     for r in range(e.shape[0]):
         innovation = e[r]
         for p in range(n):
-            innovation += H[r, p] * step[p]
+            innovation += H[r, p] * (z_prior[p] - z_at[p])
         total += innovation * innovation
         for p in range(n):
             b[p] += H[r, p] * innovation
@@ -77,7 +84,7 @@ def information_update(prior, z_prior, z_at, e, H, z, posterior, P):
     for p in range(n):
         for q in range(p):
             posterior[q, p] = posterior[p, q]
-    invert(posterior, P)
+    _invert(posterior, P, L, column)
     for p in range(n):
         move = 0.0
         for q in range(n):
@@ -87,7 +94,7 @@ def information_update(prior, z_prior, z_at, e, H, z, posterior, P):
     return total
 
 
-@_jit
+@loop("f2 f1 f1 f1", first=False, fastmath=FAST)
 def cost(prior, z_prior, z, e):
     """Cost of a frame at z: departure from its prior and whitened residuals e (m,), both squared.
 
@@ -102,7 +109,7 @@ def cost(prior, z_prior, z, e):
     return total
 
 
-@_jit
+@loop("f1 f2 f1 f1 f1", first=False, fastmath=FAST)
 def worst_departure(e, H, z_at, z, true):
     """Largest difference of true residuals (m,) at z from their linear prediction e + H (z - z_at).
 
@@ -117,7 +124,7 @@ def worst_departure(e, H, z_at, z, true):
     return worst
 
 
-@_jit
+@loop("f2 f3 f3 i2 i2 f1 f2", fastmath=FAST)
 def whiten(e, H, L, pivot, sizes, e_white, H_white):
     """Fill the whitened rows of a frame, L e' = e and L H' = H over the rows kept; returns their number.
 

@@ -15,8 +15,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
+
+from boresight.kernels.compilation import FAST, loop, part
 
 #: Why a detection has no match, in the order of `sky.matching.ROW_REASONS`.
 MATCHED, NO_STAR, AMBIGUOUS, TOO_WIDE, DISAGREES, NO_ATTITUDE, FEW_STARS = 0, 1, 2, 3, 4, 5, 6
@@ -40,10 +41,7 @@ _SIBLING_RADIUS = 0.03
 #: A first-order prediction errs by this share of the correction that it makes: 2 px where a ground calibration is 20 px off.
 _CURVATURE = 0.1
 
-_FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}
-_jit = numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-#: For the steps of one frame, which take tuples of many arrays: handing these to a function of its own costs a fifth of the whole.
-_step = numba.njit(nogil=True, fastmath=_FAST, error_model="numpy", inline="always")
+_part = part(fastmath=FAST)
 
 
 class Scratch(NamedTuple):
@@ -79,8 +77,7 @@ class Scratch(NamedTuple):
     agree: np.ndarray  # (associations, associations)
 
 
-@_jit
-def scratch(most, d, n_stars):
+def scratch(most: int, d: int, n_stars: int) -> Scratch:
     """Make the space for exposures of `most` detections at most, d unknowns and so many guide stars."""
     associations = _SEARCH_ASSOCIATIONS
     return Scratch(
@@ -94,14 +91,29 @@ def scratch(most, d, n_stars):
     )  # fmt: skip
 
 
-@_jit
+@_part
+def _copy(source, target):
+    """Copy (n,) numbers; to assign a slice takes a hundred times as long to compile, for it minds overlap and shapes."""
+    for i in range(source.shape[0]):
+        target[i] = source[i]
+
+
+@_part
+def _copy_square(source, target):
+    """Copy (n, n) numbers."""
+    for i in range(source.shape[0]):
+        for j in range(source.shape[0]):
+            target[i, j] = source[i, j]
+
+
+@_part
 def _angle(ax, ay, az, bx, by, bz):
     """Angle between unit vectors, exact at every separation."""
     cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     return math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), ax * bx + ay * by + az * bz)
 
 
-@_jit
+@_part
 def _rows(s, G, A, T):
     """Fill A (n, 2, 3 + p) and the tangent vectors T (n, 2, 3) of detections s (n, 3) with G (n, 3, p)."""
     p = G.shape[2]
@@ -121,7 +133,7 @@ def _rows(s, G, A, T):
                 A[i, row, 3 + q] = -(T[i, row, 0] * G[i, 0, q] + T[i, row, 1] * G[i, 1, q] + T[i, row, 2] * G[i, 2, q])
 
 
-@_jit
+@_part
 def _arcs_agree(s, G, sigma, i, j, c, k, q, gate, widest):
     """Whether the arc of detections i, j is that of the stars c[k], c[q], inside gate sigma of its variance and `widest` rad.
 
@@ -150,7 +162,7 @@ def _arcs_agree(s, G, sigma, i, j, c, k, q, gate, widest):
     return excess * excess <= gate * gate * variance
 
 
-@_jit
+@_part
 def _disagreements(s, G, sigma, c, use, gate, bad):
     """Count in `bad` (n,) with how many of the used others each used star's arc disagrees; c (n, 3) are the stars' directions."""
     n = s.shape[0]
@@ -164,7 +176,7 @@ def _disagreements(s, G, sigma, c, use, gate, bad):
                 bad[j] += 1
 
 
-@_jit
+@_part
 def _verify(s, G, sigma, c, use, named, gate, bad, work):
     """Drop stars whose arcs disagree with more than half of the others, the worst first; returns how many stay."""
     n = s.shape[0]
@@ -187,7 +199,7 @@ def _verify(s, G, sigma, c, use, named, gate, bad, work):
     return count
 
 
-@_jit
+@_part
 def _make_triad(ax, ay, az, bx, by, bz, F):
     """Fill F (3, 3) with an orthonormal triad whose first row is a and whose third is along a x b."""
     cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -199,7 +211,7 @@ def _make_triad(ax, ay, az, bx, by, bz, F):
     F[1, 2] = F[2, 0] * ay - F[2, 1] * ax
 
 
-@_jit
+@_part
 def _wahba(s, c, weight, use, C, work):
     """Fill C (3, 3) with the rotation that best turns directions c into s; False when the used stars do not fix it.
 
@@ -256,7 +268,7 @@ def _wahba(s, c, weight, use, C, work):
     return True
 
 
-@_jit
+@_part
 def _turn(C, px, py, pz):
     """Turn C by the rotation vector p, by its quaternion (p / 2, 1) made unit: right to third order, and always a rotation."""
     x, y, z = 0.5 * px, 0.5 * py, 0.5 * pz
@@ -269,7 +281,7 @@ def _turn(C, px, py, pz):
         C[2, b] = w + 2.0 * norm * (tz + x * ty - y * tx)
 
 
-@_jit
+@_part
 def _factor(Lambda, L, d):
     """Lower Cholesky factor of the leading (d, d) of Lambda, its diagonal kept inverted; False when not positive definite."""
     for j in range(d):
@@ -286,7 +298,7 @@ def _factor(Lambda, L, d):
     return True
 
 
-@_jit
+@_part
 def _forward(L, b, d, x):
     """Solve L x = b."""
     for i in range(d):
@@ -296,7 +308,7 @@ def _forward(L, b, d, x):
         x[i] = value * L[i, i]
 
 
-@_jit
+@_part
 def _backward(L, b, d, x):
     """Solve L^T x = b."""
     for i in range(d - 1, -1, -1):
@@ -306,13 +318,13 @@ def _backward(L, b, d, x):
         x[i] = value * L[i, i]
 
 
-@_jit
+@_part
 def _variance(sigma, r0, r1):
     """Variance of one axis of a residual: centroid noise, and the curvature that a correction of this size leaves out."""
     return sigma * sigma + _CURVATURE * _CURVATURE * (r0 * r0 + r1 * r1)
 
 
-@_jit
+@_part
 def _add(Lambda, eta, A, r0, r1, weight, d):
     """Take a detection into the information; a negative weight takes it out."""
     for i in range(d):
@@ -321,7 +333,7 @@ def _add(Lambda, eta, A, r0, r1, weight, d):
             Lambda[i, j] += weight * (A[0, i] * A[0, j] + A[1, i] * A[1, j])
 
 
-@_jit
+@_part
 def _marginal(Lambda, eta, d, L, M, m, work):
     """Information on w alone after the attitude is eliminated: M (p, p) and m (p,)."""
     p = d - 3
@@ -342,7 +354,7 @@ def _marginal(Lambda, eta, d, L, M, m, work):
             M[k, q] = value
 
 
-@_jit
+@_part
 def _residual(s, T, C, c, r):
     """Fill r (2,) with the residual of one detection against a star at ICRS direction c."""
     x = s[0] - (C[0, 0] * c[0] + C[0, 1] * c[1] + C[0, 2] * c[2])
@@ -352,7 +364,7 @@ def _residual(s, T, C, c, r):
     r[1] = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z
 
 
-@_jit
+@_part
 def _apparent(place, motion, parallax, j, years, earth, beta, c):
     """Apparent direction of guide star j: motion, parallax, aberration (`sky.apparent`)."""
     norm = 0.0
@@ -376,7 +388,20 @@ def _apparent(place, motion, parallax, j, years, earth, beta, c):
         c[a] *= norm
 
 
-@_jit
+@_part
+def _first_from(place, low):
+    """Return the first guide star whose z component is at least `low`."""
+    first, last = 0, place.shape[0]
+    while first < last:
+        middle = (first + last) // 2
+        if place[middle, 2] < low:
+            first = middle + 1
+        else:
+            last = middle
+    return first
+
+
+@_part
 def _candidates(axis, cone, place, motion, parallax, years, earth, beta, star, c):
     """Fill star (m,) and c (m, 3) with the guide stars inside a cone; guide stars ascend in declination. Returns m."""
     declination = math.asin(min(1.0, max(-1.0, axis[2])))
@@ -385,11 +410,11 @@ def _candidates(axis, cone, place, motion, parallax, years, earth, beta, star, c
         low = -1.0
     if declination + cone >= math.pi / 2:
         high = 1.0
-    first = np.searchsorted(place[:, 2], low)
-    last = np.searchsorted(place[:, 2], high, side="right")
     nearest = math.cos(cone)
     m = 0
-    for j in range(first, last):
+    for j in range(_first_from(place, low), place.shape[0]):
+        if place[j, 2] > high:
+            break
         if place[j, 0] * axis[0] + place[j, 1] * axis[1] + place[j, 2] * axis[2] > nearest and m < star.shape[0]:
             star[m] = j
             _apparent(place, motion, parallax, j, years, earth, beta, c[m])
@@ -397,7 +422,7 @@ def _candidates(axis, cone, place, motion, parallax, years, earth, beta, star, c
     return m
 
 
-@_jit
+@_part
 def _onto_given(m, star, c, hip, given, given_s, own, sigma, work):
     """Bring catalogue directions onto those the file gives: replace stars it names, move the others by the same affine map.
 
@@ -428,16 +453,16 @@ def _onto_given(m, star, c, hip, given, given_s, own, sigma, work):
             for k in range(m):
                 if twin[k] >= 0:
                     star[kept], twin[kept] = star[k], twin[k]
-                    c[kept] = c[k]
+                    _copy(c[k], c[kept])
                     kept += 1
             m = kept
     for k in range(m):
         if twin[k] >= 0:
-            c[k] = given_s[twin[k]]
+            _copy(given_s[twin[k]], c[k])
     return m
 
 
-@_jit
+@_part
 def _tangent_plane(m, c, twin, own, plane):
     """Fill plane (3, 3) with the mean of the directions that have a twin of the file's own, and with east and north of it."""
     axis, east, north = plane[0], plane[1], plane[2]
@@ -459,13 +484,13 @@ def _tangent_plane(m, c, twin, own, plane):
     north[2] = axis[0] * east[1] - axis[1] * east[0]
 
 
-@_jit
+@_part
 def _along(c, k, axis):
     """Component of direction k along an axis."""
     return c[k, 0] * axis[0] + c[k, 1] * axis[1] + c[k, 2] * axis[2]
 
 
-@_jit
+@_part
 def _affine(m, c, given_s, twin, own, sigma, work):
     """Move all c by the affine map of the tangent plane that brings twins onto given directions; False where it does not fit."""
     _tangent_plane(m, c, twin, own, work.plane)
@@ -508,7 +533,7 @@ def _affine(m, c, given_s, twin, own, sigma, work):
     return total / pairs < sigma * sigma
 
 
-@_jit
+@_part
 def _by_votes(votes, total, order):
     """Fill `order` with the first `total` associations, most votes first, equal ones as they come."""
     for a in range(total):
@@ -519,7 +544,7 @@ def _by_votes(votes, total, order):
         order[place] = a
 
 
-@_jit
+@_part
 def _search(s, G, sigma, C, radius, m, c, gate, use, chosen, work):
     """Find a first set of stars near a start attitude: associations vote for one another by their arcs (geometric voting).
 
@@ -585,7 +610,7 @@ def _search(s, G, sigma, C, radius, m, c, gate, use, chosen, work):
     return best
 
 
-@_jit
+@_part
 def _grow(s, T, A, sigma, C, m, c, turned, taken, density, gate, Lambda, eta, use, chosen, reason, L, y, work):
     """Take in detection after detection, the best predicted first; returns False when the information is not positive definite."""
     n, d = s.shape[0], A.shape[2]
@@ -666,7 +691,7 @@ def _grow(s, T, A, sigma, C, m, c, turned, taken, density, gate, Lambda, eta, us
             return True
 
 
-@_jit
+@_part
 def _prune(s, T, A, sigma, C, c, named, gate, Lambda, eta, use, reason, tolerance, L, y, work):
     """Drop stars that the joint fit of all the others rejects, the worst first; c (n, 3) are the stars' directions.
 
@@ -719,7 +744,7 @@ def _prune(s, T, A, sigma, C, c, named, gate, Lambda, eta, use, reason, toleranc
         reason[worst] = DISAGREES
 
 
-@_jit
+@_part
 def _attitude_covariance(A, sigma, use, covariance, work):
     """Covariance of Wahba's attitude, (3, 3) rad^2 about the axes of D: centroid noise, and parameters through the attitude."""
     p = A.shape[2] - 3
@@ -830,7 +855,6 @@ class Frame(NamedTuple):
     L: np.ndarray
     y: np.ndarray
     r: np.ndarray
-    axis: np.ndarray
     bad: np.ndarray  # (most,)
     chosen: np.ndarray
     star: np.ndarray  # (n_stars,): the candidates of an exposure, with `taken` and `c`
@@ -839,33 +863,34 @@ class Frame(NamedTuple):
     work: Scratch
 
 
-@_jit
-def _frame(frame_start, row_start, p, n_stars):
+def frame_space(frame_start: np.ndarray, row_start: np.ndarray, p: int, n_stars: int) -> Frame:
     """Make the space for any of these frames, with p parameters and so many guide stars."""
-    d, most, widest = 3 + p, 0, 0
-    for e in range(row_start.shape[0] - 1):
-        most = max(most, row_start[e + 1] - row_start[e])
-    for k in range(frame_start.shape[0] - 1):
-        widest = max(widest, frame_start[k + 1] - frame_start[k])
+    d, most, widest = 3 + p, np.diff(row_start).max(initial=0), np.diff(frame_start).max(initial=0)
     return Frame(
         np.empty((widest, most, 2, d)), np.empty((widest, most, 2, 3)),
         np.zeros((widest, most), np.bool_), np.zeros((widest, most), np.bool_), np.zeros(widest, np.bool_),
         np.zeros((widest, d, d)), np.zeros((widest, d)), np.zeros((widest, p, p)), np.zeros((widest, p)),
-        np.empty((d, d)), np.empty(d), np.zeros((d, d)), np.empty(d), np.empty(2), np.empty(3),
+        np.empty((d, d)), np.empty(d), np.zeros((d, d)), np.empty(d), np.empty(2),
         np.empty(most, np.int64), np.empty(most, np.int64),
         np.empty(n_stars, np.int64), np.empty(n_stars, np.bool_), np.empty((n_stars, 3)), scratch(most, d, n_stars),
     )  # fmt: skip
 
 
-@_jit
-def match_frames(frame_start, row_start, seen, observer, guides, hints, rules, answer):
+@loop(
+    "i1 i1", (Seen, "f2 f3 f1 f1 i1 f2 b1"), (Observer, "f1 f2 f2"), (Guides, "i1 f2 f2 f1 f"), (Hints, "f3 f1 i1"),
+    (Rules, "b b f f i"), (Answer, "i1 f2 i1 f1 i1 b1 f3 f3"),
+    (Frame, "f4 f4 b2 b2 b1 f3 f2 f3 f2 f2 f1 f2 f1 f1 i1 i1 i1 b1 f2", (
+        Scratch, "f1 f1 f1 f1 f1 f1 f1 f1 i1 b1 b1 b1 f3 f2 f2 f2 f1 f1 f2 f2 f2 i1 f2 i1 i1 i1 i1 b2",
+    )),
+    fastmath=FAST, _nrt=False,
+)  # fmt: skip
+def match_frames(frame_start, row_start, seen, observer, guides, hints, rules, answer, frame):
     """Match the detections of every frame; see `sky.matching.match` for what goes in and comes out.
 
     Frame k owns the exposures frame_start[k]:frame_start[k + 1], exposure e the rows row_start[e]:row_start[e + 1].
     Each frame starts from the same parameters and their covariance; what its stars say of the parameters' errors serves
     its own exposures only.
     """
-    frame = _frame(frame_start, row_start, seen.G.shape[2], guides.hip.shape[0])
     for k in range(frame_start.shape[0] - 1):
         e0, e1 = frame_start[k], frame_start[k + 1]
         for e in range(e0, e1):
@@ -893,7 +918,7 @@ def match_frames(frame_start, row_start, seen, observer, guides, hints, rules, a
                 _learn(e, q, i0, i1, seen, answer, frame)  # the other exposures learn from all stars of this one
 
 
-@_step
+@_part
 def _start_from_given(e, q, i0, i1, seen, rules, answer, frame):
     """Attitude of exposure e from its given matches, after they have voted out the wrong ones."""
     s, G, direction, use, named = seen.s[i0:i1], seen.G[i0:i1], answer.direction[i0:i1], frame.use[q], frame.named[q]
@@ -903,7 +928,7 @@ def _start_from_given(e, q, i0, i1, seen, rules, answer, frame):
     for i in range(n):
         use[i] = rules.believe and seen.given[i0 + i] > 0 and not math.isnan(seen.given_s[i0 + i, 0])
         named[i] = use[i]
-        direction[i] = seen.given_s[i0 + i]
+        _copy(seen.given_s[i0 + i], direction[i])
         answer.reason[i0 + i] = NO_ATTITUDE
         answer.star_id[i0 + i] = seen.given[i0 + i] if use[i] else 0
     _rows(s, G, frame.A[q], frame.T[q])
@@ -918,36 +943,37 @@ def _start_from_given(e, q, i0, i1, seen, rules, answer, frame):
         use[:n] = False
 
 
-@_step
+@_part
 def _start_from_hints(e, e0, e1, i0, i1, seen, observer, guides, hints, rules, answer, frame):
     """Attitude of exposure e from the frame's other exposure, else from its hint; what the given matches said stands otherwise."""
     q, use, attitude = e - e0, frame.use[e - e0], answer.attitude[e]
     fallback, fallback_use, fallback_attitude = frame.solved[q], frame.work.held_use, frame.work.attitude
-    fallback_use[:] = use
-    fallback_attitude[:] = attitude
+    _copy(use, fallback_use)
+    _copy_square(attitude, fallback_attitude)
     found = False
     for other in range(e0, e1):
         if other != e and frame.solved[other - e0] and answer.start[other] != NO_START:
-            attitude[:] = answer.attitude[other]
+            _copy_square(answer.attitude[other], attitude)
             found = True
     if found:
         found = _vote(
             e, q, i0, i1, _SIBLING_RADIUS, OTHER_EXPOSURE, _SIBLING_STARS, seen, observer, guides, rules, answer, frame
         )
     if not found and hints.start[e] != NO_START:
-        attitude[:] = hints.attitude[e]
+        _copy_square(hints.attitude[e], attitude)
         _vote(
             e, q, i0, i1, hints.radius[e], hints.start[e], _SEARCH_STARS, seen, observer, guides, rules, answer, frame
         )
     if fallback and not frame.solved[q]:
         frame.solved[q], answer.start[e] = True, GIVEN
-        use[:] = fallback_use
-        attitude[:] = fallback_attitude
+        _copy(fallback_use, use)
+        _copy_square(fallback_attitude, attitude)
         for i in range(i0, i1):
-            answer.star_id[i], answer.direction[i] = seen.given[i], seen.given_s[i]
+            answer.star_id[i] = seen.given[i]
+            _copy(seen.given_s[i], answer.direction[i])
 
 
-@_step
+@_part
 def _vote(e, q, i0, i1, radius, kind, wanted, seen, observer, guides, rules, answer, frame):
     """Find the first stars of exposure e by voting about where its attitude says, at least so many; whether that solved it."""
     s, sigma, use, attitude = seen.s[i0:i1], seen.sigma[i0:i1], frame.use[q], answer.attitude[e]
@@ -962,19 +988,18 @@ def _vote(e, q, i0, i1, radius, kind, wanted, seen, observer, guides, rules, ans
     for i in range(i1 - i0):
         if use[i]:
             answer.star_id[i0 + i] = guides.hip[frame.star[chosen[i]]]
-            answer.direction[i0 + i] = c[chosen[i]]
+            _copy(c[chosen[i]], answer.direction[i0 + i])
     frame.solved[q] = _wahba(s, answer.direction[i0:i1], seen.weight[i0:i1], use, attitude, frame.work)
     if frame.solved[q]:
         answer.start[e] = kind
     return frame.solved[q]
 
 
-@_step
+@_part
 def _near(e, i0, i1, cone, seen, observer, guides, rules, answer, frame):
     """List the guide stars within `cone` of the boresight of exposure e, with their directions; returns how many."""
-    frame.axis[:] = answer.attitude[e, 2]
     m = _candidates(
-        frame.axis, cone, guides.place, guides.motion, guides.parallax, observer.years[e], observer.earth[e],
+        answer.attitude[e, 2], cone, guides.place, guides.motion, guides.parallax, observer.years[e], observer.earth[e],
         observer.beta[e], frame.star, frame.c,
     )  # fmt: skip
     if rules.any_own:
@@ -985,7 +1010,7 @@ def _near(e, i0, i1, cone, seen, observer, guides, rules, answer, frame):
     return m
 
 
-@_step
+@_part
 def _learn(e, q, i0, i1, seen, answer, frame):
     """Take what the used stars of exposure e say of attitude and parameters, and of the parameters alone."""
     Lambda, eta, r = frame.Lambda[q], frame.eta[q], frame.r
@@ -1001,12 +1026,12 @@ def _learn(e, q, i0, i1, seen, answer, frame):
     _marginal(Lambda, eta, d, frame.L, frame.shared[q], frame.shared_eta[q], frame.work)
 
 
-@_step
+@_part
 def _know(q, n_exposures, frame):
     """Add up what is known when exposure q is matched: its own first stars, the start's parameters, and the other exposures."""
     total, total_eta = frame.total, frame.total_eta
-    total[:] = frame.Lambda[q]
-    total_eta[:] = frame.eta[q]
+    _copy_square(frame.Lambda[q], total)
+    _copy(frame.eta[q], total_eta)
     for a in range(total.shape[0] - 3):
         total[3 + a, 3 + a] += 1.0
         for other in range(n_exposures):
@@ -1016,7 +1041,7 @@ def _know(q, n_exposures, frame):
                     total[3 + a, 3 + b] += frame.shared[other, a, b]
 
 
-@_step
+@_part
 def _blank(e, i0, i1, answer):
     """Say that nothing of exposure e is matched."""
     answer.star_id[i0:i1] = 0
@@ -1025,7 +1050,7 @@ def _blank(e, i0, i1, answer):
     answer.covariance[e] = np.nan
 
 
-@_step
+@_part
 def _take(i0, n, m, wanted, unwanted, value, guides, answer, frame):
     """Mark the candidates that are the stars of the detections in one mask and not in another as taken, or not."""
     for i in range(n):
@@ -1035,7 +1060,7 @@ def _take(i0, n, m, wanted, unwanted, value, guides, answer, frame):
                     frame.taken[j] = value
 
 
-@_step
+@_part
 def _match_exposure(e, q, i0, i1, seen, observer, guides, rules, answer, frame):
     """Match exposure e: drop first stars that the others reject, take further ones, verify, and judge by what the file names."""
     n, work, use, named, before = i1 - i0, frame.work, frame.use[q], frame.named[q], frame.work.before
@@ -1051,7 +1076,7 @@ def _match_exposure(e, q, i0, i1, seen, observer, guides, rules, answer, frame):
         if use[i]:
             frame.chosen[i] = -1
     _take(i0, n, m, use, before, True, guides, answer, frame)
-    before[:] = use
+    _copy(use, before)
     _prune(
         s, T, A, sigma, attitude, direction, named, rules.gate, total, total_eta, use, reason, tolerance, L, y, work
     )  # fmt: skip
@@ -1063,7 +1088,7 @@ def _match_exposure(e, q, i0, i1, seen, observer, guides, rules, answer, frame):
     for i in range(n):
         if use[i] and not before[i]:
             star_id[i] = guides.hip[frame.star[frame.chosen[i]]]
-            direction[i] = frame.c[frame.chosen[i]]
+            _copy(frame.c[frame.chosen[i]], direction[i])
     ok = ok and _prune(
         s, T, A, sigma, attitude, direction, named, rules.gate, total, total_eta, use, reason, tolerance, L, y, work
     )  # fmt: skip
@@ -1081,7 +1106,7 @@ def _match_exposure(e, q, i0, i1, seen, observer, guides, rules, answer, frame):
     answer.valid[e] = _count(use, n) >= rules.minimum_stars
 
 
-@_step
+@_part
 def _contradicted(e, q, i0, i1, seen, answer, frame):
     """Whether neither what the file says nor what the detector shows agrees with an attitude from given matches."""
     n_named, n_kept = 0, 0
@@ -1091,7 +1116,7 @@ def _contradicted(e, q, i0, i1, seen, answer, frame):
     return answer.start[e] == GIVEN and 2 * n_kept < n_named and 2 * _count(frame.use[q], i1 - i0) < i1 - i0
 
 
-@_jit
+@_part
 def _count(use, n):
     """Number of used stars."""
     count = 0
@@ -1101,7 +1126,7 @@ def _count(use, n):
     return count
 
 
-@_jit
+@_part
 def _finish(
     s, G, A, sigma, weight, named, gate, fewest, use, star_id, direction, reason, attitude, covariance, bad, work
 ):  # fmt: skip

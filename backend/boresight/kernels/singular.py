@@ -1,7 +1,7 @@
 """Singular values of star combinations as compiled loops: their covariance, derivatives and whitened rows.
 
 `estimation.singular_values` derives all of it. Nothing larger than 3 by 3 is decomposed. With the prefix sums over stars of
-w w^T (six numbers) and of w dw^T + dw w^T (six by N_PARAMETERS), every window's sums are a difference of two, and
+w w^T (six numbers) and of w dw^T + dw w^T (six by n_parameters), every window's sums are a difference of two, and
 
     sigma_k = sqrt(lambda_k),       d sigma_k / dx = p_k^T d(W W^T)/dx p_k / (2 sigma_k)
 
@@ -13,20 +13,19 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-_N_PARAMETERS = 8
+from boresight.kernels.compilation import FAST, loop, part
+
 _SIX = 6
 #: Jacobi sweeps of a 3 by 3 matrix; convergence is quadratic and five are enough.
 _SWEEPS = 12
 _SMALL = 1e-34  # of the squared trace: off-diagonal squares below it are rounding
 
-# Reordering of sums and fused products are allowed; NaN and infinity keep their meaning.
-_jit = numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz", "afn"}, error_model="numpy")
+_part = part(fastmath=FAST)
 
 
-@_jit
+@_part
 def _rotate(A, P, p, q):
     """One Jacobi rotation that makes A[p, q] zero; A (3, 3) symmetric, eigenvectors gather in the columns of P."""
     if A[p, q] == 0.0:
@@ -49,7 +48,7 @@ def _rotate(A, P, p, q):
         P[i, q] = s * left + c * right
 
 
-@_jit
+@_part
 def _decompose(sums, A, P, value):
     """Singular values (3,), descending, and left vectors as columns of P, from w w^T summed as xx xy xz yy yz zz."""
     A[0, 0], A[1, 1], A[2, 2] = sums[0], sums[3], sums[5]
@@ -74,13 +73,13 @@ def _decompose(sums, A, P, value):
         value[k] = math.sqrt(max(A[k, k], 0.0)) if A[k, k] == A[k, k] else math.nan
 
 
-@_jit
+@_part
 def _combinations(n, model):
     """Return how many combinations n stars have under a model."""
     return n - 2 if model == 4 else n
 
 
-@_jit
+@_part
 def _window(n, model, c):
     """First star and number of stars of combination c."""
     if model == 4:
@@ -90,7 +89,7 @@ def _window(n, model, c):
     return c, max(3, n // 2) if model == 2 else n - 1
 
 
-@_jit
+@_part
 def _over_window(prefix, n, first, size, total):
     """Fill `total` with the sum over a window from prefix sums (n + 1, ...); it runs on past the last star to the first."""
     last = first + size
@@ -102,7 +101,7 @@ def _over_window(prefix, n, first, size, total):
             total[i] = prefix[n, i] - prefix[first, i] + prefix[last - n, i]
 
 
-@_jit
+@_part
 def _prefix(s, prefix):
     """Fill prefix sums (n + 1, 6) of w w^T."""
     prefix[0] = 0.0
@@ -114,20 +113,20 @@ def _prefix(s, prefix):
             prefix[i + 1, a] += prefix[i, a]
 
 
-@_jit
+@_part
 def _prefix_slopes(s, D, slopes):
-    """Fill prefix sums (n + 1, 6 N_PARAMETERS) of w dw^T + dw w^T."""
+    """Fill prefix sums (n + 1, 6 n_parameters) of w dw^T + dw w^T."""
     slopes[0] = 0.0
     for i in range(s.shape[0]):
         place = 0
         for a in range(3):
             for b in range(a, 3):
-                for p in range(_N_PARAMETERS):
+                for p in range(D.shape[2]):
                     slopes[i + 1, place] = slopes[i, place] + s[i, a] * D[i, b, p] + s[i, b] * D[i, a, p]
                     place += 1
 
 
-@_jit
+@_part
 def _rows_of_values(value, chosen, apart, place, row):
     """Fill the row (3,) that each value takes part in, -1 for none, from row `place` on; return the next free row."""
     k = 0
@@ -145,7 +144,7 @@ def _rows_of_values(value, chosen, apart, place, row):
     return place
 
 
-@_jit
+@_part
 def _spread(s, sigma, P, value, row, first, size, G):
     """Add h_ri = sigma_i (I - w w^T) g_ri of one combination to its rows of G (m, 3 n)."""
     n = s.shape[0]
@@ -162,7 +161,7 @@ def _spread(s, sigma, P, value, row, first, size, G):
             G[row[k], 3 * i + 2] += weight * (z - c * s[i, 2])
 
 
-@_jit
+@_part
 def _factor(G, ends, determined, L, pivot, full, variance, left):
     """Cholesky factor L (rank, rank) of G G^T over the rows that determine the others, in the order `pivot`; returns the rank.
 
@@ -203,7 +202,7 @@ def _factor(G, ends, determined, L, pivot, full, variance, left):
     return rank
 
 
-@_jit
+@loop("i1 f2 f1 i b1 f f i3 f2 f3 i2 i2", fastmath=FAST)
 def factor_values(star_start, s_i, sigma, model, chosen, apart, determined, rows, z, L, pivot, sizes):
     """Take the catalogue's values of one frame and factor their covariance. Called by `estimation.filters.singular`.
 
@@ -244,18 +243,18 @@ def factor_values(star_start, s_i, sigma, model, chosen, apart, determined, rows
         sizes[e, 1] = _factor(G[:m], ends, determined, L[e], pivot[e], full, variance, left)
 
 
-@_jit
+@loop("i1 f2 f3 i1 f1 i i3 f2 f2 f3", fastmath=FAST)
 def value_rows(star_start, s, D, free, scale, model, rows, z, e, H):
     """Fill e (n_exposures, 3 most), measured minus catalogue values, and H (n_exposures, 3 most, n_free), in units of `scale`.
 
-    Called by `estimation.filters.singular`; s (n_stars, 3) and D (n_stars, 3, N_PARAMETERS) are the measured directions of one
+    Called by `estimation.filters.singular`; s (n_stars, 3) and D (n_stars, 3, n_parameters) are the measured directions of one
     frame and their derivatives, `rows` and `z` those of `factor_values`.
     """
     most = rows.shape[1]
     prefix, sums = np.empty((most + 1, _SIX)), np.empty(_SIX)
-    slopes, slope = np.empty((most + 1, _SIX * _N_PARAMETERS)), np.empty(_SIX * _N_PARAMETERS)
+    slopes, slope = np.empty((most + 1, _SIX * D.shape[2])), np.empty(_SIX * D.shape[2])
     A, P, value = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    h = np.empty(_N_PARAMETERS)
+    h = np.empty(D.shape[2])
     for x in range(star_start.shape[0] - 1):
         s0, s1 = star_start[x], star_start[x + 1]
         n = s1 - s0
@@ -279,12 +278,12 @@ def value_rows(star_start, s, D, free, scale, model, rows, z, e, H):
                     H[x, r, p] += h[free[p]] * scale[p]
 
 
-@_jit
+@_part
 def _slope_of_value(slope, x, y, z, half_inverse, h):
-    """Fill h (N_PARAMETERS,) with p^T d(W W^T) p / (2 sigma), p = (x, y, z)."""
+    """Fill h (n_parameters,) with p^T d(W W^T) p / (2 sigma), p = (x, y, z)."""
     a, b, c = x * x * half_inverse, 2.0 * x * y * half_inverse, 2.0 * x * z * half_inverse
     d, f, g = y * y * half_inverse, 2.0 * y * z * half_inverse, z * z * half_inverse
-    n = _N_PARAMETERS
+    n = h.shape[0]
     for p in range(n):
         h[p] = (
             a * slope[p] + b * slope[n + p] + c * slope[2 * n + p]

@@ -58,6 +58,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
 from boresight.simulation.orbits import MOTIONS, Orbit, attitude, state, usable
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
@@ -425,8 +426,9 @@ def _candidates(scenario: Scenario, exposures: _Exposures, catalogue: Catalogue)
 
 def _resolved(scenario: Scenario, s_i: FloatArray, magnitude: FloatArray) -> NDArray[np.bool_]:
     """Tell (n,) which stars no brighter neighbour closer than `BLEND_PX` swallows."""
-    f_m = scenario.truth[CAMERA_MODELS[scenario.sensor.camera_model].parameter_names.index("f_m")]
-    pairs = KDTree(s_i).query_pairs(BLEND_PX * scenario.sensor.pixel_pitch_m / f_m, output_type="ndarray")
+    sensor = scenario.sensor
+    focal_px = CAMERA_MODELS[sensor.camera_model].focal_px(scenario.truth, sensor.pixel_pitch_m)
+    pairs = KDTree(s_i).query_pairs(BLEND_PX / focal_px, output_type="ndarray")
     fainter = np.where(magnitude[pairs[:, 0]] > magnitude[pairs[:, 1]], pairs[:, 0], pairs[:, 1])
     resolved = np.ones(len(s_i), dtype=np.bool_)
     resolved[fainter] = False
@@ -463,9 +465,9 @@ def _project(
 
 
 def _drifted(scenario: Scenario, temperature_c: float) -> FloatArray:
-    x = scenario.truth.copy()
-    f = CAMERA_MODELS[scenario.sensor.camera_model].parameter_names.index("f_m")
-    x[f] += scenario.focal_drift_m_per_c * (temperature_c - MEAN_TEMPERATURE_C)
+    x, camera, pitch = scenario.truth.copy(), CAMERA_MODELS[scenario.sensor.camera_model], scenario.sensor.pixel_pitch_m
+    drift_px = scenario.focal_drift_m_per_c * (temperature_c - MEAN_TEMPERATURE_C) / pitch
+    x[camera.place(Role.FOCAL)] += drift_px * camera.focal_unit(pitch)
     return x
 
 

@@ -304,9 +304,10 @@ class _Matcher:
             seen = loops.Seen(
                 part.s[r], part.G[r], sigma, 1.0 / (sigma * sigma), part.star_id[r], part.given_s[r], part.own[r]
             )
+            frame_start, row_start = part.frame_start[first : last + 1] - e0, part.row_start[e0 : e1 + 1] - r0
             loops.match_frames(
-                part.frame_start[first : last + 1] - e0,
-                part.row_start[e0 : e1 + 1] - r0,
+                frame_start,
+                row_start,
                 seen,
                 loops.Observer(years[x], earth_au[x], beta[x]),
                 guides,
@@ -315,6 +316,7 @@ class _Matcher:
                 loops.Answer(
                     star_id[r], direction[r], reason[r], tolerance[r], start[x], valid[x], C[x], covariance[x]
                 ),
+                loops.frame_space(frame_start, row_start, seen.G.shape[2], len(stars.hip)),
             )
 
         in_blocks(match_block, len(frames), FRAMES)

@@ -19,6 +19,8 @@ from boresight.telemetry.read.checks import Faults
 from boresight.telemetry.read.formats import read_json
 
 _REQUIRED = ("name", "detector", "camera_model", "parity", "centroid_sigma_px", "initial", "typical_sigma")
+#: Focal length as it is kept, and as a file may give it instead.
+FOCAL_M, FOCAL_PX = "f_m", "f_px"
 _OPTIONAL = ("free", "magnitude_limit")
 _LONGEST_NAME = 64
 _MOST_FIELDS = 100
@@ -119,16 +121,17 @@ def _parse(document: Mapping[str, Any], faults: Faults) -> Sensor:
     model = _camera_model(document["camera_model"], faults)
     faults.refuse()
     names = model.parameter_names
+    pitch = _number(detector.get("pixel_pitch_m"), "detector.pixel_pitch_m", _PITCH_M, faults)
     sensor = Sensor(
         name=_name(document["name"], faults),
         rows=_pixels(detector, "rows", faults),
         columns=_pixels(detector, "columns", faults),
-        pixel_pitch_m=_number(detector.get("pixel_pitch_m"), "detector.pixel_pitch_m", _PITCH_M, faults),
+        pixel_pitch_m=pitch,
         camera_model=model.name,
         parity=_parity(document["parity"], faults),
         centroid_sigma_px=_number(document["centroid_sigma_px"], "centroid_sigma_px", _SIGMA_PX, faults),
-        initial=_parameters(document, "initial", model, model.plausible, faults),
-        typical_sigma=_parameters(document, "typical_sigma", model, _spreads(model), faults),
+        initial=_parameters(document, "initial", model, model.plausible, pitch, faults),
+        typical_sigma=_parameters(document, "typical_sigma", model, _spreads(model), pitch, faults),
         free=_free(document.get("free"), names, faults),
         magnitude_limit=_magnitude_limit(document.get("magnitude_limit"), faults),
     )
@@ -220,15 +223,25 @@ def _parameters(
     key: str,
     model: CameraModel,
     limits: tuple[tuple[float, float], ...],
+    pitch: float,
     faults: Faults,
 ) -> FloatArray:
     """Return (n_parameters,) values in the model's order, all of them given and none unknown."""
-    values = _mapping(document, key, faults)
+    values = in_metres(_mapping(document, key, faults), model.parameter_names, pitch)
     for name in values:
         if name not in model.parameter_names:
             faults.add(f"{key}.{name} is no parameter of {model.name}: it has {', '.join(model.parameter_names)}")
     pairs = zip(model.parameter_names, limits, strict=True)
     return np.array([_number(values.get(name), f"{key}.{name}", limit, faults) for name, limit in pairs])
+
+
+def in_metres(values: Mapping[str, Any], names: tuple[str, ...], pitch: float) -> Mapping[str, Any]:
+    """Return values by name with the focal length in metres, where a file gives it in pixels, as OpenCV does."""
+    if FOCAL_PX not in values or FOCAL_M in values or FOCAL_M not in names:
+        return values
+    focal = values[FOCAL_PX]
+    is_number = isinstance(focal, int | float) and not isinstance(focal, bool)
+    return {FOCAL_M: focal * pitch if is_number else focal} | {k: v for k, v in values.items() if k != FOCAL_PX}
 
 
 def _free(value: Any, names: tuple[str, ...], faults: Faults) -> tuple[str, ...]:
@@ -238,6 +251,8 @@ def _free(value: Any, names: tuple[str, ...], faults: Faults) -> tuple[str, ...]
     if not isinstance(value, list | tuple) or not value:
         faults.add(f"free is {_shown(value)}: list the parameters to estimate, or leave it out for all")
         return ()
+    if FOCAL_M in names:
+        value = [FOCAL_M if name == FOCAL_PX else name for name in value]
     for name in value:
         if name not in names:
             faults.add(f"free names {_shown(name)}: choose from {', '.join(names)}")

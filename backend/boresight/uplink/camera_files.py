@@ -7,13 +7,10 @@ the tangents on the way from the sky to the detector::
     x'' = x' (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x' y' + p2 (r^2 + 2 x'^2)        u = f_x x'' + c_x
     y'' = y' (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y'^2) + 2 p2 x' y'        v = f_y y'' + c_y
 
-`pinhole_radial` is that with k3 = p1 = p2 = 0, f_x = f / pitch, f_y = f / (s pitch), c_x = u0, c_y = v0, without a change of k1 and
-k2. It needs parity -1: with +1, OpenCV's axes are a left-handed triad of the sky, and a rotation cannot turn one into the other.
-
-`inverted_wang` goes the other way, a polynomial of the detector's radius, and tilts the detector as well: its inverse is no
-polynomial, so no coefficients of OpenCV's model are its own. A fit would be another camera.
-
-The camera models in words and formulas, for whoever reads the numbers without this program.
+or, for wide fields, the angle off the boresight in place of the tangent. Each camera's own file says whether it is one of these
+(`CameraModel.opencv`). It needs parity -1: with +1, OpenCV's axes are a left-handed triad of the sky, which no rotation is. A
+camera that runs from the detector to the sky has no polynomial for its inverse: no coefficients of OpenCV's are its own, and a fit
+would be another camera.
 
 A set of numbers is no camera: the same eight values mean another direction under another order of operations, pixel origin or
 sense of the distortion. So every `parameters.json` says how a pixel becomes a direction.
@@ -25,6 +22,10 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import OpenCV
 from boresight.telemetry.sensors import Sensor
 
 NAMES = ("camera_opencv.yaml", "camera_info.yaml")
@@ -32,13 +33,11 @@ NAMES = ("camera_opencv.yaml", "camera_info.yaml")
 
 def why_not(sensor: Sensor) -> str | None:
     """Say why the sensor's camera is none of OpenCV's; None when it is one exactly."""
-    if sensor.camera_model == "inverted_wang":
+    if CAMERA_MODELS[sensor.camera_model].opencv is None:
         return (
-            "inverted_wang distorts from the detector to the sky and tilts the detector; OpenCV and ROS distort from the "
-            "sky to the detector. No coefficients of theirs make this camera, and an approximation is another camera."
+            f"{sensor.camera_model} distorts from the detector to the sky; OpenCV and ROS distort from the sky to the detector. "
+            "No coefficients of theirs make this camera, and an approximation is another camera."
         )
-    if sensor.camera_model != "pinhole_radial":
-        return f"No exact camera of OpenCV or ROS is known for {sensor.camera_model}."
     if sensor.parity != -1:
         return (
             "The sensor has parity +1: with X along columns, Y along rows and Z along the boresight, OpenCV's and ROS's frame "
@@ -52,19 +51,18 @@ def camera_files(sensor: Sensor, parameters: Mapping[str, float], title: str) ->
 
     `parameters`: Number of each parameter of the camera model, SI.
     """
-    reason = why_not(sensor)
-    if reason is not None:
+    reason, camera = why_not(sensor), CAMERA_MODELS[sensor.camera_model]
+    if reason is not None or camera.opencv is None:
         return {"camera_files.txt": f"Refused: no camera file for OpenCV or ROS.\n{reason}\n".encode()}
-    f_x = parameters["f_m"] / sensor.pixel_pitch_m
-    f_y = parameters["f_m"] / (parameters["s"] * sensor.pixel_pitch_m)
-    K = (f_x, 0.0, parameters["u0_px"], 0.0, f_y, parameters["v0_px"], 0.0, 0.0, 1.0)
-    distortion = (parameters["k1"], parameters["k2"], 0.0, 0.0, 0.0)
+    seen = camera.opencv(parameters, sensor.pixel_pitch_m)
+    row, column = camera.principal_point(np.array([parameters[name] for name in camera.parameter_names]))
+    K = (seen.f_x, 0.0, column, 0.0, seen.f_y, row, 0.0, 0.0, 1.0)
     said = (
-        f"{NAMES[0]} and {NAMES[1]} are the camera of {title} exactly: k3 = p1 = p2 = 0, pixel centres at whole numbers from 0.\n"
+        f"{NAMES[0]} and {NAMES[1]} are the camera of {title} exactly, pixel centres at whole numbers from 0.\n"
         "X of their frame is y of the detector frame D (columns), Y is x (rows), Z is z (boresight).\n"
         "They are for analysis; parameters.json is normative.\n"
     )
-    files = (_opencv(sensor, K, distortion), _ros(sensor, K, distortion, title))
+    files = (_opencv(sensor, K, seen.coefficients), _ros(sensor, K, seen, title))
     return dict(zip(NAMES, files, strict=True)) | {"camera_files.txt": said.encode()}
 
 
@@ -77,18 +75,18 @@ def _opencv(sensor: Sensor, K: Sequence[float], distortion: Sequence[float]) -> 
     return ("\n".join(lines) + "\n").encode()
 
 
-def _ros(sensor: Sensor, K: Sequence[float], distortion: Sequence[float], title: str) -> bytes:
+def _ros(sensor: Sensor, K: Sequence[float], seen: OpenCV, title: str) -> bytes:
     lines = [
         f"image_width: {sensor.columns}",
         f"image_height: {sensor.rows}",
         f"camera_name: {re.sub(r'[^A-Za-z0-9_]', '_', title)}",
-        "distortion_model: plumb_bob",
+        f"distortion_model: {seen.distortion_model}",
     ]
     P = (*K[:3], 0.0, *K[3:6], 0.0, *K[6:], 0.0)
     identity = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     matrices = (
         ("camera_matrix", 3, K),
-        ("distortion_coefficients", 1, distortion),
+        ("distortion_coefficients", 1, seen.coefficients),
         ("rectification_matrix", 3, identity),
         ("projection_matrix", 3, P),
     )
@@ -106,37 +104,6 @@ def _number(value: float) -> str:
     """Write a number as YAML 1.1 reads a float: an exponent needs a point before it and a sign."""
     text = repr(float(value))
     return text if "e" not in text or "." in text else text.replace("e", ".0e")
-
-
-EQUATIONS: dict[str, dict[str, Any]] = {
-    "inverted_wang": {
-        "runs": "from a detector position to a direction, without iteration",
-        "source": "Enright, Jovanovic, Vaz 2018, doi:10.1109/JSEN.2018.2857621, Eqs 1-7",
-        "steps": [
-            "u = pitch (row - m0)",
-            "v = g_y pitch (column - n0)",
-            "U = u f / (a1 v + a2 u + f)",
-            "V = v f / (a1 v + a2 u + f)",
-            "rho^2 = U^2 + V^2",
-            "B = 1 + b2 rho^2 + b4 rho^4",
-            "s = (B U, B V, f) / |(B U, B V, f)|",
-        ],
-        "inverse": "solve rho (1 + b2 rho^2 + b4 rho^4) = f |(s_x, s_y)| / s_z on the branch through zero, then u and v linearly",
-    },
-    "pinhole_radial": {
-        "runs": "from a direction to a detector position; its inverse needs an iteration",
-        "source": "Wu et al. 2019, Sensors 19, Eqs 1-8, with the distortion radial about the principal point (Eq 6 corrected)",
-        "steps": [
-            "t_x = s_x / s_z",
-            "t_y = s_y / s_z",
-            "r^2 = t_x^2 + t_y^2",
-            "B = 1 + k1 r^2 + k2 r^4",
-            "row = v0 + t_x B f / (s pitch)",
-            "column = u0 + t_y B f / pitch",
-        ],
-        "inverse": "solve r (1 + k1 r^2 + k2 r^4) = R on the branch through zero, R = pitch |(s (row - v0), column - u0)| / f",
-    },
-}
 
 
 def conventions(sensor: Sensor) -> dict[str, Any]:

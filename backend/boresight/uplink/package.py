@@ -4,6 +4,7 @@
 
     MANIFEST.json  SHA256SUMS  table_definition.json
     parameter_set.json  parameters.json  parameters.csv  c_sd.json  camera_files.txt ...  verification_sheet.html
+    correction_table.json  correction_table.csv  where the camera model leaves a displacement
     table.bin  table.hex.txt  table.tbl  table_def.txt  table_report.csv  pus_st20.csv  quantisation.json
     backout/    the same files of the set to go back to
     on_board/   the same files of the set that is recorded as active, where it is neither of the two
@@ -33,6 +34,7 @@ from boresight.resources import folder
 from boresight.telemetry.sensors import Sensor, parse_sensor
 from boresight.uplink.archive import archive, canonical_bytes, json_bytes, sums
 from boresight.uplink.camera_files import camera_files, why_not
+from boresight.uplink.correction_table import correction_files, describe_correction
 from boresight.uplink.parameter_files import alignment_json, changes, parameters_csv, parameters_json
 from boresight.uplink.table_definition import TableDefinition, parse_definition, quantisation_effect, quantised
 from boresight.uplink.table_files import held_by, table_facts, table_files
@@ -107,6 +109,7 @@ def _files(
             subject, before, definition, tables.facts, tables.rounding, said=said
         ),
         **camera_files(sensor, parameters, subject["name"]),
+        **correction_files(subject),
         **tables.files,
     }
 
@@ -187,6 +190,7 @@ def _manifest(inputs: Inputs, sensor: Sensor, tables: Mapping[str, _Tables]) -> 
         },
         "on_board": None if inputs["active"] is None else {key: inputs["active"][key] for key in ("name", "sha256")},
         "camera_files": {"exact": reason is None, "reason": reason},
+        **describe_correction(subject),
         "software": inputs["software"],
         "inputs": inputs,
         "checks": "sha256sum -c SHA256SUMS; sha256sum parameter_set.json is the hash of the parameter set",

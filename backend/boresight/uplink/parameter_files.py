@@ -11,7 +11,7 @@ import numpy as np
 from boresight.cameras import CAMERA_MODELS
 from boresight.telemetry.sensors import Sensor
 from boresight.uplink.archive import csv_bytes, json_bytes
-from boresight.uplink.camera_files import EQUATIONS, conventions
+from boresight.uplink.camera_files import conventions
 from boresight.uplink.table_definition import DecodedField
 
 SCHEMA = "boresight.uplink-parameters/1"
@@ -75,7 +75,7 @@ def parameters_json(sensor: Sensor, subject: Set, held: Mapping[str, DecodedFiel
                 "pixel_pitch_m": sensor.pixel_pitch_m,
             },
             "camera_model": model.name,
-            "equation": EQUATIONS[model.name],
+            "equation": model.equations._asdict(),
             "conventions": conventions(sensor),
             "parameters": [
                 {

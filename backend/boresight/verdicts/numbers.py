@@ -8,6 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import Parameter
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -32,20 +35,15 @@ class Quantity:
         return f"<i>{letter}</i><sub>{index}</sub>" if index else f"<i>{letter}</i>"
 
 
+def _quantity_of(parameter: Parameter) -> Quantity:
+    own = ("" if parameter.unit == "1" else parameter.unit, 1.0)
+    return Quantity(parameter.symbol, *(parameter.shown or own), *(parameter.change or own))
+
+
 QUANTITIES = {
-    "f_m": Quantity("f", "mm", 1e3, "µm", 1e6),
-    "m0_px": Quantity("m0", "px", 1.0, "px", 1.0),
-    "n0_px": Quantity("n0", "px", 1.0, "px", 1.0),
-    "u0_px": Quantity("u0", "px", 1.0, "px", 1.0),
-    "v0_px": Quantity("v0", "px", 1.0, "px", 1.0),
-    "b4_per_m4": Quantity("b4", "m⁻⁴", 1.0, "m⁻⁴", 1.0),
-    "b2_per_m2": Quantity("b2", "m⁻²", 1.0, "m⁻²", 1.0),
-    "a1_rad": Quantity("a1", "mrad", 1e3, "mrad", 1e3),
-    "a2_rad": Quantity("a2", "mrad", 1e3, "mrad", 1e3),
-    "g_y": Quantity("g_y", "", 1.0, "ppm", 1e6),
-    "k1": Quantity("k1", "", 1.0, "", 1.0),
-    "k2": Quantity("k2", "", 1.0, "", 1.0),
-    "s": Quantity("s", "", 1.0, "ppm", 1e6),
+    name: _quantity_of(one)
+    for camera in CAMERA_MODELS.values()
+    for name, one in zip(camera.parameter_names, camera.parameters, strict=True)
 }
 
 

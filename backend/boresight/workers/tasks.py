@@ -17,7 +17,7 @@ import signal
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
@@ -31,12 +31,14 @@ import orjson
 from distributed.diagnostics.plugin import WorkerPlugin
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.options import METHODS, CalibrationSettings
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.telemetry_pieces import StoredTable
 from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.console.runs.queries import ClaimedRun, Line, RunEnd
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, CancelledError, CorruptFileError
+from boresight.kernels.workshop import make_all
 from boresight.platform.blobs.locations import BlobLocation
 from boresight.platform.blobs.opening import open_blobs
 from boresight.platform.blobs.store import BlobStore
@@ -79,13 +81,12 @@ class WarmUp(WorkerPlugin):  # type: ignore[misc]  # distributed ships no types
             log.exception("This worker could not be warmed; its first run will take longer")
 
 
-def warm(catalogue_folder: Path) -> None:
-    """Calibrate a few made-up stars with every kind of estimator."""
+def warm(catalogue_folder: Path, cameras: Sequence[str] = (INVERTED_WANG.name,)) -> None:
+    """Compile what is not, for these cameras and every kind of estimator, and calibrate a few made-up stars, which loads it."""
+    make_all([CAMERA_MODELS[name].state for name in cameras])
     catalogue = load_catalogue(catalogue_folder)
     sensor = st16_sensor(1)
-    choices = [CalibrationSettings(method=method) for method in METHODS]
-    for settings in (*choices, CalibrationSettings(robust="huber")):
-        calibrate(_few_stars(sensor), sensor, catalogue, settings)
+    calibrate(_few_stars(sensor), sensor, catalogue, CalibrationSettings())
 
 
 def _few_stars(sensor: Sensor) -> Telemetry:

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import service as sensors
@@ -128,7 +129,9 @@ def test_values_are_the_sensor_files_where_there_is_no_baseline(site):
 
 
 def test_the_field_of_view_follows_from_f_and_the_detector():
-    optics = compute_optics({"rows": 1000, "columns": 2000, "pixel_pitch_m": 1e-5}, {"f_m": 0.01})
+    camera, detector = CAMERA_MODELS["pinhole_radial"], {"rows": 1000, "columns": 2000, "pixel_pitch_m": 1e-5}
+    x = dict(zip(camera.parameter_names, camera.plain(1000.0, 499.5, 999.5, 1e-5).tolist(), strict=True))
+    optics = compute_optics(camera, detector, x)
     assert optics.columns_deg == pytest.approx(2 * math.degrees(math.atan(1.0)))
     assert optics.pixel_urad == pytest.approx(1000.0)
     assert (optics.principal_row_px, optics.principal_col_px) == (499.5, 999.5)

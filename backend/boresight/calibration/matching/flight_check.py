@@ -108,8 +108,8 @@ def compute_flight_tolerance(sensor: Sensor, settings: CalibrationSettings) -> f
     """Largest disagreement of an arc that the flight code accepts, rad: as set, or `ARC_SIGMAS` sigmas of an arc."""
     if settings.flight_tolerance_urad is not None:
         return settings.flight_tolerance_urad * 1e-6
-    f_m = sensor.initial[CAMERA_MODELS[sensor.camera_model].parameter_names.index("f_m")]
-    return float(ARC_SIGMAS * np.sqrt(2.0) * sensor.centroid_sigma_px * sensor.pixel_pitch_m / f_m)
+    focal_px = CAMERA_MODELS[sensor.camera_model].focal_px(sensor.initial, sensor.pixel_pitch_m)
+    return float(ARC_SIGMAS * np.sqrt(2.0) * sensor.centroid_sigma_px / focal_px)
 
 
 def check_flight(

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight import kernels
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
@@ -73,8 +72,7 @@ def measured_directions(
         part = slice(begin, min(begin + CHUNK_ROWS, n))
         whole = slice(rows.start + part.start, rows.start + part.stop)
         row, col = telemetry.row_px[whole], telemetry.col_px[whole]
-        directions, jacobian = np.empty((len(row), 3)), np.empty((len(row), 3, len(x)))
-        kernels.rays_and_jacobians(camera.kernel, x, pitch, row, col, directions, jacobian)
+        directions, jacobian = camera.directions_and_jacobian(x, row, col, pitch)
         s[part] = triad(directions, sensor.parity)
         G[part] = (jacobian.reshape(-1, len(x)) @ root).reshape(*jacobian.shape[:2], root.shape[1]) * sign
         sigma[part] *= np.sqrt(camera.solid_angle(x, row, col, pitch))

@@ -14,6 +14,7 @@
 `distribution`     their histogram and quantiles against the normal curve, and outliers
 `stars`            every star over its sightings, suspects named
 `against`          the residual against radius, magnitude, temperature and time
+`residual_spline`  what the camera model leaves over the detector, as a spline with its sigma, and which camera has it
 =================  ====================================================================================================
 
 A part that cannot be had is null, and `unavailable` says why in a sentence. Large sets are thinned where a part needs more than
@@ -37,6 +38,7 @@ from boresight.calibration.trust.field import residual_against, residual_distrib
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, fit_best
 from boresight.calibration.trust.innovations import nis_over_time, whiteness, worst_frames
 from boresight.calibration.trust.refits import drop_one, drop_one_sentence, two_halves
+from boresight.calibration.trust.residual_spline import find_residual_spline
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals, residuals
 from boresight.calibration.trust.stars import star_table, stars, stars_sentence
 from boresight.sky.catalogue import Catalogue
@@ -63,6 +65,7 @@ OF_THE_RESIDUALS: dict[str, Callable[[FittedSet, StarResiduals], Any]] = {
     "residual_field": residual_field,
     "residual_distribution": residual_distribution,
     "residual_outliers": residual_outliers,
+    "residual_spline": lambda fitted, _: find_residual_spline(fitted).document(),
 }
 OF_THE_STARS = (*OF_THE_RESIDUALS, "stars", "residual_against")
 SINGULAR = "The numbers of this fit are too close to singular: free fewer parameters."

@@ -42,7 +42,9 @@ def _of_the_estimate(trust: Mapping[str, Any]) -> Iterator[str]:
 
 def _of_the_model(trust: Mapping[str, Any]) -> Iterator[str]:
     """A model that does not fit; drift and stars can only be judged under one that does."""
-    against = trust["residual_against"] or {}
+    against, spline = trust["residual_against"] or {}, trust["residual_spline"]
+    if spline is not None and spline["structure"]:
+        yield spline["sentence"]
     if any(_uneven(against, ("radius",))):
         yield from _uneven(against, ("radius",))
         yield MISFIT

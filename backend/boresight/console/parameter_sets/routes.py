@@ -87,9 +87,15 @@ def convert_parameter_set(
         float | None,
         Query(ge=0, allow_inf_nan=False, description="Largest misfit; 1 % of centroid_sigma_px when left out."),
     ] = None,
+    *,
+    residual: Annotated[
+        bool, Query(description="Follow the residual spline of its calibration too, where that is beyond the noise.")
+    ] = False,
 ) -> Response:
     """Write this set in another camera model: values, covariance and misfit, or the reason why it cannot be. Nothing is kept."""
-    return json_response(conversions.convert_parameter_set(session, parameter_set_id, to, allow_px))
+    return json_response(
+        conversions.convert_parameter_set(session, parameter_set_id, to, allow_px, with_residual=residual)
+    )
 
 
 @router.post(

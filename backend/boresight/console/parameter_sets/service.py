@@ -93,8 +93,15 @@ def create_from_run(session: Session, actor: Actor, blobs: BlobStore, run_id: in
     _refuse_unusable(run_id, result)
     sensor = session.get_one(Sensor, run.sensor_id)
     document = {key: result.get(key) for key in (*MEANING, *EVIDENCE)}
+    document |= _read_residual_spline(result)
     document |= {"sensor": sensor.name, "run_id": run.id, "result_sha256": run.result_sha256}
     return _add(session, actor, sensor, document, ground_state="CANDIDATE", run_id=run.id)
+
+
+def _read_residual_spline(result: Mapping[str, Any]) -> dict[str, Any]:
+    """Keep what the camera model leaves where noise does not explain it: it belongs to these parameters, and goes with them."""
+    spline = (result.get("trust") or {}).get("residual_spline")
+    return {"residual_spline": spline} if spline and spline["structure"] else {}
 
 
 def _get_succeeded_run(session: Session, run_id: int) -> Run:
@@ -150,12 +157,17 @@ def _add(
 
 
 def convert_parameter_set(
-    session: Session, parameter_set_id: int, target: str, allowed_px: float | None = None
+    session: Session,
+    parameter_set_id: int,
+    target: str,
+    allowed_px: float | None = None,
+    *,
+    with_residual: bool = False,
 ) -> dict[str, Any]:
     """Write a set in another camera model; parameters and document as in `calibration.conversion.converted`."""
     row = session.get_known(ParameterSet, parameter_set_id)
     sensor = parse_sensor(session.get_known(Sensor, row.sensor_id).document)
-    return converted(row.document, sensor, row.name, target, allowed_px)
+    return converted(row.document, sensor, row.name, target, allowed_px, with_residual=with_residual)
 
 
 def get_incumbent_parameters(session: Session, run: Run) -> dict[str, float | None]:

@@ -69,7 +69,7 @@ def _rows(
     """Whitened residual (n_arcs,), scaled Jacobian (n_arcs, n_free) and unweighted sum of squares of one frame."""
     e, H = np.empty(frame.n_arcs), np.empty((frame.n_arcs, len(free)))
     total = kernels.whitened_rows(
-        frame.model,
+        frame.camera.kind,
         x,
         frame.pitch,
         frame.star_start,

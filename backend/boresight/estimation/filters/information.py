@@ -58,23 +58,20 @@ class Frame:
     def __init__(self, arcs: ArcSet, k: int, sigma_rad: FloatArray) -> None:
         e0, e1 = arcs.frame_start[k], arcs.frame_start[k + 1]
         s0, s1 = arcs.star_start[e0], arcs.star_start[e1]
-        self._model, self._pitch = arcs.model, arcs.pitch
+        self._camera, self._pitch = arcs.camera, arcs.pitch
         self.star_start = arcs.star_start[e0 : e1 + 1] - s0
         self.row_px, self.col_px = arcs.row_px[s0:s1], arcs.col_px[s0:s1]
         self.s_i, self.sigma_rad = arcs.s_i[s0:s1], sigma_rad[s0:s1]
         self.phi = arcs.phi[2 * s0 - 3 * e0 : 2 * s1 - 3 * e1]
 
     def directions(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Measured directions (n_stars, 3) and ds/dx (n_stars, 3, N_PARAMETERS)."""
-        n = len(self.row_px)
-        s, D = np.empty((n, 3)), np.empty((n, 3, kernels.N_PARAMETERS))
-        kernels.rays_and_jacobians(self._model, x, self._pitch, self.row_px, self.col_px, s, D)
-        return s, D
+        """Measured directions (n_stars, 3) and ds/dx (n_stars, 3, n_parameters)."""
+        return self._camera.directions_and_jacobian(x, self.row_px, self.col_px, self._pitch)
 
     def sum_of_squares(self, x: FloatArray) -> float:
         """Unweighted sum of squared arc errors, rad^2: what every method is judged by."""
         e = np.empty(len(self.phi))
-        kernels.residuals(self._model, x, self._pitch, self.star_start, self.row_px, self.col_px, self.phi, e)
+        kernels.residuals(self._camera.kind, x, self._pitch, self.star_start, self.row_px, self.col_px, self.phi, e)
         return float(e @ e)
 
 
@@ -83,9 +80,7 @@ def information_filter(
 ) -> FilterHistory:
     """Run the filter over a set; the other parameters and the result as in `square_root_filter`."""
     n, n_free = arcs.n_frames, len(free)
-    omega = np.empty(arcs.n_stars)
-    kernels.solid_angles(arcs.model, state.x, arcs.pitch, arcs.row_px, arcs.col_px, omega)
-    sigma_rad = arcs.sigma_px * np.sqrt(omega)
+    sigma_rad = arcs.sigma_px * np.sqrt(arcs.camera.solid_angle(state.x, arcs.row_px, arcs.col_px, arcs.pitch))
     x, z, P = state.x.copy(), state.z, state.P
     x_start = x[free] - scale * z
     states, sigmas = np.empty((n, len(x))), np.empty((n, n_free))

@@ -52,12 +52,13 @@ def square_root_filter(
         Linearisations, process noise and forgetting.
     """
     n, n_free = arcs.n_frames, len(free)
-    x, z, S, q = state.x.copy(), padded(state.z), padded(state.S), padded(np.full(n_free, tuning.process_noise))
+    x, q = state.x.copy(), np.full(n_free, tuning.process_noise)
+    z, S, q = (padded(values, len(x)) for values in (state.z, state.S, q))
     states, sigmas = np.empty((n, len(x))), np.empty((n, n_free))
     nis, dof, squares, passes = np.empty(n), np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64)
     done = kernels.square_root_filter(
-        x, z, S, q, tuning.widening, arcs.model, arcs.pitch, arcs.frame_start, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi,
-        arcs.band, free, scale, tuning.linearisations, tuning.rest, states, sigmas, nis, dof, squares, passes,
+        x, z, S, q, tuning.widening, arcs.camera.kind, arcs.pitch, arcs.frame_start, arcs.star_start, arcs.row_px, arcs.col_px,
+        arcs.phi, arcs.band, free, scale, tuning.linearisations, tuning.rest, states, sigmas, nis, dof, squares, passes,
     )  # fmt: skip
     return FilterHistory(
         states[:done], sigmas[:done], nis[:done], dof[:done], squares[:done], passes[:done],
@@ -65,8 +66,8 @@ def square_root_filter(
     )  # fmt: skip
 
 
-def padded(values: FloatArray) -> FloatArray:
-    """Copy into the kernel's fixed size with zeros beyond, columns contiguous: Carlson's update walks down them."""
-    filled = np.zeros((kernels.N_PARAMETERS,) * values.ndim, order="F")
+def padded(values: FloatArray, size: int) -> FloatArray:
+    """Copy into as many as the camera has parameters, with zeros beyond, columns contiguous: Carlson's update walks down them."""
+    filled = np.zeros((size,) * values.ndim, order="F")
     filled[tuple(slice(0, n) for n in values.shape)] = values
     return filled

@@ -58,12 +58,13 @@ def unscented_filter(
 ) -> FilterHistory:
     """Run the filter over a set; parameters and result as in `square_root_filter`, one linearisation being one regression."""
     n, n_free = arcs.n_frames, len(free)
-    x, z, S, q = state.x.copy(), padded(state.z), padded(state.S), padded(np.full(n_free, tuning.process_noise))
+    x, q = state.x.copy(), np.full(n_free, tuning.process_noise)
+    z, S, q = (padded(values, len(x)) for values in (state.z, state.S, q))
     states, sigmas = np.empty((n, len(x))), np.empty((n, n_free))
     nis, dof, squares, passes = np.empty(n), np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64)
     done = kernels.unscented_filter(
-        x, z, S, q, tuning.widening, arcs.model, arcs.pitch, arcs.frame_start, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi,
-        arcs.band, free, scale, tuning.linearisations, REST_SIGMA, SHRUNK, STRAIGHT,
+        x, z, S, q, tuning.widening, arcs.camera.kind, arcs.pitch, arcs.frame_start, arcs.star_start, arcs.row_px, arcs.col_px,
+        arcs.phi, arcs.band, free, scale, tuning.linearisations, REST_SIGMA, SHRUNK, STRAIGHT,
         states, sigmas, nis, dof, squares, passes,
     )  # fmt: skip
     history = FilterHistory(
@@ -82,13 +83,11 @@ def blind_parameters(
     """Places of the free parameters whose points before a frame give some of its stars no ray, ascending."""
     n = len(free)
     S = upper_factor(state.P / tuning.forgetting + tuning.process_noise**2 * np.eye(n))
-    s, D = np.empty((frame.n_stars, 3)), np.empty((frame.n_stars, 3, kernels.N_PARAMETERS))
     blind = set()
     for column in S.T:
         for reach in (np.sqrt(n), -np.sqrt(n)):
             x = state.x.copy()
             x[free] += scale * reach * column
-            kernels.rays_and_jacobians(frame.model, x, frame.pitch, frame.row_px, frame.col_px, s, D)
-            if not np.isfinite(s).all():
+            if not np.isfinite(frame.camera.directions(x, frame.row_px, frame.col_px, frame.pitch)).all():
                 blind.add(int(np.argmax(np.abs(column))))
     return tuple(sorted(blind))

@@ -23,7 +23,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from boresight import kernels
 from boresight.arrays import FloatArray, IntArray
 from boresight.cameras import CameraModel
 from boresight.estimation import angular, singular_values
@@ -71,7 +70,7 @@ class SeenFrames:
     s_i, sigma_rad
         (n_stars, 3) catalogue directions and (n_stars,) direction errors.
     s, D
-        (n_stars, 3) measured directions and (n_stars, 3, N_PARAMETERS) ds/dx.
+        (n_stars, 3) measured directions and (n_stars, 3, n_parameters) ds/dx.
     """
 
     frame_start: IntArray
@@ -131,8 +130,7 @@ def _compute_smallest(H: FloatArray, frame_start: IntArray) -> FloatArray:
 def seen(view: View, arcs: ArcSet) -> list[SeenFrames]:
     """Frames of a set under a view, with the direction errors of its state, in runs whose covariances fit into memory."""
     sigma_rad, star_start = angular_sigma(view.camera, view.x, arcs), arcs.star_start
-    s, D = np.empty((arcs.n_stars, 3)), np.empty((arcs.n_stars, 3, kernels.N_PARAMETERS))
-    kernels.rays_and_jacobians(arcs.model, view.x, arcs.pitch, arcs.row_px, arcs.col_px, s, D)
+    s, D = arcs.camera.directions_and_jacobian(view.x, arcs.row_px, arcs.col_px, arcs.pitch)
     runs = []
     for first, last in pairwise(_runs(arcs)):
         e0, e1 = int(arcs.frame_start[first]), int(arcs.frame_start[last])

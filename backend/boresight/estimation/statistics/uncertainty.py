@@ -91,7 +91,7 @@ def displacement_px(
     radius = np.asarray(radius_px, dtype=np.float64)
     t, _ = camera.radial_tangent(x, radius, pitch)
     t_0, _ = camera.radial_tangent(x_0, radius, pitch)
-    ideal = radius * pitch / x_0[camera.parameter_names.index("f_m")]
+    ideal = radius / camera.focal_px(x_0, pitch)
     return np.asarray(radius / np.where(t_0 == 0, np.inf, t_0) * (t - ideal))
 
 

@@ -21,6 +21,7 @@ from boresight.figures.charts.residual_against import RESIDUAL_AGAINST
 from boresight.figures.charts.residual_distribution import RESIDUAL_DISTRIBUTION
 from boresight.figures.charts.residual_map import RESIDUAL_MAP, RESIDUAL_QUIVER, RESIDUAL_RMS
 from boresight.figures.charts.residual_outliers import RESIDUAL_OUTLIERS
+from boresight.figures.charts.residual_spline import RESIDUAL_SPLINE
 from boresight.figures.charts.rms import RMS, RMS_AXES
 from boresight.figures.charts.shadow import SHADOW
 from boresight.figures.charts.stars import STARS
@@ -35,6 +36,7 @@ CHAPTERS: dict[str, tuple[Figure, ...]] = {
     "observability": (OBSERVABILITY, FRAME_OBSERVABILITY, REFERENCE_INFORMATION),
     "residuals": (
         RESIDUAL_QUIVER,
+        RESIDUAL_SPLINE,
         RESIDUAL_DISTRIBUTION,
         RESIDUAL_AGAINST,
         INNOVATIONS,

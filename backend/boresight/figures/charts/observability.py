@@ -23,6 +23,8 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.calibration.result import Result
+from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import Role
 from boresight.estimation.statistics.observability import NAMED, WEAK
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, make_figure
@@ -158,20 +160,23 @@ OBSERVABILITY = make_figure(
 
 REACH_ENOUGH = 0.95  # of the way to the corner
 MOST_TIMES = 100.0  # more frames than so many times these are no advice
-FAMILIES: tuple[tuple[frozenset[str], str], ...] = (
-    (
-        frozenset({"f_m", "b4_per_m4", "b2_per_m2", "k1", "k2"}),
-        "stars at all radii, near the centre and in the corners: they part focal length from distortion",
-    ),
-    (
-        frozenset({"m0_px", "n0_px", "u0_px", "v0_px", "a1_rad", "a2_rad"}),
-        "stars far out on opposite sides of the detector: they part the principal point from the tilts",
-    ),
-    (
-        frozenset({"g_y", "s"}),
-        "pairs of stars along rows and along columns: they part the aspect from the focal length",
-    ),
-)
+_PARTS_THE_CENTRE = "stars far out on opposite sides of the detector: they part the principal point from the tilts"
+_PARTS_THE_FOCUS = "stars at all radii, near the centre and in the corners: they part focal length from distortion"
+ROLES = {
+    name: one.role
+    for camera in CAMERA_MODELS.values()
+    for name, one in zip(camera.parameter_names, camera.parameters, strict=True)
+}
+#: Which data help, by what the parameters of the weakest direction do.
+HELPFUL = {
+    Role.FOCAL: _PARTS_THE_FOCUS,
+    Role.RADIAL: _PARTS_THE_FOCUS,
+    Role.ROW: _PARTS_THE_CENTRE,
+    Role.COLUMN: _PARTS_THE_CENTRE,
+    Role.TILT: _PARTS_THE_CENTRE,
+    Role.DECENTRING: _PARTS_THE_CENTRE,
+    Role.ASPECT: "pairs of stars along rows and along columns: they part the aspect from the focal length",
+}
 
 
 def weakest_words(result: Result) -> str:
@@ -191,7 +196,8 @@ def helpful_data(result: Result) -> list[str]:
     if not shares:
         return []
     named = {name for name, share in shares.items() if abs(share) >= NAMED}
-    wanted = [f"Frames with {words}." for family, words in FAMILIES if named & family]
+    roles = {ROLES[name] for name in named if name in ROLES}
+    wanted = [f"Frames with {words}." for words in dict.fromkeys(HELPFUL[role] for role in HELPFUL if role in roles)]
     return [*wanted, *_reach(result), *_frames(result)]
 
 

@@ -227,7 +227,7 @@ def noisy(fields: StarFields, sigma_px: float, rng: np.random.Generator) -> ArcS
     noise = sigma_px * rng.normal(size=(2, n))
     places, _ = arcsets.order(fields.star_start, fields.s_i)
     arcs = ArcSet(
-        model=PINHOLE_RADIAL.kernel,
+        camera=PINHOLE_RADIAL,
         pitch=WU_PIXEL_PITCH_M,
         frame=np.arange(len(fields)),
         frame_start=np.arange(len(fields) + 1),

@@ -98,7 +98,7 @@ class GateInputs:
     @property
     def pixel_rad(self) -> float:
         """What one pixel sees at the centre of the registered sensor."""
-        return float(self.sensor.pixel_pitch_m / self.sensor.initial[self.names.index("f_m")])
+        return 1.0 / self.camera.focal_px(self.sensor.initial, self.sensor.pixel_pitch_m)
 
 
 Ends = tuple[float | None, float | None]

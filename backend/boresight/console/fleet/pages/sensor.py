@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
 
+import numpy as np
 from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import KNOWN, Reading, Who, csrf, get_server
 from boresight.console.alarms import service as alarms
@@ -195,9 +196,13 @@ class Optics:
     principal_col_px: float
 
 
-def compute_optics(detector: Mapping[str, Any], parameters: Mapping[str, float]) -> Optics:
-    """Derive the field of view from a detector and camera parameters of either model."""
-    f_px = parameters["f_m"] / detector["pixel_pitch_m"]
+def compute_optics(camera: CameraModel, detector: Mapping[str, Any], parameters: Mapping[str, float]) -> Optics:
+    """Derive the field of view from a detector and camera parameters."""
+    x = np.array([parameters[name] for name in camera.parameter_names])
+    f_px, (principal_row_px, principal_col_px) = (
+        camera.focal_px(x, detector["pixel_pitch_m"]),
+        camera.principal_point(x),
+    )
     rows, columns = detector["rows"], detector["columns"]
 
     def degrees(side_px: float) -> float:
@@ -208,8 +213,8 @@ def compute_optics(detector: Mapping[str, Any], parameters: Mapping[str, float])
         columns_deg=degrees(columns),
         diagonal_deg=degrees(math.hypot(rows, columns)),
         pixel_urad=1e6 / f_px,
-        principal_row_px=parameters.get("m0_px", parameters.get("v0_px", (rows - 1) / 2.0)),
-        principal_col_px=parameters.get("n0_px", parameters.get("u0_px", (columns - 1) / 2.0)),
+        principal_row_px=principal_row_px,
+        principal_col_px=principal_col_px,
     )
 
 
@@ -295,7 +300,11 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Sensor
             values=values,
             has_truth=bool(sensor.truth),
             measured=baseline is not None and baseline.run_id is not None,
-            optics=compute_optics(sensor.document["detector"], {it.name: it.value for it in values}),
+            optics=compute_optics(
+                CAMERA_MODELS[sensor.document["camera_model"]],
+                sensor.document["detector"],
+                {it.name: it.value for it in values},
+            ),
             sets=sets,
             set_names={number: head.name for number, head in promoted.items()},
             advice=advice,

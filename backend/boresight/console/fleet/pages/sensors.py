@@ -9,6 +9,7 @@ from functools import partial
 from itertools import islice
 from typing import Any
 
+import numpy as np
 from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
@@ -165,6 +166,14 @@ def _every_tile(session: Session, view: TableView) -> Iterator[SensorTile]:
         yield from _tiles(session, some, chosen)
 
 
+def compute_focal_length(tile: SensorTile) -> float:
+    """Focal length of the baseline, else of the sensor file, metres."""
+    document, baseline = tile.sensor.document, tile.baseline
+    camera, pitch = CAMERA_MODELS[document["camera_model"]], float(document["detector"]["pixel_pitch_m"])
+    values = baseline.document["parameters"] if baseline else document["initial"]
+    return pitch * camera.focal_px(np.array([values[name] for name in camera.parameter_names]), pitch)
+
+
 def _csv_row(tile: SensorTile) -> Beside:
     sensor, baseline = tile.sensor, tile.baseline
     document = sensor.document
@@ -176,7 +185,7 @@ def _csv_row(tile: SensorTile) -> Beside:
         camera_model=document["camera_model"],
         rows=document["detector"]["rows"],
         columns=document["detector"]["columns"],
-        f_m=(baseline.document["parameters"] if baseline else document["initial"])["f_m"],
+        f_m=compute_focal_length(tile),
         baseline=baseline.name if baseline else None,
     )
 
@@ -199,6 +208,7 @@ def _page(request: Request, roles: frozenset[str], shown: SensorsContext) -> HTM
             may_register=bool({"analyst", "administrator"} & roles),
             example=EXAMPLE,
             fields=FIELDS,
+            focal_length_m=compute_focal_length,
             models=_models(),
             shown=shown,
         )

@@ -1,0 +1,1 @@
+"""The least camera model that a telemetry set asks for, chosen by evidence."""

@@ -1,0 +1,223 @@
+"""The least candidate of each camera that suffices, and the least of all cameras.
+
+Within a camera, forward from the focal length alone: each term that may come next is tested, and so is everything at once, which
+finds what only several terms together show. While one of these tests rejects, the term with the smallest p-value is set free. Then
+backwards: a term whose removal is not rejected is held again. What remains is needed, term by term, and nothing beyond is. Last, a
+term gives way to one that comes before it in the camera's order and does as much with no more parameters, such as tilt to the
+principal point of a lens without distortion, where both are a rotation: the plainer word for the same.
+If the right candidate is reached, a larger one follows with a chance of at most the level, for every step counts its tests, and
+those of all cameras.
+
+Between cameras the sensor's own stays unless the stars speak against it, for to change it is the largest change of all. Where
+another holds it (the same terms give the same chi-square: `brown_conrady` every `pinhole_radial`), they speak by the same test.
+Else by BIC = chi2 / s^2 + k ln n with k free parameters and n arcs (Schwarz 1978); s is 1 while the stated noise holds. How far may
+a false camera come out ahead of a true one by noise? With d the chi-square that the false one's misfit adds, the difference is
+normal with mean d and variance 4 d, so that it is below -T with the chance Phi(-(T + d) / (2 sqrt(d))), which is largest at d = T,
+and there Phi(-sqrt(T)). T = 5.41 therefore keeps that at the level whatever the misfit: the sensor's camera is out when another's
+BIC, in which it is not charged for parameters that it needs more, is lower by more than T. Next comes a camera that
+holds it, by the same rule; then the one with the lowest BIC, and of those that are alike the one with the fewest parameters in all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from scipy.special import ndtri
+
+from boresight.calibration.choice.fits import Fits, FittedSubset, State
+from boresight.calibration.choice.nested_tests import LEVEL, NestedTest, Noise, least_likely, nested_test
+from boresight.calibration.choice.terms import Subset, base, find_terms, largest
+from boresight.calibration.estimate import never
+from boresight.cameras import CAMERA_MODELS, CameraModel
+from boresight.estimation.arcs import ArcSet
+from boresight.telemetry.sensors import Sensor
+
+#: Difference of BIC from which the sensor's camera is out, see above.
+DECISIVE = float(ndtri(LEVEL)) ** 2
+#: Difference of chi-square, over the noise, up to which two terms do the same: what noise makes of one parameter.
+SAME = 1.0
+#: Difference of chi-square below which the same terms of two cameras are the same candidate.
+ALIKE = 0.05
+
+
+@dataclass(frozen=True)
+class CameraChoice:
+    """The least candidate of one camera that suffices.
+
+    `fitted`: it. `needed`: the test of each of its terms, against the candidate without it. `beyond`: the test of each term that it
+    does not have, and of all of them. `path`: every test on the way.
+    """
+
+    fitted: FittedSubset
+    needed: tuple[NestedTest, ...]
+    beyond: tuple[NestedTest, ...]
+    path: tuple[NestedTest, ...]
+
+
+def fit_ladders(
+    arcs: ArcSet, sensor: Sensor, cancelled: Callable[[], bool] = never
+) -> tuple[Fits, FittedSubset | None]:
+    """Fit every camera with one term more at a time, in its order; returns all fits, and the richest camera's with all terms free.
+
+    The richest is the one with the least chi-square per degree of freedom; None where none could be fitted.
+    """
+    fits = Fits(arcs, sensor, cancelled)
+    ended: list[FittedSubset] = []
+    for camera in CAMERA_MODELS.values():
+        fits.fit(base(camera))
+        for count in range(len(find_terms(camera))):
+            fits.fit(Subset(camera, find_terms(camera)[: count + 1]))
+        full = fits.fit(largest(camera))
+        if full.state is not State.FAILED and full.dof > 0:
+            ended.append(full)
+    return fits, min(ended, key=lambda one: one.chi2 / one.dof, default=None)
+
+
+@dataclass(frozen=True)
+class LeastModel:
+    """What a search found: the noise that it tested by, the chosen candidate, and the other cameras' beside it."""
+
+    noise: Noise
+    chosen: CameraChoice
+    between: tuple[Between, ...]
+
+
+def find_least(fits: Fits, richest: FittedSubset) -> LeastModel | None:
+    """Find the least candidate of all cameras that suffices; None where no camera has one."""
+    noise = Noise(richest.chi2 / richest.dof, richest.dof)
+    found = [choose_of_camera(fits, camera, noise, len(CAMERA_MODELS)) for camera in CAMERA_MODELS.values()]
+    choices = [one for one in found if one is not None]
+    if not choices:
+        return None
+    chosen, between = choose_camera(choices, fits, noise, fits.sensor.camera_model)
+    return LeastModel(noise, chosen, tuple(between))
+
+
+def choose_of_camera(fits: Fits, camera: CameraModel, noise: Noise, cameras: int) -> CameraChoice | None:
+    """Find the least candidate of a camera that suffices; None where none could be fitted."""
+    here, path = fits.fit(base(camera)), list[NestedTest]()
+    while True:
+        tests = _beyond(fits, here, noise, cameras)
+        path += tests
+        steps = [test for test in tests if test.larger.usable and test.larger.subset != largest(camera)] or [
+            test for test in tests if test.larger.usable
+        ]
+        step = least_likely(steps)
+        if step is None or not any(test.rejects for test in tests):
+            break
+        here = step.larger
+    while True:
+        needed = _needed(fits, here, noise, cameras)
+        path += needed
+        weakest = max((test for test in needed if test.smaller.usable), key=lambda test: test.log_p, default=None)
+        if weakest is None or weakest.rejects:
+            break
+        here = weakest.smaller
+    if not here.usable:
+        return None
+    here = _in_plainer_terms(fits, here, noise)
+    needed = _needed(fits, here, noise, cameras)
+    return CameraChoice(here, tuple(needed), tuple(_beyond(fits, here, noise, cameras)), tuple(path))
+
+
+def _in_plainer_terms(fits: Fits, here: FittedSubset, noise: Noise) -> FittedSubset:
+    """Put earlier terms in the place of later ones that tell no more."""
+    order = [term.name for term in find_terms(here.camera)]
+    for later in reversed(here.subset.removable()):
+        without = here.subset.without_term(later)
+        for earlier in without.extensions():
+            if order.index(earlier.name) < order.index(later.name) and len(earlier.places) <= len(later.places):
+                other = fits.fit(without.with_term(earlier))
+                if other.usable and (other.chi2 - here.chi2) / noise.variance <= SAME:
+                    return _in_plainer_terms(fits, other, noise)
+    return here
+
+
+def _beyond(fits: Fits, here: FittedSubset, noise: Noise, cameras: int) -> list[NestedTest]:
+    """Test every term that may come next, and all at once."""
+    larger = [fits.fit(here.subset.with_term(term)) for term in here.subset.extensions()]
+    full = fits.fit(largest(here.camera))
+    if len(full.subset.terms) > len(here.subset.terms) + 1:
+        larger.append(full)
+    tried = [one for one in larger if one.state is not State.FAILED]
+    return [nested_test(here, one, noise, len(tried) * cameras) for one in tried]
+
+
+def _needed(fits: Fits, here: FittedSubset, noise: Noise, cameras: int) -> list[NestedTest]:
+    """Test every term that may be held again."""
+    smaller = [fits.fit(here.subset.without_term(term)) for term in here.subset.removable()]
+    tried = [one for one in smaller if one.state is not State.FAILED]
+    return [nested_test(one, here, noise, len(tried) * cameras) for one in tried]
+
+
+@dataclass(frozen=True)
+class Between:
+    """A camera's candidate against the chosen one: by a nested test where one holds the other, else by BIC."""
+
+    against: CameraChoice
+    bic_above: float
+    test: NestedTest | None
+
+
+def bic(fitted: FittedSubset, noise: Noise) -> float:
+    """Schwarz's criterion, with the noise that was found."""
+    return fitted.chi2 / noise.scale + fitted.n_free * math.log(fitted.dof + fitted.n_free)
+
+
+def choose_camera(
+    choices: list[CameraChoice], fits: Fits, noise: Noise, own: str
+) -> tuple[CameraChoice, list[Between]]:
+    """Choose between the cameras' candidates."""
+    lowest = min(bic(one.fitted, noise) for one in choices)
+    alike = [one for one in choices if bic(one.fitted, noise) < lowest + ALIKE]
+    chosen = min(alike, key=lambda one: len(one.fitted.camera.parameter_names))
+    familiar = [one for one in choices if one.fitted.camera.name == own]
+    familiar += [
+        one for one in choices if one not in familiar and _extends(one.fitted.camera, CAMERA_MODELS[own], fits)
+    ]
+    for one in familiar:
+        if not any(_beats(other, one, fits, noise, len(choices)) for other in choices):
+            chosen = one
+            break
+    between = [
+        Between(one, bic(one.fitted, noise) - bic(chosen.fitted, noise), _held(one, chosen, fits, noise, len(choices)))
+        for one in choices
+        if one is not chosen
+    ]
+    return chosen, between
+
+
+def _beats(better: CameraChoice, one: CameraChoice, fits: Fits, noise: Noise, cameras: int) -> bool:
+    """Whether another camera's candidate shows that one does not suffice."""
+    if better is one:
+        return False
+    test = _held(one, better, fits, noise, cameras)
+    if test is not None:
+        return test.rejects
+    more = max(0, one.fitted.n_free - better.fitted.n_free) * math.log(one.fitted.dof + one.fitted.n_free)
+    return bic(one.fitted, noise) - more - bic(better.fitted, noise) > DECISIVE
+
+
+def _extends(camera: CameraModel, own: CameraModel, fits: Fits) -> bool:
+    """Whether a camera holds another: the same chi-square with all of that one's terms."""
+    of_camera = {term.name: term for term in find_terms(camera)}
+    names = [term.name for term in find_terms(own)]
+    if not set(names) <= set(of_camera):
+        return False
+    full, same = fits.fit(largest(own)), fits.fit(Subset(camera, tuple(of_camera[name] for name in names)))
+    return same.n_free == full.n_free and abs(same.chi2 - full.chi2) <= ALIKE
+
+
+def _held(one: CameraChoice, other: CameraChoice, fits: Fits, noise: Noise, cameras: int) -> NestedTest | None:
+    """Test one camera's candidate against another's that holds it; None where that does not."""
+    smaller, larger = one.fitted, other.fitted
+    if not set(smaller.subset.term_names) < set(larger.subset.term_names):
+        return None
+    of_other = {term.name: term for term in find_terms(larger.camera)}
+    same = fits.fit(Subset(larger.camera, tuple(of_other[name] for name in smaller.subset.term_names)))
+    if same.n_free != smaller.n_free or abs(same.chi2 - smaller.chi2) > ALIKE * noise.variance:
+        return None
+    more = len(larger.subset.extensions()) + len(larger.subset.terms) - len(smaller.subset.terms)
+    return nested_test(smaller, larger, noise, max(1, more) * cameras)

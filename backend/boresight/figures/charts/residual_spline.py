@@ -1,0 +1,111 @@
+"""The residual spline over the detector: what the camera model leaves of a star's row and of its column, and where that is clear.
+
+Two fields of colour on one scale about nought, which is as wide as the larger of what is left and three of its sigmas, so that
+nothing but noise looks pale; a diamond marks a place that is more than three sigmas from nought.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from boresight.arrays import FloatArray
+from boresight.figures.chart import Table
+from boresight.figures.charts.residual_map import others
+from boresight.figures.factory import Part, column, part_figure
+from boresight.figures.style import theme
+from boresight.figures.style.axes import frame_maps
+from boresight.verdicts.numbers import number
+
+CLEAR_SIGMA = 3.0
+SIDES = {"row": "of rows", "col": "of columns"}
+COLUMNS = ("row_px", "col_px", "d_row_px", "sigma_row_px", "d_col_px", "sigma_col_px")
+
+
+def draw(drawn: Sequence[Part]) -> go.Figure:
+    """Draw the first run's displacement of rows on the left, of columns on the right."""
+    _, style, part = drawn[0]
+    reach = max(_reach(part, side) for side in SIDES)
+    figure = make_subplots(
+        1, 2, horizontal_spacing=0.1, subplot_titles=[f"displacement {words}" for words in SIDES.values()]
+    )
+    for place, side in enumerate(SIDES, start=1):
+        where = {"row": 1, "col": place}
+        figure.add_trace(_field(part, side, reach, style.label, last=place == len(SIDES)), **where)
+        figure.add_trace(_marks(part, side, style.label), **where)
+    title = f"{_headline(part)}{others([style.label for _, style, _ in drawn])}"
+    theme.dress(figure, title=title, height_px=430, legend=False, hovermode="closest", margin={"t": 66})
+    frame_maps(figure, len(SIDES))
+    return figure
+
+
+def _reach(part: Any, side: str) -> float:
+    return float(
+        max(np.abs(column(part[f"d_{side}_px"])).max(), CLEAR_SIGMA * np.median(column(part[f"sigma_{side}_px"])))
+    )
+
+
+def _field(part: Any, side: str, reach: float, label: str, *, last: bool) -> go.Heatmap:
+    d, sigma = (column(part[f"{name}_{side}_px"]) for name in ("d", "sigma"))
+    return go.Heatmap(
+        x=theme.plain(column(part["col_px"])),
+        y=theme.plain(column(part["row_px"])),
+        z=theme.short(d),
+        customdata=theme.short(sigma),
+        zmin=-reach,
+        zmax=reach,
+        colorscale="RdBu",
+        colorbar={"title": {"text": "px"}, "thickness": 10},
+        showscale=last,
+        hovertemplate=f"%{{z:+.3f}} ± %{{customdata:.3f}} px<br>column %{{x:.0f}}, row %{{y:.0f}}<extra>{label}</extra>",
+    )
+
+
+def find_clear(part: Any, side: str) -> tuple[FloatArray, FloatArray]:
+    """Rows and columns of the places that are more than `CLEAR_SIGMA` sigmas from nought, none where the test finds nothing."""
+    out = np.abs(column(part[f"d_{side}_px"])) > CLEAR_SIGMA * column(part[f"sigma_{side}_px"])
+    row, col = np.nonzero(out & bool(part["structure"]))
+    return column(part["row_px"])[row], column(part["col_px"])[col]
+
+
+def _marks(part: Any, side: str, label: str) -> go.Scatter:
+    row, col = find_clear(part, side)
+    marker = {"symbol": "diamond", "size": 7, "color": "#222222", "line": {"color": "#ffffff", "width": 1}}
+    return go.Scatter(
+        x=theme.plain(col), y=theme.plain(row), mode="markers", marker=marker, name=label, hoverinfo="skip"
+    )
+
+
+def _headline(part: Any) -> str:
+    p = part["test"]["p"]
+    chance = f"p = {p:.2g}" if p >= 1e-4 else "p < 0.0001"
+    if not part["structure"]:
+        return f"Left over: nothing beyond the noise, {chance}; at most {number(part['at_most_px'], 2)} px (95 %)"
+    largest = part["largest"]
+    return f"Left over: up to {number(largest['size_px'], 2)} ± {number(largest['sigma_px'], 1)} px, {chance}"
+
+
+def table(part: Any) -> Table:
+    """List one place a row: its displacement along rows and columns with their sigmas, px."""
+    row, col = np.meshgrid(column(part["row_px"]), column(part["col_px"]), indexing="ij")
+    values = (row, col, *(column(part[name]) for name in COLUMNS[2:]))
+    return {name: theme.plain(value.ravel()) for name, value in zip(COLUMNS, values, strict=True)}
+
+
+RESIDUAL_SPLINE = part_figure(
+    draw,
+    table,
+    "residual_spline",
+    name="residual-spline",
+    title="What the camera model leaves over",
+    guide=(
+        "The colour is how far stars fall from where the fitted camera puts them, as a smooth surface whose stiffness the data "
+        "choose; a diamond marks what is more than three sigmas from nought. A pale detector without diamonds is good; a pattern "
+        "is a distortion that the camera model does not have, and the advice says which model has it."
+    ),
+    wide=True,
+)

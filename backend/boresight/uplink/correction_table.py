@@ -1,0 +1,69 @@
+"""The correction table: what the camera model leaves of the lens, as a grid of displacements with their sigmas.
+
+It stands in a package beside the parameters it belongs to, where their calibration found a displacement that its camera model does
+not have; no flight software need read it. `correction_table.json` says what it is and carries the spline itself besides the grid,
+`correction_table.csv` has a place a row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from boresight.calibration.residual_spline import ResidualSpline, read_residual_spline
+from boresight.uplink.archive import csv_bytes, json_bytes
+
+SCHEMA = "boresight.correction-table/1"
+NAMES = ("correction_table.json", "correction_table.csv")
+COLUMNS = ("row_px", "col_px", "d_row_px", "sigma_row_px", "d_col_px", "sigma_col_px")
+USE = (
+    "A star is measured at the place where the camera with these parameters puts it, plus the displacement at that place. Before "
+    "a centroid (row_px, col_px) goes into the camera's equations, subtract d_row_px and d_col_px. Turning all directions by one "
+    "rotation is C_SD's and not in it. It belongs to these parameters alone: with others it is wrong."
+)
+INTERPOLATION = (
+    "Between the places bilinear interpolation of the grid, or exactly the spline: d = sum over i, j of c_ij B_i(row) B_j(col), B "
+    "the cubic B-splines on the knots."
+)
+
+
+def correction_files(subject: Mapping[str, Any]) -> dict[str, bytes]:
+    """Return the files of a set's correction table by name; none where its calibration found nothing left over."""
+    document = subject["document"].get("residual_spline")
+    if not document:
+        return {}
+    spline = read_residual_spline(document)
+    table = {
+        "schema": SCHEMA,
+        "what": "displacement that the camera model leaves over after its calibration, estimated from the same stars",
+        "use": USE,
+        "parameter_set": {"name": subject["name"], "sha256": subject["sha256"]},
+        "camera_model": spline.camera_model,
+        "units": {"places": "px", "displacements": "px", "sigma": "px, one standard deviation"},
+        "pixel_origin": "the centre of the top-left pixel is row 0, column 0; rows count down, columns to the right",
+        "interpolation": INTERPOLATION,
+        **{
+            name: document[name]
+            for name in ("row_px", "col_px", "d_row_px", "d_col_px", "sigma_row_px", "sigma_col_px")
+        },
+        "spline": {name: document[name] for name in ("degree", "row_knots_px", "col_knots_px", "coefficients")},
+        "test": document["test"],
+        "noise": document["noise"],
+        "stars": spline.stars,
+        "sentence": spline.sentence,
+    }
+    return dict(zip(NAMES, (json_bytes(table), csv_bytes(COLUMNS, _rows(spline))), strict=True))
+
+
+def _rows(spline: ResidualSpline) -> Iterator[list[float]]:
+    """One place a row."""
+    (d_row, d_col), (s_row, s_col) = spline.displacement_px.tolist(), spline.sigma_px.tolist()
+    for i, row in enumerate(spline.row_px.tolist()):
+        for j, col in enumerate(spline.col_px.tolist()):
+            yield [row, col, d_row[i][j], s_row[i][j], d_col[i][j], s_col[i][j]]
+
+
+def describe_correction(subject: Mapping[str, Any]) -> dict[str, Any]:
+    """Say in the manifest that a table is there, and what it is; nothing for a set without one."""
+    document = subject["document"].get("residual_spline")
+    return {"correction_table": {"files": list(NAMES), "sentence": document["sentence"]}} if document else {}

@@ -1,0 +1,290 @@
+"""Choosing a camera: terms, common fits, nested tests at their level, held-out scores, changes, sentence and files."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2
+
+from boresight.calibration.choice.choose import choose
+from boresight.calibration.choice.cross_validation import cross_validate
+from boresight.calibration.choice.detector_change import ChangeOverDetector
+from boresight.calibration.choice.fits import Fits, State, seen_by, whitened_at
+from boresight.calibration.choice.nested_tests import LEVEL, Noise, nested_test
+from boresight.calibration.choice.result import Sufficiency
+from boresight.calibration.choice.search import DECISIVE, fit_ladders
+from boresight.calibration.choice.terms import Subset, base, find_terms, largest, radial_orders
+from boresight.calibration.options import CalibrationSettings
+from boresight.cameras import CAMERA_MODELS
+from boresight.estimation import batch
+from boresight.estimation.metrics import arc_errors
+from boresight.simulation.scenes import parse_scenario, simulate
+from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.sensors import parse_sensor, read_sensor, sensor_document
+from tests.calibration.choice_sets import DECENTRING_PER_PX, field, lens, search, sensor
+from tests.effort import effort
+from tests.estimation.fields import whitened_plainly
+
+RADIAL = {"k1": -0.1, "k2": 0.05}
+TANGENTIAL = {"p1": 0.3 * DECENTRING_PER_PX, "p2": -0.15 * DECENTRING_PER_PX}
+
+
+def subset(name, *terms):
+    camera = CAMERA_MODELS[name]
+    return Subset(camera, tuple(term for term in find_terms(camera) if term.name in terms))
+
+
+@pytest.mark.parametrize("camera", CAMERA_MODELS.values(), ids=lambda camera: camera.name)
+def test_terms_part_every_parameter_but_the_focal_length(camera):
+    assert sorted(largest(camera).free) == list(range(len(camera.parameter_names)))
+    assert [camera.parameters[place].role.name for place in base(camera).free] == ["FOCAL"]
+    for term in find_terms(camera):
+        assert term.needs is None or term.needs in {one.name for one in find_terms(camera)}
+
+
+def test_radial_orders_are_read_off_the_camera_whatever_its_file_s_order():
+    camera = CAMERA_MODELS["inverted_wang_decentred"]
+    orders = {camera.parameter_names[place]: order for place, order in radial_orders(camera).items()}
+    assert orders == {"b2_per_m2": 3, "b4_per_m4": 5, "b6_per_m6": 7}
+
+
+def test_all_candidates_have_the_same_weights_and_a_larger_one_is_never_worse():
+    rng = np.random.default_rng(1)
+    fits, _ = fit_ladders(
+        whitened_at(field(rng, *lens("brown_conrady", **RADIAL)), *lens("brown_conrady")), sensor("inverted_wang")
+    )
+    for one in fits.known.values():
+        naive = float(np.sum(whitened_plainly(seen_by(fits.arcs, one.camera), one.x) ** 2))
+        assert one.chi2 == pytest.approx(naive, rel=1e-9)
+        for other in fits.known.values():
+            if one.subset.contains(other.subset):
+                assert one.chi2 <= other.chi2 + 1e-6
+
+
+def test_what_is_not_free_rests():
+    rng = np.random.default_rng(2)
+    camera, truth = lens("brown_conrady", **RADIAL)
+    fits = Fits(whitened_at(field(rng, camera, truth), camera, truth), sensor("brown_conrady"))
+    found = fits.fit(subset("brown_conrady", "radial r³"))
+    names = camera.parameter_names
+    assert {name: found.x[names.index(name)] for name in ("s", "k2", "k3", "p1", "p2")} == {
+        "s": 1.0,
+        "k2": 0,
+        "k3": 0,
+        "p1": 0,
+        "p2": 0,
+    }
+    assert found.x[names.index("u0_px")] == 1023.5
+
+
+def test_a_nested_test_is_the_chi_square_difference_test_where_noise_is_known_well():
+    rng = np.random.default_rng(3)
+    camera, truth = lens("brown_conrady", **RADIAL)
+    fits = Fits(whitened_at(field(rng, camera, truth), camera, truth), sensor("brown_conrady"))
+    larger = fits.fit(subset("brown_conrady", "principal point", "radial r³", "radial r⁵", "tangential"))
+    smaller = fits.fit(larger.subset.without_term(larger.subset.removable()[-1]))
+    test = nested_test(smaller, larger, Noise(1.0, 10**9))
+    assert test.p == pytest.approx(chi2.sf(smaller.chi2 - larger.chi2, 2), rel=1e-6)
+    assert nested_test(smaller, larger, Noise(1.0, 10**9), 7).p_corrected == pytest.approx(min(1.0, 7 * test.p))
+
+
+#: Six pairs: a true lens of the smaller candidate, and the terms of which the larger has the last one more.
+PAIRS = (
+    ("brown_conrady", RADIAL, ("principal point", "radial r³", "radial r⁵"), "tangential"),
+    ("brown_conrady", RADIAL, ("principal point", "radial r³", "radial r⁵"), "radial r⁷"),
+    ("pinhole_radial", RADIAL, ("principal point", "radial r³", "radial r⁵"), "aspect"),
+    ("inverted_wang", {"b2_per_m2": 150.0}, ("principal point", "radial r³"), "radial r⁵"),
+    ("inverted_wang", {"b2_per_m2": 150.0}, ("principal point", "radial r³"), "tilt"),
+    ("kannala_brandt", {"k1": -0.05, "k2": 0.01}, ("principal point", "radial r³", "radial r⁵"), "aspect"),
+)
+
+
+@pytest.mark.parametrize("noise_share", [1.0, 1.5])
+@pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: f"{pair[0]}: {pair[3]}")
+def test_a_term_that_is_not_there_is_found_at_the_level_also_where_noise_is_stated_wrongly(pair, noise_share):
+    """Full: 1,000 sets a pair, where 1 % and 3 % are far apart. The quick run only sees a test that is quite off."""
+    name, terms, free, more = pair
+    sets = effort(40, 1000)
+    rng = np.random.default_rng([2018, PAIRS.index(pair)])
+    found, p = 0, []
+    for _ in range(sets):
+        camera, truth = lens(name, **terms)
+        arcs = field(rng, camera, truth, frames=20, noise_px=0.1, stated_px=0.1 / noise_share)
+        fits = Fits(whitened_at(arcs, camera, truth), sensor(name))
+        smaller, larger = fits.fit(subset(name, *free)), fits.fit(subset(name, *free, more))
+        test = nested_test(smaller, larger, Noise(larger.chi2 / larger.dof, larger.dof))
+        p.append(test.p)
+        found += test.p < LEVEL
+    low, high = binom.ppf([0.0005, 0.9995], sets, LEVEL)
+    assert low <= found <= high
+    assert 0.5 - 4 / np.sqrt(12 * sets) < np.mean(p) < 0.5 + 4 / np.sqrt(12 * sets)
+
+
+def test_three_tenths_of_a_pixel_of_tangential_distortion_are_found():
+    rng = np.random.default_rng(5)
+    for name in ("brown_conrady", "pinhole_radial"):  # the second cannot hold them
+        fits, least = search(field(rng, *lens("brown_conrady", **RADIAL, **TANGENTIAL), frames=100), sensor(name))
+        assert least.chosen.fitted.camera.name != "pinhole_radial"
+        assert "tangential" in least.chosen.fitted.subset.term_names
+        (needed,) = (test for test in least.chosen.needed if test.terms == ("tangential",))
+        assert needed.p_corrected < 1e-6
+        assert not any(test.rejects for test in least.chosen.beyond)
+        assert fits.arcs.n_frames == 100
+
+
+def test_a_plain_lens_needs_no_more_than_its_focal_length_and_principal_point():
+    rng = np.random.default_rng(6)
+    for name in CAMERA_MODELS:
+        if name != "kannala_brandt":  # whose plain lens is another
+            _, least = search(field(rng, *lens("inverted_wang")), sensor(name))
+            assert least.chosen.fitted.camera.name == name
+            assert set(least.chosen.fitted.subset.term_names) <= {"principal point"}
+
+
+def test_a_candidate_whose_parameters_cannot_be_told_apart_is_said_and_not_chosen():
+    rng = np.random.default_rng(7)
+    fits, least = search(field(rng, *lens("inverted_wang")), sensor("inverted_wang"))
+    undetermined = [one for one in fits.known.values() if one.state is State.UNDETERMINED]
+    assert any("tilt" in one.subset.term_names for one in undetermined)
+    assert least.chosen.fitted.state is State.DETERMINED
+
+
+def test_the_threshold_between_cameras_is_the_level_whatever_the_misfit():
+    misfit = np.linspace(0.1, 50, 500)
+    rng = np.random.default_rng(8)
+    chances = [np.mean(d + 2 * np.sqrt(d) * rng.normal(size=20_000) < -DECISIVE) for d in misfit]
+    assert max(chances) == pytest.approx(LEVEL, abs=0.003)
+
+
+def test_the_change_between_candidates_scatters_as_its_sigma_says():
+    """Two nested candidates and two cameras, both right: over many sets the change over its sigma is standard normal."""
+    rng = np.random.default_rng(9)
+    camera, truth = lens("pinhole_radial", k1=-0.02)
+    z = []
+    for _ in range(effort(60, 400)):
+        arcs = whitened_at(field(rng, camera, truth, frames=15), camera, truth)
+        fits = Fits(arcs, sensor("pinhole_radial"))
+        smaller = fits.fit(subset("pinhole_radial", "principal point", "radial r³"))
+        larger = fits.fit(subset("pinhole_radial", "principal point", "radial r³", "radial r⁵"))
+        other = fits.fit(subset("inverted_wang", "principal point", "radial r³"))
+        of = ChangeOverDetector(fits, 1.0)
+        for after in (larger, other):
+            change = of(smaller, after)
+            z.append(
+                change.change_px[5] @ (change.change_px[5] / np.linalg.norm(change.change_px[5])) / change.sigma_px[5]
+            )
+    nested = np.array(z[::2])
+    assert np.mean(nested**2) == pytest.approx(1.0, abs=5 * np.sqrt(2 / len(nested)))
+
+
+def test_a_rotation_common_to_all_stars_is_no_change():
+    """Tilts and the principal point of a lens without distortion turn it; the change between the two is what is left of that."""
+    rng = np.random.default_rng(10)
+    camera, truth = lens("inverted_wang")
+    fits = Fits(whitened_at(field(rng, camera, truth), camera, truth), sensor("inverted_wang"))
+    one = fits.fit(subset("inverted_wang", "principal point"))
+    turned = replace(one, x=one.x + np.array([0, 20.0, 0, 0, 0, 0, 20.0 * 5.5e-6 / one.x[0], 0]))
+    size, _ = ChangeOverDetector(fits, 1.0)(one, turned).largest
+    shifted, _ = ChangeOverDetector(fits, 1.0)(
+        one, replace(one, x=one.x + np.array([0, 20.0, 0, 0, 0, 0, 0, 0]))
+    ).largest
+    assert size < 0.05 * shifted or size < 0.01
+
+
+def test_cross_validation_predicts_each_stretch_by_the_others():
+    rng = np.random.default_rng(11)
+    camera, truth = lens("brown_conrady", **RADIAL)
+    fits = Fits(whitened_at(field(rng, camera, truth, frames=25), camera, truth), sensor("brown_conrady"))
+    one = fits.fit(subset("brown_conrady", "principal point", "radial r³", "radial r⁵"))
+    found = cross_validate(fits, [one], np.random.default_rng(1))
+    others = fits.arcs.exposures(np.arange(25) >= 5)
+    free = one.subset.free
+    x = batch.fit(others, one.x, free, fits.scale(camera)[free]).x
+    held = fits.arcs.frames(0, 5)
+    assert found.squares[:5, 0].sum() == pytest.approx(np.sum(arc_errors(held, x) ** 2), rel=1e-4)
+    score = found.score(0)
+    assert score.interval[0] < score.rms_arc_rad < score.interval[1]
+    assert found.ratio(0, 0).rms_arc_rad == 1.0
+
+
+def document(name, noise_px=0.1):
+    return sensor_document(replace(sensor(name, noise_px), magnitude_limit=5.0))
+
+
+@pytest.fixture(scope="module")
+def tangential_set(catalogue):
+    camera, x = lens("brown_conrady", **RADIAL, **TANGENTIAL)
+    scenario = parse_scenario(
+        {
+            "sensor": document("brown_conrady"), "truth": dict(zip(camera.parameter_names, x.tolist(), strict=True)),
+            "frames": 40, "exposures": 1, "magnitude_limit": 5.0, "centroid_sigma_px": 0.1, "seed": 4,
+        }
+    )  # fmt: skip
+    return simulate(scenario, np.random.default_rng(4), catalogue)
+
+
+def test_from_telemetry_the_sentence_names_the_terms_and_the_file_holds_what_was_chosen(tangential_set, catalogue):
+    own = parse_sensor(document("brown_conrady"))
+    found = choose(tangential_set, own, catalogue)
+    assert found.sufficiency is Sufficiency.SUFFICES
+    written = found.document()
+    assert written["schema"] == "boresight.choice/1"
+    assert written["chosen"]["camera_model"] == "brown_conrady"
+    assert set(written["chosen"]["free"]) == {"f_m", "u0_px", "v0_px", "k1", "k2", "p1", "p2"} | set(
+        written["chosen"]["free"]
+    ) & {"k2"}
+    assert "tangential" in found.sentence
+    assert "p < 1e-6" in found.sentence
+    assert "nothing beyond" in found.sentence
+    assert {"camera_model", "free", "chi2", "dof", "bic", "rms_arc_rad", "held_out_rms_arc_rad"} <= set(
+        written["models"][0]
+    )
+    fresh = parse_sensor(found.sensor_file())
+    assert fresh.free == tuple(written["chosen"]["free"])
+    for one in written["needed"]:
+        assert one["p_corrected"] < LEVEL
+        assert one["held_out_ratio"] < 1.0
+    for key, sigma in written["chosen"]["sigma"].items():
+        assert sigma > 0, key
+
+
+def test_noise_that_is_stated_wrongly_is_said_and_changes_no_choice(tangential_set, catalogue):
+    found = choose(
+        tangential_set, parse_sensor(document("brown_conrady", 0.05)), catalogue, CalibrationSettings(match="given")
+    )
+    right = choose(
+        tangential_set, parse_sensor(document("brown_conrady")), catalogue, CalibrationSettings(match="given")
+    )
+    assert found.noise.variance == pytest.approx(
+        right.noise.variance, rel=0.05
+    )  # the file gives each star its own sigma
+    wrong = replace(tangential_set, sigma_px=None)
+    found = choose(wrong, parse_sensor(document("brown_conrady", 0.05)), catalogue, CalibrationSettings(match="given"))
+    assert found.sufficiency is Sufficiency.NOISE_NOT_AS_STATED
+    assert found.model.fitted.subset.term_names == right.model.fitted.subset.term_names
+    assert found.noise_of_chosen.variance == pytest.approx(4.0, rel=0.2)
+
+
+def test_where_no_model_suffices_it_says_so(tangential_set, catalogue):
+    """A lens with a step in it, which no camera holds."""
+    bent = replace(tangential_set, row_px=tangential_set.row_px + 0.5 * np.sin(tangential_set.row_px / 150.0))
+    found = choose(bent, parse_sensor(document("brown_conrady")), catalogue, CalibrationSettings(match="given"))
+    assert found.sufficiency is Sufficiency.SOMETHING_LEFT
+    assert found.leftover.p < 1e-6
+    assert 0.2 < found.leftover.largest_px < 1.0
+    assert "no model here suffices" in found.sentence
+
+
+def test_a_validation_set_takes_the_place_of_cross_validation(tangential_set, catalogue):
+    found = choose(tangential_set, parse_sensor(document("inverted_wang")), catalogue, validation=tangential_set)
+    assert found.held_out_by == "validation"
+    chosen = found.model
+    assert chosen.held_out.rms_arc_rad == pytest.approx(chosen.fitted.rms_arc_rad, rel=0.02)  # the set validates itself
+
+
+def test_on_the_real_sky_one_radial_term_and_the_principal_point_suffice(real_sky, catalogue):
+    telemetry, of = read_telemetry(real_sky / "esa-5-frames.csv"), read_sensor(real_sky / "esa.sensor.json")
+    found = choose(telemetry, of, catalogue)
+    assert found.model.fitted.camera.name == "inverted_wang"
+    assert found.model.fitted.subset.free_names == ("f_m", "m0_px", "n0_px", "b2_per_m2")
+    assert found.leftover.p > LEVEL
