@@ -1,0 +1,1050 @@
+"""A calibration as a tree of frozen dataclasses, and its JSON, `boresight.calibration/1`: design and units of every member.
+
+Numbers are SI in parameter order unless a name says otherwise; None stands where a number was not estimated or cannot be known,
+never NaN. JSON is read and written at the border only: `parse_calibration` reads what any version of schema 1 wrote (a member that
+it did not have yet is None or empty, one that is not known here is dropped), `Calibration.to_dict` writes the members in the order
+in which they stand here. `compute_json_schema` is the published JSON Schema; it and the reading follow from the annotations, by
+pydantic.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from functools import cache
+from operator import attrgetter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from boresight.errors import RefusedInputError
+
+if TYPE_CHECKING:
+    from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter
+
+SCHEMA: Final = "boresight.calibration/1"
+EVALUATION_SCHEMA = "boresight.evaluation/1"
+
+Status = Literal["converged", "max_iterations", "rank_deficient", "diverged", "too_few_stars", "running"]
+#: The status of an estimate that may be used.
+USABLE: Status = "converged"
+#: Numbers of a series; None is unknown.
+Numbers = list[float | None]
+#: Rows of numbers.
+Matrix = list[Numbers]
+
+
+class Values(Mapping[str, float | None]):
+    """Numbers by parameter name, in parameter order, read as `values.f_m` or `values["f_m"]`; None is unknown."""
+
+    __slots__ = ("_numbers",)
+
+    def __init__(self, numbers: Mapping[str, float | None] | None = None) -> None:
+        self._numbers: dict[str, float | None] = dict(numbers or {})
+
+    def __getitem__(self, name: str) -> float | None:
+        """Return a number by the parameter's name."""
+        return self._numbers[name]
+
+    def __getattr__(self, name: str) -> float | None:
+        """Return a number by the parameter's name, as an attribute."""
+        if name in Values.__slots__:  # not set yet, while a copy is being made
+            raise AttributeError(name)
+        try:
+            return self._numbers[name]
+        except KeyError:
+            raise AttributeError(f"there is no parameter {name!r} here: {', '.join(self._numbers)}") from None
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names, in parameter order."""
+        return iter(self._numbers)
+
+    def __len__(self) -> int:
+        """Count the parameters."""
+        return len(self._numbers)
+
+    def __dir__(self) -> list[str]:
+        """List the names too, so that a notebook completes them."""
+        return [*super().__dir__(), *self._numbers]
+
+    def __repr__(self) -> str:
+        """Show the numbers as a dict shows them."""
+        return f"Values({self._numbers!r})"
+
+    def __reduce__(self) -> tuple[type[Values], tuple[dict[str, float | None]]]:
+        """Copy and pickle by the numbers."""
+        return Values, (self._numbers,)
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Return the numbers as they stand in JSON."""
+        return dict(self._numbers)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        """Read them from a JSON object of numbers and nulls."""
+        from pydantic_core import core_schema  # noqa: PLC0415 - only where JSON is read
+
+        of_numbers = handler.generate_schema(dict[str, float | None])
+        return core_schema.no_info_after_validator_function(cls, of_numbers)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: Any, handler: GetJsonSchemaHandler) -> Any:
+        """Describe them as a JSON object of numbers and nulls."""
+        return handler(schema["schema"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeftOut:
+    """Rows or exposures that take no part, with the reason as a phrase."""
+
+    what: str
+    count: int
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class StarOff:
+    """A matched star off the detector: its row as an editor counts, its numbers, and how far it lies past the edge, pixels."""
+
+    row: int
+    frame: int
+    exposure: int
+    star_id: int | None
+    off_px: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class StarsOffDetector:
+    """Matched stars that were left out because they lie off the detector: how many, how far at most, and the first twenty."""
+
+    stars: int = 0
+    farthest_px: float | None = None
+    rows: list[StarOff] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inputs:
+    """What a calibration was made from: content addresses by role, versions of what computed, and every setting."""
+
+    sha256s: dict[str, str] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Covariance:
+    """Covariance of the estimated parameters, SI, rows and columns in the order of `names`."""
+
+    names: list[str] = field(default_factory=list)
+    matrix: Matrix = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """A number under the sensor's own parameters and under the estimate."""
+
+    initial: float | None = None
+    final: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountChange:
+    """A count under the sensor's own parameters and under the estimate."""
+
+    initial: int
+    final: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChiSquareTest:
+    """The sum of squares of the whitened arcs; `lower` and `upper` hold it over `dof` in 95 of 100 sets."""
+
+    value: float | None = None
+    dof: int
+    lower: float | None
+    upper: float | None
+    consistent: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class InnovationTest:
+    """A filter's mean normalised innovation squared per degree of freedom, with its 95 % bounds; of a batch its chi-square."""
+
+    mean: float | None
+    dof: int
+    lower: float | None
+    upper: float | None
+    consistent: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class WeakestDirection:
+    """The combination of parameters that the data know least, by name, and what to do about it."""
+
+    direction: Values
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observability:
+    """Singular values of the whitened design in typical sigmas, with their directions as rows, strongest first."""
+
+    parameter_names: list[str]
+    singular_values: Numbers
+    condition_number: float | None
+    right_singular_vectors: Matrix
+    sigma_of_direction: Numbers
+    weakest: WeakestDirection
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robust:
+    """Huber's loss beside least squares on the same arcs; `threshold` in whitened sigmas."""
+
+    threshold: float
+    downweighted: int
+    share: float
+    expected_share: float
+    parameters_without: Values
+    shift_in_sigma: Values
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntervalChange:
+    """95 % intervals of a score under the sensor's own parameters and under the estimate."""
+
+    initial: Numbers
+    final: Numbers
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluationIntervals:
+    """95 % intervals of the scores, from resampled blocks of frames."""
+
+    availability: IntervalChange
+    matched_star_ratio: Numbers
+    rms_arc_rad: IntervalChange
+    rms_ratio: Numbers
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReasonChange:
+    """Frames without an attitude, counted by reason, under the sensor's own parameters and under the estimate."""
+
+    initial: dict[str, int] = field(default_factory=dict)
+    final: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """Flight scores of a set under two states, `boresight.evaluation/1`; RMS is unweighted, on the pairs that both match."""
+
+    schema: str = EVALUATION_SCHEMA
+    frames: int
+    availability: Change
+    matched_stars: CountChange | None = None
+    matched_star_ratio: float | None
+    rms_arc_rad: Change
+    rms_ratio: float | None = None
+    common_pairs: int | None = None
+    stars: int | None = None
+    match: str | None = None
+    flight_tolerance_rad: float | None = None
+    intervals: EvaluationIntervals | None = None
+    reasons: ReasonChange = field(default_factory=ReasonChange)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JudgedOn:
+    """The part of a set too large to be judged whole that scores, alignment and trust are of."""
+
+    frames: int
+    stars: int
+    of_frames: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cycle:
+    """One fit or one filter run.
+
+    `cycle`: its number, from 1. `matched`: stars in the arcs it was made from. `rematched`: stars that its result matches
+    afterwards. `changed`: detections whose star is another, or gone, or new, afterwards. `rms_arc_rad`: unweighted RMS of the
+    arcs at its result.
+    """
+
+    cycle: int
+    matched: int
+    rematched: int
+    changed: int
+    rms_arc_rad: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tolerance:
+    """Median and 95th percentile of the distance within which a star was looked for, pixels."""
+
+    median: float | None
+    p95: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlaggedStars:
+    """Matched stars that the catalogue calls double or unreliable, and rows left out for it."""
+
+    doubles: int = 0
+    unreliable: int = 0
+    left_out: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightScores:
+    """What the flight code makes of the matches: its tolerance, and the scores of the evaluation."""
+
+    tolerance_rad: float | None
+    availability: Change
+    matched_stars: CountChange | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Matching:
+    """The matches that an estimate stands on, against those that the file gave, and how many have each reason or start."""
+
+    given: int
+    kept: int
+    added: int
+    removed: int
+    renamed: int
+    matched: int
+    cycles: list[Cycle]
+    rested: bool
+    tolerance_px: Tolerance
+    row_reasons: dict[str, int]
+    removed_reasons: dict[str, int]
+    exposure_reasons: dict[str, int]
+    starts: dict[str, int]
+    flagged: FlaggedStars = field(default_factory=FlaggedStars)
+    flight: FlightScores | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alignment:
+    """How loading the estimate turns the reported attitude, about the axes of the right-handed detector triad.
+
+    `quaternion`: (4,) x y z w. `sigma_of_mean_arcsec` belongs to loading these very values, `sigma_arcsec` to another calibration
+    as good as this one. `c_sd_update`: (3, 3) by which C_SD is multiplied from the right to keep the attitude.
+    """
+
+    quaternion: Numbers
+    rotation_arcsec: Numbers
+    sigma_arcsec: Numbers
+    sigma_of_mean_arcsec: Numbers
+    frames: int
+    scatter_arcsec: float | None
+    noise_arcsec: float | None
+    consistent: bool
+    sentence: str
+    c_sd_update: Matrix
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferenceInformation:
+    """What a reference keeps of the information in the centroids: geometric mean over the parameters, and the least."""
+
+    reference: str
+    share: float | None
+    least_share: float | None
+    least: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameObservability:
+    """What single frames tell: the least singular value by curve (`model_1` ... `sigma_3`), and each reference's information."""
+
+    frame: list[int]
+    frames_used: int
+    frames: int
+    minimum_singular_value: dict[str, Numbers]
+    information: list[ReferenceInformation]
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArcSigmaMap:
+    """Error of an arc of `arc_deg` about places of the detector, from the parameters alone."""
+
+    row_px: Numbers
+    col_px: Numbers
+    sigma_arcsec: Matrix
+    arc_deg: float
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class HalvesTest:
+    """Difference of two halves in units of its covariance, chi-square, with its 95 % bounds and probability."""
+
+    value: float
+    dof: int
+    lower: float
+    upper: float
+    p: float
+    consistent: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class HalvesMap:
+    """Difference of two halves over the detector, and what their covariances let one expect."""
+
+    row_px: Numbers
+    col_px: Numbers
+    difference_arcsec: Matrix
+    expected_arcsec: Matrix
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwoHalves:
+    """Two halves of the set fitted apart, and how far they differ."""
+
+    names: list[str]
+    difference_in_sigma: Numbers
+    chi2: HalvesTest
+    map: HalvesMap
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Efficiency:
+    """Claimed sigmas over the Cramér-Rao bound of the centroids, by parameter and over all directions."""
+
+    names: list[str]
+    cramer_rao_sigma: Values
+    ratio: Values
+    overall_ratio: float
+    frames_used: int
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class MoreData:
+    """Predicted one-sigma against further frames of the same kind, with the relative uncertainty of that prediction."""
+
+    frames: int
+    further_frames: list[int]
+    sigma: dict[str, Numbers]
+    relative_uncertainty: Values | None
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class DroppedParameter:
+    """What holding one free parameter at its start would cost."""
+
+    name: str
+    chi2_increase: float
+    rms_arc_rad: float | None
+    shift_in_sigma_of_others: float | None
+    most_shifted: str
+    needed: bool
+    frames_used: int
+    settled: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class NisOverTime:
+    """Normalised innovations, or a batch's chi-squares, per degree of freedom over the frames, with 95 % bounds."""
+
+    frame: list[int]
+    nis_per_dof: Numbers
+    lower: Numbers
+    upper: Numbers
+    outside_share: float
+    expected_share: float
+    outside_bounds: Numbers
+    runs_p: float
+    points_in_all: int
+    consistent: bool
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class LjungBox:
+    """Ljung and Box's test of a series; `p` is corrected for how many were looked at."""
+
+    value: float
+    dof: int
+    p: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Whiteness:
+    """Autocorrelation of the least white score, that of parameter `name`, with the bound of white noise."""
+
+    lags: list[int]
+    autocorrelation: Numbers
+    bound: float
+    name: str
+    ljung_box: LjungBox
+    p_of_parameters: Values
+    white: bool
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorstFrames:
+    """The frames that are explained worst, as normal deviates, the worst first."""
+
+    frame: list[int]
+    chi2_per_dof: Numbers
+    dof: Numbers
+    deviation: Numbers
+    frames_in_all: int
+    beyond: int
+    expected_beyond: float
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Residuals:
+    """Centroids less the projected catalogue under each exposure's best attitude, pixels, evenly thinned."""
+
+    row_px: Numbers
+    col_px: Numbers
+    d_row_px: Numbers
+    d_col_px: Numbers
+    star_id: list[int] | None
+    frame: list[int]
+    rms_px: float
+    spread: float
+    stars_in_all: int
+    frames_used: int
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldOfResiduals:
+    """Means of the residuals in cells of the detector with one-sigma, rows of cells; None where a cell has too few stars."""
+
+    count: list[list[int]]
+    mean_row_px: Matrix
+    mean_col_px: Matrix
+    sigma_row_px: Matrix
+    sigma_col_px: Matrix
+    rms_px: Matrix
+    rms_in_all_px: float
+    chi2: float
+    dof: int
+    p: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualField:
+    """Residuals over the detector before and after; `even` where what is left has no pattern beyond noise."""
+
+    row_edges_px: Numbers
+    col_edges_px: Numbers
+    frames_used: int
+    even: bool
+    sentence: str
+    before: FieldOfResiduals | None
+    after: FieldOfResiduals
+
+
+@dataclass(frozen=True, kw_only=True)
+class Histogram:
+    """Counts of the bins, and of what lies beyond them."""
+
+    counts: list[int]
+    below: int
+    above: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualDistribution:
+    """Residuals over their sigmas: histogram before and after, quantiles against the normal curve, and the verdict on the tails."""
+
+    edges: Numbers
+    before: Histogram
+    after: Histogram
+    normal: Numbers
+    quantile: Numbers
+    sigma_of_quantile: Numbers
+    count: int
+    mean: float
+    sigma: float
+    spread: float
+    beyond_share: float
+    expected_share: float
+    p_tail: float
+    normal_tails: bool
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualOutliers:
+    """Single sightings beyond `limit` spreads along either axis, the worst first."""
+
+    frame: list[int]
+    exposure: list[int]
+    star_id: list[int] | None
+    row_px: Numbers
+    col_px: Numbers
+    d_row_px: Numbers
+    d_col_px: Numbers
+    normalised: Numbers
+    rows: int
+    columns: int
+    limit: float
+    stars_in_all: int
+    in_all: int
+    expected: float
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class StarTrust:
+    """A star over all its sightings: its displacement from the catalogue place, and what the catalogue says against it."""
+
+    star_id: int
+    sightings: int
+    mean_residual_px: float
+    rms_px: float
+    z: float
+    east_north_arcsec: Numbers
+    sigma_arcsec: Numbers
+    suspect: bool
+    flags: list[str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualDependence:
+    """The radial residual in equally full bins of a quantity; `even` where it does not depend on it beyond noise."""
+
+    edges: Numbers
+    mean_px: Numbers
+    sigma_of_mean_px: Numbers
+    rms_px: Numbers
+    count: list[int]
+    unit: str
+    p: float
+    even: bool
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualAgainst:
+    """The radial residual against radius, magnitude, temperature and time."""
+
+    radius: ResidualDependence | None = None
+    magnitude: ResidualDependence | None = None
+    temperature: ResidualDependence | None = None
+    time: ResidualDependence | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplineCoefficients:
+    """Coefficients of a spline of displacements, along row and column, pixels."""
+
+    row_px: list[list[float]]
+    col_px: list[list[float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplineTest:
+    """Whether a spline holds more than noise: its value, its mean where the model is right, the chance of as much then."""
+
+    statistic: float
+    expected: float
+    p: float
+    false_alarm_rate: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class LargestDisplacement:
+    """The place of the largest displacement told: where, how much along either axis, its length and the sigma of that, pixels."""
+
+    row_px: float
+    col_px: float
+    d_row_px: float
+    d_col_px: float
+    size_px: float
+    sigma_px: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplineExplanation:
+    """What a camera model with all its parameters free would leave: `p` of the same test, and the parameters it frees besides."""
+
+    camera_model: str
+    p: float
+    more: list[str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualSpline:
+    """What a camera model leaves over the detector, as a spline with its sigma; `structure` where that is more than noise.
+
+    Knots and coefficients are the spline, of degree `degree`; `d_row_px` ... `sigma_col_px` are it at places `row_px`, `col_px`.
+    """
+
+    camera_model: str
+    degree: int
+    row_knots_px: list[float]
+    col_knots_px: list[float]
+    coefficients: SplineCoefficients
+    row_px: list[float]
+    col_px: list[float]
+    d_row_px: list[list[float]]
+    d_col_px: list[list[float]]
+    sigma_row_px: list[list[float]]
+    sigma_col_px: list[list[float]]
+    strength_px: float
+    effective_parameters: float
+    noise: float
+    test: SplineTest
+    structure: bool
+    largest: LargestDisplacement
+    at_most_px: float
+    explained_by: list[SplineExplanation]
+    stars: int
+    frames_used: int
+    left_out: int
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trust:
+    """How far a calibration can be believed beyond its own sigmas; `unavailable` says why a part is None."""
+
+    arc_sigma_map: ArcSigmaMap | None = None
+    two_halves: TwoHalves | None = None
+    efficiency: Efficiency | None = None
+    more_data: MoreData | None = None
+    drop_one: list[DroppedParameter] | None = None
+    nis_over_time: NisOverTime | None = None
+    whiteness: Whiteness | None = None
+    worst_frames: WorstFrames | None = None
+    residuals: Residuals | None = None
+    residual_field: ResidualField | None = None
+    residual_distribution: ResidualDistribution | None = None
+    residual_outliers: ResidualOutliers | None = None
+    residual_spline: ResidualSpline | None = None
+    stars: list[StarTrust] | None = None
+    residual_against: ResidualAgainst | None = None
+    drop_one_sentence: str | None = None
+    stars_sentence: str | None = None
+    stars_in_all: int | None = None
+    suspects: list[int] = field(default_factory=list)
+    unavailable: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShadowAnswer:
+    """What one state makes of a frame."""
+
+    valid: bool
+    matched: int
+    reason: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShadowFrame:
+    """A frame under the baseline and under the candidate, with the stars that only one of them accepts."""
+
+    frame: int
+    time_utc: str | None
+    baseline: ShadowAnswer
+    candidate: ShadowAnswer
+    lost: list[int]
+    gained: list[int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShadowSummary:
+    """Frames that each state alone solves, with McNemar's exact probability, and sightings gained and lost."""
+
+    baseline_only: int
+    candidate_only: int
+    both: int
+    neither: int
+    stars_lost: int
+    stars_gained: int
+    p: float
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShadowOfSet:
+    """A set under two states side by side, frame by frame: those that differ first."""
+
+    frames: list[ShadowFrame]
+    frames_in_set: int
+    flight_tolerance_rad: float | None
+    summary: ShadowSummary
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shadow:
+    """Shadow mode on the calibration set and on the validation set."""
+
+    calibration: ShadowOfSet | None = None
+    validation: ShadowOfSet | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class HistoryBetween:
+    """What the updates that are not kept would have shown, for the interval that each kept one ends."""
+
+    nis_peak: Numbers
+    nis_peak_dof: Numbers
+    nis_peak_frame: Numbers
+    parameters_low: Matrix
+    parameters_high: Matrix
+
+
+@dataclass(frozen=True, kw_only=True)
+class History:
+    """A filter's updates: state, sigma, tail and aggregate RMS, innovations, an entry an update that is kept."""
+
+    frame: list[int]
+    time_utc: list[str | None] | None = None
+    parameters: Matrix
+    sigma: Matrix
+    tail_rms_rad: Numbers
+    aggregate_rms_rad: Numbers
+    nis: Numbers = field(default_factory=list)
+    nis_dof: list[int] = field(default_factory=list)
+    linearisations: list[int] = field(default_factory=list)
+    between: HistoryBetween | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Iterations:
+    """A batch's iterates: state, sigma, cost (half of chi-square), damping and RMS."""
+
+    iteration: list[int]
+    parameters: Matrix
+    sigma: Matrix
+    cost: Numbers
+    damping: Numbers
+    rms_arc_rad: Numbers
+
+
+@dataclass(frozen=True, kw_only=True)
+class Displacement:
+    """Radial displacement of a camera against an undistorted one, pixels, under both states."""
+
+    initial: Numbers
+    final: Numbers
+
+
+@dataclass(frozen=True, kw_only=True)
+class StarCounts:
+    """Stars between radii."""
+
+    edges_px: Numbers
+    stars: list[int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RadialDifference:
+    """Radial displacement of the estimate against its start, one-sigma, and where the data are (E Figure 5)."""
+
+    radius_px: Numbers
+    difference_px: Numbers
+    sigma_px: Numbers
+    difference_arcsec: Numbers
+    sigma_arcsec: Numbers
+    displacement_px: Displacement | None = None
+    data_radius_px: float | None
+    counts: StarCounts | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coverage:
+    """Star counts over the detector, rows of cells."""
+
+    row_edges_px: Numbers
+    col_edges_px: Numbers
+    counts: list[list[int]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """A calibration, ended or on its way (`running`).
+
+    `parameters`, `sigma`, `initial`, `typical_sigma`: SI by name; a sigma is None where it was not estimated or is not determined.
+    `delta_over_sigma`: estimate less start over sigma. `rms_arc_rad`: unweighted, on common pairs. `pairs`: arcs, two a star less
+    three an exposure. `frames_done`: of a filter on its way. `timing_s`: by stage.
+    """
+
+    schema: Literal["boresight.calibration/1"] = SCHEMA
+    sensor: str = ""
+    method: str = ""
+    variant: str | None = None
+    camera_model: str = ""
+    parameter_names: list[str] = field(default_factory=list)
+    free: list[str] = field(default_factory=list)
+    initial: Values = field(default_factory=Values)
+    typical_sigma: Values = field(default_factory=Values)
+    units: dict[str, str] = field(default_factory=dict)
+    symbols: dict[str, str] = field(default_factory=dict)
+    truth: Values | None = None
+    frames: int = 0
+    exposures: int = 0
+    stars: int = 0
+    pairs: int = 0
+    frames_in_set: int | None = None
+    left_out: list[LeftOut] = field(default_factory=list)
+    inputs: Inputs = field(default_factory=Inputs)
+    parameters: Values = field(default_factory=Values)
+    sigma: Values = field(default_factory=Values)
+    delta_over_sigma: Values = field(default_factory=Values)
+    covariance: Covariance = field(default_factory=Covariance)
+    status: Status
+    iterations: int = 0
+    chi2_per_dof: float | None = None
+    chi2: ChiSquareTest | None = None
+    nis: InnovationTest | None = None
+    observability: Observability | None = None
+    advice: list[str] = field(default_factory=list)
+    rms_arc_rad: Change = field(default_factory=Change)
+    robust: Robust | None = None
+    validation: Evaluation | None = None
+    judged_on: JudgedOn | None = None
+    evaluation: Evaluation | None = None
+    matching: Matching | None = None
+    alignment: Alignment | None = None
+    frame_observability: FrameObservability | None = None
+    trust: Trust | None = None
+    shadow: Shadow = field(default_factory=Shadow)
+    history: History | None = None
+    trace: Iterations | None = None
+    radial: RadialDifference | None = None
+    coverage: Coverage | None = None
+    timing_s: dict[str, float | None] = field(default_factory=dict)
+    stars_off_detector: StarsOffDetector | None = None
+    frames_done: int | None = None
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether the estimate converged."""
+        return self.status == USABLE
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the calibration JSON as plain lists, numbers and None."""
+        document: dict[str, Any] = to_plain(self)
+        for name in ("stars_off_detector", "frames_done"):  # only while it is on its way, or at its end
+            if document[name] is None:
+                del document[name]
+        return document
+
+    def to_json(self) -> str:
+        """Return the calibration JSON as text."""
+        return json.dumps(self.to_dict(), ensure_ascii=False, allow_nan=False)
+
+    def save(self, path: str | Path) -> None:
+        """Write the calibration JSON to a file."""
+        Path(path).write_text(self.to_json() + "\n", encoding="utf-8")
+
+
+@cache
+def _members(kind: type[Any]) -> tuple[tuple[str, Any], ...]:
+    """Return name and getter of the members of a dataclass."""
+    return tuple((one.name, attrgetter(one.name)) for one in fields(kind))
+
+
+def to_plain(value: Any) -> Any:
+    """Return dataclasses and what they hold as dicts, lists, numbers and None, as in JSON.
+
+    Lists of numbers and of lists of numbers are not copied.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return {name: to_plain(member(value)) for name, member in _members(type(value))}
+    if isinstance(value, Values):
+        return value.to_dict()
+    if isinstance(value, dict):
+        return {key: to_plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple) and any(map(is_dataclass, value[:1])):
+        return [to_plain(one) for one in value]
+    return list(value) if isinstance(value, tuple) else value
+
+
+@cache
+def _adapter() -> TypeAdapter[Calibration]:
+    """What reads calibrations; made once, for it takes a tenth of a second."""
+    from pydantic import TypeAdapter  # noqa: PLC0415 - only where JSON is read
+
+    return TypeAdapter(Calibration)
+
+
+#: What every ended calibration says.
+REQUIRED = ("sensor", "method", "camera_model", "parameters", "sigma", "covariance", "rms_arc_rad")
+
+
+def parse_calibration(document: str | bytes | Mapping[str, Any], name: str = "This document") -> Calibration:
+    """Read the calibration JSON of any version of schema 1.
+
+    Parameters
+    ----------
+    document
+        The JSON as text or bytes, or what it says as dict.
+    name
+        What a refusal calls it.
+
+    Raises
+    ------
+    RefusedInputError
+        When it is no calibration, or a member is missing or of another type: which.
+    """
+    from pydantic import ValidationError  # noqa: PLC0415 - only where JSON is read
+
+    try:
+        if isinstance(document, str | bytes):  # noqa: SIM108 - too long for a line
+            found = _adapter().validate_json(document)
+        else:
+            found = _adapter().validate_python(document)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise _refusal(name, f"{where}: {first['msg']}" if where else str(first["msg"])) from error
+    if found.status != "running":
+        missing = next((one for one in REQUIRED if not _says(found, one)), None)
+        if missing is not None:
+            raise _refusal(name, f"{missing}: missing")
+    return found
+
+
+def _says(found: Calibration, name: str) -> bool:
+    value = getattr(found, name)
+    return bool(value) if isinstance(value, str | Values) else True
+
+
+def _refusal(name: str, fault: str) -> RefusedInputError:
+    return RefusedInputError(
+        f"{name} is no whole calibration ({fault}): give the file that `boresight calibrate --json` wrote, as it was written."
+    )
+
+
+def read_calibration(path: str | Path) -> Calibration:
+    """Read the calibration JSON of a file, as `Calibration.save` or `boresight calibrate --json` wrote it.
+
+    Raises
+    ------
+    RefusedInputError
+        When the file cannot be read, or is no calibration: what it lacks.
+    """
+    try:
+        text = Path(path).read_bytes()
+    except OSError as error:
+        raise RefusedInputError(f"{path} cannot be read ({error.strerror or error}): check the path.") from error
+    return parse_calibration(text, str(path))
+
+
+def compute_json_schema() -> dict[str, Any]:
+    """Return the JSON Schema of the calibration JSON."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": SCHEMA,
+        **_adapter().json_schema(mode="validation"),
+    }
