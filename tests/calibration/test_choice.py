@@ -9,13 +9,14 @@ from scipy.stats import binom, chi2
 from boresight.calibration.choice.choose import choose
 from boresight.calibration.choice.cross_validation import cross_validate
 from boresight.calibration.choice.detector_change import ChangeOverDetector
-from boresight.calibration.choice.fits import Fits, State, seen_by, whitened_at
+from boresight.calibration.choice.fits import Fits, seen_by, whitened_at
 from boresight.calibration.choice.nested_tests import LEVEL, Noise, nested_test
-from boresight.calibration.choice.result import Sufficiency
+from boresight.calibration.choice.result import State, Sufficiency, parse_choice
 from boresight.calibration.choice.search import DECISIVE, fit_ladders
 from boresight.calibration.choice.terms import Subset, base, find_terms, largest, radial_orders
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
+from boresight.errors import RefusedInputError
 from boresight.estimation import batch
 from boresight.estimation.metrics import arc_errors
 from boresight.simulation.scenes import parse_scenario, simulate
@@ -203,8 +204,8 @@ def test_cross_validation_predicts_each_stretch_by_the_others():
     held = fits.arcs.frames(0, 5)
     assert found.squares[:5, 0].sum() == pytest.approx(np.sum(arc_errors(held, x) ** 2), rel=1e-4)
     score = found.score(0)
-    assert score.interval[0] < score.rms_arc_rad < score.interval[1]
-    assert found.ratio(0, 0).rms_arc_rad == 1.0
+    assert score.interval[0] < score.value < score.interval[1]
+    assert found.ratio(0, 0).value == 1.0
 
 
 def document(name, noise_px=0.1):
@@ -227,7 +228,7 @@ def test_from_telemetry_the_sentence_names_the_terms_and_the_file_holds_what_was
     own = parse_sensor(document("brown_conrady"))
     found = choose(tangential_set, own, catalogue)
     assert found.sufficiency is Sufficiency.SUFFICES
-    written = found.document()
+    written = found.to_dict()
     assert written["schema"] == "boresight.choice/1"
     assert written["chosen"]["camera_model"] == "brown_conrady"
     assert set(written["chosen"]["free"]) == {"f_m", "u0_px", "v0_px", "k1", "k2", "p1", "p2"} | set(
@@ -239,13 +240,23 @@ def test_from_telemetry_the_sentence_names_the_terms_and_the_file_holds_what_was
     assert {"camera_model", "free", "chi2", "dof", "bic", "rms_arc_rad", "held_out_rms_arc_rad"} <= set(
         written["models"][0]
     )
-    fresh = parse_sensor(found.sensor_file())
+    fresh = found.describe_sensor(own)
     assert fresh.free == tuple(written["chosen"]["free"])
     for one in written["needed"]:
         assert one["p_corrected"] < LEVEL
         assert one["held_out_ratio"] < 1.0
-    for key, sigma in written["chosen"]["sigma"].items():
+    for key, sigma in found.chosen.sigma.items():
         assert sigma > 0, key
+
+
+def test_a_choice_is_read_as_it_was_written(tangential_set, catalogue, tmp_path):
+    found = choose(tangential_set, parse_sensor(document("brown_conrady")), catalogue)
+    found.save(tmp_path / "choice.json")
+    assert parse_choice((tmp_path / "choice.json").read_text()) == found
+    assert parse_choice(found.to_dict()) == found
+    assert found.list_cameras()[0] is found.models[found.chosen.place]
+    with pytest.raises(RefusedInputError, match="noise"):
+        parse_choice({name: value for name, value in found.to_dict().items() if name != "noise"})
 
 
 def test_noise_that_is_stated_wrongly_is_said_and_changes_no_choice(tangential_set, catalogue):
@@ -261,7 +272,7 @@ def test_noise_that_is_stated_wrongly_is_said_and_changes_no_choice(tangential_s
     wrong = replace(tangential_set, sigma_px=None)
     found = choose(wrong, parse_sensor(document("brown_conrady", 0.05)), catalogue, CalibrationSettings(match="given"))
     assert found.sufficiency is Sufficiency.NOISE_NOT_AS_STATED
-    assert found.model.fitted.subset.term_names == right.model.fitted.subset.term_names
+    assert found.chosen.terms == right.chosen.terms
     assert found.noise_of_chosen.variance == pytest.approx(4.0, rel=0.2)
 
 
@@ -278,13 +289,14 @@ def test_where_no_model_suffices_it_says_so(tangential_set, catalogue):
 def test_a_validation_set_takes_the_place_of_cross_validation(tangential_set, catalogue):
     found = choose(tangential_set, parse_sensor(document("inverted_wang")), catalogue, validation=tangential_set)
     assert found.held_out_by == "validation"
-    chosen = found.model
-    assert chosen.held_out.rms_arc_rad == pytest.approx(chosen.fitted.rms_arc_rad, rel=0.02)  # the set validates itself
+    assert found.model.held_out_rms_arc_rad == pytest.approx(
+        found.model.rms_arc_rad, rel=0.02
+    )  # the set validates itself
 
 
 def test_on_the_real_sky_one_radial_term_and_the_principal_point_suffice(real_sky, catalogue):
     telemetry, of = read_telemetry(real_sky / "esa-5-frames.csv"), read_sensor(real_sky / "esa.sensor.json")
     found = choose(telemetry, of, catalogue)
-    assert found.model.fitted.camera.name == "inverted_wang"
-    assert found.model.fitted.subset.free_names == ("f_m", "m0_px", "n0_px", "b2_per_m2")
+    assert found.chosen.camera_model == "inverted_wang"
+    assert found.chosen.free == ["f_m", "m0_px", "n0_px", "b2_per_m2"]
     assert found.leftover.p > LEVEL

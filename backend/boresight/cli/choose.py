@@ -23,7 +23,10 @@ from boresight.estimation.blocks import computing_on
 from boresight.settings import read_settings, use_kernel_folder
 
 if TYPE_CHECKING:
-    from boresight.calibration.choice.result import Choice, Model, TermTest
+    from boresight.calibration.calibration import Numbers
+    from boresight.calibration.choice.result import Choice, TermTest
+    from boresight.calibration.options import CalibrationSettings
+    from boresight.telemetry.sensors import Sensor
 
 
 @click.command()
@@ -57,24 +60,27 @@ def choose(
         check_writable(place)
     if out_file is not None and sensor_file.exists() and Path(out_file).exists() and sensor_file.samefile(out_file):
         raise RefusedInputError(f"{out_file} is the sensor file that is read, and is kept: choose another name.")
+    from boresight.telemetry.sensors import read_sensor, sensor_document
+
     use_kernel_folder(read_settings())
     settings = parse_settings(chosen(choices))
     with progress("reading the telemetry") as report, computing_on(read_settings().computing_threads):
-        found = _chosen(telemetry, sensor_file, validate, settings, report)
-    write_json(found.document(), json_file)
+        sensor = read_sensor(sensor_file)
+        found = _chosen(telemetry, sensor, validate, settings, report)
+    write_json(found.to_dict(), json_file)
     if out_file is not None:
-        write_json(found.sensor_file(), out_file)
+        write_json(sensor_document(found.describe_sensor(sensor)), out_file)
     if STANDARD_OUTPUT not in {json_file, out_file}:
         click.echo("\n".join(_lines(found)))
 
 
-def _chosen(telemetry: Path, sensor_file: Path, validate: Path | None, settings: Any, report: Any) -> Choice:
+def _chosen(
+    telemetry: Path, sensor: Sensor, validate: Path | None, settings: CalibrationSettings, report: Any
+) -> Choice:
     from boresight.calibration.choice.choose import choose as find
     from boresight.calibration.telemetry_pieces import TelemetryFile
     from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.sensors import read_sensor
 
-    sensor = read_sensor(sensor_file)
     limits = read_settings().telemetry_limits
     stars = TelemetryFile(telemetry, limits=limits).opened()
     validation = None if validate is None else TelemetryFile(validate, limits=limits).opened()
@@ -86,7 +92,7 @@ def _chosen(telemetry: Path, sensor_file: Path, validate: Path | None, settings:
 
 
 def _lines(found: Choice) -> Iterator[str]:
-    yield f"{found.sensor.name}: {found.frames:,} frames, {found.stars:,} stars, {found.arcs:,} arcs"
+    yield f"{found.sensor}: {found.frames:,} frames, {found.stars:,} stars, {found.arcs:,} arcs"
     yield ""
     yield found.sentence
     yield ""
@@ -100,19 +106,17 @@ def _lines(found: Choice) -> Iterator[str]:
 def _cameras(found: Choice) -> Iterator[tuple[str, ...]]:
     """Give a row a camera: its least sufficient candidate."""
     yield "", "camera and free terms", "free", "chi2/dof", "BIC above", "held-out RMS µrad", "change px", "± 3σ"
-    shown = {id(one.fitted) for one in found.others}
-    rows = [found.model, *sorted((m for m in found.models if id(m.fitted) in shown), key=lambda one: one.bic)]
-    for one in rows:
-        fitted = one.fitted
-        words = ", ".join(fitted.subset.term_names) or "focal length alone"
+    for place, one in enumerate(found.list_cameras()):
+        words = ", ".join(one.terms) or "focal length alone"
         yield (
-            "->" if one is found.model else "",
-            f"{fitted.camera.name}: {words}",
-            str(fitted.n_free),
-            f"{fitted.chi2 / fitted.dof:.4f}",
-            f"{one.bic - found.model.bic:.1f}",
-            _scored(one),
-            *_changed(one),
+            "->" if place == 0 else "",
+            f"{one.camera_model}: {words}",
+            str(len(one.free)),
+            _number(None if one.chi2 is None else one.chi2 / one.dof, ".4f"),
+            _number(found.bic_above(one), ".1f"),
+            _scored(one.held_out_rms_arc_rad, one.held_out_interval_rad),
+            _number(one.change_px, ".3f"),
+            _number(one.change_3_sigma_px, ".3f"),
         )
 
 
@@ -121,28 +125,29 @@ def _terms(found: Choice) -> Iterator[tuple[str, ...]]:
     yield "", "term of the chosen camera", "chi2 drop", "df", "p, corrected", "held-out RMS", "change px", "± 3σ"
     for word, tests in (("needed", found.needed), ("beyond", found.beyond)):
         for one in tests:
-            yield (
-                word,
-                " + ".join(one.test.terms),
-                f"{one.test.drop:.1f}",
-                str(one.test.df),
-                f"{one.test.p_corrected:.2g}",
-                "-" if one.held_out is None else f"{100 * (one.held_out.rms_arc_rad - 1):+.2f} %",
-                *_changed(one),
-            )
+            yield word, *_tested(one)
 
 
-def _scored(one: Model) -> str:
+def _tested(one: TermTest) -> tuple[str, ...]:
+    return (
+        " + ".join(one.terms),
+        f"{one.chi2_difference:.1f}",
+        str(one.df),
+        f"{one.p_corrected:.2g}",
+        "-" if one.held_out_ratio is None else f"{100 * (one.held_out_ratio - 1):+.2f} %",
+        _number(one.change_px, ".3f"),
+        _number(one.change_3_sigma_px, ".3f"),
+    )
+
+
+def _scored(value: float | None, interval: Numbers | None) -> str:
     """Held-out RMS with its interval."""
-    if one.held_out is None:
+    if value is None:
         return "-"
-    low, high = one.held_out.interval
-    interval = "" if low is None or high is None else f" ({low * 1e6:.2f} to {high * 1e6:.2f})"
-    return f"{one.held_out.rms_arc_rad * 1e6:.2f}{interval}"
+    low, high = interval or (None, None)
+    ends = "" if low is None or high is None else f" ({low * 1e6:.2f} to {high * 1e6:.2f})"
+    return f"{value * 1e6:.2f}{ends}"
 
 
-def _changed(one: Model | TermTest) -> tuple[str, str]:
-    if one.change is None:
-        return "-", "-"
-    size, three_sigma = one.change.largest
-    return f"{size:.3f}", f"{three_sigma:.3f}"
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,12 +20,24 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibrate import CalibrationContext, choose_match_mode, open_validation_set
+from boresight.calibration.calibration import Values
 from boresight.calibration.choice.cross_validation import HeldOutScores, cross_validate, validate
 from boresight.calibration.choice.detector_change import ChangeOverDetector
 from boresight.calibration.choice.fits import Fits, FittedSubset, seen_by, whitened_at
-from boresight.calibration.choice.nested_tests import NestedTest
-from boresight.calibration.choice.result import Choice, Leftover, Model, OtherCamera, TermTest
-from boresight.calibration.choice.search import bic, find_least, fit_ladders
+from boresight.calibration.choice.nested_tests import LEVEL, NestedTest, Noise
+from boresight.calibration.choice.result import (
+    Candidate,
+    Choice,
+    ChosenCamera,
+    Leftover,
+    NoiseFound,
+    OtherCamera,
+    State,
+    Sufficiency,
+    TermTest,
+    say,
+)
+from boresight.calibration.choice.search import Between, bic, find_least, fit_ladders
 from boresight.calibration.estimate import Parameters, never
 from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.matching.match_report import Estimation, identification_advice
@@ -111,35 +124,118 @@ def choose(  # noqa: PLR0913 - what is chosen from, and six choices of the calle
     held = _score_held_out(validation, fits, candidates, richest, catalogue, settings, context, rng)
     advice += held[1]
     tell("looking over the detector", 0.8)
-    change = ChangeOverDetector(fits, noise.scale)
-    at = {id(one): k for k, one in enumerate(candidates)}
-
-    def shown(test: NestedTest) -> TermTest:
-        ratio = None if held[0] is None else held[0].ratio(at[id(test.larger)], at[id(test.smaller)])
-        return TermTest(test, change(test.smaller, test.larger), ratio)
-
-    models = tuple(
-        Model(one, bic(one, noise), None if held[0] is None else held[0].score(k), change(chosen.fitted, one))
-        for k, one in enumerate(candidates)
-    )
+    evidence = _Evidence(fits, noise, candidates, held[0])
     answer = Choice(
-        sensor=sensor,
+        sensor=sensor.name,
+        sensor_camera_model=sensor.camera_model,
+        sufficiency=Sufficiency.SUFFICES,
+        chosen=evidence.chosen(chosen.fitted),
+        models=[evidence.candidate(one, chosen.fitted) for one in candidates],
+        needed=[evidence.of_test(test) for test in chosen.needed],
+        beyond=[evidence.of_test(test) for test in chosen.beyond],
+        other_cameras=[evidence.other(one) for one in least.between],
+        leftover=_leftover(fits, chosen.fitted),
+        noise=_found(noise),
+        noise_of_chosen=_found(Noise(chosen.fitted.chi2 / chosen.fitted.dof, chosen.fitted.dof)),
+        level=LEVEL,
+        held_out_by=None if held[0] is None else held[0].source,
+        matched_with=stars.matched_with,
         frames=fits.arcs.n_frames,
         stars=fits.arcs.n_stars,
         arcs=fits.arcs.n_arcs,
-        noise=noise,
-        models=models,
-        chosen=at[id(chosen.fitted)],
-        needed=tuple(shown(test) for test in chosen.needed),
-        beyond=tuple(shown(test) for test in chosen.beyond),
-        others=tuple(OtherCamera(one.against.fitted, one.bic_above, one.test) for one in least.between),
-        leftover=_leftover(fits, chosen.fitted),
-        held_out_by=None if held[0] is None else held[0].source,
-        matched_with=stars.matched_with,
-        advice=(*advice, *stars.advice),
+        advice=[*advice, *stars.advice],
     )
+    answer = replace(answer, sufficiency=_judge(answer))
     tell("done", 1.0)
-    return answer
+    return replace(answer, sentence=say(answer))
+
+
+def _judge(found: Choice) -> Sufficiency:
+    """Judge whether the chosen candidate holds all that the stars show."""
+    if found.leftover is not None and found.leftover.p < LEVEL:
+        return Sufficiency.SOMETHING_LEFT
+    return Sufficiency.SUFFICES if found.noise_of_chosen.as_stated else Sufficiency.NOISE_NOT_AS_STATED
+
+
+def _found(noise: Noise) -> NoiseFound:
+    return NoiseFound(variance=noise.variance, dof=noise.dof, as_stated=noise.as_stated)
+
+
+class _Evidence:
+    """Describes candidates and tests beside their held-out scores and changes over the detector."""
+
+    def __init__(self, fits: Fits, noise: Noise, candidates: list[FittedSubset], scores: HeldOutScores | None) -> None:
+        self._noise, self._scores = noise, scores
+        self._at = {id(one): place for place, one in enumerate(candidates)}
+        self._change = ChangeOverDetector(fits, noise.scale)
+
+    def chosen(self, fitted: FittedSubset) -> ChosenCamera:
+        """Describe the chosen candidate."""
+        sigma = np.sqrt(np.diag(fitted.P) * self._noise.scale)
+        return ChosenCamera(
+            camera_model=fitted.camera.name,
+            free=list(fitted.subset.free_names),
+            terms=list(fitted.subset.term_names),
+            place=self._at[id(fitted)],
+            parameters=Values(dict(zip(fitted.camera.parameter_names, fitted.x.tolist(), strict=True))),
+            sigma=Values(dict(zip(fitted.subset.free_names, sigma.tolist(), strict=True))),
+        )
+
+    def candidate(self, fitted: FittedSubset, chosen: FittedSubset) -> Candidate:
+        """Describe a candidate."""
+        ended = fitted.state is not State.FAILED
+        score = None if self._scores is None else self._scores.score(self._at[id(fitted)])
+        largest, three_sigma = self._largest(chosen, fitted)
+        return Candidate(
+            camera_model=fitted.camera.name,
+            free=list(fitted.subset.free_names),
+            terms=list(fitted.subset.term_names),
+            state=fitted.state,
+            chi2=fitted.chi2 if ended else None,
+            dof=fitted.dof,
+            bic=bic(fitted, self._noise) if ended else None,
+            rms_arc_rad=fitted.rms_arc_rad if ended else None,
+            held_out_rms_arc_rad=None if score is None else score.value,
+            held_out_interval_rad=None if score is None else list(score.interval),
+            change_px=largest,
+            change_3_sigma_px=three_sigma,
+        )
+
+    def of_test(self, test: NestedTest) -> TermTest:
+        """Describe a test."""
+        places = self._at[id(test.larger)], self._at[id(test.smaller)]
+        ratio = None if self._scores is None else self._scores.ratio(*places)
+        largest, three_sigma = self._largest(test.smaller, test.larger)
+        return TermTest(
+            camera_model=test.larger.camera.name,
+            terms=list(test.terms),
+            chi2_difference=test.drop,
+            df=test.df,
+            p=test.p,
+            log10_p=test.log_p / math.log(10.0),
+            looked_at=test.looked_at,
+            p_corrected=test.p_corrected,
+            log10_p_corrected=test.log_corrected / math.log(10.0),
+            needed=test.rejects,
+            held_out_ratio=None if ratio is None else ratio.value,
+            held_out_ratio_interval=None if ratio is None else list(ratio.interval),
+            change_px=largest,
+            change_3_sigma_px=three_sigma,
+        )
+
+    def other(self, one: Between) -> OtherCamera:
+        """Describe another camera's candidate."""
+        fitted = one.against.fitted
+        return OtherCamera(
+            camera_model=fitted.camera.name,
+            place=self._at[id(fitted)],
+            bic_above=one.bic_above,
+            test=None if one.test is None else self.of_test(one.test),
+        )
+
+    def _largest(self, before: FittedSubset, after: FittedSubset) -> tuple[float | None, float | None]:
+        found = self._change(before, after)
+        return (None, None) if found is None else found.largest
 
 
 def _read(
@@ -265,4 +361,5 @@ def _leftover(fits: Fits, chosen: FittedSubset) -> Leftover | None:
     at = int(np.argmax(size))
     C = found.covariance(arcs.row_px[at : at + 1], arcs.col_px[at : at + 1])[0]
     towards = shift[at] / max(float(size[at]), 1e-300)
-    return Leftover(found.test.p, float(size[at]), float(np.sqrt(max(towards @ C @ towards, 0.0))))
+    sigma = float(np.sqrt(max(towards @ C @ towards, 0.0)))
+    return Leftover(p=found.test.p, largest_px=float(size[at]), sigma_px=sigma)

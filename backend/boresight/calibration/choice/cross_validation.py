@@ -19,6 +19,7 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.choice.fits import Fits, FittedSubset, seen_by
+from boresight.calibration.choice.result import HeldOutBy
 from boresight.calibration.evaluation import bootstrap
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
@@ -29,9 +30,9 @@ FOLDS = 5
 
 @dataclass(frozen=True)
 class Score:
-    """RMS of held-out arcs, rad, and its 95 % interval; an end is None where too few frames tell."""
+    """RMS of held-out arcs, rad, or a ratio of two, and its 95 % interval; an end is None where too few frames tell."""
 
-    rms_arc_rad: float
+    value: float
     interval: tuple[float | None, float | None]
 
 
@@ -39,12 +40,12 @@ class Score:
 class HeldOutScores:
     """Held-out squares of every candidate, frame by frame.
 
-    `source`: "validation" or "cross-validation". `frames`: how many. `squares`: (n_frames, n_candidates) sums of squared arc
+    `source`: what they were held out by. `frames`: how many. `squares`: (n_frames, n_candidates) sums of squared arc
     errors, rad^2; NaN where a candidate could not be judged. `arcs`: (n_frames,). `drawn`: (replicates, n_candidates + 1) resampled
     sums, arcs last. `blocks`: independent blocks in the set.
     """
 
-    source: str
+    source: HeldOutBy
     frames: int
     squares: FloatArray
     arcs: FloatArray
@@ -82,7 +83,7 @@ def cross_validate(fits: Fits, candidates: list[FittedSubset], rng: np.random.Ge
         if one.usable:
             states = _without_each(parts, fits, one)
             squares[:, k] = np.concatenate([_squares(part, one, x) for part, x in zip(parts, states, strict=True)])
-    return _resampled("cross-validation", squares, np.diff(fits.arcs.frame_arcs), rng)
+    return _resampled(HeldOutBy.CROSS_VALIDATION, squares, np.diff(fits.arcs.frame_arcs), rng)
 
 
 def _without_each(parts: list[ArcSet], fits: Fits, one: FittedSubset) -> list[FloatArray]:
@@ -108,7 +109,7 @@ def validate(arcs: ArcSet, candidates: list[FittedSubset], rng: np.random.Genera
     for k, one in enumerate(candidates):
         if one.usable:
             squares[:, k] = _squares(arcs, one, one.x)
-    return _resampled("validation", squares, np.diff(arcs.frame_arcs), rng)
+    return _resampled(HeldOutBy.VALIDATION, squares, np.diff(arcs.frame_arcs), rng)
 
 
 def _squares(arcs: ArcSet, one: FittedSubset, x: FloatArray) -> FloatArray:
@@ -116,7 +117,7 @@ def _squares(arcs: ArcSet, one: FittedSubset, x: FloatArray) -> FloatArray:
     return np.asarray(np.add.reduceat(arc_errors(seen_by(arcs, one.camera), x) ** 2, arcs.frame_arcs[:-1]))
 
 
-def _resampled(source: str, squares: FloatArray, arcs: FloatArray, rng: np.random.Generator) -> HeldOutScores:
+def _resampled(source: HeldOutBy, squares: FloatArray, arcs: FloatArray, rng: np.random.Generator) -> HeldOutScores:
     columns = np.column_stack([squares, arcs]).astype(np.float64)
     length = 1
     for column in columns.T[:-1]:

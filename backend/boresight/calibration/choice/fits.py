@@ -17,11 +17,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import StrEnum
 
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.choice.result import State
 from boresight.calibration.choice.terms import Subset
 from boresight.calibration.estimate import never
 from boresight.cameras import CAMERA_MODELS, CameraModel
@@ -34,15 +34,6 @@ from boresight.telemetry.sensors import Sensor
 #: Eigenvalue of A with a unit diagonal below which a direction is not told apart from nothing.
 LEAST_SHARE = 1e-8
 MAX_ITERATIONS = 60
-
-
-class State(StrEnum):
-    """How the fit of a candidate ended; only what is determined can be chosen."""
-
-    DETERMINED = "determined"
-    UNDETERMINED = "undetermined"
-    IMPLAUSIBLE = "implausible"
-    FAILED = "failed"
 
 
 @dataclass(frozen=True)

@@ -1,25 +1,42 @@
-"""What was chosen and why, typed; its one sentence; JSON at the border (`boresight.choice/1`)."""
+"""What was chosen and why, as a tree of frozen dataclasses, and its JSON, `boresight.choice/1`.
+
+Numbers are SI unless a name says otherwise; None stands where a number cannot be known, never NaN. `parse_choice` reads what
+`Choice.to_dict` writes; a member that is not known here is dropped.
+"""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from boresight.arrays import FloatArray
-from boresight.calibration.choice.cross_validation import Score
-from boresight.calibration.choice.detector_change import DetectorChange
-from boresight.calibration.choice.fits import FittedSubset, State
-from boresight.calibration.choice.nested_tests import LEVEL, NestedTest, Noise
-from boresight.telemetry.sensors import Sensor, sensor_document
+from boresight.calibration.calibration import Numbers, Values, to_plain
+from boresight.cameras import CAMERA_MODELS
+from boresight.errors import RefusedInputError
+from boresight.telemetry.sensors import Sensor
 
-SCHEMA = "boresight.choice/1"
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
+
+SCHEMA: Final = "boresight.choice/1"
 #: p-values below this are written as below it.
 SMALLEST_P = 1e-6
+
+
+class State(StrEnum):
+    """How the fit of a candidate ended; only what is determined can be chosen."""
+
+    DETERMINED = "determined"
+    UNDETERMINED = "undetermined"
+    IMPLAUSIBLE = "implausible"
+    FAILED = "failed"
 
 
 class Sufficiency(StrEnum):
@@ -30,35 +47,82 @@ class Sufficiency(StrEnum):
     SOMETHING_LEFT = "something_left"
 
 
-@dataclass(frozen=True)
-class Model:
-    """One candidate: its fit, BIC, held-out score, and how far it puts stars from where the chosen one does."""
+class HeldOutBy(StrEnum):
+    """What candidates were held out against."""
 
-    fitted: FittedSubset
-    bic: float
-    held_out: Score | None
-    change: DetectorChange | None
+    VALIDATION = "validation"
+    CROSS_VALIDATION = "cross-validation"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A camera with some of its terms free, fitted.
+
+    `bic`: Schwarz's criterion with the noise found. `held_out_rms_arc_rad`: on frames it was not fitted to, with its 95 % interval.
+    `change_px`: how far it puts stars from where the chosen one does, where that is most, with three sigma.
+    """
+
+    camera_model: str
+    free: list[str]
+    terms: list[str]
+    state: State
+    chi2: float | None
+    dof: int
+    bic: float | None
+    rms_arc_rad: float | None
+    held_out_rms_arc_rad: float | None = None
+    held_out_interval_rad: Numbers | None = None
+    change_px: float | None = None
+    change_3_sigma_px: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChosenCamera:
+    """The chosen candidate, `models[place]`: parameters and their sigmas, by the noise found where the stated one is rejected."""
+
+    camera_model: str
+    free: list[str]
+    terms: list[str]
+    place: int
+    parameters: Values
+    sigma: Values
+
+
+@dataclass(frozen=True, kw_only=True)
 class TermTest:
-    """A test with what it means: the change over the detector and held-out RMS, larger candidate over smaller."""
+    """A chi-square difference test between nested candidates, and what its terms mean.
 
-    test: NestedTest
-    change: DetectorChange | None
-    held_out: Score | None
+    `looked_at`: how many such tests there were, which `p_corrected` counts. `needed`: whether the smaller candidate is rejected.
+    `held_out_ratio`: held-out RMS with the terms over that without them. `change_px`: the most that they move a star.
+    """
+
+    camera_model: str
+    terms: list[str]
+    chi2_difference: float
+    df: int
+    p: float
+    log10_p: float
+    looked_at: int
+    p_corrected: float
+    log10_p_corrected: float
+    needed: bool
+    held_out_ratio: float | None = None
+    held_out_ratio_interval: Numbers | None = None
+    change_px: float | None = None
+    change_3_sigma_px: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class OtherCamera:
-    """The least sufficient candidate of another camera: how much its BIC is above, and a nested test where there is one."""
+    """Another camera's least sufficient candidate, `models[place]`: its BIC over the chosen one's, and a nested test or None."""
 
-    fitted: FittedSubset
+    camera_model: str
+    place: int
     bic_above: float
-    test: NestedTest | None
+    test: TermTest | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Leftover:
     """What the chosen camera leaves, as `estimation.residual_spline` finds it: chance of as much by noise, and its largest size."""
 
@@ -67,241 +131,176 @@ class Leftover:
     sigma_px: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class NoiseFound:
+    """Variance of the arcs over the stated one, as a camera leaves it, and whether the stated noise explains it."""
+
+    variance: float
+    dof: int
+    as_stated: bool
+
+
+@dataclass(frozen=True, kw_only=True)
 class Choice:
     """The least camera model that suffices for a telemetry set.
 
-    Parameters
-    ----------
-    sensor
-        Whose telemetry it is.
-    frames, stars, arcs
-        What all candidates were fitted to.
-    noise
-        Variance over the stated one, as the richest camera leaves it.
-    models
-        Every candidate that was fitted.
-    chosen
-        Which of them is chosen.
-    needed, beyond
-        The test of each term of the chosen one, and of each that it does not have.
-    others
-        The other cameras.
-    leftover
-        What the chosen one leaves; None where that could not be computed.
-    held_out_by
-        `validation` or `cross-validation`; None where there was nothing to hold out.
-    matched_with
-        Name of the camera under which stars were matched; None where the file's identities stood.
-    advice
-        What a person should know beside the sentence.
+    `frames`, `stars`, `arcs`: what all candidates were fitted to. `sensor_camera_model`: what the sensor file has. `models`: every
+    candidate that was fitted. `needed`, `beyond`: the test of each term of the chosen one, and of each that it does not have.
+    `leftover`: None where the stars do not carry a spline. `noise`: as the richest camera leaves it, which tests are held against.
+    `matched_with`: the camera under which stars were matched; None where the file's identities stood.
     """
 
-    sensor: Sensor
+    schema: Literal["boresight.choice/1"] = SCHEMA
+    sensor: str
+    sensor_camera_model: str
+    sentence: str = ""
+    sufficiency: Sufficiency
+    chosen: ChosenCamera
+    models: list[Candidate]
+    needed: list[TermTest]
+    beyond: list[TermTest]
+    other_cameras: list[OtherCamera]
+    leftover: Leftover | None
+    noise: NoiseFound
+    noise_of_chosen: NoiseFound
+    level: float
+    held_out_by: HeldOutBy | None
+    matched_with: str | None
     frames: int
     stars: int
     arcs: int
-    noise: Noise
-    models: tuple[Model, ...]
-    chosen: int
-    needed: tuple[TermTest, ...]
-    beyond: tuple[TermTest, ...]
-    others: tuple[OtherCamera, ...]
-    leftover: Leftover | None
-    held_out_by: str | None
-    matched_with: str | None
-    advice: tuple[str, ...]
+    advice: list[str] = field(default_factory=list)
 
     @property
-    def model(self) -> Model:
+    def model(self) -> Candidate:
         """The chosen candidate."""
-        return self.models[self.chosen]
+        return self.models[self.chosen.place]
 
-    @property
-    def noise_of_chosen(self) -> Noise:
-        """Noise that the chosen candidate leaves."""
-        fitted = self.model.fitted
-        return Noise(fitted.chi2 / fitted.dof, fitted.dof)
+    def list_cameras(self) -> list[Candidate]:
+        """List each camera's least sufficient candidate, the chosen one first, then by BIC."""
+        others = sorted(self.other_cameras, key=lambda one: one.bic_above)
+        return [self.model, *(self.models[one.place] for one in others)]
 
-    @property
-    def sufficiency(self) -> Sufficiency:
-        """Whether it holds all that the stars show."""
-        if self.leftover is not None and self.leftover.p < LEVEL:
-            return Sufficiency.SOMETHING_LEFT
-        return Sufficiency.SUFFICES if self.noise_of_chosen.as_stated else Sufficiency.NOISE_NOT_AS_STATED
+    def bic_above(self, one: Candidate) -> float | None:
+        """Return by how much a candidate's BIC is above the chosen one's; None where its fit failed."""
+        return None if one.bic is None or self.model.bic is None else one.bic - self.model.bic
 
-    @property
-    def sentence(self) -> str:
-        """The choice in one sentence."""
-        return "; ".join([self._needed_sentence(), *self._camera_sentence(), *self._rest_sentence()]) + "."
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON of the contract as plain lists, numbers and None."""
+        document: dict[str, Any] = to_plain(self)
+        return document
 
-    def _needed_sentence(self) -> str:
-        camera = self.model.fitted.camera.name
-        of = [(one.test.terms[0], f"p {shown_p(one.test.log_corrected)}", _saved(one.held_out)) for one in self.needed]
-        if not self.model.fitted.subset.terms:
-            return f"{camera} with nothing but its focal length free suffices"
-        held = [name for name in self.model.fitted.subset.term_names if name not in {name for name, _, _ in of}]
-        if len(of) == 1:
-            name, p, saved = of[0]
-            stands = f", which stand on {listed(held)}," if held else ""
-            return f"{camera}: {name} terms{stands} are needed: {', '.join(part for part in (p, saved) if part)}"
-        each = listed([f"{name} ({', '.join(part for part in (p, saved) if part)})" for name, p, saved in of])
-        return f"{camera}: {each} terms are needed" + (f", on {listed(held)}" if held else "")
+    def to_json(self) -> str:
+        """Return the JSON as text."""
+        return json.dumps(self.to_dict(), ensure_ascii=False, allow_nan=False)
 
-    def _camera_sentence(self) -> Iterable[str]:
-        own = self.sensor.camera_model
-        for other in self.others:
-            if other.fitted.camera.name != own:
-                continue
-            if other.test is not None and other.test.rejects:
-                yield f"{own} does not hold them (p {shown_p(other.test.log_corrected)})"
-            else:
-                yield f"{own} holds the stars less well (BIC {other.bic_above:.3g} above)"
+    def save(self, path: str | Path) -> None:
+        """Write the JSON to a file."""
+        Path(path).write_text(self.to_json() + "\n", encoding="utf-8")
 
-    def _rest_sentence(self) -> Iterable[str]:
-        missing = [one.test for one in self.beyond if one.test.rejects]
-        if self.sufficiency is Sufficiency.SOMETHING_LEFT and self.leftover is not None:
-            left = self.leftover
-            yield (
-                f"but no model here suffices: {left.largest_px:.2g} ± {3 * left.sigma_px:.1g} px of smooth displacement is left "
-                f"(p {shown_p(math.log(max(left.p, 1e-300)))})"
-            )
-        elif missing:
-            terms = listed(sorted({name for test in missing for name in test.terms}))
-            yield f"{terms} would be needed beyond, which these stars do not determine"
+    def describe_sensor(self, sensor: Sensor) -> Sensor:
+        """Return the sensor with the chosen camera, what was found of it as start, and its free parameters."""
+        model, own = self.chosen.camera_model, self.chosen.camera_model == sensor.camera_model
+        return replace(
+            sensor,
+            camera_model=model,
+            initial=np.array([self.chosen.parameters[name] for name in CAMERA_MODELS[model].parameter_names], np.float64),
+            typical_sigma=sensor.typical_sigma if own else np.array(CAMERA_MODELS[model].default_typical_sigma),
+            free=tuple(self.chosen.free),
+        )  # fmt: skip
+
+
+@cache
+def _adapter() -> TypeAdapter[Choice]:
+    """What reads choices; made once."""
+    from pydantic import TypeAdapter  # noqa: PLC0415 - only where JSON is read
+
+    return TypeAdapter(Choice)
+
+
+def parse_choice(document: str | bytes | Mapping[str, Any], name: str = "This document") -> Choice:
+    """Read the JSON of a choice, as text, bytes or dict; `name` is what a refusal calls it.
+
+    Raises
+    ------
+    RefusedInputError
+        When it is no choice, or a member is missing or of another type: which.
+    """
+    from pydantic import ValidationError  # noqa: PLC0415 - only where JSON is read
+
+    try:
+        if isinstance(document, str | bytes):
+            return _adapter().validate_json(document)
+        return _adapter().validate_python(document)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise RefusedInputError(
+            f"{name} is no whole choice of a camera ({where}: {first['msg']}): "
+            "give the file that `boresight choose --json` wrote, as it was written."
+        ) from error
+
+
+def say(found: Choice) -> str:
+    """Say a choice in one sentence."""
+    return "; ".join([_say_needed(found), *_say_camera(found), *_say_rest(found)]) + "."
+
+
+def _say_needed(found: Choice) -> str:
+    camera, terms = found.chosen.camera_model, found.chosen.terms
+    if not terms:
+        return f"{camera} with nothing but its focal length free suffices"
+    of = [(one.terms[0], f"p {shown_p(one.log10_p_corrected)}", _say_saved(one.held_out_ratio)) for one in found.needed]
+    tested = {name for name, _, _ in of}
+    held = [name for name in terms if name not in tested]
+    if len(of) == 1:
+        name, p, saved = of[0]
+        stands = f", which stand on {listed(held)}," if held else ""
+        return f"{camera}: {name} terms{stands} are needed: {', '.join(part for part in (p, saved) if part)}"
+    each = listed([f"{name} ({', '.join(part for part in (p, saved) if part)})" for name, p, saved in of])
+    return f"{camera}: {each} terms are needed" + (f", on {listed(held)}" if held else "")
+
+
+def _say_camera(found: Choice) -> Iterable[str]:
+    own = found.sensor_camera_model
+    for other in found.other_cameras:
+        if other.camera_model != own:
+            continue
+        if other.test is not None and other.test.needed:
+            yield f"{own} does not hold them (p {shown_p(other.test.log10_p_corrected)})"
         else:
-            yield "nothing beyond"
-        if not self.noise_of_chosen.as_stated:
-            ratio = math.sqrt(self.noise_of_chosen.variance)
-            yield f"residuals are {ratio:.3g} times what the stated noise explains, and the tests are scaled by it"
+            yield f"{own} holds the stars less well (BIC {other.bic_above:.3g} above)"
 
-    def sensor_file(self) -> dict[str, Any]:
-        """The sensor file with the chosen camera, its fitted parameters as the initial ones, and its free parameters."""
-        fitted = self.model.fitted
-        own = fitted.camera.name == self.sensor.camera_model
-        described = replace(
-            self.sensor,
-            camera_model=fitted.camera.name,
-            initial=fitted.x,
-            typical_sigma=self.sensor.typical_sigma if own else np.array(fitted.camera.default_typical_sigma),
-            free=fitted.subset.free_names,
+
+def _say_rest(found: Choice) -> Iterable[str]:
+    missing = [one for one in found.beyond if one.needed]
+    if found.sufficiency is Sufficiency.SOMETHING_LEFT and found.leftover is not None:
+        left = found.leftover
+        yield (
+            f"but no model here suffices: {left.largest_px:.2g} ± {3 * left.sigma_px:.1g} px of smooth displacement is left "
+            f"(p {shown_p(math.log10(max(left.p, 1e-300)))})"
         )
-        return sensor_document(described)
-
-    def document(self) -> dict[str, Any]:
-        """The JSON of the contract."""
-        fitted = self.model.fitted
-        return {
-            "schema": SCHEMA,
-            "sensor": self.sensor.name,
-            "sentence": self.sentence,
-            "sufficiency": self.sufficiency.value,
-            "chosen": {
-                **_candidate(fitted),
-                "parameters": dict(zip(fitted.camera.parameter_names, fitted.x.tolist(), strict=True)),
-                "sigma": dict(zip(fitted.subset.free_names, np.sqrt(np.diag(fitted.P)).tolist(), strict=True)),
-            },
-            "models": [_model(one) for one in self.models],
-            "needed": [_evidence(one) for one in self.needed],
-            "beyond": [_evidence(one) for one in self.beyond],
-            "other_cameras": [
-                {
-                    **_candidate(one.fitted),
-                    "bic_above": one.bic_above,
-                    "p": None if one.test is None else one.test.p,
-                    "p_corrected": None if one.test is None else one.test.p_corrected,
-                }
-                for one in self.others
-            ],
-            "leftover": None if self.leftover is None else vars(self.leftover),
-            "noise": {
-                "variance": self.noise.variance,
-                "dof": self.noise.dof,
-                "as_stated": self.noise.as_stated,
-                "of_chosen": self.noise_of_chosen.variance,
-            },
-            "level": LEVEL,
-            "held_out_by": self.held_out_by,
-            "matched_with": self.matched_with,
-            "frames": self.frames,
-            "stars": self.stars,
-            "arcs": self.arcs,
-            "advice": list(self.advice),
-        }
+    elif missing:
+        terms = listed(sorted({name for test in missing for name in test.terms}))
+        yield f"{terms} would be needed beyond, which these stars do not determine"
+    else:
+        yield "nothing beyond"
+    if not found.noise_of_chosen.as_stated:
+        ratio = math.sqrt(found.noise_of_chosen.variance)
+        yield f"residuals are {ratio:.3g} times what the stated noise explains, and the tests are scaled by it"
 
 
-def _candidate(fitted: FittedSubset) -> dict[str, Any]:
-    return {
-        "camera_model": fitted.camera.name,
-        "free": list(fitted.subset.free_names),
-        "terms": list(fitted.subset.term_names),
-    }
-
-
-def _model(one: Model) -> dict[str, Any]:
-    fitted = one.fitted
-    ended = fitted.state is not State.FAILED
-    largest = None if one.change is None else one.change.largest
-    return {
-        **_candidate(fitted),
-        "state": fitted.state.value,
-        "chi2": fitted.chi2 if ended else None,
-        "dof": fitted.dof,
-        "bic": one.bic if ended else None,
-        "rms_arc_rad": fitted.rms_arc_rad if ended else None,
-        "held_out_rms_arc_rad": None if one.held_out is None else one.held_out.rms_arc_rad,
-        "held_out_interval_rad": None if one.held_out is None else list(one.held_out.interval),
-        "change_px": None if largest is None else largest[0],
-        "change_3_sigma_px": None if largest is None else largest[1],
-    }
-
-
-def _evidence(one: TermTest) -> dict[str, Any]:
-    test, change = one.test, one.change
-    largest = None if change is None else change.largest
-    return {
-        "camera_model": test.larger.camera.name,
-        "terms": list(test.terms),
-        "chi2_difference": test.drop,
-        "df": test.df,
-        "p": test.p,
-        "log10_p": test.log_p / math.log(10.0),
-        "looked_at": test.looked_at,
-        "p_corrected": test.p_corrected,
-        "needed": test.rejects,
-        "held_out_ratio": None if one.held_out is None else one.held_out.rms_arc_rad,
-        "held_out_ratio_interval": None if one.held_out is None else list(one.held_out.interval),
-        "change_px": None if largest is None else largest[0],
-        "change_3_sigma_px": None if largest is None else largest[1],
-        "field": None if change is None else _field(change),
-    }
-
-
-def _field(change: DetectorChange) -> dict[str, Any]:
-    def flat(values: FloatArray) -> list[float]:
-        rounded: list[float] = np.round(values, 6).tolist()
-        return rounded
-
-    return {
-        "row_px": flat(change.row_px),
-        "col_px": flat(change.col_px),
-        "change_row_px": flat(change.change_px[:, 0]),
-        "change_col_px": flat(change.change_px[:, 1]),
-        "sigma_px": flat(change.sigma_px),
-    }
-
-
-def shown_p(log_p: float) -> str:
+def shown_p(log10_p: float) -> str:
     """Write a p-value behind its letter: < 1e-6, = 0.003."""
-    p = math.exp(min(0.0, log_p))
+    p = 10.0 ** min(0.0, log10_p)
     return "< 1e-6" if p < SMALLEST_P else f"= {p:.2g}"
 
 
-def _saved(ratio: Score | None) -> str:
+def _say_saved(ratio: float | None) -> str:
     """Say how much lower the held-out RMS is with a term than without it."""
     if ratio is None:
         return ""
-    change = 100.0 * (ratio.rms_arc_rad - 1.0)
+    change = 100.0 * (ratio - 1.0)
     return f"held-out RMS {'down' if change <= 0 else 'up'} by {abs(change):.2g} %"
 
 

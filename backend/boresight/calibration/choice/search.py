@@ -26,8 +26,9 @@ from dataclasses import dataclass
 
 from scipy.special import ndtri
 
-from boresight.calibration.choice.fits import Fits, FittedSubset, State
+from boresight.calibration.choice.fits import Fits, FittedSubset
 from boresight.calibration.choice.nested_tests import LEVEL, NestedTest, Noise, least_likely, nested_test
+from boresight.calibration.choice.result import State
 from boresight.calibration.choice.terms import Subset, base, find_terms, largest
 from boresight.calibration.estimate import never
 from boresight.cameras import CAMERA_MODELS, CameraModel
