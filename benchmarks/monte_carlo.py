@@ -140,7 +140,7 @@ def trial(number: int, seed: int, catalogue: Catalogue) -> tuple[FloatArray, Jud
     for begin, of_sensor, sigma in (("far", sensor, 10.0), ("near", near, NEAR_SIGMA)):
         for estimator, chosen in ESTIMATORS.items():
             settings = CalibrationSettings(**chosen, initial_sigma_scale=sigma)
-            document = calibrate(telemetry, of_sensor, catalogue, settings)
+            document = calibrate(telemetry, of_sensor, catalogue, settings).to_dict()
             names = document["covariance"]["names"]
             error = np.array([document["parameters"][name] for name in names]) - truth
             sigmas = np.array([document["sigma"][name] for name in names])
@@ -190,7 +190,7 @@ def fitted(
     """Calibrate a simulated set; returns covariance (n, n) and information (n, n) in typical sigmas, and its frames."""
     scenario = replace(calibration_scenario(number), frames=frames)
     telemetry = simulate(scenario, np.random.default_rng([number, seed]), catalogue)
-    document = calibrate(telemetry, st16_sensor(number), catalogue, CalibrationSettings(method=method))
+    document = calibrate(telemetry, st16_sensor(number), catalogue, CalibrationSettings(method=method)).to_dict()
     seen = document["observability"]
     V = np.array(seen["right_singular_vectors"]).T
     A = V @ np.diag(np.square(seen["singular_values"])) @ V.T

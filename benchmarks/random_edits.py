@@ -661,7 +661,7 @@ def calibrated(case: Case, catalogue: Catalogue, cache: Path | None) -> dict[str
         CalibrationSettings.parse(case.settings),
         validation=validation_set,
         cache_folder=cache,
-    )
+    ).to_dict()
 
 
 def find_faults(document: Mapping[str, Any]) -> list[str]:

@@ -246,7 +246,7 @@ def wait_for_result(
     began_s, chosen = time.perf_counter(), CalibrationSettings.parse(settings)
     document = calibrate(WorkingTable(table).read(), st16_sensor(number), catalogue, chosen, cache_folder=cache)
     seconds = time.perf_counter() - began_s
-    return orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS), seconds
+    return orjson.dumps(document.to_dict()), seconds
 
 
 def compute_digest(result: bytes) -> str:

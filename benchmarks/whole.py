@@ -151,7 +151,7 @@ def _once(path: Path, sensor: Sensor, catalogue: Catalogue, settings: Calibratio
     began = time.perf_counter()
     telemetry = read_telemetry(path)
     read = time.perf_counter()
-    document = calibrate(telemetry, sensor, catalogue, settings)
+    document = calibrate(telemetry, sensor, catalogue, settings).to_dict()
     done = time.perf_counter()
     path.with_suffix(".json").write_bytes(orjson.dumps(document))
     ended = time.perf_counter()

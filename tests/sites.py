@@ -73,7 +73,7 @@ def results(catalogue) -> dict[str, dict[str, Any]]:
                 validation=validation,
                 sha256s={"telemetry": "ab" * 32},
                 report=partials.append,
-            )
+            ).to_dict()
     found["sqrf-partial"] = partials[-1].partial
     return found
 

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calibration import result
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.calibration import to_plain
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.matching.rematch import Matches, Rematcher, ground_covariance
 from boresight.calibration.options import CalibrationSettings
@@ -41,14 +42,16 @@ class Case:
 
     @property
     def trust(self) -> dict:
-        return trust_view(**vars(self))
+        return to_plain(trust_view(**vars(self)))
 
 
 def case(telemetry, sensor, catalogue, **settings):
     chosen = CalibrationSettings(**{"match": "given", **settings})
     with (
-        mock.patch.object(result, "document", wraps=result.document) as written,
-        mock.patch("boresight.calibration.calibrate.evaluate_result"),  # judged here, part by part
+        mock.patch.object(result, "describe_estimate", wraps=result.describe_estimate) as written,
+        mock.patch(
+            "boresight.calibration.calibrate.evaluate_result", lambda found, *_: found
+        ),  # judged here, part by part
     ):
         calibrate(telemetry, sensor, catalogue, chosen)
     return Case(*written.call_args.args[:4], telemetry, catalogue)
@@ -166,11 +169,11 @@ def write_in_groups(telemetry, folder, rows_a_group):
 def streamed(path, sensor, catalogue, chunk_frames, validation=None, **choices):
     file = TelemetryFile(path, large_rows=0, chunk_frames=chunk_frames)
     choices = {"scratch_folder": path.parent, **choices}
-    return calibrate(file, sensor, catalogue, *_settings(choices), validation=validation, **choices)
+    return calibrate(file, sensor, catalogue, *_settings(choices), validation=validation, **choices).to_dict()
 
 
 def in_memory(telemetry, sensor, catalogue, validation=None, **choices):
-    return calibrate(telemetry, sensor, catalogue, *_settings(choices), validation=validation, **choices)
+    return calibrate(telemetry, sensor, catalogue, *_settings(choices), validation=validation, **choices).to_dict()
 
 
 def _settings(choices):

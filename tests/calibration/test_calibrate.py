@@ -8,11 +8,22 @@ import numpy as np
 import pytest
 
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.calibration import (
+    Calibration,
+    ChiSquareTest,
+    Covariance,
+    Efficiency,
+    InnovationTest,
+    Inputs,
+    Trust,
+    Values,
+    to_plain,
+)
 from boresight.calibration.estimate import Parameters, robust_view, run_batch
 from boresight.calibration.matching.matched_frames import match_under_states
 from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.calibration.problem import build_problem
-from boresight.calibration.result import trend_entry
+from boresight.calibration.result import TrendEntry, trend_entry
 from boresight.errors import CancelledError, RefusedInputError
 from boresight.estimation import batch
 from boresight.estimation.statistics.consistency import nees
@@ -110,13 +121,15 @@ def test_a_start_or_telemetry_that_is_not_this_sensor_is_said_to_be_so_and_not_c
 
 def test_an_unknown_free_parameter_is_refused_with_the_names_there_are(sensor, catalogue, make_telemetry):
     with pytest.raises(RefusedInputError, match="'k1' is not one of the camera model inverted_wang: choose from f_m"):
-        calibrate(make_telemetry(11), sensor, catalogue, CalibrationSettings(free=("k1",)))
+        calibrate(make_telemetry(11), sensor, catalogue, CalibrationSettings(free=("k1",))).to_dict()
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_cancel_stops_every_method(method, sensor, catalogue, make_telemetry):
     with pytest.raises(CancelledError):
-        calibrate(make_telemetry(12), sensor, catalogue, CalibrationSettings(method=method), cancelled=lambda: True)
+        calibrate(
+            make_telemetry(12), sensor, catalogue, CalibrationSettings(method=method), cancelled=lambda: True
+        ).to_dict()
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -125,16 +138,16 @@ def test_progress_carries_a_document_from_which_figures_can_draw(method, calibra
     monkeypatch.setattr("boresight.calibration.calibrate.REPORT_EVERY_S", 0.0)
     calibrated(make_telemetry(13), method=method, report=heard.append)
     assert 0 <= heard[0].fraction <= 1
-    assert heard[0].partial["status"] == "running"
-    json.dumps(heard[0].partial, allow_nan=False)
+    assert heard[0].partial.status == "running"
+    json.dumps(heard[0].partial.to_dict(), allow_nan=False)
 
 
 def test_a_filter_on_its_way_says_how_many_frames_it_has_taken_in_at_its_pace(calibrated, make_telemetry):
     heard = []
     calibrated(make_telemetry(13, frames=30), method="sqrf", replay_frames_per_s=30.0, report=heard.append)
     for told in (one for one in heard if one.partial):
-        if told.partial["status"] == "running":
-            assert told.partial["frames_done"] == round(told.fraction * told.partial["frames"])
+        if told.partial.status == "running":
+            assert told.partial.frames_done == round(told.fraction * told.partial.frames)
     document = calibrated(make_telemetry(14, frames=30), method="sqrf", replay_frames_per_s=100.0)
     assert document["timing_s"]["fit"] >= 0.9 * (len(document["history"]["frame"]) - 1) / 100
 
@@ -187,21 +200,21 @@ def test_on_clean_data_the_view_says_that_least_squares_agrees_and_without_sigma
     sensor, catalogue, make_telemetry
 ):
     estimate, sigma = _estimate(make_telemetry(1, frames=60), sensor, catalogue, robust="huber")
-    view = robust_view(estimate.robust, NAMES, sigma)
+    view = to_plain(robust_view(estimate.robust, NAMES, sigma))
     assert view["share"] == pytest.approx(view["expected_share"], abs=0.02)
     assert view["downweighted"] == round(view["share"] * estimate.robust.arcs)
     assert max(map(abs, view["shift_in_sigma"].values())) < 1
     assert "least squares agrees" in view["sentence"]
     estimate, sigma = _estimate(make_telemetry(3), sensor, catalogue, robust="huber")
     sigma[0] = np.nan
-    assert robust_view(estimate.robust, NAMES, sigma)["shift_in_sigma"]["f_m"] is None
+    assert to_plain(robust_view(estimate.robust, NAMES, sigma))["shift_in_sigma"]["f_m"] is None
 
 
 def test_with_wrong_stars_the_view_shows_where_least_squares_would_have_ended(sensor, catalogue, make_telemetry):
     telemetry = _with_wrong_stars(make_telemetry(2, frames=60), 0.03)
     estimate, sigma = _estimate(telemetry, sensor, catalogue, robust="huber")
     plain, _ = _estimate(telemetry, sensor, catalogue)
-    view = robust_view(estimate.robust, NAMES, sigma)
+    view = to_plain(robust_view(estimate.robust, NAMES, sigma))
     assert view["share"] > view["expected_share"] + 0.05
     without = np.array(list(view["parameters_without"].values()))
     np.testing.assert_allclose((without - plain.x) / sigma, 0, atol=0.1)  # weights are taken at the robust estimate
@@ -285,47 +298,57 @@ def test_a_file_in_pieces_leaves_out_the_same_rows(rows_a_group, sensor, catalog
     assert sum("in the validation set" in sentence for sentence in one["advice"]) == 1
 
 
-RESULT: dict[str, Any] = {
-    "camera_model": "inverted_wang",
-    "status": "converged",
-    "variant": None,
-    "parameters": {"f_m": 0.016, "g_y": 1.0},
-    "covariance": {"names": ["f_m"], "matrix": [[4e-12]]},
-    "chi2": {"upper": 1.1},
-    "chi2_per_dof": 1.05,
-    "inputs": {"settings": {"linearisations": 6, "forgetting_factor": 1.0}},
-}
+RESULT = Calibration(
+    camera_model="inverted_wang",
+    status="converged",
+    parameters=Values({"f_m": 0.016, "g_y": 1.0}),
+    covariance=Covariance(names=["f_m"], matrix=[[4e-12]]),
+    chi2=ChiSquareTest(dof=100, lower=0.9, upper=1.1, consistent=True),
+    chi2_per_dof=1.05,
+    inputs=Inputs(settings={"linearisations": 6, "forgetting_factor": 1.0}),
+)
 
 
-def keep_entry(**changed: Any) -> dict[str, Any]:
-    entry = trend_entry({**RESULT, **changed})
+def keep_entry(**changed: Any) -> TrendEntry:
+    entry = trend_entry(replace(RESULT, **changed))
     assert entry is not None
     return entry
 
 
+def innovations(mean: float) -> InnovationTest:
+    return InnovationTest(mean=mean, dof=100, lower=0.8, upper=1.2, consistent=False)
+
+
+def claimed_over_bound(ratio: float) -> Trust:
+    claimed = Efficiency(
+        names=[], cramer_rao_sigma=Values(), ratio=Values(), overall_ratio=ratio, frames_used=1, sentence=""
+    )
+    return Trust(efficiency=claimed)
+
+
 def test_an_honest_covariance_is_kept_as_it_is_and_nothing_estimated_is_nothing_to_keep() -> None:
     kept = keep_entry()
-    assert [kept[key] for key in ("covariance", "variance_factor", "said", "left_out")] == [[[4e-12]], 1.0, None, None]
-    assert trend_entry({**RESULT, "covariance": {"names": [], "matrix": []}}) is None
-    assert trend_entry({"status": "running"}) is None
+    assert (kept.covariance, kept.variance_factor, kept.said, kept.left_out) == ([[4e-12]], 1.0, None, None)
+    assert trend_entry(replace(RESULT, covariance=Covariance())) is None
+    assert trend_entry(Calibration(status="running")) is None
 
 
 @pytest.mark.parametrize(
     ("changed", "factor", "word"),
     [
         ({"chi2_per_dof": 4.0}, 4.0, "chi-square"),
-        ({"nis": {"mean": 2.25, "upper": 1.2}}, 2.25, "innovations"),
-        ({"trust": {"efficiency": {"overall_ratio": 0.5}}}, 4.0, "Cramér-Rao"),
-        ({"chi2_per_dof": 2.0, "nis": {"mean": 9.0, "upper": 1.2}}, 9.0, "innovations"),
+        ({"nis": innovations(2.25)}, 2.25, "innovations"),
+        ({"trust": claimed_over_bound(0.5)}, 4.0, "Cramér-Rao"),
+        ({"chi2_per_dof": 2.0, "nis": innovations(9.0)}, 9.0, "innovations"),
     ],
 )
 def test_a_covariance_that_is_too_small_is_widened_by_the_worst_sign_of_it(
     changed: dict[str, Any], factor: float, word: str
 ) -> None:
     entry = keep_entry(**changed)
-    assert entry["variance_factor"] == pytest.approx(factor)
-    assert entry["covariance"][0][0] == pytest.approx(4e-12 * factor)
-    assert word in entry["said"]
+    assert entry.variance_factor == pytest.approx(factor)
+    assert entry.covariance[0][0] == pytest.approx(4e-12 * factor)
+    assert word in (entry.said or "")
 
 
 @pytest.mark.parametrize(
@@ -334,9 +357,9 @@ def test_a_covariance_that_is_too_small_is_widened_by_the_worst_sign_of_it(
         ({"status": "max_iterations"}, "max iterations"),
         ({"variant": "q"}, "process noise"),
         ({"variant": "no-refit"}, "matches were held"),
-        ({"variant": "no-q", "inputs": {"settings": {"linearisations": 1}}}, "over-confident"),
-        ({"variant": "no-q", "inputs": {"settings": {"forgetting_factor": 0.99}}}, "forgets"),
+        ({"variant": "no-q", "inputs": Inputs(settings={"linearisations": 1})}, "over-confident"),
+        ({"variant": "no-q", "inputs": Inputs(settings={"forgetting_factor": 0.99})}, "forgets"),
     ],
 )
 def test_what_no_factor_makes_comparable_is_left_out(changed: dict[str, Any], why: str) -> None:
-    assert why in keep_entry(**changed)["left_out"]
+    assert why in (keep_entry(**changed).left_out or "")

@@ -13,6 +13,7 @@ from scipy.stats import binomtest
 
 from boresight.calibration.advice import to_hold
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.calibration import to_plain
 from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.evaluation.evaluate import (
     evaluate_matched_frames,
@@ -53,7 +54,7 @@ def evaluated(make_telemetry, sensor, catalogue):
     def run(telemetry, initial, final, seed=0):
         rng = None if seed is None else np.random.default_rng(seed)
         whole = make_telemetry(telemetry) if isinstance(telemetry, int) else telemetry
-        return evaluate_parameters(whole, sensor, catalogue, initial, final, GIVEN, rng=rng)
+        return to_plain(evaluate_parameters(whole, sensor, catalogue, initial, final, GIVEN, rng=rng))
 
     return run
 
@@ -125,7 +126,7 @@ def test_the_interval_of_the_rms_holds_what_the_centroid_noise_says(make_telemet
     rng, hits = np.random.default_rng(9), 0
     for seed in range(60):
         whole = make_telemetry(100 + seed, frames=30)
-        found = evaluate_parameters(whole, sensor, catalogue, TRUTH, TRUTH, GIVEN, rng=rng)
+        found = to_plain(evaluate_parameters(whole, sensor, catalogue, TRUTH, TRUTH, GIVEN, rng=rng))
         low, high = found["intervals"]["rms_arc_rad"]["final"]
         hits += low <= expected <= high
     assert hits >= 51
@@ -135,8 +136,8 @@ def test_half_the_stars_come_back_by_matching_anew_and_sensor_three_becomes_avai
     sensor, telemetry, truth = halves
     P = np.diag((0.05 * sensor.typical_sigma) ** 2)
     states = (telemetry, sensor, catalogue, sensor.initial, truth)
-    given = evaluate_parameters(*states, GIVEN, None, P)
-    anew = evaluate_parameters(*states, ANEW, None, P, rng=np.random.default_rng(0))
+    given = to_plain(evaluate_parameters(*states, GIVEN, None, P))
+    anew = to_plain(evaluate_parameters(*states, ANEW, None, P, rng=np.random.default_rng(0)))
     assert anew["availability"]["initial"] < 0.6
     assert anew["availability"]["final"] > 0.95
     assert anew["matched_stars"]["final"] > 1.8 * given["matched_stars"]["final"]
@@ -165,7 +166,7 @@ def test_every_star_is_in_one_of_the_sets_in_the_same_order_and_scores_are_those
     )
     assert runs == expected
     found, known = (
-        evaluate_matched_frames(telemetry, sensor, initial, final, GIVEN, np.random.default_rng(1), *order)
+        to_plain(evaluate_matched_frames(telemetry, sensor, initial, final, GIVEN, np.random.default_rng(1), *order))
         for order in ((ordered,), ())
     )
     assert (found["common_pairs"], found["stars"]) == (known["common_pairs"], known["stars"])
@@ -295,7 +296,7 @@ def seen_under(sensor, catalogue):
 def test_what_one_side_loses_the_other_gains(make_telemetry, seen_under):
     telemetry = make_telemetry(1)
     ground, truth = seen_under(telemetry, GROUND), seen_under(telemetry, TRUTH)
-    there, back = shadow_view(telemetry, ground, truth), shadow_view(telemetry, truth, ground)
+    there, back = to_plain(shadow_view(telemetry, ground, truth)), to_plain(shadow_view(telemetry, truth, ground))
     assert orjson.loads(orjson.dumps(there)) == there
     assert there["summary"]["candidate_only"] == back["summary"]["baseline_only"] > 0
     assert there["summary"]["stars_gained"] == back["summary"]["stars_lost"] > 0
@@ -309,7 +310,7 @@ def test_the_counts_of_stars_and_the_lists_of_frames_agree_and_a_state_beside_it
 ):
     telemetry = make_telemetry(2)
     ground, truth = seen_under(telemetry, GROUND), seen_under(telemetry, TRUTH)
-    found = shadow_view(telemetry, ground, truth)
+    found = to_plain(shadow_view(telemetry, ground, truth))
     assert [frame["frame"] for frame in found["frames"]] == list(range(40))
     for frame in found["frames"]:
         difference = frame["candidate"]["matched"] - frame["baseline"]["matched"]
@@ -319,7 +320,7 @@ def test_the_counts_of_stars_and_the_lists_of_frames_agree_and_a_state_beside_it
         assert set(frame["gained"]) | set(frame["lost"]) <= set(own.tolist())
     assert sum(frame["baseline"]["valid"] for frame in found["frames"]) == ground.view.valid_frames.sum()
     assert sum(len(frame["gained"]) for frame in found["frames"]) == found["summary"]["stars_gained"]
-    same = shadow_view(telemetry, truth, truth)["summary"]
+    same = to_plain(shadow_view(telemetry, truth, truth))["summary"]
     assert [same[key] for key in ("baseline_only", "candidate_only", "stars_lost", "stars_gained", "p")] == [
         0,
         0,
@@ -329,7 +330,7 @@ def test_the_counts_of_stars_and_the_lists_of_frames_agree_and_a_state_beside_it
     ]
     assert same["sentence"].startswith("Both parameter sets solve the same frames")
     times = np.datetime64("2026-10-01T00:00:00", "us") + telemetry.frame * np.timedelta64(40, "s")
-    timed = shadow_view(replace(telemetry, time_utc=times), truth, truth)
+    timed = to_plain(shadow_view(replace(telemetry, time_utc=times), truth, truth))
     assert timed["frames"][1]["time_utc"] == "2026-10-01T00:00:40.000000Z"
     assert found["frames"][1]["time_utc"] is None
 
@@ -342,7 +343,7 @@ def test_a_long_set_keeps_the_frames_that_differ_and_counts_them_all(make_teleme
     worse = replace(seen, view=replace(seen.view, valid_frames=failing))
     monkeypatch.setattr("boresight.calibration.evaluation.evaluate.MOST_FRAMES", 6)
     monkeypatch.setattr("boresight.calibration.evaluation.evaluate.MOST_DIFFERING", 3)
-    found = shadow_view(telemetry, seen, worse)
+    found = to_plain(shadow_view(telemetry, seen, worse))
     kept = [frame["frame"] for frame in found["frames"]]
     assert {0, 5, 17, 39} <= set(kept)
     assert kept == sorted(set(kept))
@@ -375,7 +376,7 @@ def test_alike_states_are_told_apart_no_more_often_than_the_test_says():
     ],
 )
 def test_the_summary_says_it_in_a_sentence(baseline, candidate, words):
-    found = shadow_summary(np.array(baseline, bool), np.array(candidate, bool), 1, 2)
+    found = to_plain(shadow_summary(np.array(baseline, bool), np.array(candidate, bool), 1, 2))
     assert words in found["sentence"]
     assert "2 sightings of stars are gained and 1 lost" in found["sentence"]
 
@@ -497,7 +498,7 @@ def test_directions_foretold_to_be_weak_are_those_the_run_names_and_holding_what
     run = simulated(catalogue, 3, frames=8, seed=2)
     sensor = run.problem.sensor
     foretold = forecast_table(run.telemetry, sensor, catalogue, tmp_path)
-    made = calibrate(run.telemetry, sensor, catalogue, CalibrationSettings(match="given"))
+    made = calibrate(run.telemetry, sensor, catalogue, CalibrationSettings(match="given")).to_dict()
     weak = [sigma for sigma in made["observability"]["sigma_of_direction"] if sigma > WEAK]
     assert foretold["weak"] == len(weak) > 0
     assert foretold["sentence"] == f"8 parameters, {len(weak)} weakly observable with this coverage."
@@ -551,7 +552,7 @@ def test_sigmas_of_the_real_star_fields_are_foretold_within_a_tenth(free, catalo
     telemetry, sensor = read_telemetry(real_sky / "esa-5-frames.csv"), read_sensor(real_sky / "esa.sensor.json")
     settings = CalibrationSettings(free=free)
     foretold = forecast(Sample(telemetry, 5, 5), sensor, catalogue, settings)
-    made = calibrate(telemetry, sensor, catalogue, settings)
+    made = calibrate(telemetry, sensor, catalogue, settings).to_dict()
     for name in made["free"]:
         assert foretold["sigma"][name] == pytest.approx(made["sigma"][name], rel=0.1)
     if free is None:

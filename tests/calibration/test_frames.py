@@ -10,11 +10,12 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.calibration import to_plain
 from boresight.calibration.estimate import Parameters
 from boresight.calibration.evaluation import result_evaluation as observabilities
 from boresight.calibration.evaluation.alignment import (
     ARCSEC_PER_RAD,
-    Alignment,
+    MeanRotation,
     align,
     alignment_view,
     sensitivity,
@@ -85,7 +86,7 @@ def rows_under(view, name):
 @pytest.mark.parametrize("parity", [1, -1])
 def test_residuals_of_a_frame_are_those_that_trust_takes_of_the_set(parity, sensor, catalogue):
     telemetry, sensor = field(1, frames=12, parity=parity), replace(sensor, parity=parity)
-    result = calibrate(telemetry, sensor, catalogue, CalibrationSettings(match="given"))
+    result = calibrate(telemetry, sensor, catalogue, CalibrationSettings(match="given")).to_dict()
     found = compute_star_residuals(case(telemetry, sensor, catalogue).ground)
     view = make_view(telemetry, sensor, catalogue, result, 5)
     of_frame = found.arcs.source_row[found.frame == 5]
@@ -152,7 +153,7 @@ def test_pointing_is_the_boresight_and_the_position_angle_of_the_rows():
 def test_a_frame_matched_alone_has_the_stars_that_the_whole_set_gives_it(catalogue):
     telemetry = simulate(calibration_scenario(2, 40), np.random.default_rng(5), catalogue)
     settings, sensor = CalibrationSettings(), st16_sensor(2)
-    result = calibrate(telemetry, sensor, catalogue, settings)
+    result = calibrate(telemetry, sensor, catalogue, settings).to_dict()
     states = read_run_states(result, sensor, settings)
     P = np.diag((settings.initial_sigma_scale * sensor.typical_sigma) ** 2)
     P[np.ix_(states.parameters.free, states.parameters.free)] = states.P * np.outer(
@@ -172,7 +173,7 @@ def test_a_wrong_name_in_the_file_is_rejected_and_its_star_shown_far_away(catalo
     rows = np.flatnonzero((telemetry.frame == 3) & (telemetry.exposure == 0) & (star_id > 0))
     star_id[rows[0]] = star_id[rows[1]]
     wrong = replace(telemetry, star_id=star_id)
-    result = calibrate(wrong, st16_sensor(1), catalogue, CalibrationSettings())
+    result = calibrate(wrong, st16_sensor(1), catalogue, CalibrationSettings()).to_dict()
     view = make_view(wrong, st16_sensor(1), catalogue, result, 3, match="rematch")
     star = view["exposures"][0]["stars"][int(rows[0] - np.flatnonzero(telemetry.frame == 3)[0])]
     assert star["given_star_id"] == star_id[rows[1]]
@@ -186,7 +187,7 @@ def test_a_detection_whose_star_is_not_there_is_rejected_with_how_far_away_it_is
     row_px = telemetry.row_px.copy()
     row_px[rows[0]] += 30 if row_px[rows[0]] < 900 else -30
     wrong = replace(telemetry, row_px=row_px)
-    result = calibrate(wrong, st16_sensor(1), catalogue, CalibrationSettings())
+    result = calibrate(wrong, st16_sensor(1), catalogue, CalibrationSettings()).to_dict()
     view = make_view(wrong, st16_sensor(1), catalogue, result, 3, match="rematch")
     star = view["exposures"][0]["stars"][int(rows[0] - np.flatnonzero(telemetry.frame == 3)[0])]
     assert (star["fate"], star["star_id"]) == ("rejected", None)
@@ -211,7 +212,7 @@ def test_undetected_stars_are_bright_stars_of_the_field_without_a_detection(cata
     brightest = rows[np.argmin(telemetry.magnitude[rows])]
     kept = np.arange(len(telemetry)) != brightest
     without = rows_of_mask(telemetry, kept)
-    result = calibrate(telemetry, st16_sensor(1), catalogue, CalibrationSettings())
+    result = calibrate(telemetry, st16_sensor(1), catalogue, CalibrationSettings()).to_dict()
     view = make_view(without, st16_sensor(1), catalogue, result, 2, match="rematch")
     missed = {star["star_id"]: star for star in view["exposures"][0]["undetected"]}
     lost = missed[int(telemetry.star_id[brightest])]
@@ -250,7 +251,7 @@ def judged(catalogue):
 
 @pytest.fixture(scope="module")
 def seen(judged):
-    return frame_observability(judged.problem, judged.parameters, judged.estimate)
+    return to_plain(frame_observability(judged.problem, judged.parameters, judged.estimate))
 
 
 def compute_share(seen, reference):
@@ -295,19 +296,19 @@ def test_no_reference_holds_more_than_the_bound_arcs_all_and_the_first_singular_
 
 def test_frames_with_fewer_rows_than_parameters_are_gaps_and_sets_that_determine_too_little_say_why(catalogue, judged):
     few = case(field(5, frames=30, stars=5, exposures=1), st16(), catalogue)
-    seen = frame_observability(few.problem, few.parameters, few.estimate)
+    seen = to_plain(frame_observability(few.problem, few.parameters, few.estimate))
     assert seen["minimum_singular_value"]["model_4"] == [None] * 30
     assert seen["minimum_singular_value"]["sigma_1"] == [None] * 30
     assert seen["information"]
     problem = build_problem(field(6, frames=1, stars=4, exposures=1), st16(), catalogue)
-    seen = frame_observability(problem, judged.parameters, judged.estimate)
+    seen = to_plain(frame_observability(problem, judged.parameters, judged.estimate))
     assert seen["information"] == []
     assert "hold a parameter fixed" in seen["sentence"]
 
 
 def test_fixed_parameters_are_left_out_of_all_of_it(judged, seen):
     one = Parameters(judged.parameters.free[:1], judged.parameters.scale[:1])
-    alone = frame_observability(judged.problem, one, judged.estimate)
+    alone = to_plain(frame_observability(judged.problem, one, judged.estimate))
     assert {entry["least"] for entry in alone["information"]} == {"f_m"}
     assert alone["minimum_singular_value"]["model_4"][0] > seen["minimum_singular_value"]["model_4"][0]
 
@@ -324,7 +325,7 @@ def test_large_sets_are_thinned_evenly_over_their_length(catalogue, frames, star
 
 def test_the_camera_of_the_paper_is_judged_alike(catalogue):
     few = case(pinhole_field(9), wu(), catalogue, method="svd")
-    seen = frame_observability(few.problem, few.parameters, few.estimate)
+    seen = to_plain(frame_observability(few.problem, few.parameters, few.estimate))
     medians = {name: np.nanmedian(np.array(curve, float)) for name, curve in seen["minimum_singular_value"].items()}
     assert medians["sigma_1"] < min(medians["sigma_2"], medians["sigma_3"])
     assert 0.95 < compute_share(seen, "arcs") < 1.02
@@ -334,7 +335,7 @@ def test_the_camera_of_the_paper_is_judged_alike(catalogue):
 @pytest.mark.parametrize("method", ["batch", "svd", "angular"])
 def test_a_calibration_carries_the_view_whatever_its_method(catalogue, method):
     settings = CalibrationSettings(method=method, match="given")
-    found = calibrate(field(3, frames=12), st16(), catalogue, settings)
+    found = calibrate(field(3, frames=12), st16(), catalogue, settings).to_dict()
     assert found["frame_observability"]["frames"] == 12
     assert found["frame_observability"]["sentence"].startswith("Of the information in these centroids arcs keep ")
 
@@ -444,25 +445,25 @@ def test_a_set_whose_second_half_turns_otherwise_is_not_consistent(make_frame_pr
 
 
 def test_the_same_parameters_turn_nothing_and_one_frame_has_no_scatter_and_so_no_alignment(make_frame_problem):
-    view = alignment_view(make_frame_problem(7), TRUTH, TRUTH, KNOWN)
+    view = to_plain(alignment_view(make_frame_problem(7), TRUTH, TRUTH, KNOWN))
     assert np.abs(view["rotation_arcsec"]).max() < 1e-6
     assert view["consistent"]
     assert "C_SD may stay" in view["sentence"]
     np.testing.assert_allclose(view["c_sd_update"], np.eye(3), atol=1e-12)
-    assert alignment_view(make_frame_problem(8, 1), GROUND, TRUTH, KNOWN) is None
+    assert to_plain(alignment_view(make_frame_problem(8, 1), GROUND, TRUTH, KNOWN)) is None
 
 
 def test_the_view_holds_the_numbers_that_its_sentence_says_and_open_sigmas_where_parameters_are_undetermined(
     make_frame_problem,
 ):
     problem = make_frame_problem(9)
-    view = alignment_view(problem, GROUND, TRUTH, np.diag((0.1 * SCALE) ** 2))
+    view = to_plain(alignment_view(problem, GROUND, TRUTH, np.diag((0.1 * SCALE) ** 2)))
     assert view["frames"] == 40
     np.testing.assert_allclose(to_matrix(np.array(view["quaternion"])).T, view["c_sd_update"], atol=1e-15)
     assert (np.array(view["sigma_arcsec"]) > view["sigma_of_mean_arcsec"]).all()
     assert f"{np.linalg.norm(view['rotation_arcsec']):.0f}"[:3] in view["sentence"]
     assert "multiply C_SD from the right" in view["sentence"]
-    view = alignment_view(make_frame_problem(10), GROUND, TRUTH, np.full((8, 8), np.nan))
+    view = to_plain(alignment_view(make_frame_problem(10), GROUND, TRUTH, np.full((8, 8), np.nan)))
     assert view["sigma_arcsec"] == [None] * 3
     assert "another such calibration" not in view["sentence"]
 
@@ -476,7 +477,7 @@ def test_the_view_holds_the_numbers_that_its_sentence_says_and_open_sigmas_where
 )
 def test_the_axis_is_named(theta, words):
     P = np.eye(3) * 1e-10
-    found = Alignment(vector_to_quaternion(np.array(theta)), P, P, 1e-4, 1e-4, 30, consistent=True)
+    found = MeanRotation(vector_to_quaternion(np.array(theta)), P, P, 1e-4, 1e-4, 30, consistent=True)
     assert words in sentence(found)
 
 

@@ -43,7 +43,9 @@ def telemetry(scenario, catalogue):
 @pytest.fixture(scope="module")
 def results(scenario, telemetry, catalogue):
     return {
-        method: calibrate(telemetry, scenario.sensor, catalogue, CalibrationSettings(method=method, match="rematch"))
+        method: calibrate(
+            telemetry, scenario.sensor, catalogue, CalibrationSettings(method=method, match="rematch")
+        ).to_dict()
         for method in ("batch", "sqrf", "ekf", "ukf")
     }
 
@@ -129,7 +131,7 @@ def calibrated(short_scenario, short_telemetry, catalogue):
         sensor = replace(short_scenario.sensor, typical_sigma=sigma)
         return calibrate(
             short_telemetry, sensor, catalogue, CalibrationSettings(method=method, match="given", **chosen)
-        )
+        ).to_dict()
 
     return run
 

@@ -68,7 +68,9 @@ def test_an_identity_of_a_star_seen_nowhere_else_ends_in_a_result_with_advice(me
     scenario = calibration_scenario(4, 60)
     telemetry = simulate(scenario, np.random.default_rng(4), catalogue)
     telemetry.star_id[1000] = 32349
-    found = calibrate(telemetry, scenario.sensor, catalogue, CalibrationSettings(method=method, match="given"))
+    found = calibrate(
+        telemetry, scenario.sensor, catalogue, CalibrationSettings(method=method, match="given")
+    ).to_dict()
     assert found["advice"]
     if found["status"] != "diverged":  # a filter that one star 90 degrees off carries away says so
         assert found["trust"]["stars"]

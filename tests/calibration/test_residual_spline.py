@@ -7,6 +7,7 @@ import orjson
 import pytest
 
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.calibration import ResidualSpline, parse_part, to_plain
 from boresight.calibration.conversion import converted
 from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.calibration.residual_spline import read_residual_spline
@@ -51,7 +52,7 @@ def judged(telemetry, sensor, catalogue, **settings):
 def test_what_a_radial_model_leaves_of_a_tangential_lens_is_said_with_the_model_that_has_it(method, catalogue):
     telemetry = seen_by("brown_conrady", TANGENTIAL, 3, parity=-1)
     sensor = replace(sensor_of("pinhole_radial", SYMMETRIC[:6]), parity=-1)
-    document = calibrate(telemetry, sensor, catalogue, CalibrationSettings(method=method, match="given"))
+    document = calibrate(telemetry, sensor, catalogue, CalibrationSettings(method=method, match="given")).to_dict()
     part = document["trust"]["residual_spline"]
     assert part["structure"]
     assert part["test"]["p"] < 1e-6
@@ -84,9 +85,11 @@ def test_a_held_parameter_that_would_take_it_up_is_named_before_another_model(ca
 def test_the_json_reads_back_and_has_the_surface_s_values(catalogue):
     telemetry, sensor = seen_by("brown_conrady", TANGENTIAL, 6), sensor_of("pinhole_radial", SYMMETRIC[:6])
     spline = find_residual_spline(case(telemetry, sensor, catalogue).ground)
-    document = orjson.loads(orjson.dumps(spline.document()))
-    again = read_residual_spline(document)
-    assert again.document() == document
+    described = spline.describe()
+    read = parse_part(ResidualSpline, orjson.dumps(to_plain(described)), AssertionError)
+    assert read == described
+    again = read_residual_spline(read)
+    assert again.describe() == described
     assert (again.surface.row, again.surface.col) == (spline.surface.row, spline.surface.col)
     row, col = (at.ravel() for at in np.meshgrid(spline.row_px, spline.col_px, indexing="ij"))
     np.testing.assert_allclose(again.surface(row, col), spline.displacement_px.reshape(2, -1).T, atol=1e-6)
@@ -105,7 +108,7 @@ def test_which_model_is_named_is_right_as_often_as_the_test_promises(catalogue):
 
 def test_another_model_follows_the_camera_with_what_it_leaves_and_comes_nearer_to_the_lens(catalogue):
     telemetry, sensor = seen_by("brown_conrady", TANGENTIAL, 8, frames=200), sensor_of("pinhole_radial", SYMMETRIC[:6])
-    document = calibrate(telemetry, sensor, catalogue, CalibrationSettings(match="given"))
+    document = calibrate(telemetry, sensor, catalogue, CalibrationSettings(match="given")).to_dict()
     row, col = (at.ravel() for at in np.meshgrid(np.linspace(60, ROWS - 61, 9), np.linspace(60, COLUMNS - 61, 11)))
 
     def away(camera_model, parameters):
@@ -129,6 +132,8 @@ def test_another_model_follows_the_camera_with_what_it_leaves_and_comes_nearer_t
 
 def test_what_has_no_residual_beyond_its_noise_is_not_converted_with_one(catalogue):
     sensor = sensor_of("brown_conrady", SYMMETRIC)
-    document = calibrate(seen_by("brown_conrady", TANGENTIAL, 9), sensor, catalogue, CalibrationSettings(match="given"))
+    document = calibrate(
+        seen_by("brown_conrady", TANGENTIAL, 9), sensor, catalogue, CalibrationSettings(match="given")
+    ).to_dict()
     with pytest.raises(RefusedInputError, match="no residual spline"):
         converted(document, sensor, "c.json", "pinhole_radial", 1.0, with_residual=True)

@@ -24,5 +24,5 @@ def example_run(tmp_path_factory: pytest.TempPathFactory, catalogue: Catalogue) 
     path: Path = tmp_path_factory.mktemp("evidence") / "telemetry.csv"
     telemetry = simulate(SCENARIO, np.random.default_rng(1), catalogue)
     write_csv(telemetry, path)
-    result = calibrate(telemetry, SCENARIO.sensor, catalogue, CalibrationSettings(method="batch"))
+    result = calibrate(telemetry, SCENARIO.sensor, catalogue, CalibrationSettings(method="batch")).to_dict()
     return ExampleRun(sensor_document(SCENARIO.sensor), path, result)

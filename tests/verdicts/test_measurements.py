@@ -371,7 +371,7 @@ def test_a_runs_own_validation_gives_the_scores_that_seeing_the_frames_again_giv
     scenario = dataclasses.replace(calibration_scenario(1), frames=20)
     telemetry = simulate(scenario, np.random.default_rng(11), catalogue)
     validation = make_frames(12, 20, catalogue)
-    result = calibrate(telemetry, SENSOR, catalogue, GIVEN, validation=validation)
+    result = calibrate(telemetry, SENSOR, catalogue, GIVEN, validation=validation).to_dict()
     own = of_result(result)
     assert own == compute_validation_scores(validation, SENSOR, catalogue, ground_set(SENSOR), result, GIVEN)
     incumbent = ground_set(SENSOR)
@@ -390,7 +390,9 @@ def test_calibrations_of_good_telemetry_pass_and_are_not_blocked_however_few_the
     for number in range(6):
         scenario = dataclasses.replace(calibration_scenario(1), frames=(4, 12, 40)[number % 3])
         telemetry = simulate(scenario, np.random.default_rng(20 + number), catalogue)
-        result = calibrate(telemetry, SENSOR, catalogue, GIVEN, validation=make_frames(30 + number, 20, catalogue))
+        result = calibrate(
+            telemetry, SENSOR, catalogue, GIVEN, validation=make_frames(30 + number, 20, catalogue)
+        ).to_dict()
         report = assess(result, SENSOR, ground_set(SENSOR), profile)
         assert report["blocking"] == [], number
         assert "FAIL" not in {one["status"] for one in report["gates"]}

@@ -11,9 +11,13 @@ from pathlib import Path
 from distributed.diagnostics.plugin import WorkerPlugin
 
 from boresight.calibration.calibrate import Progress
+from boresight.calibration.calibration import Calibration, Change, Evaluation, History, Values
 from boresight.errors import CancelledError, RefusedInputError
 
 MARKS = "BORESIGHT_TEST_MARKS"
+VALIDATION = Evaluation(
+    frames=1, availability=Change(), matched_star_ratio=None, rms_arc_rad=Change(initial=2.0, final=1.0)
+)
 
 
 def calculate(telemetry, sensor, catalogue, settings, *, validation=None, report=None, cancelled=None, cache_folder):
@@ -22,16 +26,18 @@ def calculate(telemetry, sensor, catalogue, settings, *, validation=None, report
     assert cache_folder.is_dir()
     attempt = mark(sensor.name)
     BEHAVIOURS[sensor.name.split("-")[0]](report, cancelled, attempt)
-    return {
-        "status": "converged",
-        "sensor": sensor.name,
-        "method": settings.method,
-        "frames": 1,
-        "stars": len(telemetry),
-        "rms_arc_rad": {"initial": 2e-4, "final": float("nan")},
-        "validation": None if validation is None else {"rms_arc_rad": {"initial": 2.0, "final": 1.0}},
-        "process": os.getpid(),
-    }
+    return Calibration(
+        status="converged",
+        sensor=sensor.name,
+        method=settings.method,
+        camera_model=sensor.camera_model,
+        parameters=Values({"f_m": 0.016}),
+        sigma=Values({"f_m": 1e-6}),
+        frames=1,
+        stars=len(telemetry),
+        rms_arc_rad=Change(initial=2e-4, final=float("nan")),
+        validation=None if validation is None else VALIDATION,
+    )
 
 
 def mark(name):
@@ -57,9 +63,12 @@ def brief(_report, _cancelled, _attempt):
 
 def endless(report, cancelled, _attempt, seconds=1000.0):
     steps = int(seconds / 0.05)
+    frames, states = [*range(1000)], [[0.5]] * 1000
+    history = History(
+        frame=frames, parameters=states, sigma=states, tail_rms_rad=[0.5] * 1000, aggregate_rms_rad=[0.5] * 1000
+    )
     for step in range(steps):
-        history = {"frame": list(range(1000)), "rms": [0.5] * 1000}
-        report(Progress(step / steps, f"step {step}", {"status": "running", "history": history}))
+        report(Progress(step / steps, f"step {step}", Calibration(status="running", history=history)))
         if cancelled():
             raise CancelledError("Stopped on request.")
         time.sleep(0.05)

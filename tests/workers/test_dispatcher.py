@@ -54,7 +54,7 @@ def test_progress_reaches_the_row_and_the_listeners_with_a_thinned_history(store
     assert 0 <= progress["fraction"] < 1
     assert progress["message"].startswith("step")
     frames = progress["partial"]["history"]["frame"]
-    assert len(frames) == len(progress["partial"]["history"]["rms"]) == 300
+    assert len(frames) == len(progress["partial"]["history"]["tail_rms_rad"]) == 300
     assert frames[0] == 0
     assert frames[-1] == 999
     store.cancel(run_id)

@@ -1,4 +1,4 @@
-"""The one function that calibrates: problem and method in, the contract's JSON out, with progress on the way."""
+"""The one function that calibrates: problem and method in, a calibration out, with progress on the way."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 
 from boresight.calibration import result
+from boresight.calibration.calibration import Calibration, JudgedOn, StarOff, StarsOffDetector
 from boresight.calibration.estimate import Estimate, Parameters, never
-from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate
+from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
 from boresight.calibration.matching.match_report import CyclesEnd, Estimation, identification_advice
 from boresight.calibration.matching.matched import Dataset
 from boresight.calibration.options import CalibrationSettings
@@ -49,7 +49,7 @@ class Progress:
 
     fraction: float
     message: str
-    partial: dict[str, Any] | None
+    partial: Calibration | None
 
 
 class ProgressReporter:
@@ -75,7 +75,9 @@ class ProgressReporter:
         began = time.perf_counter()
         if self._report is None or began < self._due:
             return
-        partial = result.document(*self._of, estimate, self._sha256s) | {"frames_done": self._frames_done(estimate)}
+        partial = replace(
+            result.describe_estimate(*self._of, estimate, self._sha256s), frames_done=self._frames_done(estimate)
+        )
         self._report(Progress(self._begins + (1 - self._begins) * fraction, message, partial))
         ended = time.perf_counter()
         self._due = ended + max(REPORT_EVERY_S, (ended - began) / REPORT_SHARE)
@@ -179,7 +181,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     cache_folder: Path | None = None,
     scratch_folder: Path | None = None,
     executor: Executor | None = None,
-) -> dict[str, Any]:
+) -> Calibration:
     """Estimate a sensor's parameters from a telemetry set.
 
     Parameters
@@ -205,7 +207,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
 
     Returns
     -------
-    The calibration JSON of the contract as plain lists, numbers and null. A numeric failure is its `status` with `advice`.
+    The calibration. A numeric failure is its `status` with `advice`.
 
     Raises
     ------
@@ -219,23 +221,29 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     context = CalibrationContext(cancelled or never, report, cache_folder, scratch_folder, executor)
     told = nullcontext() if report is None else telling(lambda message, _: report(Progress(0.0, message, None)))
     with told, open_dataset(telemetry, sensor, catalogue, parameters, settings, context) as (sets, off):
-        document, ended = _calibrated(sets, parameters, sets.settings, sha256s or {}, context, clock)
-    document["stars_off_detector"] = off.document()
-    document["advice"] += off.sentences()
+        found, ended = _calibrated(sets, parameters, sets.settings, sha256s or {}, context, clock)
+    found = with_advice(replace(found, stars_off_detector=_describe_off(off)), *off.sentences())
     if validation is not None and ended is not None and ended.estimate.status != "diverged":
         judged, off = open_validation_set(validation, sensor, JUDGED_STARS)
         chosen = choose_match_mode(judged, settings)
-        validate(document, judged, sensor, catalogue, ended.estimate, parameters, chosen, cache_folder)
-        document["advice"] += off.sentences(" in the validation set")
+        found = validate(found, judged, sensor, catalogue, ended.estimate, parameters, chosen, cache_folder)
+        found = with_advice(found, *off.sentences(" in the validation set"))
         if is_large(validation):
             frames = len(np.unique(judged.frame))
-            document["advice"].append(
-                f"The validation set is large: {frames:,} of its frames, evenly spread, were looked at."
+            found = with_advice(
+                found, f"The validation set is large: {frames:,} of its frames, evenly spread, were looked at."
             )
         clock.lap("validate")
-    if ended is not None:
-        document["timing_s"] = clock.laps | {"method": ended.method_s}
-    return document
+    return found if ended is None else replace(found, timing_s={**clock.laps, "method": ended.method_s})
+
+
+def _describe_off(off: OffDetector) -> StarsOffDetector:
+    """Say which matched stars lie off the detector."""
+    return StarsOffDetector(
+        stars=off.stars,
+        farthest_px=off.farthest_px if off.stars else None,
+        rows=[StarOff(**vars(star)) for star in off.first],
+    )
 
 
 def _calibrated(
@@ -245,40 +253,36 @@ def _calibrated(
     sha256s: Mapping[str, str],
     context: CalibrationContext,
     clock: _Timer,
-) -> tuple[dict[str, Any], CyclesEnd | None]:
-    """Estimate and judge; returns the document, and where it ended, None where there was nothing to estimate from."""
+) -> tuple[Calibration, CyclesEnd | None]:
+    """Estimate and judge; returns where it ended too, None where there was nothing to estimate from."""
     first = sets.at_start()
     clock.lap("arcs")
     if first.problem.arcs.n_exposures == 0:
-        document = result.nothing_estimated(first.problem, parameters, settings, sha256s)
-        document["advice"] = [*identification_advice(first.unidentified), *document["advice"]]
-        return document, None
+        nothing = result.nothing_estimated(first.problem, parameters, settings, sha256s)
+        return replace(nothing, advice=[*identification_advice(first.unidentified), *nothing.advice]), None
     reporter = ProgressReporter(first.problem, parameters, settings, sha256s, context.report, sets.prepared)
     ended = Estimation(sets, first, parameters, settings, reporter, context.cancelled).run()
     ended = replace(ended, estimate=_checked(ended.matched.problem, ended.estimate))
     clock.lap("fit")
-    document = result.document(ended.matched.problem, parameters, settings, ended.estimate, sha256s)
+    found = result.describe_estimate(ended.matched.problem, parameters, settings, ended.estimate, sha256s)
     if ended.estimate.status != "diverged":
         judged = sets.judged(first, ended.matched)
-        evaluate_result(document, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
-        _say_what_was_judged(document, judged.last.problem)
-        document["advice"] += identification_advice(ended.matched.unidentified)
+        found = evaluate_result(found, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
+        found = _say_what_was_judged(found, judged.last.problem)
+        found = with_advice(found, *identification_advice(ended.matched.unidentified))
     clock.lap("judge")
-    return document, ended
+    return found, ended
 
 
-def _say_what_was_judged(document: dict[str, Any], judged: Problem) -> None:
+def _say_what_was_judged(found: Calibration, judged: Problem) -> Calibration:
     """Say of a set too large to be judged whole what was."""
-    if judged.arcs.n_frames == document["frames"]:
-        return
-    document["judged_on"] = {
-        "frames": judged.arcs.n_frames,
-        "stars": judged.arcs.n_stars,
-        "of_frames": document["frames"],
-    }
-    document["advice"].append(
-        f"Flight scores, shadow, alignment and trust are judged on {judged.arcs.n_frames:,} of {document['frames']:,} frames, "
-        "whole stretches evenly spread over the set; estimate, sigmas, chi-square, RMS and coverage are of all of them."
+    if judged.arcs.n_frames == found.frames:
+        return found
+    part = JudgedOn(frames=judged.arcs.n_frames, stars=judged.arcs.n_stars, of_frames=found.frames)
+    return with_advice(
+        replace(found, judged_on=part),
+        f"Flight scores, shadow, alignment and trust are judged on {judged.arcs.n_frames:,} of {found.frames:,} frames, "
+        "whole stretches evenly spread over the set; estimate, sigmas, chi-square, RMS and coverage are of all of them.",
     )
 
 

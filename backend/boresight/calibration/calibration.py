@@ -10,12 +10,12 @@ pydantic.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
-from functools import cache
+from functools import cache, partial
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 from boresight.errors import RefusedInputError
 
@@ -28,6 +28,7 @@ EVALUATION_SCHEMA = "boresight.evaluation/1"
 Status = Literal["converged", "max_iterations", "rank_deficient", "diverged", "too_few_stars", "running"]
 #: The status of an estimate that may be used.
 USABLE: Status = "converged"
+T = TypeVar("T")
 #: Numbers of a series; None is unknown.
 Numbers = list[float | None]
 #: Rows of numbers.
@@ -971,11 +972,27 @@ def to_plain(value: Any) -> Any:
 
 
 @cache
-def _adapter() -> TypeAdapter[Calibration]:
-    """What reads calibrations; made once, for it takes a tenth of a second."""
+def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
+    """What reads a dataclass; made once, for that of calibrations takes a tenth of a second."""
     from pydantic import TypeAdapter  # noqa: PLC0415 - only where JSON is read
 
-    return TypeAdapter(Calibration)
+    return TypeAdapter(kind)
+
+
+def parse_part(kind: type[T], document: str | bytes | Mapping[str, Any], refuse: Callable[[str], Exception]) -> T:
+    """Read JSON, as text or as what it says, as one of the dataclasses here; `refuse` makes an error of what is wrong with it."""
+    from pydantic import ValidationError  # noqa: PLC0415 - only where JSON is read
+
+    adapter: TypeAdapter[T] = _adapter(kind)  # type: ignore[arg-type]  # every class can be hashed
+    try:
+        found = (
+            adapter.validate_json(document) if isinstance(document, str | bytes) else adapter.validate_python(document)
+        )
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise refuse(f"{where}: {first['msg']}" if where else str(first["msg"])) from error
+    return found
 
 
 #: What every ended calibration says.
@@ -997,21 +1014,11 @@ def parse_calibration(document: str | bytes | Mapping[str, Any], name: str = "Th
     RefusedInputError
         When it is no calibration, or a member is missing or of another type: which.
     """
-    from pydantic import ValidationError  # noqa: PLC0415 - only where JSON is read
-
-    try:
-        if isinstance(document, str | bytes):  # noqa: SIM108 - too long for a line
-            found = _adapter().validate_json(document)
-        else:
-            found = _adapter().validate_python(document)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise _refusal(name, f"{where}: {first['msg']}" if where else str(first["msg"])) from error
+    found = parse_part(Calibration, document, partial(_make_refusal, name))
     if found.status != "running":
         missing = next((one for one in REQUIRED if not _says(found, one)), None)
         if missing is not None:
-            raise _refusal(name, f"{missing}: missing")
+            raise _make_refusal(name, f"{missing}: missing")
     return found
 
 
@@ -1020,7 +1027,7 @@ def _says(found: Calibration, name: str) -> bool:
     return bool(value) if isinstance(value, str | Values) else True
 
 
-def _refusal(name: str, fault: str) -> RefusedInputError:
+def _make_refusal(name: str, fault: str) -> RefusedInputError:
     return RefusedInputError(
         f"{name} is no whole calibration ({fault}): give the file that `boresight calibrate --json` wrote, as it was written."
     )
@@ -1046,5 +1053,5 @@ def compute_json_schema() -> dict[str, Any]:
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": SCHEMA,
-        **_adapter().json_schema(mode="validation"),
+        **_adapter(Calibration).json_schema(mode="validation"),
     }

@@ -32,7 +32,7 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.parameter_file import parse_parameters
-from boresight.calibration.residual_spline import ResidualSpline, find_in
+from boresight.calibration.residual_spline import ResidualSplineFit, find_in
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import NEUTRAL, CameraModel
 from boresight.errors import RefusedInputError
@@ -232,7 +232,7 @@ def converted(
     return written
 
 
-def _residual(document: Mapping[str, Any], name: str) -> ResidualSpline:
+def _residual(document: Mapping[str, Any], name: str) -> ResidualSplineFit:
     """Read the residual spline; refuse where there is none to be followed."""
     spline = find_in(document)
     if spline is None:
@@ -243,7 +243,7 @@ def _residual(document: Mapping[str, Any], name: str) -> ResidualSpline:
     return spline
 
 
-def _told(spline: ResidualSpline | None, found: Conversion) -> dict[str, Any]:
+def _told(spline: ResidualSplineFit | None, found: Conversion) -> dict[str, Any]:
     """Say what residual the target follows too, and how far its directions are turned about the axes of D: C_SD turns back."""
     if spline is None:
         return {}

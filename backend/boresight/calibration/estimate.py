@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from boresight.arrays import FloatArray, IntArray
+from boresight.calibration.calibration import Robust, Status, Values
 from boresight.calibration.history_recorder import RecordedHistory
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
@@ -74,23 +74,25 @@ class Robustness:
     x_without: FloatArray
 
 
-def robust_view(found: Robustness, names: Sequence[str], sigma: FloatArray) -> dict[str, Any]:
-    """Write the `robust` object of the calibration JSON.
+def robust_view(found: Robustness, names: Sequence[str], sigma: FloatArray) -> Robust:
+    """Say what the loss changed.
 
     `names`: all parameters of the camera, in order. `sigma`: (n_parameters,) one-sigma of the estimate, SI; NaN where not
     estimated.
     """
     shift = (found.x - found.x_without) / np.where(sigma > 0, sigma, np.nan)
     share, expected = found.downweighted / found.arcs, 2 * float(ndtr(-found.threshold))
-    return {
-        "threshold": found.threshold,
-        "downweighted": found.downweighted,
-        "share": share,
-        "expected_share": expected,
-        "parameters_without": {name: float(x) for name, x in zip(names, found.x_without, strict=True)},
-        "shift_in_sigma": {name: float(z) if np.isfinite(z) else None for name, z in zip(names, shift, strict=True)},
-        "sentence": _sentence(found.downweighted, share, expected, dict(zip(names, shift, strict=True))),
-    }
+    return Robust(
+        threshold=found.threshold,
+        downweighted=found.downweighted,
+        share=share,
+        expected_share=expected,
+        parameters_without=Values({name: float(x) for name, x in zip(names, found.x_without, strict=True)}),
+        shift_in_sigma=Values(
+            {name: float(z) if np.isfinite(z) else None for name, z in zip(names, shift, strict=True)}
+        ),
+        sentence=_sentence(found.downweighted, share, expected, dict(zip(names, shift, strict=True))),
+    )
 
 
 def _sentence(count: int, share: float, expected: float, shift: dict[str, float]) -> str:
@@ -147,7 +149,7 @@ class Estimate:
     A: FloatArray
     P: FloatArray
     chi2: float
-    status: str
+    status: Status
     iterations: int
     steps: tuple[batch.Step, ...] = ()
     history: RecordedHistory | None = None

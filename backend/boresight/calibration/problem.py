@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from boresight.arrays import FloatArray, IntArray, TimeArray
+from boresight.calibration.calibration import LeftOut
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.estimation import MINIMUM_STARS
 from boresight.estimation import arcs as arcsets
@@ -30,15 +31,6 @@ STAR_REASONS = (
     "centroid off the detector",
 )
 COLLINEAR_REASON = "all usable stars on one line"
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """Rows or exposures that take no part, with the reason as a phrase."""
-
-    what: str
-    count: int
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -122,7 +114,7 @@ def added(items: Iterable[LeftOut]) -> tuple[LeftOut, ...]:
     counts: dict[tuple[str, str], int] = {}
     for item in items:
         counts[item.what, item.reason] = counts.get((item.what, item.reason), 0) + item.count
-    found = (LeftOut(what, count, reason) for (what, reason), count in counts.items() if count)
+    found = (LeftOut(what=what, count=count, reason=reason) for (what, reason), count in counts.items() if count)
     return tuple(sorted(found, key=_in_order))
 
 
@@ -137,8 +129,8 @@ def make_problem(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, minimum_
     rows, few = _full_exposures(telemetry, rows, minimum_stars)
     arcs, collinear = _ordered(telemetry, sensor, s_i, rows)
     left_out += [
-        LeftOut("exposures", few, f"fewer than {minimum_stars} usable stars"),
-        LeftOut("exposures", collinear, COLLINEAR_REASON),
+        LeftOut(what="exposures", count=few, reason=f"fewer than {minimum_stars} usable stars"),
+        LeftOut(what="exposures", count=collinear, reason=COLLINEAR_REASON),
     ]
     first_rows = arcs.source_row[arcs.star_start[arcs.frame_start[:-1]]]
     return Problem(
@@ -157,7 +149,7 @@ def _usable_rows(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray) -> tuple
     unmatched = np.zeros(len(telemetry), bool) if telemetry.star_id is None else telemetry.star_id <= 0
     groups = (unmatched, ~seen & ~unmatched & ~off, off)
     counted = zip(groups, STAR_REASONS, strict=True)
-    left_out = [LeftOut("stars", int(np.sum(rows)), reason) for rows, reason in counted]
+    left_out = [LeftOut(what="stars", count=int(np.sum(rows)), reason=reason) for rows, reason in counted]
     return np.flatnonzero(on & seen), left_out
 
 

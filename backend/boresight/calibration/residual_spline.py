@@ -1,6 +1,7 @@
 """The residual spline as a part of a calibration: what a camera leaves over, whether that is noise, and who explains it.
 
-It is written and read as JSON here; `trust.residual_spline` finds it, `estimation.residual_spline` derives it.
+Here it is put into the form of a calibration and read from it;
+`trust.residual_spline` finds it, `estimation.residual_spline` derives it.
 """
 
 from __future__ import annotations
@@ -12,6 +13,15 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.calibration import (
+    LargestDisplacement,
+    ResidualSpline,
+    SplineCoefficients,
+    SplineExplanation,
+    SplineTest,
+    parse_part,
+)
+from boresight.errors import RefusedInputError
 from boresight.estimation.residual_spline import DEGREE, Axis, Surface
 
 #: Chance of a claim where the model is right.
@@ -21,33 +31,7 @@ DECIMALS = 7
 
 
 @dataclass(frozen=True)
-class Explanation:
-    """What a camera model with all its parameters free would leave: `p` of the same test, and the parameters it frees besides."""
-
-    camera_model: str
-    p: float
-    more: tuple[str, ...]
-
-    @property
-    def suffices(self) -> bool:
-        """Whether nothing is left that noise does not explain."""
-        return self.p >= FALSE_ALARM
-
-
-@dataclass(frozen=True)
-class Largest:
-    """The place of the largest displacement told: where, how much along either axis, its length and the sigma of that, pixels."""
-
-    row_px: float
-    col_px: float
-    d_row_px: float
-    d_col_px: float
-    size_px: float
-    sigma_px: float
-
-
-@dataclass(frozen=True)
-class ResidualSpline:
+class ResidualSplineFit:
     """What a camera model leaves over after its fit.
 
     Parameters
@@ -90,9 +74,9 @@ class ResidualSpline:
     statistic: float
     expected: float
     p: float
-    largest: Largest
+    largest: LargestDisplacement
     at_most_px: float
-    explained_by: tuple[Explanation, ...]
+    explained_by: tuple[SplineExplanation, ...]
     stars: int
     frames: int
     left_out: int
@@ -105,48 +89,40 @@ class ResidualSpline:
         return self.p < FALSE_ALARM
 
     @property
-    def remedy(self) -> Explanation | None:
+    def remedy(self) -> SplineExplanation | None:
         """The least camera model that leaves nothing; None where none does, or nothing is left."""
-        return next((one for one in self.explained_by if one.suffices), None)
+        return next((one for one in self.explained_by if suffices(one)), None)
 
-    def document(self) -> dict[str, Any]:
-        """Write it as JSON."""
+    def describe(self) -> ResidualSpline:
+        """Write it as the part of a calibration."""
         row, col = self.surface.row, self.surface.col
-        return {
-            "camera_model": self.camera_model,
-            "degree": DEGREE,
-            "row_knots_px": row.knots.tolist(),
-            "col_knots_px": col.knots.tolist(),
-            "coefficients": {
-                "row_px": _rounded(self.surface.coefficients[0]),
-                "col_px": _rounded(self.surface.coefficients[1]),
-            },
-            "row_px": self.row_px.tolist(),
-            "col_px": self.col_px.tolist(),
-            "d_row_px": _rounded(self.displacement_px[0]),
-            "d_col_px": _rounded(self.displacement_px[1]),
-            "sigma_row_px": _rounded(self.sigma_px[0]),
-            "sigma_col_px": _rounded(self.sigma_px[1]),
-            "strength_px": self.strength_px,
-            "effective_parameters": self.effective,
-            "noise": self.noise,
-            "test": {
-                "statistic": self.statistic,
-                "expected": self.expected,
-                "p": self.p,
-                "false_alarm_rate": FALSE_ALARM,
-            },
-            "structure": self.structure,
-            "largest": vars(self.largest),
-            "at_most_px": self.at_most_px,
-            "explained_by": [
-                {"camera_model": one.camera_model, "p": one.p, "more": list(one.more)} for one in self.explained_by
-            ],
-            "stars": self.stars,
-            "frames_used": self.frames,
-            "left_out": self.left_out,
-            "sentence": self.sentence,
-        }
+        return ResidualSpline(
+            camera_model=self.camera_model,
+            degree=DEGREE,
+            row_knots_px=row.knots.tolist(),
+            col_knots_px=col.knots.tolist(),
+            coefficients=SplineCoefficients(
+                row_px=_rounded(self.surface.coefficients[0]), col_px=_rounded(self.surface.coefficients[1])
+            ),
+            row_px=self.row_px.tolist(),
+            col_px=self.col_px.tolist(),
+            d_row_px=_rounded(self.displacement_px[0]),
+            d_col_px=_rounded(self.displacement_px[1]),
+            sigma_row_px=_rounded(self.sigma_px[0]),
+            sigma_col_px=_rounded(self.sigma_px[1]),
+            strength_px=self.strength_px,
+            effective_parameters=self.effective,
+            noise=self.noise,
+            test=SplineTest(statistic=self.statistic, expected=self.expected, p=self.p, false_alarm_rate=FALSE_ALARM),
+            structure=self.structure,
+            largest=self.largest,
+            at_most_px=self.at_most_px,
+            explained_by=list(self.explained_by),
+            stars=self.stars,
+            frames_used=self.frames,
+            left_out=self.left_out,
+            sentence=self.sentence,
+        )
 
 
 def _rounded(values: FloatArray) -> Any:
@@ -154,42 +130,45 @@ def _rounded(values: FloatArray) -> Any:
     return np.round(values, DECIMALS).tolist()
 
 
-def read_residual_spline(document: Mapping[str, Any]) -> ResidualSpline:
-    """Read what `ResidualSpline.document` wrote."""
-    row, col = (_axis(np.array(document[name])) for name in ("row_knots_px", "col_knots_px"))
-    pair = [(f"{name}_row_px", f"{name}_col_px") for name in ("d", "sigma")]
-    displacement, sigma = (np.array([document[name] for name in names], dtype=np.float64) for names in pair)
-    test = document["test"]
-    return ResidualSpline(
-        surface=Surface(row, col, np.array([document["coefficients"][name] for name in ("row_px", "col_px")])),
-        row_px=np.array(document["row_px"]),
-        col_px=np.array(document["col_px"]),
-        displacement_px=displacement,
-        sigma_px=sigma,
-        strength_px=document["strength_px"],
-        effective=document["effective_parameters"],
-        noise=document["noise"],
-        statistic=test["statistic"],
-        expected=test["expected"],
-        p=test["p"],
-        largest=Largest(**document["largest"]),
-        at_most_px=document["at_most_px"],
-        explained_by=tuple(
-            Explanation(one["camera_model"], one["p"], tuple(one["more"])) for one in document["explained_by"]
+def read_residual_spline(found: ResidualSpline) -> ResidualSplineFit:
+    """Read what `ResidualSplineFit.describe` wrote."""
+    return ResidualSplineFit(
+        surface=Surface(
+            _axis(np.array(found.row_knots_px)),
+            _axis(np.array(found.col_knots_px)),
+            np.array([found.coefficients.row_px, found.coefficients.col_px]),
         ),
-        stars=document["stars"],
-        frames=document["frames_used"],
-        left_out=document["left_out"],
-        camera_model=document["camera_model"],
-        sentence=document["sentence"],
+        row_px=np.array(found.row_px),
+        col_px=np.array(found.col_px),
+        displacement_px=np.array([found.d_row_px, found.d_col_px], dtype=np.float64),
+        sigma_px=np.array([found.sigma_row_px, found.sigma_col_px], dtype=np.float64),
+        strength_px=found.strength_px,
+        effective=found.effective_parameters,
+        noise=found.noise,
+        statistic=found.test.statistic,
+        expected=found.test.expected,
+        p=found.test.p,
+        largest=found.largest,
+        at_most_px=found.at_most_px,
+        explained_by=tuple(found.explained_by),
+        stars=found.stars,
+        frames=found.frames_used,
+        left_out=found.left_out,
+        camera_model=found.camera_model,
+        sentence=found.sentence,
     )
 
 
-def find_in(document: Mapping[str, Any]) -> ResidualSpline | None:
-    """Read the residual spline of a calibration or of a parameter set; None where there is none, or nothing in it but noise."""
+def find_in(document: Mapping[str, Any]) -> ResidualSplineFit | None:
+    """Read the residual spline of a calibration's or a parameter set's JSON; None where there is none, or noise alone."""
     found = document.get("residual_spline") or (document.get("trust") or {}).get("residual_spline")
-    spline = None if not found else read_residual_spline(found)
+    spline = None if not found else read_residual_spline(parse_part(ResidualSpline, found, RefusedInputError))
     return spline if spline is not None and spline.structure else None
+
+
+def suffices(explanation: SplineExplanation) -> bool:
+    """Whether a camera model leaves nothing that noise does not explain."""
+    return explanation.p >= FALSE_ALARM
 
 
 def _axis(knots: FloatArray) -> Axis:

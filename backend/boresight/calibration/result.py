@@ -1,6 +1,4 @@
-"""The contract's calibration JSON, `boresight.calibration/1`: every number beside how far it can be trusted.
-
-Numbers are SI in parameter order; null stands where a number was not estimated or cannot be known, never NaN.
+"""An estimate put into the form of a calibration: every number beside how far it can be trusted.
 
 For a trend over the mission the parameters are kept with their full covariance, made honest: a test of drift is as good as the
 covariances it is given, and a covariance that is too small cries wolf. So variances are multiplied by the largest of
@@ -19,6 +17,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import version
 from typing import Any
@@ -29,6 +28,26 @@ from numpy.typing import NDArray
 from boresight import __version__
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.advice import advice, too_few
+from boresight.calibration.calibration import (
+    Calibration,
+    Change,
+    ChiSquareTest,
+    Covariance,
+    Coverage,
+    Displacement,
+    History,
+    HistoryBetween,
+    InnovationTest,
+    Inputs,
+    Iterations,
+    Matrix,
+    Observability,
+    RadialDifference,
+    StarCounts,
+    Status,
+    Values,
+    WeakestDirection,
+)
 from boresight.calibration.estimate import Estimate, Parameters, robust_view
 from boresight.calibration.history_recorder import RecordedHistory
 from boresight.calibration.options import CalibrationSettings
@@ -40,7 +59,8 @@ from boresight.estimation.batch import sigma_in_scale
 from boresight.estimation.blocks import FRAMES
 from boresight.estimation.metrics import sums_of_squares, tail_rms
 from boresight.estimation.statistics.consistency import ChiSquare, chi_square
-from boresight.estimation.statistics.observability import Observability, observability
+from boresight.estimation.statistics.observability import Observability as Observed
+from boresight.estimation.statistics.observability import observability
 from boresight.estimation.statistics.uncertainty import displacement_px, radial_difference
 from boresight.estimation.stored_arcs import Arcs
 
@@ -70,7 +90,7 @@ def kept_points(n_updates: int, n_frames: int) -> IntArray:
     return np.unique(np.linspace(0, n_updates - 1, most).round().astype(np.int64))
 
 
-def history_view(problem: Problem, parameters: Parameters, estimate: Estimate, arcs: Arcs) -> dict[str, Any] | None:
+def history_view(problem: Problem, parameters: Parameters, estimate: Estimate, arcs: Arcs) -> History | None:
     """A filter's history: state, sigma, tail and aggregate RMS, innovations; None for the batch."""
     history = estimate.history
     if not history:
@@ -80,30 +100,30 @@ def history_view(problem: Problem, parameters: Parameters, estimate: Estimate, a
     sigma = np.full(kept["states"].shape, np.nan)
     sigma[:, parameters.free] = kept["sigmas"] * parameters.scale
     times = problem.get_times(kept["frame"])
-    return {
-        "frame": _list(kept["frame"]),
-        "time_utc": None if times is None else [None if np.isnat(value) else f"{value}Z" for value in times],
-        "parameters": _list(kept["states"]),
-        "sigma": _list(sigma),
-        "tail_rms_rad": _list(_tail(arcs, np.ascontiguousarray(kept["states"]))),
-        "aggregate_rms_rad": _list(kept["aggregate_rms"]),
-        "nis": _list(kept["nis"]),
-        "nis_dof": _list(kept["dof"]),
-        "linearisations": _list(kept["linearisations"]),
-        "between": None if len(places) == len(history) else _between(history, places),
-    }
+    return History(
+        frame=_list(kept["frame"]),
+        time_utc=None if times is None else [None if np.isnat(value) else f"{value}Z" for value in times],
+        parameters=_list(kept["states"]),
+        sigma=_list(sigma),
+        tail_rms_rad=_list(_tail(arcs, np.ascontiguousarray(kept["states"]))),
+        aggregate_rms_rad=_list(kept["aggregate_rms"]),
+        nis=_list(kept["nis"]),
+        nis_dof=_list(kept["dof"]),
+        linearisations=_list(kept["linearisations"]),
+        between=None if len(places) == len(history) else _between(history, places),
+    )
 
 
-def _between(history: RecordedHistory, places: IntArray) -> dict[str, Any]:
+def _between(history: RecordedHistory, places: IntArray) -> HistoryBetween:
     """What the updates that are not kept would have shown, for the interval that each kept one ends."""
     peaks = history.peaks(places)
-    return {
-        "nis_peak": _list(peaks.nis),
-        "nis_peak_dof": _list(peaks.dof),
-        "nis_peak_frame": _list(peaks.frame),
-        "parameters_low": _list(peaks.low),
-        "parameters_high": _list(peaks.high),
-    }
+    return HistoryBetween(
+        nis_peak=_list(peaks.nis),
+        nis_peak_dof=_list(peaks.dof),
+        nis_peak_frame=_list(peaks.frame),
+        parameters_low=_list(peaks.low),
+        parameters_high=_list(peaks.high),
+    )
 
 
 def _tail(arcs: Arcs, states: FloatArray) -> FloatArray:
@@ -119,26 +139,26 @@ def _tail(arcs: Arcs, states: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(total / n_arcs))
 
 
-def trace_view(parameters: Parameters, estimate: Estimate, n_arcs: int, problem: Problem) -> dict[str, Any] | None:
+def trace_view(parameters: Parameters, estimate: Estimate, n_arcs: int, problem: Problem) -> Iterations | None:
     """The batch's iterates; None for a filter."""
     if not estimate.steps:
         return None
     sigma = np.full((len(estimate.steps), len(problem.camera.parameter_names)), np.nan)
     sigma[:, parameters.free] = np.array([step.sigma for step in estimate.steps]) * parameters.scale
     squares = np.array([step.sum_of_squares for step in estimate.steps])
-    return {
-        "iteration": list(range(len(estimate.steps))),
-        "parameters": _list(np.array([step.x for step in estimate.steps])),
-        "sigma": _list(sigma),
-        "cost": _list(np.array([step.chi2 / 2 for step in estimate.steps])),
-        "damping": _list(np.array([step.damping for step in estimate.steps])),
-        "rms_arc_rad": _list(np.sqrt(squares / n_arcs)),
-    }
+    return Iterations(
+        iteration=list(range(len(estimate.steps))),
+        parameters=_list(np.array([step.x for step in estimate.steps])),
+        sigma=_list(sigma),
+        cost=_list(np.array([step.chi2 / 2 for step in estimate.steps])),
+        damping=_list(np.array([step.damping for step in estimate.steps])),
+        rms_arc_rad=_list(np.sqrt(squares / n_arcs)),
+    )
 
 
 def radial_view(
     problem: Problem, parameters: Parameters, estimate: Estimate, sigma: FloatArray
-) -> dict[str, Any] | None:
+) -> RadialDifference | None:
     """Radial displacement of the estimate against its start, one-sigma, and where the data are (E Figure 5)."""
     sensor, camera = problem.sensor, problem.camera
     if not np.isfinite(estimate.x).all():
@@ -151,19 +171,19 @@ def radial_view(
     curve = radial_difference(camera, estimate.x, sensor.initial, P, radius, sensor.pixel_pitch_m)
     edges = np.linspace(0, corner, 25)
     seen = problem.arcs.over_blocks(_reach_in_block, row_0, col_0, edges)
-    return {
-        "radius_px": _list(curve.radius_px),
-        "difference_px": _list(curve.difference_px),
-        "sigma_px": _list(curve.sigma_px),
-        "difference_arcsec": _list(curve.difference_rad * ARCSEC),
-        "sigma_arcsec": _list(curve.sigma_rad * ARCSEC),
-        "displacement_px": {
-            "initial": _list(displacement_px(camera, sensor.initial, sensor.initial, radius, sensor.pixel_pitch_m)),
-            "final": _list(displacement_px(camera, estimate.x, sensor.initial, radius, sensor.pixel_pitch_m)),
-        },
-        "data_radius_px": max(farthest for farthest, _ in seen),
-        "counts": {"edges_px": _list(edges), "stars": np.sum([counts for _, counts in seen], axis=0).tolist()},
-    }
+    return RadialDifference(
+        radius_px=_list(curve.radius_px),
+        difference_px=_list(curve.difference_px),
+        sigma_px=_list(curve.sigma_px),
+        difference_arcsec=_list(curve.difference_rad * ARCSEC),
+        sigma_arcsec=_list(curve.sigma_rad * ARCSEC),
+        displacement_px=Displacement(
+            initial=_list(displacement_px(camera, sensor.initial, sensor.initial, radius, sensor.pixel_pitch_m)),
+            final=_list(displacement_px(camera, estimate.x, sensor.initial, radius, sensor.pixel_pitch_m)),
+        ),
+        data_radius_px=max(farthest for farthest, _ in seen),
+        counts=StarCounts(edges_px=_list(edges), stars=np.sum([counts for _, counts in seen], axis=0).tolist()),
+    )
 
 
 def _reach_in_block(block: ArcSet, row_0: float, col_0: float, edges: FloatArray) -> tuple[float, IntArray]:
@@ -172,22 +192,19 @@ def _reach_in_block(block: ArcSet, row_0: float, col_0: float, edges: FloatArray
     return float(reach.max()), np.histogram(reach, edges)[0]
 
 
-def coverage_view(problem: Problem) -> dict[str, Any]:
+def coverage_view(problem: Problem) -> Coverage:
     """Star counts over the detector."""
     sensor = problem.sensor
     row_edges = np.linspace(-0.5, sensor.rows - 0.5, COVERAGE_ROWS + 1)
     col_edges = np.linspace(-0.5, sensor.columns - 0.5, COVERAGE_COLUMNS + 1)
     counts = np.sum(problem.arcs.over_blocks(_counts_in_block, row_edges, col_edges), axis=0)
-    return {"row_edges_px": _list(row_edges), "col_edges_px": _list(col_edges), "counts": counts.tolist()}
+    return Coverage(row_edges_px=_list(row_edges), col_edges_px=_list(col_edges), counts=counts.tolist())
 
 
 def _counts_in_block(block: ArcSet, row_edges: FloatArray, col_edges: FloatArray) -> IntArray:
     """Stars of one block in the cells between the edges."""
     counts, _, _ = np.histogram2d(block.row_px, block.col_px, bins=(row_edges, col_edges))
     return counts.astype(np.int64)
-
-
-SCHEMA = "boresight.calibration/1"
 
 
 def numbers(values: FloatArray) -> list[Any]:
@@ -197,37 +214,41 @@ def numbers(values: FloatArray) -> list[Any]:
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
-def header(
-    problem: Problem, parameters: Parameters, settings: CalibrationSettings, sha256s: Mapping[str, str]
-) -> dict[str, Any]:
-    """Everything that is known before estimating."""
+def begin_calibration(
+    problem: Problem,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    sha256s: Mapping[str, str],
+    status: Status,
+) -> Calibration:
+    """Say everything that is known before estimating."""
     sensor, camera = problem.sensor, problem.camera
     names = camera.parameter_names
-    return {
-        "schema": SCHEMA,
-        "sensor": sensor.name,
-        "method": settings.method,
-        "variant": settings.variant if settings.sequential else None,
-        "camera_model": camera.name,
-        "parameter_names": list(names),  # a store may sort the keys of the objects below
-        "free": [names[p] for p in parameters.free],
-        "initial": dict(zip(names, numbers(sensor.initial), strict=True)),
-        "typical_sigma": dict(zip(names, numbers(sensor.typical_sigma), strict=True)),
-        "units": dict(zip(names, camera.units, strict=True)),
-        "symbols": dict(zip(names, camera.symbols, strict=True)),
-        "truth": None,
-        "frames": problem.arcs.n_frames,
-        "exposures": problem.arcs.n_exposures,
-        "stars": problem.arcs.n_stars,
-        "pairs": 2 * problem.arcs.n_stars - 3 * problem.arcs.n_exposures,
-        "frames_in_set": problem.frames_in_set,
-        "left_out": [vars(item) for item in problem.left_out],
-        "inputs": {
-            "sha256s": dict(sha256s),
-            "versions": dict(versions()),
-            "settings": settings.document(),
-        },
-    }
+    return Calibration(
+        sensor=sensor.name,
+        method=settings.method,
+        variant=settings.variant if settings.sequential else None,
+        camera_model=camera.name,
+        parameter_names=list(names),  # a store may sort the keys of the objects below
+        free=[names[p] for p in parameters.free],
+        initial=_values(names, sensor.initial),
+        typical_sigma=_values(names, sensor.typical_sigma),
+        units=dict(zip(names, camera.units, strict=True)),
+        symbols=dict(zip(names, camera.symbols, strict=True)),
+        frames=problem.arcs.n_frames,
+        exposures=problem.arcs.n_exposures,
+        stars=problem.arcs.n_stars,
+        pairs=2 * problem.arcs.n_stars - 3 * problem.arcs.n_exposures,
+        frames_in_set=problem.frames_in_set,
+        left_out=list(problem.left_out),
+        inputs=Inputs(sha256s=dict(sha256s), versions=dict(versions()), settings=settings.document()),
+        status=status,
+    )
+
+
+def _values(names: Sequence[str], numbers_of: FloatArray) -> Values:
+    """Put numbers beside the names of parameters; what is not finite is unknown."""
+    return Values(dict(zip(names, numbers(numbers_of), strict=True)))
 
 
 @cache
@@ -239,46 +260,35 @@ def versions() -> dict[str, str]:
     }
 
 
-def document(
+def describe_estimate(
     problem: Problem,
     parameters: Parameters,
     settings: CalibrationSettings,
     estimate: Estimate,
     sha256s: Mapping[str, str],
-) -> dict[str, Any]:
-    """Write an estimate, finished or on its way, as the contract's JSON; `validation` and `timing_s` come from the caller."""
+) -> Calibration:
+    """Put an estimate, finished or on its way, into the form of a calibration; what judges it is not in it yet."""
     arcs = problem.whitened(estimate.x)
     initial, final = tail_rms(arcs, np.stack([problem.sensor.initial, estimate.x]))
     sigma = _sigma(problem, parameters, estimate)
-    return {
-        **header(problem, parameters, settings, sha256s),
-        **_estimated(problem, parameters, estimate, sigma),
-        **_judged(problem, parameters, settings, estimate, arcs),
-        "rms_arc_rad": {"initial": float(initial), "final": _finite(float(final))},
-        "robust": None
-        if estimate.robust is None
-        else robust_view(estimate.robust, problem.camera.parameter_names, sigma),
-        "validation": None,
-        **_not_yet(),
-        "history": history_view(problem, parameters, estimate, arcs),
-        "trace": trace_view(parameters, estimate, arcs.n_arcs, problem),
-        "radial": radial_view(problem, parameters, estimate, sigma),
-        "coverage": coverage_view(problem),
-        "timing_s": {},
-    }
-
-
-def _not_yet() -> dict[str, Any]:
-    """What the evaluation fills in when the estimate has ended."""
-    return {
-        "judged_on": None,
-        "evaluation": None,
-        "matching": None,
-        "alignment": None,
-        "frame_observability": None,
-        "trust": None,
-        "shadow": {"calibration": None, "validation": None},
-    }
+    names = problem.camera.parameter_names
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shift = (estimate.x - problem.sensor.initial) / sigma
+    estimated = replace(
+        begin_calibration(problem, parameters, settings, sha256s, estimate.status),
+        parameters=_values(names, estimate.x),
+        sigma=_values(names, sigma),
+        delta_over_sigma=_values(names, shift),
+        covariance=_describe_covariance(problem, parameters, estimate, sigma),
+        iterations=estimate.iterations,
+        rms_arc_rad=Change(initial=float(initial), final=_finite(float(final))),
+        robust=None if estimate.robust is None else robust_view(estimate.robust, names, sigma),
+        history=history_view(problem, parameters, estimate, arcs),
+        trace=trace_view(parameters, estimate, arcs.n_arcs, problem),
+        radial=radial_view(problem, parameters, estimate, sigma),
+        coverage=coverage_view(problem),
+    )
+    return _judged(estimated, problem, parameters, settings, estimate, arcs)
 
 
 def _finite(value: float) -> float | None:
@@ -296,58 +306,52 @@ def _sigma(problem: Problem, parameters: Parameters, estimate: Estimate) -> Floa
     return sigma
 
 
-def _estimated(problem: Problem, parameters: Parameters, estimate: Estimate, sigma: FloatArray) -> dict[str, Any]:
-    names = problem.camera.parameter_names
+def _describe_covariance(problem: Problem, parameters: Parameters, estimate: Estimate, sigma: FloatArray) -> Covariance:
+    """Covariance of the parameters whose sigma is known."""
     known = np.isfinite(sigma[parameters.free])
     P = parameters.covariance(estimate.P)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shift = (estimate.x - problem.sensor.initial) / sigma
-    return {
-        "parameters": dict(zip(names, numbers(estimate.x), strict=True)),
-        "sigma": dict(zip(names, numbers(sigma), strict=True)),
-        "delta_over_sigma": dict(zip(names, numbers(shift), strict=True)),
-        "covariance": {
-            "names": [names[p] for p in parameters.free[known]],
-            "matrix": numbers(P[np.ix_(known, known)]),
-        },
-        "status": estimate.status,
-        "iterations": estimate.iterations,
-    }
+    names = [problem.camera.parameter_names[p] for p in parameters.free[known]]
+    return Covariance(names=names, matrix=numbers(P[np.ix_(known, known)]))
 
 
 def _judged(
-    problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate, arcs: Arcs
-) -> dict[str, Any]:
-    """Chi-square, innovations, observability and advice; nulls while the estimate is on its way."""
+    estimated: Calibration,
+    problem: Problem,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    estimate: Estimate,
+    arcs: Arcs,
+) -> Calibration:
+    """Add chi-square, innovations, observability and advice; none of them while the estimate is on its way."""
     dof = arcs.n_arcs - len(parameters.free)
     if estimate.status == "running" or not np.isfinite(estimate.A).all() or dof <= 0:
-        unknown = {"chi2_per_dof": None, "chi2": None, "nis": _innovations_so_far(estimate), "observability": None}
-        return {**unknown, "advice": _unjudged(estimate, dof)}
+        return replace(estimated, nis=_innovations_so_far(estimate), advice=_unjudged(estimate, dof))
     fit = chi_square(estimate.chi2, dof)
     nis = _innovations(estimate) or fit
     names = [problem.camera.parameter_names[p] for p in parameters.free]
     symbols = [problem.camera.symbols[p] for p in parameters.free]
     observed = observability(estimate.A, tuple(names), tuple(symbols))
-    return {
-        "chi2_per_dof": fit.mean,
-        "chi2": {"value": estimate.chi2, **_bounds(fit)},
-        "nis": {"mean": nis.mean, **_bounds(nis)},
-        "observability": observability_view(observed),
-        "advice": advice(problem, parameters, settings, estimate, fit, nis, observed),
-    }
+    return replace(
+        estimated,
+        chi2_per_dof=fit.mean,
+        chi2=ChiSquareTest(value=estimate.chi2, **_bounds(fit)),
+        nis=InnovationTest(mean=nis.mean, **_bounds(nis)),
+        observability=observability_view(observed),
+        advice=advice(problem, parameters, settings, estimate, fit, nis, observed),
+    )
 
 
-def observability_view(observed: Observability) -> dict[str, Any]:
-    """Write the directions of the parameters and how well each is known as the contract's JSON."""
+def observability_view(observed: Observed) -> Observability:
+    """Say how well each direction of the parameters is known."""
     weakest = len(observed.names) - 1
-    return {
-        "parameter_names": list(observed.names),
-        "singular_values": numbers(observed.singular_values),
-        "condition_number": observed.condition_number,
-        "right_singular_vectors": numbers(observed.V.T),
-        "sigma_of_direction": numbers(observed.sigma_of_direction),
-        "weakest": {"direction": observed.direction(weakest), "sentence": observed.sentence(weakest)},
-    }
+    return Observability(
+        parameter_names=list(observed.names),
+        singular_values=numbers(observed.singular_values),
+        condition_number=observed.condition_number,
+        right_singular_vectors=numbers(observed.V.T),
+        sigma_of_direction=numbers(observed.sigma_of_direction),
+        weakest=WeakestDirection(direction=Values(observed.direction(weakest)), sentence=observed.sentence(weakest)),
+    )
 
 
 def _unjudged(estimate: Estimate, dof: int) -> list[str]:
@@ -361,7 +365,7 @@ def _unjudged(estimate: Estimate, dof: int) -> list[str]:
 
 
 def _bounds(test: ChiSquare) -> dict[str, Any]:
-    """A chi-square test as JSON, without its value."""
+    """What a chi-square test holds besides its value."""
     return {"dof": test.dof, "lower": test.lower, "upper": test.upper, "consistent": test.consistent}
 
 
@@ -372,92 +376,89 @@ def _innovations(estimate: Estimate) -> ChiSquare | None:
     return chi_square(estimate.history.nis_sum, estimate.history.dof_sum)
 
 
-def _innovations_so_far(estimate: Estimate) -> dict[str, Any] | None:
-    """The same as JSON while a filter is on its way."""
+def _innovations_so_far(estimate: Estimate) -> InnovationTest | None:
+    """The same while a filter is on its way."""
     test = _innovations(estimate)
-    return None if test is None or not np.isfinite(test.mean) else {"mean": test.mean, **_bounds(test)}
+    return None if test is None or not np.isfinite(test.mean) else InnovationTest(mean=test.mean, **_bounds(test))
 
 
 def nothing_estimated(
     problem: Problem, parameters: Parameters, settings: CalibrationSettings, sha256s: Mapping[str, str]
-) -> dict[str, Any]:
-    """The document of a set with too few stars everywhere: the start's values, no sigma, and why."""
-    names: Sequence[str] = problem.camera.parameter_names
-    nothing = dict.fromkeys(names)
-    absent = ("chi2_per_dof", "chi2", "nis", "observability", "validation", "history", "trace", "radial", "coverage")
-    return {
-        **header(problem, parameters, settings, sha256s),
-        "parameters": dict(zip(names, numbers(problem.sensor.initial), strict=True)),
-        "sigma": nothing,
-        "delta_over_sigma": nothing,
-        "covariance": {"names": [], "matrix": []},
-        "status": "too_few_stars",
-        "iterations": 0,
-        "rms_arc_rad": {"initial": None, "final": None},
-        **dict.fromkeys(absent),
-        **_not_yet(),
-        "robust": None,
-        "advice": too_few(problem, settings.minimum_stars),
-        "timing_s": {},
-    }
+) -> Calibration:
+    """Describe a set with too few stars everywhere: the start's values, no sigma, and why."""
+    names = problem.camera.parameter_names
+    unknown = Values(dict.fromkeys(names))
+    return replace(
+        begin_calibration(problem, parameters, settings, sha256s, "too_few_stars"),
+        parameters=_values(names, problem.sensor.initial),
+        sigma=unknown,
+        delta_over_sigma=unknown,
+        advice=too_few(problem, settings.minimum_stars),
+    )
 
 
-USABLE = "converged"
 LEFT_OUT_VARIANTS = {
     "q": "process noise lets it forget: it is an estimate of its last frames",
     "no-refit": "its matches were held to the parameters that it started from",
 }
 
 
-def trend_entry(result: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return what a trend keeps; None where nothing was estimated.
+@dataclass(frozen=True)
+class TrendEntry:
+    """What a trend over the mission keeps of a calibration.
 
-    Returns
-    -------
-    dict
-        `camera_model`, `names` (k,) of the estimated parameters, `parameters {}` of all, `covariance` (k, k) with
-        `variance_factor` in it, `said` sentences on that factor, `left_out` why it takes no part in tests, or null.
+    `names`: the k estimated parameters. `parameters`: all. `covariance`: (k, k), SI, with `variance_factor` in it. `said`: a
+    sentence on that factor; None where it is one. `left_out`: why it takes no part in tests; None where it does.
     """
-    covariance = result.get("covariance") or {}
-    names = list(covariance.get("names") or ())
-    if not names:
+
+    camera_model: str
+    names: list[str]
+    parameters: Values
+    covariance: Matrix
+    variance_factor: float
+    said: str | None
+    left_out: str | None
+
+
+def trend_entry(result: Calibration) -> TrendEntry | None:
+    """Return what a trend keeps; None where nothing was estimated."""
+    if not result.covariance.names:
         return None
     factors = dict(_factors(result))
     said = max(factors, key=lambda sentence: factors[sentence], default=None)
     factor = 1.0 if said is None else factors[said]
-    return {
-        "camera_model": result["camera_model"],
-        "names": names,
-        "parameters": dict(result["parameters"]),
-        "covariance": [[None if one is None else one * factor for one in row] for row in covariance["matrix"]],
-        "variance_factor": factor,
-        "said": said,
-        "left_out": _left_out(result),
-    }
+    return TrendEntry(
+        camera_model=result.camera_model,
+        names=list(result.covariance.names),
+        parameters=result.parameters,
+        covariance=[[None if one is None else one * factor for one in row] for row in result.covariance.matrix],
+        variance_factor=factor,
+        said=said,
+        left_out=_left_out(result),
+    )
 
 
-def _factors(result: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+def _factors(result: Calibration) -> Iterator[tuple[str, float]]:
     """Yield why variances must be larger, and by how much."""
-    chi2, nis = result.get("chi2") or {}, result.get("nis") or {}
-    per_dof = result.get("chi2_per_dof")
-    if per_dof is not None and chi2.get("upper") is not None and per_dof > chi2["upper"]:
+    chi2, nis, per_dof = result.chi2, result.nis, result.chi2_per_dof
+    if per_dof is not None and chi2 is not None and chi2.upper is not None and per_dof > chi2.upper:
         yield f"sigmas widened {per_dof**0.5:.2f} times: chi-square is {per_dof:.3g} per degree of freedom", per_dof
-    mean = nis.get("mean")
-    if mean is not None and nis.get("upper") is not None and mean > nis["upper"]:
-        yield f"sigmas widened {mean**0.5:.2f} times: the normalised innovations are {mean:.3g}", mean
-    ratio = ((result.get("trust") or {}).get("efficiency") or {}).get("overall_ratio")
-    if ratio is not None and 0 < ratio < TOO_SMALL:
+    if nis is not None and nis.mean is not None and nis.upper is not None and nis.mean > nis.upper:
+        yield f"sigmas widened {nis.mean**0.5:.2f} times: the normalised innovations are {nis.mean:.3g}", nis.mean
+    efficiency = None if result.trust is None else result.trust.efficiency
+    if efficiency is not None and 0 < efficiency.overall_ratio < TOO_SMALL:
+        ratio = efficiency.overall_ratio
         yield f"sigmas widened {1 / ratio:.2f} times: they were claimed below the Cramér-Rao bound", ratio**-2
 
 
-def _left_out(result: Mapping[str, Any]) -> str | None:
+def _left_out(result: Calibration) -> str | None:
     """Say why an estimate takes no part in tests; None where it does."""
-    settings = (result.get("inputs") or {}).get("settings") or {}
-    if result.get("status") != USABLE:
-        return f"it ended {str(result.get('status')).replace('_', ' ')}"
-    if result.get("variant") in LEFT_OUT_VARIANTS:
-        return LEFT_OUT_VARIANTS[str(result["variant"])]
-    if result.get("variant") is not None and settings.get("linearisations") == 1:
+    settings = result.inputs.settings
+    if not result.is_usable:
+        return f"it ended {result.status.replace('_', ' ')}"
+    if result.variant in LEFT_OUT_VARIANTS:
+        return LEFT_OUT_VARIANTS[result.variant]
+    if result.variant is not None and settings.get("linearisations") == 1:
         return "one linearisation a frame makes it over-confident"
     if (settings.get("forgetting_factor") or 1.0) < 1.0:
         return "it forgets: it is an estimate of its last frames"

@@ -126,7 +126,7 @@ def finished(problem: Problem, parameters: Parameters, history: RecordedHistory)
     x_0 = problem.sensor.initial
     began = batch.normal_equations(problem.whitened(x_0), x_0, parameters.free, parameters.scale)
     if not (history.finite and ended.finite()) or ended.chi2 > 2 * began.chi2:
-        status = "diverged"
+        status: batch.Status = "diverged"
     elif not batch.determined(ended.A)[2].all():
         status = "rank_deficient"
     else:

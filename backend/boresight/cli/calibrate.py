@@ -135,7 +135,7 @@ def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settin
     catalogue = load_catalogue(read_settings().catalogue_folder)
     report("building arcs and loading the compiled loops")
     files = {"telemetry": telemetry, "sensor": sensor_file} | ({"validation": validate} if validate else {})
-    return estimator.calibrate(
+    found = estimator.calibrate(
         stars,
         sensor,
         catalogue,
@@ -145,6 +145,7 @@ def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settin
         report=lambda step: report(step.message, step.fraction),
         cache_folder=read_settings().catalogue_folder,
     )
+    return found.to_dict()
 
 
 def _sha256(path: Path) -> str:

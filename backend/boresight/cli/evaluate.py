@@ -214,6 +214,7 @@ def evaluate(telemetry: Path, sensor_file: Path, json_file: str | None, *, shado
 def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shadow: bool, report: Any) -> dict[str, Any]:
     import numpy as np
 
+    from boresight.calibration.calibration import to_plain
     from boresight.calibration.evaluation import bootstrap
     from boresight.calibration.evaluation.evaluate import evaluate_matched_frames, shadow_view
     from boresight.calibration.matching.matched_frames import match_under_states
@@ -231,9 +232,9 @@ def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shado
     report("matching the stars under both parameter sets")
     initial, final = match_under_states(stars, sensor, catalogue, states, settings, folder)
     rng = np.random.default_rng(bootstrap.SEED)
-    document = evaluate_matched_frames(stars, sensor, initial, final, settings, rng)
+    document: dict[str, Any] = to_plain(evaluate_matched_frames(stars, sensor, initial, final, settings, rng))
     document |= {"sensor": sensor.name, "stars_off_detector": off.document(), "advice": off.sentences()}
-    return document | ({"shadow": shadow_view(stars, initial, final)} if shadow else {})
+    return document | ({"shadow": to_plain(shadow_view(stars, initial, final))} if shadow else {})
 
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:

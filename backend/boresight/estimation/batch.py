@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,9 @@ class Step:
     damping: float
 
 
+Status = Literal["converged", "max_iterations", "rank_deficient", "diverged"]
+
+
 @dataclass(frozen=True)
 class BatchFit:
     """Where the batch estimator ended.
@@ -94,7 +98,7 @@ class BatchFit:
     chi2: float
     sum_of_squares: float
     rank: int
-    status: str
+    status: Status
     steps: tuple[Step, ...]
     beyond: int = 0
 
@@ -217,7 +221,7 @@ def fit(
     x, damping, growth = x0.copy(), FIRST_DAMPING, 2.0
     here = normal_equations(arcs, x, free, scale, threshold)
     steps: list[Step] = []
-    status = "max_iterations" if here.finite() else "diverged"
+    status: Status = "max_iterations" if here.finite() else "diverged"
     for iteration in range(max_iterations + 1):
         if not here.finite():
             break

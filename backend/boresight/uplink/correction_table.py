@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from boresight.calibration.residual_spline import ResidualSpline, read_residual_spline
+from boresight.calibration.calibration import ResidualSpline, parse_part
+from boresight.calibration.residual_spline import ResidualSplineFit, read_residual_spline
+from boresight.errors import RefusedInputError
 from boresight.uplink.archive import csv_bytes, json_bytes
 
 SCHEMA = "boresight.correction-table/1"
@@ -32,7 +34,7 @@ def correction_files(subject: Mapping[str, Any]) -> dict[str, bytes]:
     document = subject["document"].get("residual_spline")
     if not document:
         return {}
-    spline = read_residual_spline(document)
+    spline = read_residual_spline(parse_part(ResidualSpline, document, RefusedInputError))
     table = {
         "schema": SCHEMA,
         "what": "displacement that the camera model leaves over after its calibration, estimated from the same stars",
@@ -55,7 +57,7 @@ def correction_files(subject: Mapping[str, Any]) -> dict[str, bytes]:
     return dict(zip(NAMES, (json_bytes(table), csv_bytes(COLUMNS, _rows(spline))), strict=True))
 
 
-def _rows(spline: ResidualSpline) -> Iterator[list[float]]:
+def _rows(spline: ResidualSplineFit) -> Iterator[list[float]]:
     """One place a row."""
     (d_row, d_col), (s_row, s_col) = spline.displacement_px.tolist(), spline.sigma_px.tolist()
     for i, row in enumerate(spline.row_px.tolist()):

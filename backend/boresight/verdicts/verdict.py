@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from boresight.calibration.calibration import parse_calibration, to_plain
 from boresight.calibration.result import trend_entry
 from boresight.estimation.filters import FILTERS
 from boresight.estimation.statistics.observability import WEAK
@@ -315,7 +316,7 @@ def summarise_run(result: Mapping[str, Any]) -> dict[str, Any]:
         "weakest": _within(result, "observability", "weakest", "sentence"),
         "tail_rms_rad": _last(_within(result, "history", "tail_rms_rad")),
         "availability": _within(result, "validation", "availability", "final"),
-        "trend": trend_entry(result),
+        "trend": to_plain(trend_entry(parse_calibration(result))),
         "validation_rms_initial_arc_rad": _within(result, "validation", "rms_arc_rad", "initial"),
         "validation_rms_final_arc_rad": _within(result, "validation", "rms_arc_rad", "final"),
     }

@@ -130,7 +130,7 @@ def _spread(first: int, last: int) -> list[int]:
 
 def _nis_per_dof(history: Mapping[str, Any]) -> list[float | None] | None:
     """Average the normalised innovation squared over the points so far, per degree of freedom."""
-    if history.get("nis") is None:
+    if not history.get("nis"):
         return None
     nis, dof = (accumulate(value or 0 for value in history.get(name) or ()) for name in ("nis", "nis_dof"))
     return [total / count if count else None for total, count in zip(nis, dof, strict=False)]
@@ -165,7 +165,7 @@ class Link:
         if now_s - self._reported_s < REPORT_EVERY_S:
             return
         self._reported_s = now_s
-        partial = None if progress.partial is None else encoded(progress.partial)
+        partial = None if progress.partial is None else encoded(progress.partial.to_dict())
         elapsed_s = round(now_s - self._begun_s, 3)
         report = Report(self.run_id, self.attempt, float(progress.fraction), progress.message, elapsed_s, partial)
         get_worker().log_event(TOPIC, {"report": vars(report)})  # the worker adds its own address beside it

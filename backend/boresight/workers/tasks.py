@@ -31,6 +31,7 @@ import orjson
 from distributed.diagnostics.plugin import WorkerPlugin
 
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.calibration import Calibration
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.telemetry_pieces import StoredTable
 from boresight.cameras import CAMERA_MODELS
@@ -189,8 +190,8 @@ def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tupl
     """Calibrate, begin to put the result, and describe it."""
     begun_s, begun_cpu_s = time.perf_counter(), time.thread_time()
     blobs = open_blobs(replace(_own_place(), address=inputs["blob_address"]), make=False)
-    document = _calibrated(blobs, inputs, calculation, link)
-    content = orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
+    document = _calibrated(blobs, inputs, calculation, link).to_dict()
+    content = orjson.dumps(document)
     seconds, cpu_seconds = time.perf_counter() - begun_s, time.thread_time() - begun_cpu_s
     took = {"seconds": round(seconds, 4), "cpu_seconds": round(cpu_seconds, 4)}
     summary = summarise_run(document) | took
@@ -199,7 +200,7 @@ def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tupl
     return end, keep(lambda: blobs.put(content))
 
 
-def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) -> dict[str, Any]:
+def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) -> Calibration:
     """Read the inputs and call the calculation; a large set is left in its file, and computed by whoever is idle."""
     validation = inputs["validation_sha256"]
     source = _table(blobs, inputs["table_sha256"])
@@ -239,10 +240,10 @@ def _own_place() -> BlobLocation:
 
 
 @cache
-def _function(dotted: str) -> Callable[..., dict[str, Any]]:
+def _function(dotted: str) -> Callable[..., Calibration]:
     """Import `module:function`."""
     module, _, name = dotted.partition(":")
-    return cast("Callable[..., dict[str, Any]]", getattr(import_module(module), name))
+    return cast("Callable[..., Calibration]", getattr(import_module(module), name))
 
 
 @lru_cache(maxsize=TABLES)

@@ -28,13 +28,13 @@ Reference: Markley, Cheng, Crassidis, Oshman, "Averaging Quaternions", J. Guidan
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri
 
 from boresight.arrays import FloatArray
+from boresight.calibration.calibration import Alignment
 from boresight.calibration.problem import Problem
 from boresight.calibration.result import numbers
 from boresight.estimation.arcs import ArcSet, angular_sigma
@@ -61,7 +61,7 @@ AXES = ("x (the rows axis)", "y (the columns axis)", "z (the boresight)")
 
 
 @dataclass(frozen=True)
-class Alignment:
+class MeanRotation:
     """The mean rotation from attitudes under old parameters to those under new ones.
 
     `quaternion`: (4,) R, x y z w. `covariance`: (3, 3) of its rotation vector about the axes of the detector triad, rad²:
@@ -89,7 +89,7 @@ class Alignment:
         return to_matrix(self.quaternion).T
 
 
-def align(problem: Problem, x_0: FloatArray, x: FloatArray, P: FloatArray) -> Alignment | None:
+def align(problem: Problem, x_0: FloatArray, x: FloatArray, P: FloatArray) -> MeanRotation | None:
     """Compare the attitudes of every exposure under two states.
 
     `x_0`, `x`: (n_parameters,) old and new state, SI. `P`: (n_parameters, n_parameters) covariance of x, SI; zero rows for
@@ -119,7 +119,7 @@ def align(problem: Problem, x_0: FloatArray, x: FloatArray, P: FloatArray) -> Al
     per_frame, frame_weights = _means(theta, weights, arcs.frame_start[:-1])
     of_mean, consistent = _between_blocks(per_frame, frame_weights)
     J = sensitivity(problem, x, sigma)
-    return Alignment(
+    return MeanRotation(
         quaternion=mean,
         covariance=of_mean + J @ P @ J.T,
         covariance_of_mean=of_mean,
@@ -179,7 +179,7 @@ def _spread(arcs: ArcSet) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return np.concatenate(stars), np.cumsum([0, *(len(run) for run in stars[:-1])])
 
 
-def alignment_view(problem: Problem, x_0: FloatArray, x: FloatArray, P_si: FloatArray) -> dict[str, Any] | None:
+def alignment_view(problem: Problem, x_0: FloatArray, x: FloatArray, P_si: FloatArray) -> Alignment | None:
     """Return the `alignment` object of the calibration JSON, see `align`; null where that is None.
 
     Angles are in arcsec about the axes of the right-handed detector triad; `sigma_of_mean_arcsec` belongs to loading these very
@@ -188,25 +188,25 @@ def alignment_view(problem: Problem, x_0: FloatArray, x: FloatArray, P_si: Float
     found = align(problem, x_0, x, P_si)
     if found is None:
         return None
-    return {
-        "quaternion": numbers(found.quaternion),
-        "rotation_arcsec": numbers(found.rotation * ARCSEC_PER_RAD),
-        "sigma_arcsec": numbers(_sigmas(found.covariance)),
-        "sigma_of_mean_arcsec": numbers(_sigmas(found.covariance_of_mean)),
-        "frames": found.frames,
-        "scatter_arcsec": found.scatter_rad * ARCSEC_PER_RAD,
-        "noise_arcsec": found.noise_rad * ARCSEC_PER_RAD,
-        "consistent": found.consistent,
-        "sentence": sentence(found),
-        "c_sd_update": numbers(found.c_sd_update),
-    }
+    return Alignment(
+        quaternion=numbers(found.quaternion),
+        rotation_arcsec=numbers(found.rotation * ARCSEC_PER_RAD),
+        sigma_arcsec=numbers(_sigmas(found.covariance)),
+        sigma_of_mean_arcsec=numbers(_sigmas(found.covariance_of_mean)),
+        frames=found.frames,
+        scatter_arcsec=found.scatter_rad * ARCSEC_PER_RAD,
+        noise_arcsec=found.noise_rad * ARCSEC_PER_RAD,
+        consistent=found.consistent,
+        sentence=sentence(found),
+        c_sd_update=numbers(found.c_sd_update),
+    )
 
 
 def _sigmas(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.diag(covariance)) * ARCSEC_PER_RAD)
 
 
-def sentence(found: Alignment) -> str:
+def sentence(found: MeanRotation) -> str:
     """Say how far the attitude turns, about what, how well that is known and what to do about it."""
     angle = float(np.linalg.norm(found.rotation))
     axis = found.rotation / angle if angle > 0 else np.array([0.0, 0.0, 1.0])

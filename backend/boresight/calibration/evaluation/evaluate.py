@@ -25,12 +25,24 @@ resampled in blocks, is the one to believe.
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import bdtr
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.calibration.calibration import (
+    Change,
+    CountChange,
+    Evaluation,
+    EvaluationIntervals,
+    IntervalChange,
+    ReasonChange,
+    ShadowAnswer,
+    ShadowFrame,
+    ShadowOfSet,
+    ShadowSummary,
+)
 from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.matching.flight_check import FLIGHT_REASONS
 from boresight.calibration.matching.matched_frames import MatchedFrames, common_arcs, match_under_states
@@ -44,7 +56,6 @@ from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry, time_text
 from boresight.telemetry.sensors import Sensor
 
-SCHEMA = "boresight.evaluation/1"
 #: Every score is a ratio of two columns of `_columns`, or its root: numerator, denominator, whether the root is taken.
 SCORES = {
     "availability_initial": (1, 0, False),
@@ -67,7 +78,7 @@ def evaluate_parameters(  # noqa: PLR0913 - two states, each a vector and its co
     P_final: FloatArray | None = None,
     *,
     rng: np.random.Generator | None = None,
-) -> dict[str, Any]:
+) -> Evaluation:
     """Compare two states on a set.
 
     Parameters
@@ -86,7 +97,7 @@ def evaluate_parameters(  # noqa: PLR0913 - two states, each a vector and its co
 
     Returns
     -------
-    The evaluation JSON, `boresight.evaluation/1`.
+    Scores and intervals, `boresight.evaluation/1`.
 
     Raises
     ------
@@ -106,36 +117,39 @@ def evaluate_matched_frames(
     settings: CalibrationSettings,
     rng: np.random.Generator | None,
     ordered: ArcSet | None = None,
-) -> dict[str, Any]:
+) -> Evaluation:
     """Compare a set's matched frames under two states, as `evaluate_parameters` does; `ordered`, its arcs, saves ordering anew."""
     larger = initial if initial.view.matched_stars > final.view.matched_stars else final
     common = common_arcs(telemetry, sensor, larger, settings.minimum_stars, ordered)
     columns = _columns(initial, final, common, CAMERA_MODELS[sensor.camera_model])
     scores = {name: _score(columns, *SCORES[name], rng) for name in SCORES}
-    value, interval = ({name: score[k] for name, score in scores.items()} for k in (0, 1))
-    return {
-        "schema": SCHEMA,
-        "frames": len(columns),
-        "availability": _sides(value, "availability"),
-        "matched_stars": {"initial": initial.view.matched_stars, "final": final.view.matched_stars},
-        "matched_star_ratio": value["matched_star_ratio"],
-        "rms_arc_rad": _sides(value, "rms_arc_rad"),
-        "rms_ratio": value["rms_ratio"],
-        "common_pairs": int(columns[:, 7].sum()),
-        "stars": sum(arcs.n_stars for arcs in common),
-        "match": "rematch" if isinstance(final.matches, Matches) else "given",
-        "flight_tolerance_rad": final.tolerance_rad,
-        "intervals": {
-            "availability": _sides(interval, "availability"),
-            "matched_star_ratio": interval["matched_star_ratio"],
-            "rms_arc_rad": _sides(interval, "rms_arc_rad"),
-            "rms_ratio": interval["rms_ratio"],
-        },
-        "reasons": {"initial": _counted(initial), "final": _counted(final)},
-    }
+    value = {name: score for name, (score, _) in scores.items()}
+    interval = {name: within for name, (_, within) in scores.items()}
+    return Evaluation(
+        frames=len(columns),
+        availability=Change(**_sides(value, "availability")),
+        matched_stars=CountChange(initial=initial.view.matched_stars, final=final.view.matched_stars),
+        matched_star_ratio=value["matched_star_ratio"],
+        rms_arc_rad=Change(**_sides(value, "rms_arc_rad")),
+        rms_ratio=value["rms_ratio"],
+        common_pairs=int(columns[:, 7].sum()),
+        stars=sum(arcs.n_stars for arcs in common),
+        match="rematch" if isinstance(final.matches, Matches) else "given",
+        flight_tolerance_rad=final.tolerance_rad,
+        intervals=EvaluationIntervals(
+            availability=IntervalChange(**_sides(interval, "availability")),
+            matched_star_ratio=interval["matched_star_ratio"],
+            rms_arc_rad=IntervalChange(**_sides(interval, "rms_arc_rad")),
+            rms_ratio=interval["rms_ratio"],
+        ),
+        reasons=ReasonChange(initial=_counted(initial), final=_counted(final)),
+    )
 
 
-def _sides(scores: dict[str, Any], name: str) -> dict[str, Any]:
+T = TypeVar("T")
+
+
+def _sides(scores: dict[str, T], name: str) -> dict[str, T]:
     return {side: scores[f"{name}_{side}"] for side in ("initial", "final")}
 
 
@@ -191,7 +205,7 @@ MOST_FRAMES = 2000
 MOST_DIFFERING = 1000
 
 
-def shadow_view(telemetry: Telemetry, baseline: MatchedFrames, candidate: MatchedFrames) -> dict[str, Any]:
+def shadow_view(telemetry: Telemetry, baseline: MatchedFrames, candidate: MatchedFrames) -> ShadowOfSet:
     """Set the matched frames of one set under two states side by side.
 
     Returns dict with `frames`, one object a frame and at most `MOST_FRAMES` of them, those that differ first; `frames_in_set`;
@@ -201,24 +215,24 @@ def shadow_view(telemetry: Telemetry, baseline: MatchedFrames, candidate: Matche
     ends = np.searchsorted(telemetry.frame, baseline.view.frames, side="right")
     rows = np.stack([np.append(0, ends[:-1]), ends], axis=1)
     reasons = baseline.frame_reasons, candidate.frame_reasons
-    return {
-        "frames": [
-            {
-                "frame": int(baseline.view.frames[k]),
-                "time_utc": time_text(telemetry, rows[k, 0]),
-                "baseline": _answer(baseline, k, reasons[0]),
-                "candidate": _answer(candidate, k, reasons[1]),
-                "lost": _ids(baseline, lost, rows[k]),
-                "gained": _ids(candidate, gained, rows[k]),
-            }
+    return ShadowOfSet(
+        frames=[
+            ShadowFrame(
+                frame=int(baseline.view.frames[k]),
+                time_utc=time_text(telemetry, rows[k, 0]),
+                baseline=_answer(baseline, k, reasons[0]),
+                candidate=_answer(candidate, k, reasons[1]),
+                lost=_ids(baseline, lost, rows[k]),
+                gained=_ids(candidate, gained, rows[k]),
+            )
             for k in _kept(baseline.view.valid_frames, candidate.view.valid_frames)
         ],
-        "frames_in_set": len(rows),
-        "flight_tolerance_rad": candidate.tolerance_rad,
-        "summary": shadow_summary(
+        frames_in_set=len(rows),
+        flight_tolerance_rad=candidate.tolerance_rad,
+        summary=shadow_summary(
             baseline.view.valid_frames, candidate.view.valid_frames, int(lost.sum()), int(gained.sum())
         ),
-    }
+    )
 
 
 def _moved(here: MatchedFrames, there: MatchedFrames) -> BoolArray:
@@ -239,9 +253,9 @@ def _thinned(places: IntArray, most: int) -> IntArray:
     return places[np.linspace(0, len(places) - 1, most).round().astype(np.int64)]
 
 
-def _answer(seen: MatchedFrames, k: int, reasons: list[str]) -> dict[str, Any]:
+def _answer(seen: MatchedFrames, k: int, reasons: list[str]) -> ShadowAnswer:
     valid = bool(seen.view.valid_frames[k])
-    return {"valid": valid, "matched": int(seen.view.matched_in_frame[k]), "reason": None if valid else reasons[k]}
+    return ShadowAnswer(valid=valid, matched=int(seen.view.matched_in_frame[k]), reason=None if valid else reasons[k])
 
 
 def _ids(seen: MatchedFrames, moved: BoolArray, rows: IntArray) -> list[int]:
@@ -251,7 +265,7 @@ def _ids(seen: MatchedFrames, moved: BoolArray, rows: IntArray) -> list[int]:
     return ids
 
 
-def shadow_summary(baseline: BoolArray, candidate: BoolArray, stars_lost: int, stars_gained: int) -> dict[str, Any]:
+def shadow_summary(baseline: BoolArray, candidate: BoolArray, stars_lost: int, stars_gained: int) -> ShadowSummary:
     """Count what each state alone solves.
 
     `baseline`, `candidate`: (n_frames,) whether each frame is available. `stars_lost`, `stars_gained`: sightings of stars that
@@ -259,16 +273,16 @@ def shadow_summary(baseline: BoolArray, candidate: BoolArray, stars_lost: int, s
     """
     b, c = int(np.sum(baseline & ~candidate)), int(np.sum(candidate & ~baseline))
     p = mcnemar(b, c)
-    return {
-        "baseline_only": b,
-        "candidate_only": c,
-        "both": int(np.sum(baseline & candidate)),
-        "neither": int(np.sum(~baseline & ~candidate)),
-        "stars_lost": stars_lost,
-        "stars_gained": stars_gained,
-        "p": p,
-        "sentence": _sentence(b, c, p, stars_lost, stars_gained),
-    }
+    return ShadowSummary(
+        baseline_only=b,
+        candidate_only=c,
+        both=int(np.sum(baseline & candidate)),
+        neither=int(np.sum(~baseline & ~candidate)),
+        stars_lost=stars_lost,
+        stars_gained=stars_gained,
+        p=p,
+        sentence=_sentence(b, c, p, stars_lost, stars_gained),
+    )
 
 
 def mcnemar(b: int, c: int) -> float:

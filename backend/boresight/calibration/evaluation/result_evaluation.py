@@ -16,13 +16,20 @@ exposures are full: up to 60 stars the cost of an exposure was found to grow as 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
+from boresight.calibration.calibration import (
+    Calibration,
+    Evaluation,
+    FrameObservability,
+    ReferenceInformation,
+    ShadowOfSet,
+)
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.evaluation.alignment import alignment_view
@@ -59,13 +66,8 @@ ROUNDING = 1e-12
 ADDS_NOTHING = 0.005
 
 
-def frame_observability(problem: Problem, parameters: Parameters, estimate: Estimate) -> dict[str, Any]:
-    """Judge single frames and references at the estimate.
-
-    Returns `frame` (n,), the frames taken; `minimum_singular_value`, by curve (n,): `model_1` ... `model_4`, `sigma_1` ...
-    `sigma_3`; `information`, one entry a reference with `share` of the bound's (geometric mean over the parameters),
-    `least_share` and `least`, the parameter that has it; `sentence`.
-    """
+def frame_observability(problem: Problem, parameters: Parameters, estimate: Estimate) -> FrameObservability:
+    """Judge single frames and references at the estimate."""
     arcs = whiten_at(chosen(problem.arcs.whole(), _taken(problem.arcs.whole())), problem.camera, estimate.x)
     view = View(problem.camera, estimate.x, parameters.free, parameters.scale)
     runs = seen(view, arcs)
@@ -77,14 +79,14 @@ def frame_observability(problem: Problem, parameters: Parameters, estimate: Esti
     held = {name: found[selection][1] for name, selection in REFERENCES.items()}
     held = {"angular": information_of_pairs(view, runs)} | held
     information = _information(view, arcs, held, [problem.camera.parameter_names[p] for p in parameters.free])
-    return {
-        "frame": arcs.frame.tolist(),
-        "frames_used": arcs.n_frames,
-        "frames": problem.arcs.n_frames,
-        "minimum_singular_value": {name: nested(curve) for name, curve in curves},
-        "information": information,
-        "sentence": _sentence(information, models),
-    }
+    return FrameObservability(
+        frame=arcs.frame.tolist(),
+        frames_used=arcs.n_frames,
+        frames=problem.arcs.n_frames,
+        minimum_singular_value={name: nested(curve) for name, curve in curves},
+        information=information,
+        sentence=_sentence(information, models),
+    )
 
 
 def _taken(arcs: ArcSet) -> NDArray[np.bool_]:
@@ -102,7 +104,7 @@ def _known(smallest: list[FloatArray]) -> FloatArray:
     return np.where(curves > ROUNDING, curves, np.nan)
 
 
-def _information(view: View, arcs: ArcSet, held: dict[str, FloatArray], names: list[str]) -> list[dict[str, Any]]:
+def _information(view: View, arcs: ArcSet, held: dict[str, FloatArray], names: list[str]) -> list[ReferenceInformation]:
     """Every reference beside the bound; empty where these frames leave a parameter open whatever the reference."""
     try:
         bound = centroid_rows(view.camera, view.x, arcs, view.free, view.scale).information
@@ -111,23 +113,23 @@ def _information(view: View, arcs: ArcSet, held: dict[str, FloatArray], names: l
     if not np.isfinite(bound).all() or not determined(bound)[2].all():
         return []
     held = {"arcs": normal_equations(arcs, view.x, view.free, view.scale).A} | held
-    return [{"reference": name, **_share(relative(A, bound), names)} for name, A in held.items()]
+    return [_share(name, relative(A, bound), names) for name, A in held.items()]
 
 
-def _share(shares: FloatArray, names: list[str]) -> dict[str, Any]:
+def _share(reference: str, shares: FloatArray, names: list[str]) -> ReferenceInformation:
     """Put a reference's shares (n_free,) into two numbers."""
     if not (shares > 0).all():
-        return {"share": None, "least_share": None, "least": None}
+        return ReferenceInformation(reference=reference, share=None, least_share=None, least=None)
     least = int(np.argmin(shares))
     share = float(np.exp(np.mean(np.log(shares))))
-    return {"share": share, "least_share": float(shares[least]), "least": names[least]}
+    return ReferenceInformation(reference=reference, share=share, least_share=float(shares[least]), least=names[least])
 
 
-def _sentence(information: list[dict[str, Any]], models: FloatArray) -> str:
+def _sentence(information: list[ReferenceInformation], models: FloatArray) -> str:
     """Say in words what the references hold, and what W's measure makes of the models (4, n_frames)."""
     if not information:
         return "These frames leave a direction of the parameters open, so there is no bound: hold a parameter fixed."
-    share = {entry["reference"]: entry["share"] for entry in information}
+    share = {entry.reference: entry.share for entry in information}
     of_models = ", ".join(f"{_percent(share[f'model_{model}'])} under Model {model}" for model in STAR_MODELS)
     return (
         f"Of the information in these centroids arcs keep {_percent(share['arcs'])}, all pairs {_percent(share['angular'])},"
@@ -156,34 +158,43 @@ def _percent(share: float | None) -> str:
 
 
 def evaluate_result(
-    document: dict[str, Any],
+    calibration: Calibration,
     sets: Dataset,
     first: Matched,
     ended: CyclesEnd,
     parameters: Parameters,
     settings: CalibrationSettings,
-) -> None:
-    """Add everything that the calibration set says of its own result to the document."""
+) -> Calibration:
+    """Add everything that the calibration set says of its own result."""
     telemetry, sensor, estimate = sets.telemetry, sets.sensor, ended.estimate
-    if estimate.status == "diverged":
-        return
-    evaluation, document["shadow"]["calibration"] = _flown(sets, first, ended.matched, estimate.x, settings)
-    document["evaluation"] = evaluation
-    document["matching"] = matching_view(telemetry, sensor, ended, evaluation)
-    if document["matching"] is not None:
-        document["advice"] += names_advice(document["matching"]["given"], document["matching"]["kept"])
+    evaluation, shadow = _flown(sets, first, ended.matched, estimate.x, settings)
+    matching = matching_view(telemetry, sensor, ended, evaluation)
     P = parameters.full_covariance(estimate.P, n=len(estimate.x))
-    document["alignment"] = alignment_view(ended.matched.problem, sensor.initial, estimate.x, P)
     problem, matched = ended.matched.problem, ended.matched.telemetry
-    document["frame_observability"] = frame_observability(problem, parameters, estimate)
-    document["trust"] = trust_view(problem, parameters, settings, estimate, matched, sets.catalogue)
-    document["advice"] += trust_advice(document["trust"])
-    if document["robust"] is not None:
-        document["advice"].append(document["robust"]["sentence"])
+    trust = trust_view(problem, parameters, settings, estimate, matched, sets.catalogue)
+    return with_advice(
+        replace(
+            calibration,
+            evaluation=evaluation,
+            shadow=replace(calibration.shadow, calibration=shadow),
+            matching=matching,
+            alignment=alignment_view(problem, sensor.initial, estimate.x, P),
+            frame_observability=frame_observability(problem, parameters, estimate),
+            trust=trust,
+        ),
+        *([] if matching is None else names_advice(matching.given, matching.kept)),
+        *trust_advice(trust),
+        *([] if calibration.robust is None else [calibration.robust.sentence]),
+    )
+
+
+def with_advice(calibration: Calibration, *sentences: str) -> Calibration:
+    """Add sentences to the advice."""
+    return replace(calibration, advice=[*calibration.advice, *sentences])
 
 
 def validate(
-    document: dict[str, Any],
+    calibration: Calibration,
     telemetry: Telemetry,
     sensor: Sensor,
     catalogue: Catalogue,
@@ -191,24 +202,24 @@ def validate(
     parameters: Parameters,
     settings: CalibrationSettings,
     cache_folder: Path | None,
-) -> None:
+) -> Calibration:
     """Judge an estimate on a set that took no part; adds its sentence to the advice."""
     validation = Dataset(telemetry, sensor, catalogue, parameters, settings, cache_folder)
     first, last = validation.at_start(), validation.at_covariance(estimate.x, estimate.P)
     if last.problem.arcs.n_exposures == 0:
-        document["advice"] += identification_advice(last.unidentified)
-        document["advice"].append(
-            f"The validation set has no exposure with {settings.minimum_stars} usable stars: nothing was checked by it."
+        return with_advice(
+            calibration,
+            *identification_advice(last.unidentified),
+            f"The validation set has no exposure with {settings.minimum_stars} usable stars: nothing was checked by it.",
         )
-        return
-    verdict, document["shadow"]["validation"] = _flown(validation, first, last, estimate.x, settings)
-    document["validation"] = verdict
-    document["advice"] += _of_validation(verdict)
+    scores, shadow = _flown(validation, first, last, estimate.x, settings)
+    judged = replace(calibration, validation=scores, shadow=replace(calibration.shadow, validation=shadow))
+    return with_advice(judged, *_of_validation(scores))
 
 
 def _flown(
     sets: Dataset, first: Matched, last: Matched, x: FloatArray, settings: CalibrationSettings
-) -> tuple[dict[str, Any], dict[str, Any]]:
+) -> tuple[Evaluation, ShadowOfSet]:
     """Flight scores of a set with intervals, and its shadow: as matched first under the sensor's parameters, and last under x."""
     telemetry, sensor = sets.telemetry, sets.sensor
     initial = apply_flight_check(telemetry, sensor, first.matches, sensor.initial, settings)
@@ -218,17 +229,21 @@ def _flown(
     return scores, shadow_view(telemetry, initial, final)
 
 
-def _of_validation(verdict: dict[str, Any]) -> list[str]:
-    rms, availability = verdict["rms_arc_rad"], verdict["availability"]
+def _of_validation(scores: Evaluation) -> list[str]:
+    rms, availability = scores.rms_arc_rad, scores.availability
     sentences = []
-    if rms["final"] is not None and rms["initial"] is not None and rms["final"] >= rms["initial"]:
+    if rms.final is not None and rms.initial is not None and rms.final >= rms.initial:
         sentences.append(
-            f"On the validation set the new parameters are no better than the old ({rms['final'] * 1e6:.1f} against "
-            f"{rms['initial'] * 1e6:.1f} urad): do not promote them without knowing why."
+            f"On the validation set the new parameters are no better than the old ({rms.final * 1e6:.1f} against "
+            f"{rms.initial * 1e6:.1f} urad): do not promote them without knowing why."
         )
-    if availability["final"] < availability["initial"]:
+    if (
+        availability.final is not None
+        and availability.initial is not None
+        and availability.final < availability.initial
+    ):
         sentences.append(
-            f"On the validation set fewer frames would give an attitude than before ({availability['final']:.1%} against "
-            f"{availability['initial']:.1%}): look at the frames that would be lost."
+            f"On the validation set fewer frames would give an attitude than before ({availability.final:.1%} against "
+            f"{availability.initial:.1%}): look at the frames that would be lost."
         )
     return sentences

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, IntArray
+from boresight.calibration.calibration import Cycle, Evaluation, FlaggedStars, FlightScores, Matching, Tolerance
 from boresight.calibration.estimate import Asked, Estimate, Parameters, ReportEstimate, run_batch
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.matched_frames import MatchedFrames
@@ -32,22 +33,6 @@ from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
 MOST_CYCLES = 3
-
-
-@dataclass(frozen=True)
-class Cycle:
-    """One fit or one filter run.
-
-    `cycle`: its number, from 1. `matched`: stars in the arcs it was made from. `rematched`: stars that its result matches
-    afterwards. `changed`: detections whose star is another, or gone, or new, afterwards. `rms_arc_rad`: unweighted RMS of the
-    arcs at its result.
-    """
-
-    cycle: int
-    matched: int
-    rematched: int
-    changed: int
-    rms_arc_rad: float | None
 
 
 @dataclass(frozen=True)
@@ -236,9 +221,7 @@ def _frame_reason(exposures: list[dict[str, Any]], first: IntArray, k: int) -> s
     return reason
 
 
-def matching_view(
-    telemetry: Telemetry, sensor: Sensor, ended: CyclesEnd, evaluation: dict[str, Any]
-) -> dict[str, Any] | None:
+def matching_view(telemetry: Telemetry, sensor: Sensor, ended: CyclesEnd, evaluation: Evaluation) -> Matching | None:
     """Describe the matches that an estimate stands on; None where the given ones stood."""
     matches = ended.matched.matches
     if not isinstance(matches, Matches):
@@ -246,31 +229,31 @@ def matching_view(
     given = np.zeros(len(telemetry), np.int64) if telemetry.star_id is None else np.maximum(telemetry.star_id, 0)
     named, found = given > 0, matches.star_id > 0
     kept = named & (matches.star_id == given)
-    return {
-        "given": int(named.sum()),
-        "kept": int(kept.sum()),
-        "added": int((found & ~named).sum()),
-        "removed": int((named & ~kept).sum()),
-        "renamed": int((named & found & ~kept).sum()),
-        "matched": int(found.sum()),
-        "cycles": [vars(cycle) for cycle in ended.cycles],
-        "rested": ended.rested,
-        "tolerance_px": _spread(matches.tolerance_rad[found] / pixel_rad(sensor, ended.estimate.x)),
-        "row_reasons": counted(matches.row_reason[~found], ROW_REASONS),
-        "removed_reasons": counted(matches.row_reason[named & ~found], ROW_REASONS),
-        "exposure_reasons": counted(matches.reason, EXPOSURE_REASONS),
-        "starts": counted(matches.start, STARTS),
-        "flagged": {
-            "doubles": int((matches.flags & DOUBLE > 0).sum()),
-            "unreliable": int((matches.flags & UNRELIABLE > 0).sum()),
-            "left_out": int((matches.row_reason == LEFT_OUT).sum()),
-        },
-        "flight": {
-            "tolerance_rad": evaluation["flight_tolerance_rad"],
-            "availability": evaluation["availability"],
-            "matched_stars": evaluation["matched_stars"],
-        },
-    }
+    return Matching(
+        given=int(named.sum()),
+        kept=int(kept.sum()),
+        added=int((found & ~named).sum()),
+        removed=int((named & ~kept).sum()),
+        renamed=int((named & found & ~kept).sum()),
+        matched=int(found.sum()),
+        cycles=list(ended.cycles),
+        rested=ended.rested,
+        tolerance_px=_spread(matches.tolerance_rad[found] / pixel_rad(sensor, ended.estimate.x)),
+        row_reasons=counted(matches.row_reason[~found], ROW_REASONS),
+        removed_reasons=counted(matches.row_reason[named & ~found], ROW_REASONS),
+        exposure_reasons=counted(matches.reason, EXPOSURE_REASONS),
+        starts=counted(matches.start, STARTS),
+        flagged=FlaggedStars(
+            doubles=int((matches.flags & DOUBLE > 0).sum()),
+            unreliable=int((matches.flags & UNRELIABLE > 0).sum()),
+            left_out=int((matches.row_reason == LEFT_OUT).sum()),
+        ),
+        flight=FlightScores(
+            tolerance_rad=evaluation.flight_tolerance_rad,
+            availability=evaluation.availability,
+            matched_stars=evaluation.matched_stars,
+        ),
+    )
 
 
 def counted(places: NDArray[np.int8], phrases: Sequence[str]) -> dict[str, int]:
@@ -278,10 +261,10 @@ def counted(places: NDArray[np.int8], phrases: Sequence[str]) -> dict[str, int]:
     return {phrases[place]: count for place, count in Counter(places.tolist()).most_common()}
 
 
-def _spread(values: NDArray[np.float64]) -> dict[str, float | None]:
+def _spread(values: NDArray[np.float64]) -> Tolerance:
     """Median and 95th percentile; nulls of nothing."""
     values = values[np.isfinite(values)]
     if not len(values):
-        return {"median": None, "p95": None}
+        return Tolerance(median=None, p95=None)
     median, p95 = np.percentile(values, [50, 95])
-    return {"median": float(median), "p95": float(p95)}
+    return Tolerance(median=float(median), p95=float(p95))

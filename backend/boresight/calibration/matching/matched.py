@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
+from boresight.calibration.calibration import LeftOut
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.matching.flight_check import check_flight, compute_flight_tolerance
 from boresight.calibration.matching.matched_frames import GivenMatches, read_given_matches
@@ -45,7 +46,6 @@ from boresight.calibration.matching.rematch import (
 )
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import (
-    LeftOut,
     Problem,
     added,
     build_problem,

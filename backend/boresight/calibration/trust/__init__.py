@@ -23,12 +23,13 @@ a pass over the set a frame; such a part says how many frames it used.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from boresight.calibration.calibration import Trust
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
@@ -40,13 +41,15 @@ from boresight.calibration.trust.innovations import nis_over_time, whiteness, wo
 from boresight.calibration.trust.refits import drop_one, drop_one_sentence, two_halves
 from boresight.calibration.trust.residual_spline import find_residual_spline
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals, residuals
-from boresight.calibration.trust.stars import star_table, stars, stars_sentence
+from boresight.calibration.trust.stars import StarTable, star_table, stars, stars_sentence
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 
 __all__ = ["trust_advice", "trust_view"]
 
 Part = Callable[[FittedSet], Any]
+#: Members of the trust by name.
+Parts = dict[str, Any]
 
 #: Parts that need the ground alone.
 OF_THE_FIT: dict[str, Part] = {
@@ -65,11 +68,10 @@ OF_THE_RESIDUALS: dict[str, Callable[[FittedSet, StarResiduals], Any]] = {
     "residual_field": residual_field,
     "residual_distribution": residual_distribution,
     "residual_outliers": residual_outliers,
-    "residual_spline": lambda fitted, _: find_residual_spline(fitted).document(),
+    "residual_spline": lambda fitted, _: find_residual_spline(fitted).describe(),
 }
 OF_THE_STARS = (*OF_THE_RESIDUALS, "stars", "residual_against")
 SINGULAR = "The numbers of this fit are too close to singular: free fewer parameters."
-BESIDE = ("drop_one_sentence", "stars_sentence", "stars_in_all")
 
 
 def trust_view(
@@ -79,69 +81,59 @@ def trust_view(
     estimate: Estimate,
     telemetry: Telemetry,
     catalogue: Catalogue | None = None,
-) -> dict[str, Any]:
+) -> Trust:
     """Judge a finished estimate in every way there is.
 
     `problem`, `parameters`, `settings`, `estimate`: as `calibrate` has them at its end; the arcs are whitened here. `telemetry`:
     the set that the problem was built from, with the star numbers that it was built with. `catalogue`: for what it says against
-    a star's place; None says nothing. Returns the `trust` object of the calibration JSON: every part, null where it cannot be
-    had, with the reason in `unavailable`.
+    a star's place; None says nothing. A part that cannot be had is None, with the reason in `unavailable`.
     """
-    view: dict[str, Any] = {
-        **dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS, *BESIDE)),
-        "suspects": [],
-        "unavailable": {},
-    }
     try:
         fitted = fit_best(problem, parameters, settings, estimate, telemetry, catalogue)
     except Unavailable as reason:
-        view["unavailable"] = dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS), str(reason))
-        return view
-    for name, part in OF_THE_FIT.items():
-        _fill(view, name, partial(part, fitted))
-    if view["drop_one"] is not None:
-        view["drop_one_sentence"] = drop_one_sentence(fitted, view["drop_one"])
-    _fill_stars(view, fitted)
-    return view
+        return Trust(unavailable=dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS), str(reason)))
+    parts, unavailable = _computed({name: partial(part, fitted) for name, part in OF_THE_FIT.items()})
+    if "drop_one" in parts:
+        parts["drop_one_sentence"] = drop_one_sentence(fitted, parts["drop_one"])
+    of_stars, why = _of_stars(fitted)
+    return Trust(**parts, **of_stars, unavailable=unavailable | why)
 
 
-def _fill(view: dict[str, Any], name: str, part: Callable[[], Any]) -> None:
-    """Put a part into the view, or the reason why it is not there."""
-    try:
-        view[name] = part()
-    except Unavailable as reason:
-        view["unavailable"][name] = str(reason)
-    except np.linalg.LinAlgError:
-        view["unavailable"][name] = SINGULAR
+def _computed(parts: Mapping[str, Callable[[], Any]]) -> tuple[Parts, dict[str, str]]:
+    """Compute the parts that can be had, and say why the others cannot."""
+    found: Parts = {}
+    unavailable: dict[str, str] = {}
+    for name, part in parts.items():
+        try:
+            found[name] = part()
+        except Unavailable as reason:
+            unavailable[name] = str(reason)
+        except np.linalg.LinAlgError:
+            unavailable[name] = SINGULAR
+    return found, unavailable
 
 
-def _fill_stars(view: dict[str, Any], fitted: FittedSet) -> None:
+def _of_stars(fitted: FittedSet) -> tuple[Parts, dict[str, str]]:
     """The parts that rest on residuals in pixels."""
     try:
         found = compute_star_residuals(fitted)
     except (Unavailable, np.linalg.LinAlgError) as error:
-        reason = str(error) if isinstance(error, Unavailable) else SINGULAR
-        view["unavailable"] |= dict.fromkeys(OF_THE_STARS, reason)
-        return
-    for name, part in OF_THE_RESIDUALS.items():
-        _fill(view, name, partial(part, fitted, found))
-    entries, missing = residual_against(fitted, found)
-    view["residual_against"] = entries
-    view["unavailable"] |= {f"residual_against.{name}": reason for name, reason in missing.items()}
-    _fill(view, "stars", lambda: _stars(view, fitted, found))
+        return {}, dict.fromkeys(OF_THE_STARS, str(error) if isinstance(error, Unavailable) else SINGULAR)
+    parts, unavailable = _computed({name: partial(part, fitted, found) for name, part in OF_THE_RESIDUALS.items()})
+    against, missing = residual_against(fitted, found)
+    unavailable |= {f"residual_against.{name}": reason for name, reason in missing.items()}
+    tables, why = _computed({"stars": partial(star_table, fitted, found)})
+    if "stars" in tables:
+        parts |= _describe_stars(fitted, found, tables["stars"], fits=against.radius is None or against.radius.even)
+    return {**parts, "residual_against": against}, unavailable | why
 
 
-def _fits(view: dict[str, Any]) -> bool:
-    """Whether the camera model leaves no radial residual, as far as one can see."""
-    radius = view["residual_against"]["radius"]
-    return radius is None or bool(radius["even"])
-
-
-def _stars(view: dict[str, Any], fitted: FittedSet, found: StarResiduals) -> list[dict[str, Any]]:
-    """The table of stars, and what is told of it beside."""
-    table = star_table(fitted, found)
+def _describe_stars(fitted: FittedSet, found: StarResiduals, table: StarTable, *, fits: bool) -> Parts:
+    """The table of stars, and what is told of it beside; `fits` where the camera model leaves no radial residual."""
     worst_first = np.argsort(-table.z)
-    view["suspects"] = [int(table.star_id[i]) for i in worst_first if table.suspect[i]]
-    view["stars_in_all"] = len(table.z)
-    view["stars_sentence"] = stars_sentence(table, found.arcs.n_frames, fitted.arcs.n_frames, fits=_fits(view))
-    return stars(fitted, table)
+    return {
+        "stars": stars(fitted, table),
+        "suspects": [int(table.star_id[i]) for i in worst_first if table.suspect[i]],
+        "stars_in_all": len(table.z),
+        "stars_sentence": stars_sentence(table, found.arcs.n_frames, fitted.arcs.n_frames, fits=fits),
+    }

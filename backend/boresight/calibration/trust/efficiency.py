@@ -34,11 +34,10 @@ leave,
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.calibration import ArcSigmaMap, Efficiency, MoreData, Values
 from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailable, grid, nested
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation import batch
@@ -55,7 +54,7 @@ NEAR = 0.03
 MEDIAN_OF_A_SQUARE = 0.454936
 
 
-def efficiency(fitted: FittedSet) -> dict[str, Any]:
+def efficiency(fitted: FittedSet) -> Efficiency:
     """Claimed sigma over bound, a parameter at a time and over all directions."""
     if not fitted.determined:
         raise Unavailable("The data leave a direction of the parameters open, so there is no bound: hold it fixed.")
@@ -69,14 +68,14 @@ def efficiency(fitted: FittedSet) -> dict[str, Any]:
     ratio = np.sqrt(np.diag(P) / np.diag(bound))
     overall = float(np.exp((np.linalg.slogdet(P)[1] - np.linalg.slogdet(bound)[1]) / (2 * len(P))))
     sigma = np.sqrt(np.diag(bound)) * fitted.parameters.scale
-    return {
-        "names": fitted.names,
-        "cramer_rao_sigma": dict(zip(fitted.names, nested(sigma), strict=True)),
-        "ratio": dict(zip(fitted.names, nested(ratio), strict=True)),
-        "overall_ratio": overall,
-        "frames_used": arcs.n_frames,
-        "sentence": _efficiency_sentence(overall, ratio, fitted, arcs.n_frames),
-    }
+    return Efficiency(
+        names=fitted.names,
+        cramer_rao_sigma=Values(dict(zip(fitted.names, nested(sigma), strict=True))),
+        ratio=Values(dict(zip(fitted.names, nested(ratio), strict=True))),
+        overall_ratio=overall,
+        frames_used=arcs.n_frames,
+        sentence=_efficiency_sentence(overall, ratio, fitted, arcs.n_frames),
+    )
 
 
 def _noise(fitted: FittedSet) -> float:
@@ -138,7 +137,7 @@ def field_arc_sigma(sensor: Sensor, x: FloatArray, P: FloatArray) -> tuple[Float
     return sigma.reshape(ROWS, COLUMNS), length
 
 
-def arc_sigma_map(fitted: FittedSet) -> dict[str, Any]:
+def arc_sigma_map(fitted: FittedSet) -> ArcSigmaMap:
     """The map, with the length of its arcs and a sentence."""
     if not fitted.determined:
         raise Unavailable(
@@ -151,16 +150,16 @@ def arc_sigma_map(fitted: FittedSet) -> dict[str, Any]:
         raise Unavailable("At these parameters no arc of the detector has a bounded error: look at sensor and matches.")
     sigma_arcsec = ARCSEC * sigma
     best, worst, degrees = np.nanmin(sigma_arcsec), np.nanmax(sigma_arcsec), np.degrees(length)
-    return {
-        "row_px": nested(row),
-        "col_px": nested(col),
-        "sigma_arcsec": nested(sigma_arcsec),
-        "arc_deg": float(degrees),
-        "sentence": (
+    return ArcSigmaMap(
+        row_px=nested(row),
+        col_px=nested(col),
+        sigma_arcsec=nested(sigma_arcsec),
+        arc_deg=float(degrees),
+        sentence=(
             f"From the parameters alone an arc of {degrees:.2g}° is known to {best:.2g} arcsec at the best place of the "
             f"detector and to {worst:.2g} arcsec at the worst (1 sigma)."
         ),
-    }
+    )
 
 
 #: Share of a sigma that twenty times the data must lower it by, to be worth speaking of.
@@ -171,7 +170,7 @@ BLOCKS = 20
 SHARES = (0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 
-def more_data(fitted: FittedSet) -> dict[str, Any]:
+def more_data(fitted: FittedSet) -> MoreData:
     """Predicted one-sigma of each free parameter, SI."""
     if not fitted.determined:
         raise Unavailable(
@@ -186,13 +185,13 @@ def more_data(fitted: FittedSet) -> dict[str, Any]:
     P = [further_covariance(fitted.estimate.P, fitted.estimate.A / n, k, noise, forgetting) for k in frames]
     sigma = np.sqrt(np.array([np.diag(matrix) for matrix in P]))
     shown = sigma * fitted.parameters.scale
-    return {
-        "frames": n,
-        "further_frames": frames,
-        "sigma": {name: nested(shown[:, i]) for i, name in enumerate(fitted.names)},
-        "relative_uncertainty": None if doubt is None else dict(zip(fitted.names, nested(doubt), strict=True)),
-        "sentence": _more_data_sentence(fitted, frames, sigma, doubt),
-    }
+    return MoreData(
+        frames=n,
+        further_frames=frames,
+        sigma={name: nested(shown[:, i]) for i, name in enumerate(fitted.names)},
+        relative_uncertainty=None if doubt is None else Values(dict(zip(fitted.names, nested(doubt), strict=True))),
+        sentence=_more_data_sentence(fitted, frames, sigma, doubt),
+    )
 
 
 def _doubt(fitted: FittedSet) -> FloatArray | None:

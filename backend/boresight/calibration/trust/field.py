@@ -35,12 +35,19 @@ some freedom out of them, so chance alone calls fewer than 1 % of sets uneven. B
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.special import bdtr, bdtrc, chdtrc, ndtr
 
 from boresight.arrays import FloatArray, IntArray
+from boresight.calibration.calibration import (
+    FieldOfResiduals,
+    Histogram,
+    ResidualAgainst,
+    ResidualDependence,
+    ResidualDistribution,
+    ResidualField,
+    ResidualOutliers,
+)
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, pixel_residuals
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested, probability
 from boresight.calibration.trust.residuals import LEAST_SHARE, StarResiduals
@@ -54,27 +61,26 @@ LEAST_STARS = 4
 UNLIKELY = 0.01
 
 
-def residual_field(fitted: FittedSet, found: StarResiduals) -> dict[str, Any]:
+def residual_field(fitted: FittedSet, found: StarResiduals) -> ResidualField:
     """Cells over the whole detector, with their residuals before and after."""
     sensor, arcs = fitted.problem.sensor, found.arcs
     row_edges, col_edges = cell_edges(sensor.rows, sensor.columns, int(found.known.sum()))
     cell = find_cells(arcs.row_px, arcs.col_px, row_edges, col_edges)
     spread = max(found.spread, 1.0)
     r, M = before(fitted, found)
-    views = {
-        "before": _binned(r, M, arcs.sigma_px * spread, cell, row_edges, col_edges),
-        "after": _binned(found.r, found.M, arcs.sigma_px * spread, cell, row_edges, col_edges),
-    }
-    if views["after"] is None:
+    was = _binned(r, M, arcs.sigma_px * spread, cell, row_edges, col_edges)
+    after = _binned(found.r, found.M, arcs.sigma_px * spread, cell, row_edges, col_edges)
+    if after is None:
         raise Unavailable(f"No cell of the detector holds {LEAST_STARS} stars: add frames.")
-    return {
-        "row_edges_px": nested(row_edges),
-        "col_edges_px": nested(col_edges),
-        "frames_used": arcs.n_frames,
-        "even": views["after"]["p"] >= UNLIKELY,
-        "sentence": _field_sentence(views["before"], views["after"]),
-        **views,
-    }
+    return ResidualField(
+        row_edges_px=nested(row_edges),
+        col_edges_px=nested(col_edges),
+        frames_used=arcs.n_frames,
+        even=after.p >= UNLIKELY,
+        sentence=_field_sentence(was, after),
+        before=was,
+        after=after,
+    )
 
 
 def before(fitted: FittedSet, found: StarResiduals) -> tuple[FloatArray, FloatArray]:
@@ -113,7 +119,7 @@ def find_cells(row_px: FloatArray, col_px: FloatArray, row_edges: FloatArray, co
 
 def _binned(
     r: FloatArray, M: FloatArray, sigma_px: FloatArray, cell: IntArray, row_edges: FloatArray, col_edges: FloatArray
-) -> dict[str, Any] | None:
+) -> FieldOfResiduals | None:
     """Means with sigmas and rms of cells, and whether they are noise; None where no cell has stars enough."""
     known = np.isfinite(r[:, 0])
     shape = (len(row_edges) - 1, len(col_edges) - 1)
@@ -129,23 +135,19 @@ def _binned(
     )
     mean, of_mean, rms = mean / safe, np.sqrt(of_mean) / safe, np.sqrt(rms.mean(axis=0) / safe)
     chi2 = float(np.sum((mean[:, filled] / of_mean[:, filled]) ** 2))
-    return {
-        "count": count.reshape(shape).tolist(),
-        **{
-            name: nested(np.where(filled, values, np.nan).reshape(shape))
-            for name, values in (
-                ("mean_row_px", mean[0]),
-                ("mean_col_px", mean[1]),
-                ("sigma_row_px", of_mean[0]),
-                ("sigma_col_px", of_mean[1]),
-                ("rms_px", rms),
-            )
-        },
-        "rms_in_all_px": float(np.sqrt(np.mean(r**2))),
-        "chi2": chi2,
-        "dof": 2 * int(filled.sum()),
-        "p": float(chdtrc(2 * int(filled.sum()), chi2)),
-    }
+    cells = [nested(np.where(filled, values, np.nan).reshape(shape)) for values in (*mean, *of_mean, rms)]
+    return FieldOfResiduals(
+        count=count.reshape(shape).tolist(),
+        mean_row_px=cells[0],
+        mean_col_px=cells[1],
+        sigma_row_px=cells[2],
+        sigma_col_px=cells[3],
+        rms_px=cells[4],
+        rms_in_all_px=float(np.sqrt(np.mean(r**2))),
+        chi2=chi2,
+        dof=2 * int(filled.sum()),
+        p=float(chdtrc(2 * int(filled.sum()), chi2)),
+    )
 
 
 def _summed(values: FloatArray, of: IntArray, count: IntArray) -> FloatArray:
@@ -153,13 +155,13 @@ def _summed(values: FloatArray, of: IntArray, count: IntArray) -> FloatArray:
     return np.asarray(np.bincount(of, values, minlength=len(count)))
 
 
-def _field_sentence(before: dict[str, Any] | None, after: dict[str, Any]) -> str:
-    was = "" if before is None else f"{before['rms_in_all_px']:.3g} px before and "
-    size = f"Residuals are {was}{after['rms_in_all_px']:.3g} px after (rms an axis)"
-    if after["p"] >= UNLIKELY:
-        return f"{size}; what is left has no pattern over the detector that the noise lets one see ({probability(after['p'])})."
+def _field_sentence(before: FieldOfResiduals | None, after: FieldOfResiduals) -> str:
+    was = "" if before is None else f"{before.rms_in_all_px:.3g} px before and "
+    size = f"Residuals are {was}{after.rms_in_all_px:.3g} px after (rms an axis)"
+    if after.p >= UNLIKELY:
+        return f"{size}; what is left has no pattern over the detector that the noise lets one see ({probability(after.p)})."
     return (
-        f"{size}; what is left has a pattern over the detector that noise does not explain ({probability(after['p'])}): "
+        f"{size}; what is left has a pattern over the detector that noise does not explain ({probability(after.p)}): "
         "the camera model does not have this distortion, or some stars are matched wrongly."
     )
 
@@ -173,7 +175,7 @@ MOST_OUTLIERS = 200
 OUTLIER = 4.0
 
 
-def residual_distribution(fitted: FittedSet, found: StarResiduals) -> dict[str, Any]:
+def residual_distribution(fitted: FittedSet, found: StarResiduals) -> ResidualDistribution:
     """Histogram before and after, quantiles after, and the verdict on the tails."""
     z = found.z[found.known].ravel()
     if len(z) < FEWEST:
@@ -184,23 +186,23 @@ def residual_distribution(fitted: FittedSet, found: StarResiduals) -> dict[str, 
     beyond = int(np.sum(np.abs(z) > TAIL * found.spread))
     share = 2 * float(ndtr(-TAIL))
     p_tail = two_sided(beyond, len(z), share)
-    return {
-        "edges": nested(EDGES),
-        "before": _histogram(_before_z(fitted, found)),
-        "after": _histogram(z),
-        "normal": nested(DEVIATES[seen]),
-        "quantile": nested(np.quantile(z, p[seen])),
-        "sigma_of_quantile": nested(np.sqrt(p[seen] * (1 - p[seen]) / len(z)) / density),
-        "count": len(z),
-        "mean": float(z.mean()),
-        "sigma": float(z.std()),
-        "spread": found.spread,
-        "beyond_share": beyond / len(z),
-        "expected_share": share,
-        "p_tail": p_tail,
-        "normal_tails": p_tail >= UNLIKELY,
-        "sentence": _tails_sentence(z, found.spread, beyond / len(z), share, p_tail),
-    }
+    return ResidualDistribution(
+        edges=nested(EDGES),
+        before=_histogram(_before_z(fitted, found)),
+        after=_histogram(z),
+        normal=nested(DEVIATES[seen]),
+        quantile=nested(np.quantile(z, p[seen])),
+        sigma_of_quantile=nested(np.sqrt(p[seen] * (1 - p[seen]) / len(z)) / density),
+        count=len(z),
+        mean=float(z.mean()),
+        sigma=float(z.std()),
+        spread=found.spread,
+        beyond_share=beyond / len(z),
+        expected_share=share,
+        p_tail=p_tail,
+        normal_tails=p_tail >= UNLIKELY,
+        sentence=_tails_sentence(z, found.spread, beyond / len(z), share, p_tail),
+    )
 
 
 def _before_z(fitted: FittedSet, found: StarResiduals) -> FloatArray:
@@ -211,13 +213,13 @@ def _before_z(fitted: FittedSet, found: StarResiduals) -> FloatArray:
     return np.asarray(z[np.isfinite(z).all(axis=1)].ravel())
 
 
-def _histogram(z: FloatArray) -> dict[str, Any]:
+def _histogram(z: FloatArray) -> Histogram:
     """Counts of the bins, and of what lies beyond them."""
-    return {
-        "counts": np.histogram(z, EDGES)[0].tolist(),
-        "below": int(np.sum(z < EDGES[0])),
-        "above": int(np.sum(z > EDGES[-1])),
-    }
+    return Histogram(
+        counts=np.histogram(z, EDGES)[0].tolist(),
+        below=int(np.sum(z < EDGES[0])),
+        above=int(np.sum(z > EDGES[-1])),
+    )
 
 
 def two_sided(count: int, n: int, share: float) -> float:
@@ -235,33 +237,33 @@ def _tails_sentence(z: FloatArray, spread: float, share: float, expected: float,
     return f"{size}, {expected:.2%} are expected ({probability(p)}): something cut the largest off, such as a narrow match gate."
 
 
-def residual_outliers(fitted: FittedSet, found: StarResiduals) -> dict[str, Any]:
+def residual_outliers(fitted: FittedSet, found: StarResiduals) -> ResidualOutliers:
     """Single sightings beyond `OUTLIER` spreads along either axis, the worst first, at most `MOST_OUTLIERS`."""
     size = np.where(found.known, np.abs(found.z).max(axis=1), 0.0) / max(found.spread, 1.0)
     out = np.flatnonzero(size > OUTLIER)
     shown = out[np.argsort(-size[out], kind="stable")][:MOST_OUTLIERS]
     arcs, telemetry = found.arcs, fitted.telemetry
     rows, expected = arcs.source_row[shown], int(found.known.sum()) * 4 * float(ndtr(-OUTLIER))
-    return {
-        "frame": found.frame[shown].tolist(),
-        "exposure": telemetry.exposure[rows].tolist(),
-        "star_id": None if telemetry.star_id is None else telemetry.star_id[rows].tolist(),
-        "row_px": nested(arcs.row_px[shown]),
-        "col_px": nested(arcs.col_px[shown]),
-        "d_row_px": nested(found.r[shown, 0]),
-        "d_col_px": nested(found.r[shown, 1]),
-        "normalised": nested(size[shown]),
-        "rows": fitted.problem.sensor.rows,
-        "columns": fitted.problem.sensor.columns,
-        "limit": OUTLIER,
-        "stars_in_all": int(found.known.sum()),
-        "in_all": len(out),
-        "expected": expected,
-        "sentence": (
+    return ResidualOutliers(
+        frame=found.frame[shown].tolist(),
+        exposure=telemetry.exposure[rows].tolist(),
+        star_id=None if telemetry.star_id is None else telemetry.star_id[rows].tolist(),
+        row_px=nested(arcs.row_px[shown]),
+        col_px=nested(arcs.col_px[shown]),
+        d_row_px=nested(found.r[shown, 0]),
+        d_col_px=nested(found.r[shown, 1]),
+        normalised=nested(size[shown]),
+        rows=fitted.problem.sensor.rows,
+        columns=fitted.problem.sensor.columns,
+        limit=OUTLIER,
+        stars_in_all=int(found.known.sum()),
+        in_all=len(out),
+        expected=expected,
+        sentence=(
             f"{len(out)} of {int(found.known.sum())} matched stars lie beyond {OUTLIER:g} sigmas of their residual; chance "
             f"puts {expected:.1f} there."
         ),
-    }
+    )
 
 
 MOST_BINS = 12
@@ -274,24 +276,25 @@ ABSENT = {
 }
 
 
-def residual_against(fitted: FittedSet, found: StarResiduals) -> tuple[dict[str, Any], dict[str, str]]:
+def residual_against(fitted: FittedSet, found: StarResiduals) -> tuple[ResidualAgainst, dict[str, str]]:
     """One entry a quantity, and for those that are null why."""
     known = found.known
     away, radius = _outward(fitted, found)
     residual = np.sum(away * found.r, axis=1)
     share = np.maximum(np.einsum("ni,nij,nj->n", away, found.M, away), LEAST_SHARE)
     sigma = found.arcs.sigma_px * np.sqrt(share) * max(found.spread, 1.0)
-    entries: dict[str, Any] = dict.fromkeys(UNITS)
+    entries: dict[str, ResidualDependence] = {}
     missing: dict[str, str] = {}
     for name, values in _quantities(fitted, found, radius).items():
         if values is None or not np.isfinite(values).any():
             missing[name] = ABSENT[name]
             continue
         usable = known & np.isfinite(values)
-        entries[name] = _in_bins(name, values[usable], residual[usable], sigma[usable])
-        if entries[name] is None:
+        if (entry := _in_bins(name, values[usable], residual[usable], sigma[usable])) is not None:
+            entries[name] = entry
+        else:
             missing[name] = f"The set is too small or its {name} too uniform for two bins of {FEWEST_IN_A_BIN} stars."
-    return entries, missing
+    return ResidualAgainst(**entries), missing
 
 
 def _outward(fitted: FittedSet, found: StarResiduals) -> tuple[FloatArray, FloatArray]:
@@ -317,7 +320,7 @@ def _quantities(fitted: FittedSet, found: StarResiduals, radius: FloatArray) -> 
     }
 
 
-def _in_bins(name: str, values: FloatArray, residual: FloatArray, sigma: FloatArray) -> dict[str, Any] | None:
+def _in_bins(name: str, values: FloatArray, residual: FloatArray, sigma: FloatArray) -> ResidualDependence | None:
     """Mean with its sigma, and rms, of equally full bins; None where there are not two."""
     bins = min(MOST_BINS, len(values) // FEWEST_IN_A_BIN)
     edges = np.unique(np.quantile(values, np.linspace(0, 1, bins + 1))) if bins >= 2 else values[:0]
@@ -332,17 +335,17 @@ def _in_bins(name: str, values: FloatArray, residual: FloatArray, sigma: FloatAr
     rms = np.sqrt(np.bincount(of, residual**2, minlength=n) / safe)
     filled = counts > 0
     p = float(chdtrc(int(filled.sum()), np.sum((mean[filled] / of_mean[filled]) ** 2)))
-    return {
-        "edges": nested(edges),
-        "mean_px": nested(np.where(filled, mean, np.nan)),
-        "sigma_of_mean_px": nested(np.where(filled, of_mean, np.nan)),
-        "rms_px": nested(np.where(filled, rms, np.nan)),
-        "count": counts.tolist(),
-        "unit": UNITS[name],
-        "p": p,
-        "even": p >= UNLIKELY,
-        "sentence": _against_sentence(name, float(np.abs(mean[filled]).max()), p),
-    }
+    return ResidualDependence(
+        edges=nested(edges),
+        mean_px=nested(np.where(filled, mean, np.nan)),
+        sigma_of_mean_px=nested(np.where(filled, of_mean, np.nan)),
+        rms_px=nested(np.where(filled, rms, np.nan)),
+        count=counts.tolist(),
+        unit=UNITS[name],
+        p=p,
+        even=p >= UNLIKELY,
+        sentence=_against_sentence(name, float(np.abs(mean[filled]).max()), p),
+    )
 
 
 def _against_sentence(name: str, largest: float, p: float) -> str:

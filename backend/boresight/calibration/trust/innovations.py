@@ -32,13 +32,13 @@ residual can show it; a sum of squares would not see its sign. At a constant cam
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, ndtr
 
 from boresight.arrays import FloatArray
+from boresight.calibration.calibration import LjungBox, NisOverTime, Values, Whiteness, WorstFrames
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested, probability
 from boresight.estimation.statistics.consistency import CONFIDENCE, ljung_box, runs_p_value, share_bounds
 
@@ -48,7 +48,7 @@ MOST_LAGS = 20
 TESTED_LAGS = 5
 
 
-def whiteness(fitted: FittedSet) -> dict[str, Any]:
+def whiteness(fitted: FittedSet) -> Whiteness:
     """Autocorrelation of the least white score, and the test over all of them."""
     n = fitted.arcs.n_frames
     if n < FEWEST_FRAMES:
@@ -58,16 +58,16 @@ def whiteness(fitted: FittedSet) -> dict[str, Any]:
     tests = [ljung_box(series, min(TESTED_LAGS, lags)) for series in y]
     least = int(np.argmin([test.p for test in tests]))
     p = min(1.0, tests[least].p * len(tests))
-    return {
-        "lags": list(range(1, lags + 1)),
-        "autocorrelation": nested(ljung_box(y[least], lags).autocorrelation),
-        "bound": float(1.96 / np.sqrt(n)),
-        "name": fitted.names[least],
-        "ljung_box": {"value": tests[least].value, "dof": tests[least].dof, "p": p},
-        "p_of_parameters": {name: test.p for name, test in zip(fitted.names, tests, strict=True)},
-        "white": p >= UNLIKELY,
-        "sentence": _whiteness_sentence(fitted.symbols[least], p, n, p >= UNLIKELY),
-    }
+    return Whiteness(
+        lags=list(range(1, lags + 1)),
+        autocorrelation=nested(ljung_box(y[least], lags).autocorrelation),
+        bound=float(1.96 / np.sqrt(n)),
+        name=fitted.names[least],
+        ljung_box=LjungBox(value=tests[least].value, dof=tests[least].dof, p=p),
+        p_of_parameters=Values({name: test.p for name, test in zip(fitted.names, tests, strict=True)}),
+        white=p >= UNLIKELY,
+        sentence=_whiteness_sentence(fitted.symbols[least], p, n, p >= UNLIKELY),
+    )
 
 
 def _whiteness_sentence(symbol: str, p: float, n: int, white: bool) -> str:
@@ -89,7 +89,7 @@ UNLIKELY = 0.01
 FEWEST_FOR_RUNS = 20
 
 
-def nis_over_time(fitted: FittedSet) -> dict[str, Any]:
+def nis_over_time(fitted: FittedSet) -> NisOverTime:
     """Innovations, or a batch's chi-squares, per degree of freedom, with their bounds."""
     frame, values, dof = _series(fitted)
     tail = (1 - CONFIDENCE) / 2
@@ -99,19 +99,19 @@ def nis_over_time(fitted: FittedSet) -> dict[str, Any]:
     runs = runs_p_value(per_dof) if len(values) >= FEWEST_FOR_RUNS else 1.0
     shown = _shown(per_dof)
     lower, upper = (chdtri(dof[shown], share) / dof[shown] for share in (1 - tail, tail))
-    return {
-        "frame": frame[shown].tolist(),
-        "nis_per_dof": nested(per_dof[shown]),
-        "lower": nested(lower),
-        "upper": nested(upper),
-        "outside_share": outside,
-        "expected_share": 1 - CONFIDENCE,
-        "outside_bounds": [low, high],
-        "runs_p": runs,
-        "points_in_all": len(values),
-        "consistent": low <= outside <= high and runs >= UNLIKELY,
-        "sentence": _innovations_sentence(len(values), outside, (low, high), runs, fitted.estimate.history is not None),
-    }
+    return NisOverTime(
+        frame=frame[shown].tolist(),
+        nis_per_dof=nested(per_dof[shown]),
+        lower=nested(lower),
+        upper=nested(upper),
+        outside_share=outside,
+        expected_share=1 - CONFIDENCE,
+        outside_bounds=[low, high],
+        runs_p=runs,
+        points_in_all=len(values),
+        consistent=low <= outside <= high and runs >= UNLIKELY,
+        sentence=_innovations_sentence(len(values), outside, (low, high), runs, fitted.estimate.history is not None),
+    )
 
 
 def _shown(values: FloatArray) -> NDArray[np.int64]:
@@ -157,7 +157,7 @@ MOST_SHOWN = 200
 BAD = 3.0
 
 
-def worst_frames(fitted: FittedSet) -> dict[str, Any]:
+def worst_frames(fitted: FittedSet) -> WorstFrames:
     """At most `MOST_SHOWN` frames, the worst first."""
     chi2, dof = fitted.sums.chi2, fitted.sums.dof
     judged = np.flatnonzero(dof >= 1)
@@ -166,19 +166,19 @@ def worst_frames(fitted: FittedSet) -> dict[str, Any]:
     deviate = deviates(chi2[judged], dof[judged])
     order = np.argsort(-deviate, kind="stable")[:MOST_SHOWN]
     shown, bad, expected = judged[order], int(np.sum(deviate > BAD)), len(judged) * float(ndtr(-BAD))
-    return {
-        "frame": fitted.arcs.frame[shown].tolist(),
-        "chi2_per_dof": nested(chi2[shown] / dof[shown]),
-        "dof": nested(dof[shown]),
-        "deviation": nested(deviate[order]),
-        "frames_in_all": len(judged),
-        "beyond": bad,
-        "expected_beyond": expected,
-        "sentence": (
+    return WorstFrames(
+        frame=fitted.arcs.frame[shown].tolist(),
+        chi2_per_dof=nested(chi2[shown] / dof[shown]),
+        dof=nested(dof[shown]),
+        deviation=nested(deviate[order]),
+        frames_in_all=len(judged),
+        beyond=bad,
+        expected_beyond=expected,
+        sentence=(
             f"{bad} of {len(judged)} frames {'is' if bad == 1 else 'are'} explained worse than {BAD:g} sigmas allow "
             f"({expected:.1f} expected by chance); the worst is frame {fitted.arcs.frame[shown[0]]}."
         ),
-    }
+    )
 
 
 def deviates(chi2: FloatArray, dof: FloatArray) -> FloatArray:

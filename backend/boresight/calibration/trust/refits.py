@@ -25,13 +25,13 @@ wrong everywhere. Whatever the method, the halves are fitted by the batch estima
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
 from boresight.arrays import FloatArray
+from boresight.calibration.calibration import DroppedParameter, HalvesMap, HalvesTest, TwoHalves
 from boresight.calibration.estimate import covariance
 from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailable, chosen, grid, nested, probability
 from boresight.estimation import batch
@@ -44,7 +44,7 @@ ROWS, COLUMNS = 13, 17
 HALF_ITERATIONS = 20
 
 
-def two_halves(fitted: FittedSet) -> dict[str, Any]:
+def two_halves(fitted: FittedSet) -> TwoHalves:
     """Fit both halves and compare them."""
     if not fitted.determined:
         raise Unavailable(
@@ -75,7 +75,7 @@ def _fit_all(ground: FittedSet, arcs: ArcSet, max_iterations: int, refusal: str)
     return fitted
 
 
-def _compared(fitted: FittedSet, first: batch.BatchFit, second: batch.BatchFit) -> dict[str, Any]:
+def _compared(fitted: FittedSet, first: batch.BatchFit, second: batch.BatchFit) -> TwoHalves:
     """Their difference in units of its covariance, and over the detector."""
     scale = fitted.parameters.scale
     P = covariance(first.A) + covariance(second.A)
@@ -87,25 +87,25 @@ def _compared(fitted: FittedSet, first: batch.BatchFit, second: batch.BatchFit) 
     places = (np.repeat(row, COLUMNS), np.tile(col, ROWS))
     difference = ARCSEC * difference_over_detector(camera, first.x, second.x, places, sensor.pixel_pitch_m)
     expected = ARCSEC * expected_difference(camera, fitted.x, fitted.full_covariance(P), places, sensor.pixel_pitch_m)
-    return {
-        "names": fitted.names,
-        "difference_in_sigma": nested(d / np.sqrt(np.diag(P))),
-        "chi2": {
-            "value": value,
-            "dof": dof,
-            "lower": test.lower * dof,
-            "upper": test.upper * dof,
-            "p": float(chdtrc(dof, value)),
-            "consistent": test.consistent,
-        },
-        "map": {
-            "row_px": nested(row),
-            "col_px": nested(col),
-            "difference_arcsec": nested(difference.reshape(ROWS, COLUMNS)),
-            "expected_arcsec": nested(expected.reshape(ROWS, COLUMNS)),
-        },
-        "sentence": _sentence(value, dof, (test.lower * dof, test.upper * dof), _rms(difference), _rms(expected)),
-    }
+    return TwoHalves(
+        names=fitted.names,
+        difference_in_sigma=nested(d / np.sqrt(np.diag(P))),
+        chi2=HalvesTest(
+            value=value,
+            dof=dof,
+            lower=test.lower * dof,
+            upper=test.upper * dof,
+            p=float(chdtrc(dof, value)),
+            consistent=test.consistent,
+        ),
+        map=HalvesMap(
+            row_px=nested(row),
+            col_px=nested(col),
+            difference_arcsec=nested(difference.reshape(ROWS, COLUMNS)),
+            expected_arcsec=nested(expected.reshape(ROWS, COLUMNS)),
+        ),
+        sentence=_sentence(value, dof, (test.lower * dof, test.upper * dof), _rms(difference), _rms(expected)),
+    )
 
 
 def _rms(values: FloatArray) -> float:
@@ -144,7 +144,7 @@ class Optimum:
     cost: float
 
 
-def drop_one(ground: FittedSet) -> list[dict[str, Any]]:
+def drop_one(ground: FittedSet) -> list[DroppedParameter]:
     """One entry a free parameter, in parameter order."""
     if len(ground.names) < 2:
         raise Unavailable("Only one parameter is free, so there is no other to fit without it.")
@@ -171,7 +171,7 @@ def quadratic_increase(fitted: FittedSet, place: int, best: Optimum) -> tuple[fl
     return float(d * d / best.P[place, place]), best.P[:, place] * d / best.P[place, place]
 
 
-def _without(ground: FittedSet, arcs: ArcSet, place: int, best: Optimum, whole: Optimum) -> dict[str, Any]:
+def _without(ground: FittedSet, arcs: ArcSet, place: int, best: Optimum, whole: Optimum) -> DroppedParameter:
     """Hold one parameter at its start and fit the others."""
     free, scale = ground.parameters.free, ground.parameters.scale
     others = np.delete(np.arange(len(free)), place)
@@ -188,16 +188,16 @@ def _without(ground: FittedSet, arcs: ArcSet, place: int, best: Optimum, whole: 
         increase = foreseen_of_all * (increase / foreseen if foreseen > NEEDED else 1.0)
     moved = np.abs((fitted.x - best.x)[free[others]]) / (scale[others] * np.sqrt(np.diag(best.P)[others]))
     most = int(np.argmax(moved))
-    return {
-        "name": ground.names[place],
-        "chi2_increase": increase,
-        "rms_arc_rad": float(np.sqrt(fitted.sum_of_squares / arcs.n_arcs)),
-        "shift_in_sigma_of_others": float(moved[most]),
-        "most_shifted": ground.names[others[most]],
-        "needed": increase > NEEDED,
-        "frames_used": arcs.n_frames,
-        "settled": fitted.status == "converged",
-    }
+    return DroppedParameter(
+        name=ground.names[place],
+        chi2_increase=increase,
+        rms_arc_rad=float(np.sqrt(fitted.sum_of_squares / arcs.n_arcs)),
+        shift_in_sigma_of_others=float(moved[most]),
+        most_shifted=ground.names[others[most]],
+        needed=increase > NEEDED,
+        frames_used=arcs.n_frames,
+        settled=fitted.status == "converged",
+    )
 
 
 def _start(arcs: ArcSet, foreseen: FloatArray, best: Optimum, fitted: FittedSet, place: int) -> FloatArray:
@@ -208,12 +208,12 @@ def _start(arcs: ArcSet, foreseen: FloatArray, best: Optimum, fitted: FittedSet,
     return foreseen if _cost(fitted, arcs, foreseen) <= _cost(fitted, arcs, held) else held
 
 
-def drop_one_sentence(fitted: FittedSet, entries: list[dict[str, Any]]) -> str:
+def drop_one_sentence(fitted: FittedSet, entries: list[DroppedParameter]) -> str:
     """Which parameters the data ask for."""
     symbols = dict(zip(fitted.names, fitted.symbols, strict=True))
-    spare = [symbols[entry["name"]] for entry in entries if not entry["needed"]]
-    weakest = min(entries, key=lambda entry: float(entry["chi2_increase"]))
-    least = f"{symbols[weakest['name']]} costs least to hold, {weakest['chi2_increase']:.3g} in chi-square"
+    spare = [symbols[entry.name] for entry in entries if not entry.needed]
+    weakest = min(entries, key=lambda entry: entry.chi2_increase)
+    least = f"{symbols[weakest.name]} costs least to hold, {weakest.chi2_increase:.3g} in chi-square"
     if not spare:
         return f"The data ask for every free parameter: {least}, and beyond {NEEDED:.3g} a parameter is needed (1 % level)."
     return (

@@ -18,7 +18,8 @@ from contextlib import suppress
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.calibration.residual_spline import FALSE_ALARM, Explanation, Largest, ResidualSpline
+from boresight.calibration.calibration import LargestDisplacement, SplineExplanation
+from boresight.calibration.residual_spline import FALSE_ALARM, ResidualSplineFit, suffices
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, grid, probability
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import CameraModel
@@ -37,7 +38,7 @@ FEW, STEPS, RANK = 9, 8, 1e-10
 BAND = 1.959964
 
 
-def find_residual_spline(fitted: FittedSet) -> ResidualSpline:
+def find_residual_spline(fitted: FittedSet) -> ResidualSplineFit:
     """Fit the spline of what the camera leaves of a finished estimate, and ask who would explain it."""
     sensor, camera = fitted.problem.sensor, fitted.problem.camera
     arcs = fitted.thinned(MOST_FRAMES)
@@ -55,7 +56,7 @@ def find_residual_spline(fitted: FittedSet) -> ResidualSpline:
     sigma = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
     found, largest, at_most_px = fit.posterior, _largest(places, d, P, sigma), float(np.max(np.abs(d) + BAND * sigma))
     explained_by = _explanations(fitted, fit) if found.test.p < FALSE_ALARM else ()
-    return ResidualSpline(
+    return ResidualSplineFit(
         surface=found.surface,
         row_px=row,
         col_px=col,
@@ -78,22 +79,23 @@ def find_residual_spline(fitted: FittedSet) -> ResidualSpline:
     )
 
 
-def _largest(places: tuple[FloatArray, ...], d: FloatArray, P: FloatArray, sigma: FloatArray) -> Largest:
+def _largest(places: tuple[FloatArray, ...], d: FloatArray, P: FloatArray, sigma: FloatArray) -> LargestDisplacement:
     """The longest displacement among those clear of their sigma, or among all where none is."""
     size = np.hypot(*d.T)
     clear = (np.abs(d) > CLEAR * sigma).any(axis=1)
     at = int(np.argmax(np.where(clear, size, -1.0) if clear.any() else size))
     along = d[at] / max(size[at], np.finfo(float).tiny)
-    found = (
-        *(float(axis[at]) for axis in places),
-        *d[at].tolist(),
-        float(size[at]),
-        float(np.sqrt(along @ P[at] @ along)),
+    return LargestDisplacement(
+        row_px=float(places[0][at]),
+        col_px=float(places[1][at]),
+        d_row_px=float(d[at, 0]),
+        d_col_px=float(d[at, 1]),
+        size_px=float(size[at]),
+        sigma_px=float(np.sqrt(along @ P[at] @ along)),
     )
-    return Largest(*found)
 
 
-def _explanations(fitted: FittedSet, fit: Fit) -> tuple[Explanation, ...]:
+def _explanations(fitted: FittedSet, fit: Fit) -> tuple[SplineExplanation, ...]:
     """Ask every camera model, and the fitted one where parameters of it are held; those with the fewest parameters first."""
     own, free = fitted.problem.camera, len(fitted.parameters.free)
     asked = [camera for camera in CAMERA_MODELS.values() if camera is not own or free < len(camera.parameter_names)]
@@ -102,7 +104,7 @@ def _explanations(fitted: FittedSet, fit: Fit) -> tuple[Explanation, ...]:
     return tuple(one for one in found if one is not None)
 
 
-def _explanation(fitted: FittedSet, fit: Fit, camera: CameraModel) -> Explanation | None:
+def _explanation(fitted: FittedSet, fit: Fit, camera: CameraModel) -> SplineExplanation | None:
     """Test what a camera would leave; None where it does not even meet the fitted one over the detector."""
     own, data = fitted.problem.camera, fit.data
     places = splines.gauss_places(data.row, data.col)
@@ -117,8 +119,8 @@ def _explanation(fitted: FittedSet, fit: Fit, camera: CameraModel) -> Explanatio
         data.row, data.col, data.M - taken @ inverse @ taken.T, g - taken @ inverse @ (beta.T @ g)
     )
     held = set(own.parameter_names) - {own.parameter_names[p] for p in fitted.parameters.free}
-    more = tuple(name for name in camera.parameter_names if name in held or name not in own.parameter_names)
-    return Explanation(camera.name, splines.test_of(left, fit.posterior.variance).p, more)
+    more = [name for name in camera.parameter_names if name in held or name not in own.parameter_names]
+    return SplineExplanation(camera_model=camera.name, p=splines.test_of(left, fit.posterior.variance).p, more=more)
 
 
 Places = tuple[FloatArray, FloatArray]
@@ -162,7 +164,11 @@ def _seen_from(
 
 
 def _sentence(
-    camera: CameraModel, p: float, largest: Largest, at_most_px: float, explained_by: tuple[Explanation, ...]
+    camera: CameraModel,
+    p: float,
+    largest: LargestDisplacement,
+    at_most_px: float,
+    explained_by: tuple[SplineExplanation, ...],
 ) -> str:
     """Value, sigma, probability, and what to do."""
     if p >= FALSE_ALARM:
@@ -177,8 +183,8 @@ def _sentence(
     )
 
 
-def _remedy(camera: CameraModel, explained_by: tuple[Explanation, ...]) -> str:
-    found = next((one for one in explained_by if one.suffices), None)
+def _remedy(camera: CameraModel, explained_by: tuple[SplineExplanation, ...]) -> str:
+    found = next((one for one in explained_by if suffices(one)), None)
     if found is None:
         return (
             "no other takes it all up. Look for wrong matches and directions; if there are none, load the correction "
@@ -187,6 +193,6 @@ def _remedy(camera: CameraModel, explained_by: tuple[Explanation, ...]) -> str:
     if found.camera_model == camera.name:
         symbols = dict(zip(camera.parameter_names, camera.symbols, strict=True))
         return f"set {', '.join(symbols[name] for name in found.more)} free too."
-    others = [one.camera_model.replace("_", " ") for one in explained_by if one.suffices and one is not found]
+    others = [one.camera_model.replace("_", " ") for one in explained_by if suffices(one) and one is not found]
     also = f", as would {' and '.join(others)}" if others else ""
     return f"the camera model {found.camera_model.replace('_', ' ')} takes it up{also}; calibrate with that."

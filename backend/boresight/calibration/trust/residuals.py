@@ -6,12 +6,12 @@ Beyond `MOST_FRAMES` only frames spaced evenly over the set are looked at.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, FloatArray
+from boresight.calibration.calibration import Residuals
 from boresight.calibration.estimate import covariance
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, pixel_residuals
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested
@@ -89,25 +89,25 @@ def _check_parity(fitted: FittedSet, found: StarResiduals) -> None:
         raise Unavailable(OTHER_PARITY[-fitted.problem.sensor.parity])
 
 
-def residuals(fitted: FittedSet, found: StarResiduals) -> dict[str, Any]:
+def residuals(fitted: FittedSet, found: StarResiduals) -> Residuals:
     """At most `MOST_SHOWN` residuals, evenly thinned, for drawing."""
     places = np.flatnonzero(found.known)
     shown = places[np.unique(np.linspace(0, len(places) - 1, min(len(places), MOST_SHOWN)).round().astype(int))]
     arcs, star_id = found.arcs, fitted.telemetry.star_id
     rms = float(np.sqrt(np.mean(found.r[places] ** 2)))
-    return {
-        "row_px": nested(arcs.row_px[shown]),
-        "col_px": nested(arcs.col_px[shown]),
-        "d_row_px": nested(found.r[shown, 0]),
-        "d_col_px": nested(found.r[shown, 1]),
-        "star_id": None if star_id is None else star_id[arcs.source_row[shown]].tolist(),
-        "frame": found.frame[shown].tolist(),
-        "rms_px": rms,
-        "spread": found.spread,
-        "stars_in_all": len(places),
-        "frames_used": arcs.n_frames,
-        "sentence": (
+    return Residuals(
+        row_px=nested(arcs.row_px[shown]),
+        col_px=nested(arcs.col_px[shown]),
+        d_row_px=nested(found.r[shown, 0]),
+        d_col_px=nested(found.r[shown, 1]),
+        star_id=None if star_id is None else star_id[arcs.source_row[shown]].tolist(),
+        frame=found.frame[shown].tolist(),
+        rms_px=rms,
+        spread=found.spread,
+        stars_in_all=len(places),
+        frames_used=arcs.n_frames,
+        sentence=(
             f"Centroids lie {rms:.3g} px (rms an axis) from their stars under the best attitude "
             f"of each exposure, {found.spread:.2f} times the stated noise."
         ),
-    }
+    )

@@ -16,11 +16,11 @@ others are taken anew without them, and so on until nobody is suspect.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.calibration.calibration import StarTrust
 from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailable
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals
 from boresight.sky.catalogue import Catalogue
@@ -143,29 +143,29 @@ def _summed(values: FloatArray, of: IntArray, n: int) -> FloatArray:
     return np.asarray(np.stack(columns, axis=-1).reshape(n, *values.shape[1:]), dtype=np.float64)
 
 
-def stars(fitted: FittedSet, table: StarTable) -> list[dict[str, Any]]:
+def stars(fitted: FittedSet, table: StarTable) -> list[StarTrust]:
     """The worst stars first, at most `MOST_SHOWN`, every suspect among the first."""
     order = np.lexsort((-table.z, ~table.suspect))[:MOST_SHOWN]
     said = _describe_catalogue(fitted, table.star_id[order], table.pixel_rad[order])
     return [_entry(table, place, phrases_of) for place, phrases_of in zip(order, said, strict=True)]
 
 
-def _entry(table: StarTable, i: int, said: list[str]) -> dict[str, Any]:
+def _entry(table: StarTable, i: int, said: list[str]) -> StarTrust:
     flags = list(said)
     if table.sightings[i] > 1 and table.worst_z[i] > FAR_OFF and table.worst_z[i] > 0.9 * table.z[i]:
         flags.append("one sighting far off")
     d = table.displacement_rad[i]
-    return {
-        "star_id": int(table.star_id[i]),
-        "sightings": int(table.sightings[i]),
-        "mean_residual_px": float(np.hypot(*d) / table.pixel_rad[i]),
-        "rms_px": float(table.rms_px[i]),
-        "z": float(table.z[i]),
-        "east_north_arcsec": [float(value) for value in d * ARCSEC],
-        "sigma_arcsec": [float(value) for value in table.sigma_rad[i] * ARCSEC],
-        "suspect": bool(table.suspect[i]),
-        "flags": flags,
-    }
+    return StarTrust(
+        star_id=int(table.star_id[i]),
+        sightings=int(table.sightings[i]),
+        mean_residual_px=float(np.hypot(*d) / table.pixel_rad[i]),
+        rms_px=float(table.rms_px[i]),
+        z=float(table.z[i]),
+        east_north_arcsec=[float(value) for value in d * ARCSEC],
+        sigma_arcsec=[float(value) for value in table.sigma_rad[i] * ARCSEC],
+        suspect=bool(table.suspect[i]),
+        flags=flags,
+    )
 
 
 def _describe_catalogue(fitted: FittedSet, star_id: IntArray, pixel_rad: FloatArray) -> list[list[str]]:

@@ -25,6 +25,7 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.calibration import to_plain
 from boresight.calibration.evaluation.evaluate import evaluate_parameters
 from boresight.calibration.matching.flight_check import ARC_SIGMAS, compute_flight_tolerance
 from boresight.calibration.matching.rematch import ground_covariance
@@ -210,7 +211,7 @@ def _record(trial: Trial, data: _Data, estimator: Estimator, start: FloatArray) 
     """Calibrate, and hold the result against truth, bound and validation set."""
     sensor = replace(data.sensor, initial=start)
     began = time.perf_counter()
-    found = calibrate(_thinned(data.calibration, estimator.every), sensor, data.catalogue, estimator.settings)
+    found = calibrate(_thinned(data.calibration, estimator.every), sensor, data.catalogue, estimator.settings).to_dict()
     seconds = time.perf_counter() - began
     x = _state(sensor, found["parameters"])
     record = {
@@ -261,11 +262,12 @@ def _evaluation(trial: Trial, data: _Data, telemetry: Telemetry, found: Record) 
     """Compare ground and estimate on a set, matched anew with each and accepted by the rule of the flight software."""
     settings = ESTIMATORS["batch"].settings
     P_ground = ground_covariance(data.sensor, settings.initial_sigma_scale)
-    evaluation: Record = evaluate_parameters(
+    evaluation = evaluate_parameters(
         telemetry, data.sensor, data.catalogue, data.sensor.initial, _state(data.sensor, found["parameters"]), settings,
         P_ground, _covariance(data.sensor, found, P_ground), rng=np.random.default_rng([trial.sensor, trial.index]),
     )  # fmt: skip
-    return evaluation
+    document: Record = to_plain(evaluation)
+    return document
 
 
 def _at_tolerance(data: _Data, found: Record, factor: float) -> Record:
@@ -273,8 +275,9 @@ def _at_tolerance(data: _Data, found: Record, factor: float) -> Record:
     settings, x = ESTIMATORS["batch"].settings, _state(data.sensor, found["parameters"])
     settings = replace(settings, flight_tolerance_urad=factor * compute_flight_tolerance(data.sensor, settings) * 1e6)
     seen = evaluate_parameters(data.calibration, data.sensor, data.catalogue, data.sensor.initial, x, settings)
+    scores: Record = to_plain(seen)
     kept = ("availability", "matched_star_ratio", "flight_tolerance_rad")
-    return {"arc_sigmas": factor * ARC_SIGMAS, **{key: seen[key] for key in kept}}
+    return {"arc_sigmas": factor * ARC_SIGMAS, **{key: scores[key] for key in kept}}
 
 
 def _covariance(sensor: Sensor, found: Record, P_ground: FloatArray) -> FloatArray:

@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.calibration.calibration import to_plain
 from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.evaluation.evaluate import evaluate_matched_frames
 from boresight.calibration.matching.matched_frames import match_under_states
@@ -63,7 +64,7 @@ def compute_validation_scores(
     evaluation = evaluate_matched_frames(telemetry, sensor, before, after, settings, _rng())
     valid = np.stack([before.view.valid_frames, after.view.valid_frames])
     matched = np.stack([before.view.matched_in_frame, after.view.matched_in_frame])
-    return _scores(evaluation, valid, matched)
+    return _scores(to_plain(evaluation), valid, matched)
 
 
 def of_result(result: Document) -> dict[str, Score | int] | None:
