@@ -74,7 +74,7 @@ def results(catalogue) -> dict[str, dict[str, Any]]:
                 sha256s={"telemetry": "ab" * 32},
                 report=partials.append,
             ).to_dict()
-    found["sqrf-partial"] = partials[-1].partial
+    found["sqrf-partial"] = partials[-1].partial.to_dict()
     return found
 
 

@@ -461,14 +461,14 @@ def _sigma(judged):
 
 
 def over_sigma(foretold, judged):
-    return np.array(list(foretold["sigma"].values())) / _sigma(judged)
+    return np.array(list(foretold.sigma.values())) / _sigma(judged)
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 4, 5, 6])
 def test_sigmas_foretold_from_a_tenth_of_the_frames_are_those_of_the_run(number, catalogue, tmp_path):
     run = simulated(catalogue, number, frames=1000, seed=7)
     foretold = forecast_table(run.telemetry, run.problem.sensor, catalogue, tmp_path, frames=100)
-    assert (foretold["frames_sampled"], foretold["frames"]) == (100, 1000)
+    assert (foretold.frames_sampled, foretold.frames) == (100, 1000)
     np.testing.assert_allclose(over_sigma(foretold, run), 1, atol=0.1)
 
 
@@ -500,26 +500,26 @@ def test_directions_foretold_to_be_weak_are_those_the_run_names_and_holding_what
     foretold = forecast_table(run.telemetry, sensor, catalogue, tmp_path)
     made = calibrate(run.telemetry, sensor, catalogue, CalibrationSettings(match="given")).to_dict()
     weak = [sigma for sigma in made["observability"]["sigma_of_direction"] if sigma > WEAK]
-    assert foretold["weak"] == len(weak) > 0
-    assert foretold["sentence"] == f"8 parameters, {len(weak)} weakly observable with this coverage."
-    assert foretold["weak_directions"][0] == made["observability"]["weakest"]["sentence"]
+    assert foretold.weak == len(weak) > 0
+    assert foretold.sentence == f"8 parameters, {len(weak)} weakly observable with this coverage."
+    assert foretold.weak_directions[0] == made["observability"]["weakest"]["sentence"]
     held = to_hold(run.estimate.A)
     left = tuple(name for place, name in enumerate(sensor.free) if place not in held)
     after = forecast_table(run.telemetry, sensor, catalogue, tmp_path, free=left)
-    assert foretold["help"][0].startswith("Hold ")
+    assert foretold.help[0].startswith("Hold ")
     assert 0 < len(held) < 8
-    assert after["weak"] == 0
-    assert after["help"] == []
-    assert after["sentence"] == f"{len(left)} parameter{'s' * (len(left) > 1)}, all observable with this coverage."
+    assert after.weak == 0
+    assert after.help == []
+    assert after.sentence == f"{len(left)} parameter{'s' * (len(left) > 1)}, all observable with this coverage."
 
 
 def test_so_many_frames_as_the_forecast_says_leave_no_weak_direction(sensor, catalogue, tmp_path):
     few = forecast_table(field(3, frames=6), sensor, catalogue, tmp_path)
-    words = few["help"][-1].split()
+    words = few.help[-1].split()
     needed = int(words[1].replace(",", ""))
-    assert few["help"][-1].startswith("About ")
-    assert forecast_table(field(3, frames=int(1.2 * needed)), sensor, catalogue, tmp_path)["weak"] == 0
-    assert forecast_table(field(3, frames=needed // 2), sensor, catalogue, tmp_path)["weak"] > 0
+    assert few.help[-1].startswith("About ")
+    assert forecast_table(field(3, frames=int(1.2 * needed)), sensor, catalogue, tmp_path).weak == 0
+    assert forecast_table(field(3, frames=needed // 2), sensor, catalogue, tmp_path).weak > 0
 
 
 def test_stars_in_the_middle_alone_are_said_to_be_so(sensor, catalogue, tmp_path):
@@ -531,20 +531,20 @@ def test_stars_in_the_middle_alone_are_said_to_be_so(sensor, catalogue, tmp_path
         for name in ("frame", "exposure", "row_px", "col_px", "star_id", "ra_rad", "dec_rad")
     }
     foretold = forecast_table(replace(telemetry, **kept), sensor, catalogue, tmp_path)
-    assert foretold["weak"] > 0
-    assert any("% of the way to the corner and lie in 16 of 36 parts" in sentence for sentence in foretold["help"])
+    assert foretold.weak > 0
+    assert any("% of the way to the corner and lie in 16 of 36 parts" in sentence for sentence in foretold.help)
 
 
 def test_a_set_without_enough_stars_foretells_nothing_and_a_fit_that_does_not_rest_the_present_parameters(
     sensor, catalogue, tmp_path
 ):
     foretold = forecast_table(field(5, frames=3, stars=3), sensor, catalogue, tmp_path)
-    assert set(foretold["sigma"].values()) == {None}
-    assert foretold["weak"] is None
-    assert "nothing was estimated; match more stars" in foretold["sentence"]
+    assert set(foretold.sigma.values()) == {None}
+    assert foretold.weak is None
+    assert "nothing was estimated; match more stars" in foretold.sentence
     foretold = forecast_table(field(6, frames=20), sensor, catalogue, tmp_path, max_iterations=1)
-    assert foretold["at"] == "present"
-    assert all(value is None or value > 0 for value in foretold["sigma"].values())
+    assert foretold.at == "present"
+    assert all(value is None or value > 0 for value in foretold.sigma.values())
 
 
 @pytest.mark.parametrize("free", [("f_m",), ("f_m", "b2_per_m2"), None])
@@ -554,8 +554,8 @@ def test_sigmas_of_the_real_star_fields_are_foretold_within_a_tenth(free, catalo
     foretold = forecast(Sample(telemetry, 5, 5), sensor, catalogue, settings)
     made = calibrate(telemetry, sensor, catalogue, settings).to_dict()
     for name in made["free"]:
-        assert foretold["sigma"][name] == pytest.approx(made["sigma"][name], rel=0.1)
+        assert foretold.sigma[name] == pytest.approx(made["sigma"][name], rel=0.1)
     if free is None:
-        said = " ".join(foretold["weak_directions"])
+        said = " ".join(foretold.weak_directions)
         assert "n0 and a1 move together" in said
         assert "m0 and a2 move together" in said

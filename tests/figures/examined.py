@@ -11,8 +11,8 @@ FLAGS = {3: ["double"], 7: ["solution type"]}
 def nis_over_time(rng, n_frames):
     nis = rng.chisquare(19, n_frames) / 19
     bounds = {"lower": [0.469] * n_frames, "upper": [1.729] * n_frames}
-    found = EXAMPLE["trust"]["nis_over_time"] | {"frame": list(range(n_frames)), "nis_per_dof": nis.tolist()} | bounds
-    return {key: value for key, value in found.items() if key != "points_in_all"}
+    found = {"frame": list(range(n_frames)), "nis_per_dof": nis.tolist(), "points_in_all": n_frames}
+    return EXAMPLE["trust"]["nis_over_time"] | found | bounds
 
 
 def residual_field(edge_sigmas=10):
@@ -65,8 +65,8 @@ def frame_observability(n_frames=120):
 
 
 def matching():
-    cycles = [(4401, 2297, 84.1e-6), (4466, 65, 82.6e-6), (4466, 0, 82.6e-6)]
-    names = ("cycle", "matched", "changed", "rms_arc_rad")
+    cycles = [(4401, 4466, 2297, 84.1e-6), (4466, 4466, 65, 82.6e-6), (4466, 4466, 0, 82.6e-6)]
+    names = ("cycle", "matched", "rematched", "changed", "rms_arc_rad")
     flight = {"availability": {"initial": 0.46, "final": 1.0}, "matched_stars": {"initial": 1650, "final": 4460}}
     return EXAMPLE["matching"] | {
         "given": 2233,
@@ -100,8 +100,18 @@ def shadow(n_frames=40, lost=(7,), gained=(1, 2, 3)):
         for k in range(n_frames)
     ]
     sentence = "The candidate solves 3 frames that the baseline loses, and loses 1."
-    summary = {"baseline_only": len(lost), "candidate_only": len(gained), "sentence": sentence}
-    return {"calibration": None, "validation": {"frames": frames, "frames_in_set": n_frames, "summary": summary}}
+    summary = {
+        "baseline_only": len(lost),
+        "candidate_only": len(gained),
+        "both": n_frames - len(lost) - len(gained),
+        "neither": 0,
+        "stars_lost": 2 * len(lost),
+        "stars_gained": n_frames,
+        "p": 0.625,
+        "sentence": sentence,
+    }
+    found = {"frames": frames, "frames_in_set": n_frames, "flight_tolerance_rad": 4.2e-4, "summary": summary}
+    return {"calibration": None, "validation": found}
 
 
 def examined(method):

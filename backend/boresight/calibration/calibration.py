@@ -82,11 +82,12 @@ class Values(Mapping[str, float | None]):
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
-        """Read them from a JSON object of numbers and nulls."""
+        """Read them from a JSON object of numbers and nulls, and write them so."""
         from pydantic_core import core_schema  # noqa: PLC0415 - only where JSON is read
 
         of_numbers = handler.generate_schema(dict[str, float | None])
-        return core_schema.no_info_after_validator_function(cls, of_numbers)
+        written = core_schema.plain_serializer_function_ser_schema(cls.to_dict, return_schema=of_numbers)
+        return core_schema.no_info_after_validator_function(cls, of_numbers, serialization=written)
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: Any, handler: GetJsonSchemaHandler) -> Any:

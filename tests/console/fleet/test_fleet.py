@@ -31,6 +31,7 @@ from boresight.console.fleet.trend_document import make_trend_document
 from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.uplinks import service as uplinks
+from boresight.figures.example_calibration import get_example_calibrations
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
 from boresight.platform.db.sessions import Engine, Session, open_reading, open_writing, utc_after
@@ -80,8 +81,19 @@ def test_the_newest_run_speaks_for_the_sensor(engine, finished_run, made, status
     assert says in tile.sentence
 
 
-CONSISTENT = {"chi2": {"consistent": True, "dof": 90, "lower": 0.8, "upper": 1.2}, "method": "batch"}
-WEAK = {"sigma_of_direction": [0.1, 0.7], "singular_values": [10.0, 1.4], "weakest": {"sentence": "m0 is weak."}}
+EXAMPLE = get_example_calibrations()["batch"]
+CONSISTENT = EXAMPLE | {
+    "status": "converged",
+    "chi2": {"consistent": True, "dof": 90, "lower": 0.8, "upper": 1.2},
+    "chi2_per_dof": 1.0,
+    "observability": None,
+    "advice": [],
+    "validation": None,
+    "trust": None,
+    "covariance": {"names": [], "matrix": []},  # a trend has a voice of its own
+}
+WEAK = EXAMPLE["observability"] | {"sigma_of_direction": [0.1, 0.7], "singular_values": [10.0, 1.4]}
+WORSE = EXAMPLE["validation"] | {"rms_arc_rad": {"initial": 1e-5, "final": 2e-5}}
 
 
 @pytest.mark.parametrize(
@@ -101,13 +113,13 @@ WEAK = {"sigma_of_direction": [0.1, 0.7], "singular_values": [10.0, 1.4], "weake
             "ended diverged: The fit diverged: stop.",
         ),
         ({"status": "rank_deficient", "advice": ["Hold a1."]}, "serious", "ended rank deficient: Hold a1."),
-        ({"validation": {"rms_arc_rad": {"initial": 1e-5, "final": 2e-5}}}, "serious", "On the validation set"),
+        ({"validation": WORSE}, "serious", "On the validation set"),
     ],
 )
 def test_a_fit_that_its_page_doubts_is_not_normal_for_the_fleet(engine, finished_run, found, status, says):
     with open_writing(engine) as session:
         run = finished_run(session)
-        run.summary = summarise_run({"status": "converged", "chi2_per_dof": 1.0, **CONSISTENT, **found})
+        run.summary = summarise_run(CONSISTENT | found)
     tile = find_tile(engine)
     assert tile.status == status
     assert says in tile.sentence

@@ -168,6 +168,7 @@ def evaluation(**changes):
             "availability": {"initial": [0.323, 0.552], "final": [0.954, 1.0]},
             "matched_star_ratio": [4.209, None],
             "rms_arc_rad": {"initial": [582.2e-6, 682.1e-6], "final": [81.2e-6, 86.5e-6]},
+            "rms_ratio": [0.12, 0.15],
         },
     } | changes
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from boresight.calibration.evaluation.forecast import Forecast
 from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import presets
@@ -314,19 +315,19 @@ def test_a_set_that_cannot_be_looked_into_leaves_the_dry_run_its_size(site, read
 
 @pytest.fixture
 def seen(site, monkeypatch):
-    forecast = {
-        "sentence": "2 parameters, 1 weakly observable with this coverage.",
-        "free": ["f_m", "b2_per_m2"],
-        "sigma": {"f_m": 1e-6, "b2_per_m2": None},
-        "typical_sigma": {"f_m": 8e-6, "b2_per_m2": 1000.0},
-        "weak": 1,
-        "weak_directions": ["f and b2 move together."],
-        "help": ["Hold b2 fixed, and every direction of the others is known."],
-        "observability": None,
-        "frames_sampled": 40,
-        "frames": 40,
-        "at": "fitted",
-    }
+    forecast = Forecast(
+        sentence="2 parameters, 1 weakly observable with this coverage.",
+        free=["f_m", "b2_per_m2"],
+        sigma={"f_m": 1e-6, "b2_per_m2": None},
+        typical_sigma={"f_m": 8e-6, "b2_per_m2": 1000.0},
+        weak=1,
+        weak_directions=["f and b2 move together."],
+        help=["Hold b2 fixed, and every direction of the others is known."],
+        observability=None,
+        frames_sampled=40,
+        frames=40,
+        at="fitted",
+    )
     monkeypatch.setattr(type(site.app.state.forecast_sources), "forecast", lambda *_: forecast)
 
 
@@ -384,10 +385,10 @@ def _asked(session, people, forecast_sources, **settings):
 
 def test_a_dry_run_foretells_every_free_parameters_sigma_and_says_it_in_words(session, people, forecast_sources):
     forecast = _asked(session, people, forecast_sources, free=["f_m", "b2_per_m2"])["forecast"]
-    assert list(forecast["sigma"]) == ["f_m", "b2_per_m2"]
-    assert all(0 < sigma < forecast["typical_sigma"][name] for name, sigma in forecast["sigma"].items())
-    assert forecast["sentence"] == "2 parameters, all observable with this coverage."
-    assert (forecast["frames_sampled"], forecast["frames"], forecast["at"]) == (30, 30, "fitted")
+    assert list(forecast.sigma) == ["f_m", "b2_per_m2"]
+    assert all(0 < sigma < forecast.typical_sigma[name] for name, sigma in forecast.sigma.items())
+    assert forecast.sentence == "2 parameters, all observable with this coverage."
+    assert (forecast.frames_sampled, forecast.frames, forecast.at) == (30, 30, "fitted")
 
 
 def test_a_forecast_is_kept_until_a_setting_or_the_sensor_changes(session, people, forecast_sources):
@@ -412,15 +413,15 @@ def test_only_the_latest_forecasts_are_kept(blobs, catalogue, monkeypatch):
 def test_a_table_that_is_gone_is_a_sentence_of_the_forecast_and_no_refusal(session, people, forecast_sources, blobs):
     blobs.path(session.get_one(TelemetrySet, 1).table_sha256).unlink()
     forecast = _asked(session, people, forecast_sources)["forecast"]
-    assert forecast["at"] is None
-    assert "is missing" in forecast["sentence"]
-    assert "restore it from a backup" in forecast["sentence"]
+    assert forecast.at is None
+    assert "is missing" in forecast.sentence
+    assert "restore it from a backup" in forecast.sentence
 
 
 def test_without_stars_to_look_at_the_dry_run_still_tells_its_size(session, people, blobs):
     blind = ForecastSources(blobs, lambda: None, Path("nowhere"))
     assert _asked(session, people, None)["forecast"] is None
-    assert "no star catalogue" in _asked(session, people, blind)["forecast"]["sentence"]
+    assert "no star catalogue" in _asked(session, people, blind)["forecast"].sentence
     assert _asked(session, people, blind)["frames"] == 30
 
 

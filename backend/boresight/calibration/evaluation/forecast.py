@@ -17,15 +17,17 @@ runs over 2,000 simulated frames the sigmas foretold from 150 and 300 of them we
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.advice import remedies, too_few
 from boresight.calibration.calibrate import choose_match_mode, select_free_parameters
+from boresight.calibration.calibration import Observability
 from boresight.calibration.estimate import Estimate, Parameters, covariance, never, run_batch
 from boresight.calibration.matching.match_report import identification_advice
 from boresight.calibration.matching.matched import Dataset
@@ -34,7 +36,8 @@ from boresight.calibration.problem import Problem
 from boresight.calibration.result import numbers, observability_view
 from boresight.estimation.batch import normal_equations, sigma_in_scale
 from boresight.estimation.singular_values import Selection
-from boresight.estimation.statistics.observability import Observability, further_covariance, observability
+from boresight.estimation.statistics.observability import Observability as Observed
+from boresight.estimation.statistics.observability import further_covariance, observability
 from boresight.estimation.statistics.references import View, whitened_information
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.read.frames import Sample
@@ -47,13 +50,55 @@ MOST_STARS = 8000
 MOST_ITERATIONS = 25
 
 
+@dataclass(frozen=True, kw_only=True)
+class Forecast:
+    """What a run will know, from a sample of its own stars; without an `at` nothing can be foretold and `sentence` says why.
+
+    `sigma`, `typical_sigma`: one sigma of each free parameter, SI; None is unknown. `weak`: directions known worse than half a
+    typical sigma, with a sentence each in `weak_directions`; `help`: what would make them known. `at`: where the information
+    was taken.
+    """
+
+    sentence: str
+    free: list[str]
+    sigma: dict[str, float | None]
+    typical_sigma: dict[str, float]
+    weak: int | None
+    weak_directions: list[str]
+    help: list[str]
+    observability: Observability | None
+    frames_sampled: int
+    frames: int
+    at: Literal["fitted", "present"] | None
+
+
+def forecast_nothing(
+    sentence: str, typical: Mapping[str, float] | None = None, sampled: int = 0, frames: int = 0
+) -> Forecast:
+    """Return the forecast of a run that nothing can be foretold of."""
+    names = tuple(typical or ())
+    return Forecast(
+        sentence=sentence,
+        free=list(names),
+        sigma=dict.fromkeys(names),
+        typical_sigma=dict(typical or {}),
+        weak=None,
+        weak_directions=[],
+        help=[],
+        observability=None,
+        frames_sampled=sampled,
+        frames=frames,
+        at=None,
+    )
+
+
 @dataclass(frozen=True)
 class _Prediction:
     """Information of the whole set and covariance at the method's end, (n_free, n_free) in typical sigmas, and where taken."""
 
     A: FloatArray
     P: FloatArray
-    at: str
+    at: Literal["fitted", "present"]
 
 
 def forecast(
@@ -62,14 +107,11 @@ def forecast(
     catalogue: Catalogue,
     settings: CalibrationSettings,
     cache_folder: Path | None = None,
-) -> dict[str, Any]:
+) -> Forecast:
     """Foretell what a calibration of the whole set will know.
 
-    `sample`: some of its frames. `sensor`, `catalogue`, `settings`, `cache_folder`: as for `calibrate`. Returns `sentence`;
-    `free`; `sigma` {name: SI or null}; `typical_sigma`; `weak`, the number of weak directions, and `weak_directions`, a
-    sentence each; `help`, what would make them known; `observability` as in the calibration JSON; `frames_sampled`, `frames`;
-    `at`: `fitted`, `present`, or null where nothing can be foretold. Raises RefusedInputError when the free parameters are not
-    the sensor's, or directions cannot be had.
+    `sample`: some of its frames. `sensor`, `catalogue`, `settings`, `cache_folder`: as for `calibrate`. Raises
+    RefusedInputError when the free parameters are not the sensor's, or directions cannot be had.
     """
     parameters = select_free_parameters(sensor, settings)
     sets = Dataset(
@@ -78,34 +120,30 @@ def forecast(
     start = sets.at_start()
     problem = start.problem
     names = [problem.camera.parameter_names[p] for p in parameters.free]
-    known = {
-        "free": names,
-        "typical_sigma": dict(zip(names, numbers(parameters.scale), strict=True)),
-        "frames_sampled": sample.frames,
-        "frames": sample.frames_in_set,
-    }
+    typical = dict(zip(names, parameters.scale.tolist(), strict=True))
     if problem.arcs.n_exposures == 0:
         why = [*identification_advice(start.unidentified), *too_few(problem, settings.minimum_stars)]
-        return {**known, **_nothing(names, why[0])}
+        return forecast_nothing(why[0], typical, sample.frames, sample.frames_in_set)
     foreseen = _predict(sample, problem, parameters, settings)
     if not np.isfinite(foreseen.A).all():
         sentence = "The camera model cannot be evaluated at the present parameters: check the sensor's initial values."
-        return {**known, **_nothing(names, sentence)}
+        return forecast_nothing(sentence, typical, sample.frames, sample.frames_in_set)
     observed = observability(foreseen.A, tuple(names), tuple(problem.camera.symbols[p] for p in parameters.free))
-    helpful = remedies(foreseen.A, observed, problem, sample.frames_in_set, settings)
-    return {**known, **_describe(foreseen, parameters, observed, helpful)}
-
-
-def _nothing(names: list[str], sentence: str) -> dict[str, Any]:
-    return {
-        "sentence": sentence,
-        "sigma": dict.fromkeys(names),
-        "weak": None,
-        "weak_directions": [],
-        "help": [],
-        "observability": None,
-        "at": None,
-    }
+    weak = observed.weak()
+    weakly = f"{len(weak)} weakly observable with this coverage" if weak else "all observable with this coverage"
+    return Forecast(
+        sentence=f"{len(names)} parameter{'s' * (len(names) > 1)}, {weakly}.",
+        free=names,
+        sigma=_predicted_sigma(foreseen, parameters, observed),
+        typical_sigma=typical,
+        weak=len(weak),
+        weak_directions=[observed.sentence(i) for i in weak],
+        help=remedies(foreseen.A, observed, problem, sample.frames_in_set, settings),
+        observability=observability_view(observed),
+        frames_sampled=sample.frames,
+        frames=sample.frames_in_set,
+        at=foreseen.at,
+    )
 
 
 def _predict(sample: Sample, problem: Problem, parameters: Parameters, settings: CalibrationSettings) -> _Prediction:
@@ -126,7 +164,7 @@ def _predict(sample: Sample, problem: Problem, parameters: Parameters, settings:
 
 def _fitted(
     problem: Problem, parameters: Parameters, settings: CalibrationSettings
-) -> tuple[FloatArray, str, FloatArray]:
+) -> tuple[FloatArray, Literal["fitted", "present"], FloatArray]:
     """State, where it is, and the information of the sample's arcs there."""
     fitting = replace(settings, method="batch", max_iterations=min(settings.max_iterations, MOST_ITERATIONS))
     estimate = run_batch(problem, parameters, fitting, _unheard, never)
@@ -144,20 +182,7 @@ def _unheard(estimate: Estimate, fraction: float, message: str) -> None:
     """Nobody listens: the sample's fit takes no time worth telling of."""
 
 
-def _describe(
-    foreseen: _Prediction, parameters: Parameters, observed: Observability, helpful: list[str]
-) -> dict[str, Any]:
-    weak = observed.weak()
-    n = len(observed.names)
-    weakly = f"{len(weak)} weakly observable with this coverage" if weak else "all observable with this coverage"
+def _predicted_sigma(foreseen: _Prediction, parameters: Parameters, observed: Observed) -> dict[str, float | None]:
     known = np.isfinite(sigma_in_scale(foreseen.A))
     sigma = np.where(known, parameters.scale * np.sqrt(np.diag(foreseen.P)), np.nan)
-    return {
-        "sentence": f"{n} parameter{'s' * (n > 1)}, {weakly}.",
-        "sigma": dict(zip(observed.names, numbers(sigma), strict=True)),
-        "weak": len(weak),
-        "weak_directions": [observed.sentence(i) for i in weak],
-        "help": helpful,
-        "observability": observability_view(observed),
-        "at": foreseen.at,
-    }
+    return dict(zip(observed.names, numbers(sigma), strict=True))

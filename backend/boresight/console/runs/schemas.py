@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from boresight.calibration.evaluation.forecast import Forecast
 from boresight.console.schemas import Document, Numbers, Row, Shape
 
 RunState = Literal["QUEUED", "RUNNING", "CANCELLING", "SUCCEEDED", "FAILED", "CANCELLED", "LOST"]
@@ -60,23 +61,6 @@ class LogLine(Row):
     numbers: dict[str, float] | None = Field(
         description="What the sentence counts: `fraction`, `elapsed_s`, `seconds`."
     )
-
-
-class Forecast(BaseModel):
-    """What a run would know, from a sample of its own stars."""
-
-    model_config = ConfigDict(extra="allow")
-    sentence: str
-    sigma: dict[str, float | None] = Field(
-        description="Predicted one-sigma of each free parameter, SI; null is unknown."
-    )
-    weak: int | None = Field(description="Directions known worse than half a typical sigma.")
-    weak_directions: list[str]
-    help: list[str] = Field(description="What would make them known.")
-    observability: Document | None
-    frames_sampled: int
-    frames: int
-    at: Literal["fitted", "present"] | None = Field(description="Where the information was taken; null is nowhere.")
 
 
 class DryRun(BaseModel):

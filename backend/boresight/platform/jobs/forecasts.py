@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from boresight.calibration.evaluation.forecast import MOST_FRAMES, MOST_STARS, forecast
+from boresight.calibration.evaluation.forecast import MOST_FRAMES, MOST_STARS, Forecast, forecast, forecast_nothing
 from boresight.calibration.options import CalibrationSettings
 from boresight.errors import BoresightError, CorruptFileError
 from boresight.platform.blobs.store import BlobStore
@@ -29,12 +29,12 @@ class ForecastSources:
     blobs: BlobStore
     catalogue: Callable[[], Catalogue | None]
     catalogue_folder: Path
-    _made: OrderedDict[str, dict[str, Any]] = field(default_factory=OrderedDict)
+    _made: OrderedDict[str, Forecast] = field(default_factory=OrderedDict)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def forecast(
         self, table_sha256: str, sensor_document: Mapping[str, Any], settings: CalibrationSettings
-    ) -> dict[str, Any]:
+    ) -> Forecast:
         """Foretell a run; see `calibration.evaluation.forecast`. Without a forecast `at` is None and `sentence` says why."""
         key = compute_sha256([table_sha256, dict(sensor_document), settings.document()])
         with self._lock:
@@ -44,7 +44,7 @@ class ForecastSources:
         try:
             made = self._forecast(table_sha256, sensor_document, settings)
         except CorruptFileError as error:  # until it is restored
-            return unseen(str(error).rstrip("."))
+            return _say_why_not(error)
         with self._lock:
             self._made[key] = made
             while len(self._made) > KEPT:
@@ -53,31 +53,18 @@ class ForecastSources:
 
     def _forecast(
         self, table_sha256: str, sensor_document: Mapping[str, Any], settings: CalibrationSettings
-    ) -> dict[str, Any]:
+    ) -> Forecast:
         """Read the sample and foretell, or say why not."""
         try:
             sample = read_sample(table_path(self.blobs, table_sha256), MOST_FRAMES, MOST_STARS)
             if (catalogue := self.catalogue()) is None:
-                return unseen("this server has no star catalogue")
+                return _say_why_not("this server has no star catalogue")
             return forecast(sample, parse_sensor(sensor_document), catalogue, settings, self.catalogue_folder)
         except CorruptFileError:
             raise
         except BoresightError as error:
-            return unseen(str(error).rstrip("."))
+            return _say_why_not(error)
 
 
-def unseen(why: str) -> dict[str, Any]:
-    """Return the forecast of a run that nothing can be foretold of."""
-    return {
-        "sentence": f"No sigma can be foretold: {why}.",
-        "free": [],
-        "sigma": {},
-        "typical_sigma": {},
-        "weak": None,
-        "weak_directions": [],
-        "help": [],
-        "observability": None,
-        "frames_sampled": 0,
-        "frames": 0,
-        "at": None,
-    }
+def _say_why_not(error: BoresightError | str) -> Forecast:
+    return forecast_nothing(f"No sigma can be foretold: {str(error).rstrip('.')}.")

@@ -18,6 +18,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, QueryParams
 
+from boresight.calibration.evaluation.forecast import Forecast
 from boresight.calibration.options import (
     FORM,
     METHODS,
@@ -342,15 +343,15 @@ class DryRunView:
 
     facts: Sequence[tuple[str, str]]
     warnings: Sequence[str]
-    forecast: Mapping[str, Any] | None
+    forecast: Forecast | None
     sigmas: Sequence[PredictedSigma]
 
     @property
     def level(self) -> str:
         """How good the forecast is: normal where every direction is known, serious where nothing can be foretold."""
-        if self.forecast is None or self.forecast["weak"] is None:
+        if self.forecast is None or self.forecast.weak is None:
             return "serious"
-        return "caution" if self.forecast["weak"] else "normal"
+        return "caution" if self.forecast.weak else "normal"
 
 
 def make_dry_run_view(summary: Mapping[str, Any]) -> DryRunView:
@@ -369,8 +370,10 @@ def make_dry_run_view(summary: Mapping[str, Any]) -> DryRunView:
         ("Free parameters", f"{len(free)}: {', '.join(free)}"),
         ("Expected duration", _expected(summary)),
     ]
-    told = forecast or {"sigma": {}, "typical_sigma": {}}
-    sigmas = [PredictedSigma(name, value, told["typical_sigma"][name]) for name, value in told["sigma"].items()]
+    sigmas = [
+        PredictedSigma(name, value, forecast.typical_sigma[name])
+        for name, value in (forecast.sigma.items() if forecast else ())
+    ]
     return DryRunView(facts, summary["warnings"], forecast, sigmas)
 
 
