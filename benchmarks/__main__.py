@@ -24,8 +24,10 @@ import orjson
 from benchmarks import PARTS, ROOT, collect_limits
 from benchmarks.pages.tables import figures, promise
 from benchmarks.servers import end_in_order
-from boresight.cli.output import aligned, check_writable, json_option, progress, write_json
+from boresight.cli.output import check_writable, json_option, write_json
 from boresight.errors import BoresightError
+from boresight.library.progress import progress
+from boresight.library.text import aligned
 from boresight.settings import read_settings, use_kernel_folder
 
 LEGEND = """

@@ -87,4 +87,87 @@ Where a printed equation is wrong, the docstring that implements it says what is
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from boresight.calibration.choice.result import Choice
+    from boresight.errors import BoresightError, CancelledError, Fault, RefusedInputError
+    from boresight.library.functions import (
+        assess,
+        calibrate,
+        check,
+        choose,
+        evaluate,
+        load,
+        match,
+        read_sensor,
+        read_telemetry,
+        simulate,
+    )
+    from boresight.library.results import Assessment, Calibration, Evaluation, Matches, Quality, Simulation
+    from boresight.telemetry.schema import Telemetry
+    from boresight.telemetry.sensors import Sensor
+
 __version__ = "0.1.0"
+
+#: Every name of the library, by the module that has it; a module is loaded when one of its names is first asked for.
+_PLACES = {
+    "boresight.library.functions": (
+        "assess",
+        "calibrate",
+        "check",
+        "choose",
+        "evaluate",
+        "load",
+        "match",
+        "read_sensor",
+        "read_telemetry",
+        "simulate",
+    ),
+    "boresight.library.results": ("Assessment", "Calibration", "Evaluation", "Matches", "Quality", "Simulation"),
+    "boresight.calibration.choice.result": ("Choice",),
+    "boresight.telemetry.schema": ("Telemetry",),
+    "boresight.telemetry.sensors": ("Sensor",),
+    "boresight.errors": ("BoresightError", "CancelledError", "Fault", "RefusedInputError"),
+}
+_MODULES = {name: module for module, names in _PLACES.items() for name in names}
+
+__all__ = [
+    "Assessment",
+    "BoresightError",
+    "Calibration",
+    "CancelledError",
+    "Choice",
+    "Evaluation",
+    "Fault",
+    "Matches",
+    "Quality",
+    "RefusedInputError",
+    "Sensor",
+    "Simulation",
+    "Telemetry",
+    "assess",
+    "calibrate",
+    "check",
+    "choose",
+    "evaluate",
+    "load",
+    "match",
+    "read_sensor",
+    "read_telemetry",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a name of the library when it is first asked for."""
+    if name not in _MODULES:
+        raise AttributeError(f"module 'boresight' has no attribute {name!r}")
+    globals()[name] = value = getattr(import_module(_MODULES[name]), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    """List the names of the library too, so that a notebook completes them."""
+    return sorted({*globals(), *__all__})

@@ -25,7 +25,9 @@ def calibrate(boresight, folder, *words):
 
 
 def test_the_table_shows_every_parameter_with_sigma_and_what_the_fit_is_worth(boresight, simulated, monkeypatch):
-    monkeypatch.setattr("boresight.cli.output.PATIENCE_S", 600.0)  # on a busy machine it would say that it is at work
+    monkeypatch.setattr(
+        "boresight.library.progress.PATIENCE_S", 600.0
+    )  # on a busy machine it would say that it is at work
     done = accepted(calibrate(boresight, simulated))
     for word in ("f  ", "m0 ", "g_y", "sigma", "RMS arc error", "condition number", "weakest direction", "converged"):
         assert word in done.stdout

@@ -15,9 +15,9 @@ import zipfile
 import pytest
 
 from boresight.cli import main
-from boresight.cli.output import progress
 from boresight.console.fleet import service as sensors
 from boresight.errors import BoresightError, Fault, RefusedInputError
+from boresight.library.progress import progress
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.db.sessions import current_revision, head_revision, open_engine, open_writing
 from boresight.sky import identification
@@ -169,7 +169,7 @@ def test_debug_shows_the_traceback(boresight, monkeypatch):
 
 
 def test_without_a_terminal_long_work_is_one_plain_line_and_short_work_none(capsys, monkeypatch):
-    monkeypatch.setattr("boresight.cli.output.PATIENCE_S", 0.05)
+    monkeypatch.setattr("boresight.library.progress.PATIENCE_S", 0.05)
     with progress("counting stars"):
         pass
     assert capsys.readouterr().err == ""
@@ -181,7 +181,7 @@ def test_without_a_terminal_long_work_is_one_plain_line_and_short_work_none(caps
 
 def test_in_a_terminal_long_work_shows_a_bar():
     code = (
-        "import time; from boresight.cli.output import progress\n"
+        "import time; from boresight.library.progress import progress\n"
         "with progress('counting') as report:\n"
         "    for step in range(16):\n"
         "        report('counting', step / 16); time.sleep(0.1)\n"

@@ -135,10 +135,19 @@ class Inputs:
 
 @dataclass(frozen=True, kw_only=True)
 class Covariance:
-    """Covariance of the estimated parameters, SI, rows and columns in the order of `names`."""
+    """Covariance of the estimated parameters, SI, rows and columns in the order of `names`; `numpy.asarray` takes it."""
 
     names: list[str] = field(default_factory=list)
     matrix: Matrix = field(default_factory=list)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
+        """Return the matrix as (n_names, n_names), NaN where it is unknown."""
+        import numpy as np  # noqa: PLC0415 - only where arrays are asked for
+
+        if copy is False:
+            raise ValueError("A covariance is kept as lists: an array of it is a copy.")
+        n = len(self.names)
+        return np.array(self.matrix, dtype=np.float64).reshape(n, n).astype(dtype or np.float64, copy=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -1015,11 +1024,11 @@ def parse_calibration(document: str | bytes | Mapping[str, Any], name: str = "Th
     RefusedInputError
         When it is no calibration, or a member is missing or of another type: which.
     """
-    found = parse_part(Calibration, document, partial(_make_refusal, name))
+    found = parse_part(Calibration, document, partial(make_refusal, name))
     if found.status != "running":
         missing = next((one for one in REQUIRED if not _says(found, one)), None)
         if missing is not None:
-            raise _make_refusal(name, f"{missing}: missing")
+            raise make_refusal(name, f"{missing}: missing")
     return found
 
 
@@ -1028,7 +1037,8 @@ def _says(found: Calibration, name: str) -> bool:
     return bool(value) if isinstance(value, str | Values) else True
 
 
-def _make_refusal(name: str, fault: str) -> RefusedInputError:
+def make_refusal(name: str, fault: str) -> RefusedInputError:
+    """Say that a document is no whole calibration, and why."""
     return RefusedInputError(
         f"{name} is no whole calibration ({fault}): give the file that `boresight calibrate --json` wrote, as it was written."
     )

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import click
 
-from boresight.cli.evaluate import read_set
-from boresight.cli.output import aligned, check_writable, json_option, progress, write_json
-from boresight.errors import RefusedInputError
-from boresight.settings import read_settings, use_kernel_folder
+from boresight.cli.output import check_writable, json_option, write_json
+from boresight.library import functions as library
+from boresight.library.progress import progress
+from boresight.library.text import aligned
 
 FILE = click.Path(path_type=Path)
 
@@ -38,44 +37,13 @@ def assess(
     verdict is: judging is what was asked. Scripts read `verdict` and `blocking` from --json.
     """
     check_writable(json_file)
-    use_kernel_folder(read_settings())
     with progress("reading the calibration") as report:
-        document = _assess((calibration, sensor_file, against, telemetry, profile_file), report)
+        document = library.assess(
+            calibration, sensor_file, validate=telemetry, against=against, profile=profile_file, progress=report
+        ).to_dict()
     write_json(document, json_file)
     if json_file != "-":
         click.echo("\n".join(_lines(document)))
-
-
-def _assess(files: tuple[Path, Path, Path | None, Path | None, Path | None], report: Any) -> dict[str, Any]:
-    from boresight.console.runs.calibration_document import refuse_incomplete
-    from boresight.telemetry.sensors import read_sensor
-    from boresight.verdicts.gates import parse_profile
-    from boresight.verdicts.gates.assessment import as_set, assess, ground_set
-
-    calibration, sensor_file, against, telemetry, profile_file = files
-    sensor = read_sensor(sensor_file)
-    profile = parse_profile({} if profile_file is None else _read_object(profile_file, "a gate profile"))
-    result = _read_object(calibration, "a calibration JSON")
-    refuse_incomplete(result, calibration.name)
-    incumbent = ground_set(sensor) if against is None else as_set(_read_object(against, "parameters"), sensor)
-    frames = None
-    if telemetry is not None:
-        stars, _, catalogue = read_set(telemetry, sensor, report)
-        frames = stars, catalogue
-    report("measuring and judging")
-    return {**assess(result, sensor, incumbent, profile, frames), "sensor": sensor.name}
-
-
-def _read_object(path: Path, what: str) -> dict[str, Any]:
-    from boresight.telemetry.read.formats import read_json
-
-    try:
-        document = read_json(path, path.name)
-    except json.JSONDecodeError as error:
-        raise RefusedInputError(f"{path.name} is not JSON: give {what}, one JSON object.") from error
-    if not isinstance(document, dict):
-        raise RefusedInputError(f"{path.name} is not a JSON object: give {what}.")
-    return document
 
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
 from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
-from boresight.cli.output import aligned, check_writable, json_option, progress, write_json
+from boresight.cli.output import check_writable, json_option, write_json
 from boresight.errors import RefusedInputError
-from boresight.estimation.blocks import computing_on
-from boresight.settings import read_settings, use_kernel_folder
+from boresight.library.functions import calibrate as estimate
+from boresight.library.functions import parse_choices
+from boresight.library.progress import progress
+from boresight.library.text import summary_lines
 
 OTHERS = "Files and output"
 _TYPES = {"whole": int, "number": float}
@@ -73,14 +74,8 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def chosen(choices: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings document of what was given; the rest keeps its default."""
-    document = {name: value for name, value in choices.items() if value is not None}
-    if "free" in document:
-        document["free"] = [name.strip() for name in document["free"].split(",") if name.strip()]
-    if "singular_values" in document:
-        texts = [text.strip() for text in document["singular_values"].split(",")]
-        document["singular_values"] = [int(text) if text.isdecimal() else text for text in texts]
-    return document
+    """Return the choices that were given; the rest keeps its default."""
+    return {name: value for name, value in choices.items() if value is not None}
 
 
 #: Statuses under which the numbers are no calibration.
@@ -102,117 +97,20 @@ def calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, json_fi
     estimated, or a fit that diverged, writes its JSON and ends with exit code 1.
     """
     check_writable(json_file)
-    use_kernel_folder(read_settings())
-    settings = parse_settings(chosen(choices))
-    with progress("reading the telemetry") as report, computing_on(read_settings().computing_threads):
-        result = _calibrate(telemetry, sensor_file, validate, settings, report)
-    write_json(result, json_file)
-    if json_file != "-" and result["status"] != "too_few_stars":
-        click.echo("\n".join(_lines(result)))
-    if result["status"] in FAILED:
-        raise RefusedInputError(result["advice"][0])
+    settings = chosen(choices)
+    parse_settings(settings)
+    with progress("reading the telemetry") as report:
+        found = estimate(telemetry, sensor_file, validate=validate, progress=report, **settings)
+    write_json(found.to_dict(), json_file)
+    if json_file != "-" and found.status != "too_few_stars":
+        click.echo("\n".join(summary_lines(found)))
+    if found.status in FAILED:
+        raise RefusedInputError(found.advice[0])
 
 
 def parse_settings(document: dict[str, Any]) -> CalibrationSettings:
     """Read the choices; one that does not exist is wrong usage."""
     try:
-        return CalibrationSettings.parse(document)
+        return parse_choices(document)
     except RefusedInputError as error:
         raise click.UsageError(str(error)) from error
-
-
-def _calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, settings: Any, report: Any) -> dict[str, Any]:
-    from boresight.calibration import calibrate as estimator
-    from boresight.calibration.telemetry_pieces import TelemetryFile
-    from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.sensors import read_sensor
-
-    sensor = read_sensor(sensor_file)
-    limits = read_settings().telemetry_limits
-    stars = TelemetryFile(telemetry, limits=limits).opened()
-    validation = None if validate is None else TelemetryFile(validate, limits=limits).opened()
-    report("loading the star catalogue")
-    catalogue = load_catalogue(read_settings().catalogue_folder)
-    report("building arcs and loading the compiled loops")
-    files = {"telemetry": telemetry, "sensor": sensor_file} | ({"validation": validate} if validate else {})
-    found = estimator.calibrate(
-        stars,
-        sensor,
-        catalogue,
-        settings,
-        validation=validation,
-        sha256s={role: _sha256(path) for role, path in files.items()},
-        report=lambda step: report(step.message, step.fraction),
-        cache_folder=read_settings().catalogue_folder,
-    )
-    return found.to_dict()
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _lines(result: dict[str, Any]) -> Iterator[str]:
-    from boresight.figures.tables import HEADINGS, printed_rows
-
-    words = [result["method"], result["variant"], result["status"].replace("_", " ")]
-    left_out = "; ".join(f"{item['count']:,} {item['what']}: {item['reason']}" for item in result["left_out"])
-    counts = ", ".join(f"{result[key]:,} {key}" for key in ("frames", "exposures", "stars", "pairs"))
-    yield f"{result['sensor']}: {', '.join(word for word in words if word)}; {counts}"
-    if left_out:
-        yield f"left out: {left_out}"
-    yield ""
-    yield aligned([HEADINGS, *(row.cells for row in printed_rows(result))], left=(0, 1, 6))
-    yield ""
-    yield aligned(list(_scores(result)), left=(0, 1))
-    for sentence in result["advice"]:
-        yield f"\n- {sentence}"
-
-
-def _scores(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    yield "RMS arc error", _pair(result["rms_arc_rad"])
-    if (fit := result["chi2"]) is not None:
-        yield "chi2 per degree of freedom", _test(result["chi2_per_dof"], fit)
-    if (nis := result["nis"]) is not None and result["method"] != "batch":
-        yield "innovations (NIS)", _test(nis["mean"], nis)
-    if (seen := result["observability"]) is not None:
-        number = seen["condition_number"]
-        yield "condition number", "infinite" if number is None else f"{number:,.4g}"
-        yield "weakest direction", seen["weakest"]["sentence"]
-    if (matching := result["matching"]) is not None:
-        yield "matches", _matches(matching)
-    for name, scores in (("calibration set", result["evaluation"]), ("validation set", result["validation"])):
-        if scores is not None:
-            yield f"{name}, availability", _share(scores)
-            yield f"{name}, RMS", _pair(scores["rms_arc_rad"])
-    if (alignment := result["alignment"]) is not None:
-        yield "C_SD", alignment["sentence"]
-
-
-def _matches(matching: dict[str, Any]) -> str:
-    """Count what matching again did, and say whether it rests."""
-    counts = ", ".join(f"{matching[key]:,} {key}" for key in ("given", "kept", "removed", "added"))
-    cycles = len(matching["cycles"])
-    rest = "the matches rest" if matching["rested"] else "the matches do not rest yet"
-    return f"{counts}; {rest}" + (f" after {cycles} {'cycle' if cycles == 1 else 'cycles'}" if cycles else "")
-
-
-def _share(scores: dict[str, Any]) -> str:
-    """Availability before and after with its interval, by the flight code's tolerance."""
-    sides = []
-    for side in ("initial", "final"):
-        low, high = scores["intervals"]["availability"][side] or (None, None)
-        interval = "" if low is None or high is None else f" ({low:.1%} to {high:.1%})"
-        sides.append(f"{scores['availability'][side]:.1%}{interval}")
-    return f"{' -> '.join(sides)} of {scores['frames']:,} frames, arcs within {scores['flight_tolerance_rad'] * 1e6:.0f} µrad"
-
-
-def _pair(rms: dict[str, float | None]) -> str:
-    before, after = ("-" if value is None else f"{value * 1e6:.2f}" for value in (rms["initial"], rms["final"]))
-    return f"{before} -> {after} µrad"
-
-
-def _test(value: float, test: dict[str, Any]) -> str:
-    word = "consistent" if test["consistent"] else "NOT consistent"
-    return f"{value:.4g}, 95 % bounds {test['lower']:.4g} to {test['upper']:.4g}: {word}"

@@ -9,24 +9,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from boresight.cli.calibrate import chosen, parse_settings, setting_option
-from boresight.cli.output import (
-    STANDARD_OUTPUT,
-    aligned,
-    check_one_stream,
-    check_writable,
-    json_option,
-    progress,
-    write_json,
-)
+from boresight.cli.output import STANDARD_OUTPUT, check_one_stream, check_writable, json_option, write_json
 from boresight.errors import RefusedInputError
-from boresight.estimation.blocks import computing_on
-from boresight.settings import read_settings, use_kernel_folder
+from boresight.library import functions as library
+from boresight.library.progress import progress
+from boresight.library.text import aligned
 
 if TYPE_CHECKING:
     from boresight.calibration.calibration import Numbers
     from boresight.calibration.choice.result import Choice, TermTest
-    from boresight.calibration.options import CalibrationSettings
-    from boresight.telemetry.sensors import Sensor
 
 
 @click.command()
@@ -62,33 +53,16 @@ def choose(
         raise RefusedInputError(f"{out_file} is the sensor file that is read, and is kept: choose another name.")
     from boresight.telemetry.sensors import read_sensor, sensor_document
 
-    use_kernel_folder(read_settings())
-    settings = parse_settings(chosen(choices))
-    with progress("reading the telemetry") as report, computing_on(read_settings().computing_threads):
+    settings = chosen(choices)
+    parse_settings(settings)
+    with progress("reading the telemetry") as report:
         sensor = read_sensor(sensor_file)
-        found = _chosen(telemetry, sensor, validate, settings, report)
+        found = library.choose(telemetry, sensor, validate=validate, progress=report, **settings)
     write_json(found.to_dict(), json_file)
     if out_file is not None:
         write_json(sensor_document(found.describe_sensor(sensor)), out_file)
     if STANDARD_OUTPUT not in {json_file, out_file}:
         click.echo("\n".join(_lines(found)))
-
-
-def _chosen(
-    telemetry: Path, sensor: Sensor, validate: Path | None, settings: CalibrationSettings, report: Any
-) -> Choice:
-    from boresight.calibration.choice.choose import choose as find
-    from boresight.calibration.telemetry_pieces import TelemetryFile
-    from boresight.sky.catalogue import load_catalogue
-
-    limits = read_settings().telemetry_limits
-    stars = TelemetryFile(telemetry, limits=limits).opened()
-    validation = None if validate is None else TelemetryFile(validate, limits=limits).opened()
-    report("loading the star catalogue")
-    folder = read_settings().catalogue_folder
-    return find(
-        stars, sensor, load_catalogue(folder), settings, validation=validation, report=report, cache_folder=folder
-    )
 
 
 def _lines(found: Choice) -> Iterator[str]:

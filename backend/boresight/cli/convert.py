@@ -8,8 +8,9 @@ from typing import Any
 
 import click
 
-from boresight.cli.output import STANDARD_OUTPUT, aligned, check_one_stream, check_writable, json_option, write_json
+from boresight.cli.output import STANDARD_OUTPUT, check_one_stream, check_writable, json_option, write_json
 from boresight.errors import RefusedInputError
+from boresight.library.text import aligned
 
 
 @click.command()

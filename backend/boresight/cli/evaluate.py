@@ -12,18 +12,18 @@ from boresight.cli.calibrate import chosen, parse_settings, setting_option
 from boresight.cli.output import (
     FORMATS,
     STANDARD_OUTPUT,
-    aligned,
     check_one_stream,
     check_writable,
     json_option,
     opened_for_writing,
-    progress,
     tell,
     write_json,
 )
 from boresight.errors import RefusedInputError
-from boresight.estimation.blocks import computing_on
-from boresight.settings import read_settings, use_kernel_folder
+from boresight.library import functions as library
+from boresight.library.progress import progress
+from boresight.library.text import aligned
+from boresight.settings import read_settings
 
 
 @click.command()
@@ -50,9 +50,17 @@ def match(telemetry: Path, sensor_file: Path, parameters: Path | None, out: Path
     check_writable(choices["json_file"])
     check_one_stream(out, choices["json_file"])
     _check_out(telemetry, out)
-    use_kernel_folder(read_settings())
-    with progress("reading the telemetry") as report, computing_on(read_settings().computing_threads):
-        document = _match(telemetry, sensor_file, parameters, out, choices, report)
+    with progress("reading the telemetry") as report:
+        found = library.match(
+            telemetry,
+            sensor_file,
+            parameters=parameters,
+            leave_out_doubles=bool(choices["leave_out_doubles"]),
+            flight=choices["flight"],
+            progress=report,
+        )
+        _write_rows(telemetry, found.telemetry.star_id, out)
+    document = found.to_dict()
     write_json(document, choices["json_file"])
     if choices["json_file"] != STANDARD_OUTPUT:
         tell("\n".join(_match_lines(document)), out)
@@ -69,46 +77,13 @@ def _check_out(telemetry: Path, out: Path) -> None:
         raise RefusedInputError(f"{out} is the telemetry itself, which is never overwritten: choose another name.")
 
 
-def read_set(telemetry: Path, sensor: Any, report: Any) -> tuple[Any, Any, Any]:
-    """Read a set held against its detector, what of it lies off that, and the catalogue for its directions."""
-    from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.quality.detector import check_against_sensor
-    from boresight.telemetry.read.readers import read_telemetry
-
-    stars = read_telemetry(telemetry, limits=read_settings().telemetry_limits)
-    off = check_against_sensor(stars, sensor)
-    report("loading the star catalogue")
-    return stars, off, load_catalogue(read_settings().catalogue_folder)
-
-
-def _match(
-    telemetry: Path, sensor_file: Path, parameters: Path | None, out: Path, choices: dict[str, Any], report: Any
-) -> dict[str, Any]:
-    """Read the files, match, and write the rows again."""
-    from boresight.calibration.matching.match_report import match_report, matched_stars
-    from boresight.calibration.matching.matched_frames import apply_flight_check
-    from boresight.calibration.matching.rematch import ground_covariance, rematch
-    from boresight.calibration.options import CalibrationSettings
-    from boresight.calibration.parameter_file import read_parameters
+def _write_rows(telemetry: Path, star_id: Any, out: Path) -> None:
+    """Write the rows of a telemetry file again, every other column as it stands."""
     from boresight.telemetry.read.readers import read_table, write_with_stars
-    from boresight.telemetry.sensors import read_sensor
 
-    settings = CalibrationSettings(match="rematch", leave_out_doubles=bool(choices["leave_out_doubles"]))
-    sensor, folder = read_sensor(sensor_file), read_settings().catalogue_folder
-    x, P = (sensor.initial, None) if parameters is None else read_parameters(parameters, sensor)
-    stars, off, catalogue = read_set(telemetry, sensor, report)
-    report("matching the stars")
-    P = ground_covariance(sensor, settings.initial_sigma_scale) if P is None else P
-    matches = rematch(stars, sensor, catalogue, x, P, settings, folder)
-    seen = apply_flight_check(stars, sensor, matches, x, settings) if choices["flight"] else None
-    table, found = (
-        read_table(telemetry, telemetry.name, read_settings().telemetry_limits),
-        matched_stars(matches, seen)[0],
-    )
+    table = read_table(telemetry, telemetry.name, read_settings().telemetry_limits)
     with opened_for_writing(out) as stream:
-        write_with_stars(table, found, stream, out.suffix.lower())
-    document = match_report(stars, sensor, matches, seen)
-    return document | {"advice": document["advice"] + off.sentences(), "stars_off_detector": off.document()}
+        write_with_stars(table, star_id, stream, out.suffix.lower())
 
 
 def _match_lines(document: dict[str, Any]) -> Iterator[str]:
@@ -139,20 +114,9 @@ def _match_lines(document: dict[str, Any]) -> Iterator[str]:
 @json_option
 def check(telemetry: Path, sensor_file: Path, json_file: str | None) -> None:
     """Report on the quality of TELEMETRY: counts, gaps, coverage, magnitudes, matches."""
-    from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.quality.report import QualityParts
-    from boresight.telemetry.read.readers import read_chunks
-    from boresight.telemetry.sensors import read_sensor
-
     check_writable(json_file)
-    settings = read_settings()
     with progress("reading the telemetry") as report:
-        sensor = read_sensor(sensor_file)
-        found = QualityParts(sensor, load_catalogue(settings.catalogue_folder))
-        for part in read_chunks(telemetry, limits=settings.telemetry_limits):
-            found.add(part)
-            report(f"reading the telemetry, up to frame {part.frame[-1]}")
-        quality = found.report()
+        quality = library.check(telemetry, sensor_file, progress=report).to_dict()
     write_json(quality, json_file)
     if json_file != "-":
         click.echo(aligned(list(_rows(quality)), left=(0, 1)))
@@ -203,38 +167,26 @@ def evaluate(telemetry: Path, sensor_file: Path, json_file: str | None, *, shado
     its matches, agree with the catalogue in all their arcs.
     """
     check_writable(json_file)
-    use_kernel_folder(read_settings())
-    with progress("reading the telemetry") as report, computing_on(read_settings().computing_threads):
-        document = _evaluate(telemetry, sensor_file, choices, shadow, report)
+    with progress("reading the telemetry") as report:
+        document = library.evaluate(
+            telemetry,
+            sensor_file,
+            choices["parameters"],
+            against=choices["against"],
+            shadow=shadow,
+            progress=report,
+            **_parsed({key: choices[key] for key in ("match", "flight_tolerance_urad")}),
+        ).to_dict()
     write_json(document, json_file)
     if json_file != "-":
         click.echo("\n".join(_lines(document)))
 
 
-def _evaluate(telemetry: Path, sensor_file: Path, choices: dict[str, Any], shadow: bool, report: Any) -> dict[str, Any]:
-    import numpy as np
-
-    from boresight.calibration.calibration import to_plain
-    from boresight.calibration.evaluation import bootstrap
-    from boresight.calibration.evaluation.evaluate import evaluate_matched_frames, shadow_view
-    from boresight.calibration.matching.matched_frames import match_under_states
-    from boresight.calibration.parameter_file import read_parameters
-    from boresight.telemetry.sensors import read_sensor
-
-    settings = parse_settings(chosen({key: choices[key] for key in ("match", "flight_tolerance_urad")}))
-    folder = read_settings().catalogue_folder
-    sensor, against = read_sensor(sensor_file), choices["against"]
-    states = [
-        (sensor.initial, None) if against is None else read_parameters(against, sensor),
-        read_parameters(choices["parameters"], sensor),
-    ]
-    stars, off, catalogue = read_set(telemetry, sensor, report)
-    report("matching the stars under both parameter sets")
-    initial, final = match_under_states(stars, sensor, catalogue, states, settings, folder)
-    rng = np.random.default_rng(bootstrap.SEED)
-    document: dict[str, Any] = to_plain(evaluate_matched_frames(stars, sensor, initial, final, settings, rng))
-    document |= {"sensor": sensor.name, "stars_off_detector": off.document(), "advice": off.sentences()}
-    return document | ({"shadow": to_plain(shadow_view(stars, initial, final))} if shadow else {})
+def _parsed(choices: dict[str, Any]) -> dict[str, Any]:
+    """Return the choices that were given; one that does not exist is wrong usage."""
+    given = chosen(choices)
+    parse_settings(given)
+    return given
 
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:

@@ -1,10 +1,9 @@
-"""Output of the command line: results in columns or files, refusals, and progress on standard error."""
+"""Output of the command line: results in files or on standard output, and refusals."""
 
 from __future__ import annotations
 
 import sys
-import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -14,7 +13,6 @@ import orjson
 
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, RefusedInputError
-from boresight.waiting import telling
 
 json_option = click.option(
     "--json", "json_file", metavar="FILE", help="Write the machine-readable result to FILE; - is standard output."
@@ -121,17 +119,6 @@ def tell(text: str, place: str | Path) -> None:
     click.echo(text, err=str(place) == STANDARD_OUTPUT)
 
 
-def aligned(rows: Iterable[Sequence[str]], left: Iterable[int] = (0,)) -> str:
-    """Lay rows out in columns two spaces apart, numbers to the right, the columns of `left` to the left."""
-    table = [[str(cell) for cell in row] for row in rows]
-    widths = [max(len(cell) for cell in column) for column in zip(*table, strict=True)]
-    sides = [str.ljust if i in set(left) else str.rjust for i in range(len(widths))]
-    return "\n".join(
-        "  ".join(side(cell, width) for side, cell, width in zip(sides, row, widths, strict=True)).rstrip()
-        for row in table
-    )
-
-
 FAULTS_SHOWN = 10
 REFUSED, INTERRUPTED = 1, 130
 
@@ -175,75 +162,3 @@ def _print_refusal(error: BoresightError) -> None:
         click.echo(f"  {fault}", err=True)
     if len(faults) > FAULTS_SHOWN:
         click.echo(f"  and {len(faults) - FAULTS_SHOWN} more.", err=True)
-
-
-PATIENCE_S = 1.0
-
-
-class Progress:
-    """A bar or a line; call it with a message, and with a fraction where one is known."""
-
-    def __init__(self, message: str) -> None:
-        self._message = message
-        self._bar = _Bar(message) if sys.stderr.isatty() else None
-        self._timer = threading.Timer(PATIENCE_S, self._speak)
-        self._timer.daemon = True
-        self._timer.start()
-
-    def __call__(self, message: str, fraction: float | None = None) -> None:
-        """Say what is being done, and how much of it is done (0 to 1)."""
-        self._message = message
-        if self._bar is not None:
-            self._bar.update(message, fraction)
-
-    def _speak(self) -> None:
-        if self._bar is not None:
-            self._bar.start()
-        else:
-            click.echo(f"boresight: {self._message} ...", err=True)
-
-    def close(self) -> None:
-        """Take the bar away."""
-        self._timer.cancel()
-        if self._bar is not None:
-            self._bar.stop()
-
-
-class _Bar:
-    """The bar itself; loads its library only in a terminal."""
-
-    def __init__(self, message: str) -> None:
-        from rich import progress as rich
-        from rich.console import Console
-
-        columns = (
-            rich.SpinnerColumn(),
-            rich.TextColumn("{task.description}", markup=False),
-            rich.BarColumn(),
-            rich.TaskProgressColumn(),
-            rich.TimeElapsedColumn(),
-        )
-        self._progress = rich.Progress(*columns, console=Console(stderr=True), transient=True)
-        self._task = self._progress.add_task(message, total=None)
-
-    def start(self) -> None:
-        self._progress.start()
-
-    def update(self, message: str, fraction: float | None) -> None:
-        self._progress.update(self._task, description=message, completed=fraction or 0.0)
-        if fraction is not None:
-            self._progress.update(self._task, total=1.0)
-
-    def stop(self) -> None:
-        self._progress.stop()
-
-
-@contextmanager
-def progress(message: str) -> Iterator[Progress]:
-    """Show progress while the block runs."""
-    shown = Progress(message)
-    try:
-        with telling(shown):
-            yield shown
-    finally:
-        shown.close()

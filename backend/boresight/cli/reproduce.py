@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
-import orjson
 
-from boresight.cli.output import aligned, progress, refuse_standard_output, write_json
+from boresight.cli.output import refuse_standard_output
 from boresight.errors import RefusedInputError
+from boresight.library import functions as library
+from boresight.library.progress import progress
+from boresight.library.text import aligned
 from boresight.settings import read_settings, use_kernel_folder
-
-BUILT_IN = tuple(f"st16-{number}" for number in range(1, 7))
-VALIDATION_DELAY_H = 6
 
 
 @click.command()
@@ -32,79 +30,15 @@ def simulate(scenario: str, folder: Path, frames: int | None, seed: int | None, 
     Writes sensor.json, the calibration and the validation set, scenario.json and truth.json.
     """
     refuse_standard_output(folder, "A folder of files")
-    with progress("loading the star catalogue") as report:
-        calibration, validation = _scenarios(scenario, frames, seed)
-        rows = _write(folder, {"calibration": calibration, "validation": validation}, suffix, report)
+    with progress("simulating") as report:
+        made = library.simulate(scenario, frames=frames, seed=seed, progress=report)
+        made.save(folder, "parquet" if suffix == "parquet" else "csv")
+    sets = {"calibration": made.telemetry, "validation": made.validation}
+    rows = [
+        (str(folder / f"{purpose}.{suffix}"), f"{len(set(one.frame.tolist())):,}", f"{len(one):,}")
+        for purpose, one in sets.items()
+    ]
     click.echo(aligned([("file", "frames", "stars"), *rows]))
-
-
-def _scenarios(name: str, frames: int | None, seed: int | None) -> tuple[Any, Any]:
-    """Read the calibration scenario and the validation scenario that goes with it."""
-    from boresight.simulation.scenes import calibration_scenario, parse_scenario, validation_scenario
-
-    if name in BUILT_IN:
-        number = BUILT_IN.index(name) + 1
-        pair = calibration_scenario(number), validation_scenario(number)
-    else:
-        calibration = parse_scenario(_read(Path(name)))
-        pair = calibration, _later(calibration)
-    if frames is not None:
-        pair = replace(pair[0], frames=frames), pair[1]
-    if seed is not None:
-        pair = replace(pair[0], seed=seed), replace(pair[1], seed=seed + 1)
-    return pair
-
-
-def _later(calibration: Any) -> Any:
-    """Repeat a scenario hours later with other noise, for a set that took no part in the calibration."""
-    import numpy as np
-
-    start = calibration.orbit.start_utc + np.timedelta64(VALIDATION_DELAY_H, "h")
-    return replace(calibration, orbit=replace(calibration.orbit, start_utc=start), seed=calibration.seed + 1)
-
-
-def _read(path: Path) -> Any:
-    try:
-        return orjson.loads(path.read_bytes())
-    except FileNotFoundError as error:
-        raise RefusedInputError(f"{path} is neither a file nor a built-in scenario ({', '.join(BUILT_IN)}).") from error
-    except orjson.JSONDecodeError as error:
-        raise RefusedInputError(f"{path} is no JSON: {error}.") from error
-    except OSError as error:
-        raise RefusedInputError(f"{path} cannot be read: {error.strerror}.") from error
-
-
-def _write(folder: Path, scenarios: dict[str, Any], suffix: str, report: Any) -> list[tuple[str, str, str]]:
-    """Simulate and write every file; return a row a telemetry file."""
-    import numpy as np
-
-    from boresight.simulation.scenes import scenario_document, simulate
-    from boresight.sky.catalogue import load_catalogue
-    from boresight.telemetry.read.readers import write_csv, write_parquet
-
-    catalogue = load_catalogue(read_settings().catalogue_folder)
-    _make(folder)
-    rows = []
-    for purpose, scenario in scenarios.items():
-        report(f"simulating the {purpose} set, {scenario.frames:,} frames")
-        telemetry = simulate(scenario, np.random.default_rng(scenario.seed), catalogue)
-        path = folder / f"{purpose}.{suffix}"
-        (write_csv if suffix == "csv" else write_parquet)(telemetry, path)
-        rows.append((str(path), f"{len(np.unique(telemetry.frame)):,}", f"{len(telemetry):,}"))
-    document = scenario_document(scenarios["calibration"])
-    write_json(document["sensor"], str(folder / "sensor.json"))
-    write_json(document["truth"], str(folder / "truth.json"))
-    write_json(document, str(folder / "scenario.json"))
-    return rows
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RefusedInputError(
-            f"The folder {folder} cannot be made: {error.strerror}; choose another place."
-        ) from error
 
 
 Report = Callable[[str, float], None]

@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from boresight.cli.output import REFUSED, aligned, check_writable, tell, write_bytes
+from boresight.cli.output import REFUSED, check_writable, tell, write_bytes
+from boresight.library.text import aligned
 from boresight.settings import read_settings
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import click
 
-from boresight.cli.output import progress
 from boresight.cli.serve import data_option, read_serve_settings
 from boresight.errors import RefusedInputError
+from boresight.library.progress import progress
 from boresight.settings import Settings, private_files, read_settings, use_kernel_folder
 
 GB = 1_000_000_000

@@ -1,0 +1,198 @@
+"""What the library takes for telemetry, sensors and parameters: files, tables, arrays and what the library itself returned.
+
+A table in memory is read by the same checks as a file. Its rows are counted from 0, as `iloc` and array indices count them.
+Telemetry tables come through the Arrow PyCapsule interface (pandas from 2.2, Polars, PyArrow, DuckDB), or through the older data
+frame interchange protocol where an object has only that: pandas deprecates it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from boresight.calibration.calibration import Calibration, make_refusal, parse_calibration
+from boresight.calibration.parameter_file import parse_parameters, read_document
+from boresight.calibration.telemetry_pieces import TelemetryFile
+from boresight.errors import RefusedInputError
+from boresight.telemetry.read.formats import FormFaults, Tables
+from boresight.telemetry.read.limits import Limits
+from boresight.telemetry.read.readers import iterate_chunks
+from boresight.telemetry.schema import REQUIRED_COLUMNS, Telemetry, joined
+from boresight.telemetry.sensors import Sensor, parse_sensor, read_sensor
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from boresight.arrays import FloatArray
+
+#: Rows of tables in memory are counted as their indices are.
+FIRST_ROW = 0
+#: What pandas calls an index without a name when it hands a frame on.
+UNNAMED_INDEX = "__index_level_0__"
+
+
+@runtime_checkable
+class ArrowTable(Protocol):
+    """A table that hands its columns on by the Arrow PyCapsule interface."""
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
+        """Return an Arrow C stream of record batches."""
+
+
+@runtime_checkable
+class InterchangeFrame(Protocol):
+    """A table that hands its columns on by the data frame interchange protocol."""
+
+    def __dataframe__(self, nan_as_null: bool = False, allow_copy: bool = True) -> object:
+        """Return the interchange object."""
+
+
+#: A file; a table; a structured array, or arrays (n_rows,) by column name; or a telemetry set of the library.
+TelemetrySource = (
+    str
+    | os.PathLike[str]
+    | Telemetry
+    | ArrowTable
+    | InterchangeFrame
+    | Mapping[str, "ArrayLike"]
+    | np.ndarray[Any, Any]
+)
+#: A sensor file, what such a file says, or a sensor of the library.
+SensorSource = str | os.PathLike[str] | Mapping[str, Any] | Sensor
+#: A calibration, its JSON, or an object of parameter names and values, as file or in memory.
+ParameterSource = str | os.PathLike[str] | Mapping[str, Any] | Calibration
+
+
+def open_telemetry(source: TelemetrySource, limits: Limits) -> Telemetry | TelemetryFile:
+    """Read telemetry; a large file is left to whoever takes it piece by piece."""
+    if isinstance(source, str | os.PathLike):
+        return TelemetryFile(Path(source), limits=limits).opened()
+    return read_in_memory(source, limits)
+
+
+def read_in_memory(source: TelemetrySource, limits: Limits) -> Telemetry:
+    """Read telemetry that is no file."""
+    if isinstance(source, Telemetry):
+        return source
+    name, table = _open_table(source)
+    columns = tuple(table.column_names)
+    tables = Tables(columns, FIRST_ROW, lambda: iter([table]), FormFaults(name))
+    return joined(list(iterate_chunks(tables, name, max(table.num_rows, 1), limits)))
+
+
+def iterate_telemetry(
+    source: TelemetrySource, limits: Limits, read_chunks: Callable[..., Iterator[Telemetry]]
+) -> Iterator[Telemetry]:
+    """Read telemetry in parts of whole frames."""
+    if isinstance(source, str | os.PathLike):
+        return read_chunks(Path(source), limits=limits)
+    return iter([read_in_memory(source, limits)])
+
+
+def _open_table(source: Any) -> tuple[str, pa.Table]:
+    """Return what refusals call a source, and its columns."""
+    if isinstance(source, np.ndarray) and source.dtype.names:
+        return "The structured array", _join_arrays({name: source[name] for name in source.dtype.names})
+    if isinstance(source, Mapping):
+        return "The telemetry", _join_arrays(source)
+    if isinstance(source, ArrowTable):
+        name, table = f"The {type(source).__name__}", pa.table(source)
+    elif isinstance(source, InterchangeFrame):
+        from pyarrow.interchange import from_dataframe
+
+        name, table = f"The {type(source).__name__}", from_dataframe(source)
+    else:
+        raise RefusedInputError(
+            f"Telemetry cannot be read from {type(source).__name__}: give a path, a DataFrame, a mapping of columns to arrays, or "
+            "telemetry of this library."
+        )
+    columns = {column: _make_plain(table[column]) for column in table.column_names if column != UNNAMED_INDEX}
+    return name, pa.table(columns)
+
+
+def _join_arrays(arrays: Mapping[str, ArrayLike]) -> pa.Table:
+    """Make a table of arrays by column name."""
+    columns: dict[str, pa.ChunkedArray] = {}
+    rows: int | None = None
+    for name, values in arrays.items():
+        array = np.ma.filled(values, np.nan) if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
+        rows = array.size if rows is None else rows
+        if array.shape != (rows,):
+            raise RefusedInputError(
+                f"The telemetry: column {name} has the shape {array.shape}, expected ({rows},): give one number a star."
+            )
+        if array.dtype.kind == "M":
+            array = array.astype("datetime64[us]")
+        try:
+            columns[str(name)] = _make_plain(pa.chunked_array([pa.array(array, from_pandas=True)]))
+        except (pa.ArrowInvalid, pa.ArrowTypeError, pa.ArrowNotImplementedError) as error:
+            raise RefusedInputError(
+                f"The telemetry: column {name} holds {array.dtype}: give numbers or texts."
+            ) from error
+    if not columns:
+        raise RefusedInputError(f"The telemetry has no columns: give at least {', '.join(REQUIRED_COLUMNS)}.")
+    return pa.table(columns)
+
+
+def _make_plain(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Return a column as a file would hold it: no dictionaries, no views, and nothing where there is no number."""
+    if pa.types.is_dictionary(column.type):
+        kind = _plain_type(column.type.value_type)
+        chunks = [chunk.dictionary.cast(kind).take(chunk.indices) for chunk in column.chunks]
+        column = pa.chunked_array(chunks, kind)
+    column = column.cast(_plain_type(column.type))
+    if pa.types.is_floating(column.type):
+        column = pc.if_else(pc.is_nan(column), None, column)
+    return column
+
+
+def _plain_type(kind: pa.DataType) -> pa.DataType:
+    if pa.types.is_string_view(kind):
+        return pa.large_string()
+    return pa.float32() if pa.types.is_float16(kind) else kind
+
+
+def read_any_sensor(source: SensorSource) -> Sensor:
+    """Read a sensor."""
+    if isinstance(source, Sensor):
+        return source
+    if isinstance(source, Mapping):
+        return parse_sensor(source)
+    return read_sensor(Path(source))
+
+
+def read_any_parameters(source: ParameterSource, sensor: Sensor) -> tuple[FloatArray, FloatArray | None]:
+    """Read parameters and, where there is one, their covariance, as `parameter_file.read_parameters` does."""
+    return parse_parameters(read_parameter_document(source), sensor, _describe(source))
+
+
+def read_parameter_document(source: ParameterSource) -> Mapping[str, Any]:
+    """Return the document of parameters."""
+    if isinstance(source, Calibration):
+        return source.to_dict()
+    if isinstance(source, Mapping):
+        return source
+    return read_document(Path(source))
+
+
+def read_any_calibration(source: ParameterSource) -> Calibration:
+    """Read a whole calibration."""
+    if isinstance(source, Calibration):
+        return source
+    document, name = read_parameter_document(source), _describe(source)
+    if "schema" not in document:
+        raise make_refusal(name, "schema: missing")
+    return parse_calibration(document, name)
+
+
+def _describe(source: ParameterSource) -> str:
+    """Say what refusals call a source of parameters."""
+    if isinstance(source, Calibration):
+        return "The calibration"
+    return "The parameters" if isinstance(source, Mapping) else Path(source).name

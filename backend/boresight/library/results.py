@@ -1,0 +1,283 @@
+"""What the library returns: the typed calibration with what a person does with it, and the other answers as values.
+
+`boresight.calibration.calibration` has the tree of numbers and draws nothing. Here it gets a face: words, tables, drawings.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from boresight.calibration import calibration as tree
+from boresight.calibration.calibration import ShadowOfSet, StarsOffDetector, Values, to_plain
+from boresight.errors import RefusedInputError
+from boresight.library.text import summary_lines
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+    import pyarrow as pa
+
+    from boresight.telemetry.schema import Telemetry
+    from boresight.telemetry.sensors import Sensor
+
+#: What makes a table of numbers by column.
+FrameKind = Literal["pandas", "polars", "pyarrow"]
+
+
+def make_frame(columns: Mapping[str, Any] | pa.Table, kind: FrameKind | None) -> Any:
+    """Make a DataFrame of columns with a library of the caller's; of those installed the first, where none is asked for."""
+    import pyarrow as pa
+
+    kinds = get_args(FrameKind)
+    if kind is None:
+        kind = next(one for one in kinds if find_spec(one) is not None)
+    elif kind not in kinds:
+        raise RefusedInputError(f"There is no frame {kind!r}: choose from {', '.join(kinds)}.")
+    table = pa.table(columns)
+    if kind == "pyarrow":
+        return table
+    try:
+        library = import_module(str(kind))
+    except ImportError as error:
+        raise RefusedInputError(
+            f"{kind} is not installed here: pip install {kind}, or ask for to_frame('pyarrow'), which is."
+        ) from error
+    return table.to_pandas() if kind == "pandas" else library.DataFrame(table)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Calibration(tree.Calibration):
+    """A calibration: every number of its JSON as a typed member, and what it looks like.
+
+    `parameters`, `sigma`: by name, SI, as `parameters.f_m`. `covariance`: `names` and `matrix`; `numpy.asarray` makes an array.
+    `advice`: sentences. `status`: `converged`, or why not.
+    """
+
+    @classmethod
+    def of(cls, found: tree.Calibration) -> Calibration:
+        """Give a calibration its face."""
+        return (
+            found if isinstance(found, cls) else cls(**{item.name: getattr(found, item.name) for item in fields(found)})
+        )
+
+    def __repr__(self) -> str:
+        return "\n".join(summary_lines(self))
+
+    def _repr_html_(self) -> str:
+        """Show it in a notebook."""
+        from boresight.library.page import page_html
+
+        return page_html(self)
+
+    @property
+    def figures(self) -> tuple[str, ...]:
+        """The names of all figures."""
+        from boresight.figures import FIGURES
+
+        return tuple(FIGURES)
+
+    def draw(self, name: str, *, theme: str = "light") -> go.Figure:
+        """Draw a figure; `figures` lists the names. `theme`: light, dark or contrast."""
+        from boresight.figures.notebook import draw
+
+        return draw(self.to_dict(), name, theme=theme)
+
+    def table(self, name: str) -> dict[str, list[Any]]:
+        """Return the numbers behind a figure as columns of one length, complete and in SI."""
+        from boresight.figures.notebook import table
+
+        return table(self.to_dict(), name)
+
+    def to_frame(self, kind: FrameKind | None = None) -> Any:
+        """Return the parameters as a DataFrame, a row a parameter, SI.
+
+        `kind`: pandas, polars or pyarrow; left out, the first of them that is installed.
+        """
+        names = list(self.parameters)
+        initial, final = ([values.get(name) for name in names] for values in (self.initial, self.parameters))
+        columns = {
+            "parameter": names,
+            "unit": [self.units.get(name, "") for name in names],
+            "initial": initial,
+            "final": final,
+            "change": [None if a is None or b is None else b - a for a, b in zip(initial, final, strict=True)],
+            "sigma": [self.sigma.get(name) for name in names],
+            "change_over_sigma": [self.delta_over_sigma.get(name) for name in names],
+            "typical_sigma": [self.typical_sigma.get(name) for name in names],
+            "free": [name in self.free for name in names],
+        }
+        return make_frame(columns, kind)
+
+    def report(self, path: str | Path) -> None:
+        """Write the report, one HTML file that stands alone."""
+        from boresight.figures.report import render_report
+
+        Path(path).write_text(render_report(self.to_dict()), encoding="utf-8")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation(tree.Evaluation):
+    """Two parameter sets on the same telemetry: `availability`, `rms_arc_rad` with `initial` and `final`, and their intervals.
+
+    `shadow`: the frames on which they differ; None where it was not asked for.
+    """
+
+    sensor: str = ""
+    stars_off_detector: StarsOffDetector = field(default_factory=StarsOffDetector)
+    advice: list[str] = field(default_factory=list)
+    shadow: ShadowOfSet | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the evaluation JSON as plain lists, numbers and None."""
+        document: dict[str, Any] = to_plain(self)
+        if self.shadow is None:
+            del document["shadow"]
+        return document
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One fact about telemetry: `code`, `severity`, a sentence, how often, and the first rows."""
+
+    code: str
+    severity: str
+    sentence: str
+    count: int
+    rows: list[int] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quality:
+    """What telemetry is worth: counts, and findings, the worst first."""
+
+    verdict: str
+    findings: list[Finding]
+    frames: int
+    exposures: int
+    stars: int
+    matched: int
+    usable: int
+    usable_exposures: int
+    usable_frames: int
+    document: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the whole report, `boresight.quality/1`, as plain lists, numbers and None."""
+        return self.document
+
+
+@dataclass(frozen=True, kw_only=True)
+class Matches:
+    """Telemetry with its stars matched again, how many of the given identities stood, and why others did not."""
+
+    telemetry: Telemetry = field(repr=False)
+    given: int
+    kept: int
+    changed: int
+    added: int
+    removed: int
+    matched: int
+    frames: int
+    valid_frames: int
+    advice: list[str]
+    document: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the whole report, `boresight.matching/1`, every exposure with its attitude, as plain lists, numbers and None."""
+        return self.document
+
+    def to_frame(self, kind: FrameKind | None = None) -> Any:
+        """Return the rows of the telemetry with `star_id` as matched."""
+        return telemetry_frame(self.telemetry, kind)
+
+    def save(self, path: str | Path) -> None:
+        """Write the rows with `star_id` as matched, as CSV or Parquet by the name's ending."""
+        save_telemetry(self.telemetry, Path(path))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulation:
+    """Telemetry whose truth is known: a calibration set, and a validation set of another part of the sky."""
+
+    sensor: Sensor
+    telemetry: Telemetry = field(repr=False)
+    validation: Telemetry = field(repr=False)
+    truth: Values
+    scenario: dict[str, Any] = field(repr=False)
+
+    def to_frame(self, kind: FrameKind | None = None) -> Any:
+        """Return the rows of the calibration set."""
+        return telemetry_frame(self.telemetry, kind)
+
+    def save(self, folder: str | Path, suffix: Literal["csv", "parquet"] = "csv") -> None:
+        """Write both sets, sensor.json, truth.json and scenario.json into a folder, which is made."""
+        place = Path(folder)
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RefusedInputError(
+                f"The folder {place} cannot be made: {error.strerror}; choose another place."
+            ) from error
+        save_telemetry(self.telemetry, place / f"calibration.{suffix}")
+        save_telemetry(self.validation, place / f"validation.{suffix}")
+        documents = {"sensor": self.scenario["sensor"], "truth": self.scenario["truth"], "scenario": self.scenario}
+        for name, document in documents.items():
+            text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+            (place / f"{name}.json").write_text(f"{text}\n", encoding="utf-8")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GateAnswer:
+    """One gate's answer: PASS, MARGINAL, NO-DATA or FAIL, what was measured, its limit, and a sentence."""
+
+    name: str
+    title: str
+    status: str
+    value: float | None
+    limit: float | None
+    unit: str
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assessment:
+    """A calibration held against gates: the worst answer, in words, what would block it, and every gate."""
+
+    sensor: str
+    verdict: str
+    words: str
+    blocking: list[str]
+    gates: list[GateAnswer]
+    document: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the whole report as plain lists, numbers and None."""
+        return self.document
+
+
+def parse_report(kind: type[Any], document: Mapping[str, Any], **others: Any) -> Any:
+    """Read a report of our own as one of the dataclasses here; what has no member stays in `document`."""
+    names = {item.name for item in fields(kind)}
+    return kind(**{name: value for name, value in document.items() if name in names}, **others, document=dict(document))
+
+
+def telemetry_frame(telemetry: Telemetry, kind: FrameKind | None) -> Any:
+    """Return telemetry as a DataFrame of the columns of the telemetry format."""
+    from boresight.telemetry.read.readers import contract_table
+
+    return make_frame(contract_table(telemetry), kind)
+
+
+def save_telemetry(telemetry: Telemetry, path: Path) -> None:
+    """Write telemetry by the ending of a file's name."""
+    from boresight.telemetry.read.readers import write_csv, write_parquet
+
+    writers = {".csv": write_csv, ".parquet": write_parquet}
+    if path.suffix.lower() not in writers:
+        raise RefusedInputError(f"{path.name} says no format: end the name with .csv or .parquet.")
+    writers[path.suffix.lower()](telemetry, path)

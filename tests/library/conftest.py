@@ -1,0 +1,32 @@
+"""The library over a data folder of its own, and a small simulated set."""
+
+import pytest
+
+import boresight as bs
+
+FRAMES = 30
+
+
+@pytest.fixture(scope="session")
+def data_folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("data")
+
+
+@pytest.fixture(autouse=True)
+def _environment(data_folder, monkeypatch):
+    monkeypatch.setenv("BORESIGHT_DATA_FOLDER", str(data_folder))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # the compiled loops stay where they are
+
+
+@pytest.fixture(scope="session")
+def simulated(data_folder):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("BORESIGHT_DATA_FOLDER", str(data_folder))
+        return bs.simulate("st16-1", frames=FRAMES, progress=False)
+
+
+@pytest.fixture(scope="session")
+def cal(simulated, data_folder):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("BORESIGHT_DATA_FOLDER", str(data_folder))
+        return bs.calibrate(simulated.telemetry, sensor=simulated.sensor, validate=simulated.validation, progress=False)

@@ -1,0 +1,163 @@
+"""Each function of the library does what its command does, on what is in memory, and answers with values."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+
+import boresight as bs
+from boresight.calibration.options import OPTIONS
+from boresight.figures import FIGURES
+
+
+def test_a_calibration_is_near_the_truth(cal, simulated):
+    assert cal.status == "converged"
+    for name in cal.free:
+        assert abs(cal.parameters[name] - simulated.truth[name]) < 5 * cal.sigma[name]
+    assert np.sqrt(np.diag(np.asarray(cal.covariance))) == pytest.approx(
+        [cal.sigma[name] for name in cal.covariance.names]
+    )
+
+
+def test_names_complete_and_a_wrong_one_is_named(cal):
+    assert cal.parameters.f_m == cal.parameters["f_m"]
+    assert "f_m" in dir(cal.parameters)
+    with pytest.raises(AttributeError, match="f_mm"):
+        _ = cal.parameters.f_mm
+
+
+def test_a_terminal_shows_every_parameter_and_all_advice(cal):
+    text = repr(cal)
+    for word in ("converged", "sigma", "verdict", "m0", "g_y", *cal.advice):
+        assert word in text
+
+
+def test_a_notebook_shows_a_table_and_drawings_without_script_and_network(cal):
+    page = cal._repr_html_()
+    assert page.count("<tr>") == 1 + len(cal.parameters)
+    assert page.count("<svg") == 2
+    assert "<script" not in page
+    assert "http" not in page
+
+
+def test_every_figure_draws_and_its_name_is_listed(cal):
+    assert cal.figures == tuple(FIGURES)
+    assert isinstance(cal.draw("convergence"), go.Figure)
+    assert len(cal.table("convergence")) > 1
+    with pytest.raises(bs.RefusedInputError, match="convergence"):
+        cal.draw("divergence")
+
+
+@pytest.mark.parametrize("kind", ["pandas", "polars", "pyarrow"])
+def test_parameters_as_a_frame(kind, cal):
+    pytest.importorskip(kind)
+    frame = cal.to_frame(kind)
+    assert type(frame).__module__.startswith(kind)
+    assert [str(name) for name in frame["parameter"]] == list(cal.parameters)
+
+
+def test_what_is_saved_is_loaded_as_it_was(cal, tmp_path):
+    cal.save(tmp_path / "cal.json")
+    assert bs.load(tmp_path / "cal.json") == cal
+    assert bs.load(json.loads(cal.to_json())) == cal
+    cal.report(tmp_path / "cal.html")
+    assert "</html>" in (tmp_path / "cal.html").read_text()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"free": "f_m,b2_per_m2"}, {"free": ["f_m", "b2_per_m2"]}, {"free": ("f_m", "b2_per_m2"), "method": "sqrf"}],
+    ids=["text", "list", "filter"],
+)
+def test_settings_are_those_of_the_command(settings, simulated):
+    found = bs.calibrate(simulated.telemetry, simulated.sensor, progress=False, **settings)
+    assert found.free == ["f_m", "b2_per_m2"]
+    assert found.method == settings.get("method", "batch")
+    assert set(found.inputs.settings) == set(OPTIONS)
+
+
+@pytest.mark.parametrize("settings", [{"method": "guess"}, {"free": "f"}, {"metod": "batch"}, {"max_iterations": 0}])
+def test_a_setting_that_does_not_exist_is_refused_in_one_sentence(settings, simulated):
+    with pytest.raises(bs.RefusedInputError) as refused:
+        bs.calibrate(simulated.telemetry, simulated.sensor, **settings)
+    assert "\n" not in str(refused.value)
+
+
+def test_help_shows_every_setting():
+    assert all(
+        f"{name}=" in str(bs.calibrate.__signature__) and f"\n{name}\n" in bs.calibrate.__doc__ for name in OPTIONS
+    )
+
+
+def test_progress_is_told_to_a_function(simulated):
+    told = []
+    bs.calibrate(simulated.telemetry, simulated.sensor, progress=lambda message, _: told.append(message))
+    assert "loading the star catalogue" in told
+
+
+def test_files_are_named_by_their_bytes_and_tables_are_not(simulated, cal, tmp_path):
+    simulated.save(tmp_path)
+    found = bs.calibrate(tmp_path / "calibration.csv", tmp_path / "sensor.json", progress=False)
+    assert set(found.inputs.sha256s) == {"telemetry", "sensor"}
+    assert cal.inputs.sha256s == {}
+
+
+def test_check_finds_what_is_there(simulated):
+    quality = bs.check(simulated.telemetry, simulated.sensor)
+    assert (quality.frames, quality.stars) == (30, len(simulated.telemetry))
+    assert quality.verdict == quality.to_dict()["verdict"]
+    assert all(finding.sentence for finding in quality.findings)
+
+
+def test_match_names_the_stars_whose_names_are_missing(simulated, cal, tmp_path):
+    found = bs.match(simulated.telemetry, simulated.sensor, parameters=cal)
+    assert found.added > 0
+    assert int(np.count_nonzero(found.telemetry.star_id)) == found.matched
+    found.save(tmp_path / "matched.csv")
+    assert len(bs.read_telemetry(tmp_path / "matched.csv")) == len(found.to_frame())
+
+
+def test_evaluate_compares_with_the_sensor_or_with_what_is_given(simulated, cal):
+    found = bs.evaluate(simulated.validation, simulated.sensor, cal, shadow=True)
+    assert found.rms_arc_rad.final < found.rms_arc_rad.initial
+    assert found.shadow.frames_in_set == found.frames
+    assert found.to_dict()["rms_arc_rad"]["final"] == found.rms_arc_rad.final
+    same = bs.evaluate(simulated.validation, simulated.sensor, cal, against=cal.parameters)
+    assert same.rms_arc_rad.final == same.rms_arc_rad.initial
+    assert same.shadow is None
+
+
+def test_assess_answers_every_gate(simulated, cal):
+    found = bs.assess(cal, simulated.sensor)
+    assert found.verdict in {"PASS", "MARGINAL", "NO-DATA", "FAIL"}
+    assert {gate.name: gate.status for gate in found.gates} == {
+        one["name"]: one["status"] for one in found.to_dict()["gates"]
+    }
+    assert bs.assess(cal.to_dict(), simulated.sensor, validate=simulated.validation).sensor == simulated.sensor.name
+
+
+def test_choose_names_a_camera(simulated):
+    found = bs.choose(simulated.telemetry, simulated.sensor, validate=simulated.validation)
+    assert found.sentence
+    assert found.chosen.camera_model
+
+
+def test_a_simulation_repeats_by_its_seed(simulated):
+    again = bs.simulate("st16-1", frames=30)
+    assert np.array_equal(again.telemetry.row_px, simulated.telemetry.row_px)
+    other = bs.simulate({"sensor": 1, "frames": 5}, seed=7)
+    assert len(np.unique(other.telemetry.frame)) == 5
+
+
+def test_kernels_are_in_one_folder_also_for_who_has_loaded_numba_before(tmp_path):
+    code = (
+        "import numba, boresight as bs\nfrom boresight.library.functions import use_kernels\nuse_kernels()\n"
+        "print(numba.config.CACHE_DIR)\nimport boresight.kernels.compilation\nprint(numba.config.CACHE_DIR)"
+    )
+    environment = {"BORESIGHT_DATA_FOLDER": str(tmp_path), "PATH": "", "PYTHONPATH": ":".join(sys.path)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    told, used = done.stdout.split()
+    assert used.startswith(told)
