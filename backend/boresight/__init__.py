@@ -92,7 +92,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from boresight.calibration.choice.result import Choice
-    from boresight.errors import BoresightError, CancelledError, Fault, RefusedInputError
+    from boresight.errors import (
+        BoresightError,
+        CancelledError,
+        ConflictError,
+        Fault,
+        ForbiddenError,
+        NotFoundError,
+        RefusedInputError,
+        RunFailedError,
+        StaleError,
+        UnauthenticatedError,
+        UnavailableError,
+    )
+    from boresight.library.client import AsyncClient, Client
     from boresight.library.functions import (
         assess,
         calibrate,
@@ -129,24 +142,46 @@ _PLACES = {
     "boresight.calibration.choice.result": ("Choice",),
     "boresight.telemetry.schema": ("Telemetry",),
     "boresight.telemetry.sensors": ("Sensor",),
-    "boresight.errors": ("BoresightError", "CancelledError", "Fault", "RefusedInputError"),
+    "boresight.library.client": ("AsyncClient", "Client"),
+    "boresight.errors": (
+        "BoresightError",
+        "CancelledError",
+        "ConflictError",
+        "Fault",
+        "ForbiddenError",
+        "NotFoundError",
+        "RefusedInputError",
+        "RunFailedError",
+        "StaleError",
+        "UnauthenticatedError",
+        "UnavailableError",
+    ),
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 
 __all__ = [
     "Assessment",
+    "AsyncClient",
     "BoresightError",
     "Calibration",
     "CancelledError",
     "Choice",
+    "Client",
+    "ConflictError",
     "Evaluation",
     "Fault",
+    "ForbiddenError",
     "Matches",
+    "NotFoundError",
     "Quality",
     "RefusedInputError",
+    "RunFailedError",
     "Sensor",
     "Simulation",
+    "StaleError",
     "Telemetry",
+    "UnauthenticatedError",
+    "UnavailableError",
     "assess",
     "calibrate",
     "check",

@@ -3,6 +3,9 @@
 import pytest
 
 import boresight as bs
+from tests.served import house
+
+__all__ = ["house"]
 
 FRAMES = 30
 

@@ -1,0 +1,428 @@
+"""A server asked from Python, with and without `async`: `boresight.Client` and `boresight.AsyncClient`.
+
+A request that found no answer, or "not now", is sent again, with pauses; a POST carries an `Idempotency-Key`, so that it has one
+effect however often it is sent. What a server refuses is raised as the exception that the library would raise, with the server's
+sentence. Keys read and launch, but do not sign: an approval is a person's, with their password, on the pages.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Literal, Self
+from urllib.parse import urlsplit
+
+import httpx
+
+from boresight import __version__
+from boresight.errors import RefusedInputError, UnavailableError
+from boresight.library import remote
+from boresight.library.progress import Wanted, reporting
+from boresight.library.remote import (
+    Answer,
+    Approval,
+    GateReport,
+    Operation,
+    ParameterSet,
+    Pause,
+    Request,
+    Run,
+    ServerSensor,
+    T,
+    TelemetrySet,
+    raise_problem,
+)
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+    from boresight.library.inputs import SensorSource, TelemetrySource
+    from boresight.library.results import Calibration
+
+Purpose = Literal["calibration", "validation"]
+#: How often a request is sent in all, and the first and longest pause before it is sent again.
+ATTEMPTS, FIRST_PAUSE_S, LONGEST_PAUSE_S = 5, 0.2, 10.0
+#: A server, or what stands before it, cannot answer now.
+NOT_NOW = (429, 502, 503, 504)
+TIMEOUT = httpx.Timeout(60.0, connect=10.0)
+
+
+class _Connection:
+    """Address and key of a server, and what is the same with and without `async`."""
+
+    def __init__(self, url: str, key: str | None) -> None:
+        parts = urlsplit(url)
+        if parts.scheme not in {"http", "https"} or not parts.hostname:
+            raise RefusedInputError(f"{url!r} is no address of a server: give one such as https://boresight.example.")
+        if parts.username or parts.password:
+            raise RefusedInputError("The address of a server holds no password: give an API key.")
+        self.url = url.rstrip("/")
+        self._key = key
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.url!r})"
+
+    @property
+    def _settings(self) -> dict[str, Any]:
+        """What both kinds of client of the network are made with."""
+        headers = {"User-Agent": f"boresight/{__version__}"}
+        if self._key:
+            headers["Authorization"] = f"Bearer {self._key}"
+        return {"base_url": f"{self.url}{remote.PREFIX}", "headers": headers, "timeout": TIMEOUT}
+
+    def _arguments(self, request: Request, opened: ExitStack) -> dict[str, Any]:
+        """Say a request as the client of the network takes it; files are open as long as `opened`."""
+        headers = dict(request.headers) | ({"Idempotency-Key": request.key} if request.key else {})
+        arguments: dict[str, Any] = {"params": dict(request.params), "headers": headers}
+        if request.file is not None:
+            name, content = request.file
+            stream = opened.enter_context(content.open("rb")) if isinstance(content, Path) else content
+            arguments |= {"data": dict(request.form or {}), "files": {"file": (name, stream)}}
+        elif request.method == "POST":
+            arguments["json"] = request.body
+        return arguments
+
+    def _judge(self, response: httpx.Response) -> Answer:
+        """Return an answer, or raise what it refuses."""
+        answer = Answer(status=response.status_code, headers=response.headers, content=response.content)
+        raise_problem(answer, self.url)
+        return answer
+
+    def _pause_before_again(self, attempt: int, outcome: httpx.Response | httpx.TransportError) -> float | None:
+        """How long to wait before a request is sent again; None where it is not."""
+        if isinstance(outcome, httpx.Response) and outcome.status_code not in NOT_NOW:
+            return None
+        if attempt + 1 >= ATTEMPTS:
+            return None
+        asked = outcome.headers.get("retry-after", "") if isinstance(outcome, httpx.Response) else ""
+        pause = min(FIRST_PAUSE_S * 2.0**attempt, LONGEST_PAUSE_S) * random.uniform(0.5, 1.0)  # noqa: S311 - no secret
+        return max(pause, min(float(asked), LONGEST_PAUSE_S)) if asked.isdecimal() else pause
+
+    def _refuse_silence(self, error: httpx.TransportError) -> UnavailableError:
+        return UnavailableError(
+            f"{self.url} does not answer ({error or type(error).__name__}): check the address, or try again."
+        )
+
+
+class Client(_Connection):
+    """A server.
+
+    Parameters
+    ----------
+    url
+        Its address, as https://boresight.example.
+    key
+        An API key of a person there; without one a server says nothing but that it is there.
+    """
+
+    def __init__(self, url: str, key: str | None = None) -> None:
+        super().__init__(url, key)
+        self._http = httpx.Client(**self._settings)
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._http.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def sensors(self) -> list[ServerSensor]:
+        """Read the fleet."""
+        return self._run(remote.list_sensors())
+
+    def sensor(self, sensor: SensorSource | ServerSensor | int) -> ServerSensor:
+        """Return the server's sensor of this number, name or file; one that it does not have is registered."""
+        return self._run(remote.find_sensor(sensor))
+
+    def upload(
+        self, telemetry: TelemetrySource, sensor: SensorSource | ServerSensor | int, purpose: Purpose = "calibration"
+    ) -> TelemetrySet:
+        """Store telemetry, a file as it is or a table as Parquet; the same again is the set that is there."""
+        return self._run(remote.upload(telemetry, sensor, purpose))
+
+    def launch(
+        self,
+        telemetry: TelemetrySet | int,
+        *,
+        validate: TelemetrySet | int | None = None,
+        label: str = "",
+        **settings: Any,
+    ) -> Run:
+        """Queue a calibration; settings as `boresight.calibrate` has them."""
+        return self._run(remote.launch(telemetry, validate, label, settings))
+
+    def run(self, run: Run | int) -> Run:
+        """Read how far a run is."""
+        return self._run(remote.read_run(run))
+
+    def fetch(self, run: Run | int) -> Calibration:
+        """Read a run's calibration; of one on its way, what there is so far."""
+        return self._run(remote.fetch(run))
+
+    def cancel(self, run: Run | int, reason: str = "") -> Run:
+        """Stop a run."""
+        return self._run(remote.cancel(run, reason))
+
+    def figures(self, run: Run | int) -> list[str]:
+        """Name the figures of a run."""
+        return self._run(remote.list_figures(run))
+
+    def figure(self, run: Run | int, name: str) -> go.Figure:
+        """Read a figure as the server's pages draw it, for Plotly."""
+        return self._run(remote.figure(run, name))
+
+    def report(self, run: Run | int) -> str:
+        """Read the report of a run that has ended, HTML that stands alone."""
+        return self._run(remote.report_html(run))
+
+    def make_parameter_set(self, run: Run | int) -> ParameterSet:
+        """Make an immutable candidate of a run; asked again, it is the same one."""
+        return self._run(remote.make_parameter_set(run))
+
+    def parameter_set(self, parameter_set: ParameterSet | int) -> ParameterSet:
+        """Read a parameter set as it stands now."""
+        return self._run(remote.read_parameter_set(parameter_set))
+
+    def assess(self, parameter_set: ParameterSet | int) -> GateReport:
+        """Hold a parameter set against its sensor's gates."""
+        return self._run(remote.assess(parameter_set))
+
+    def submit(self, parameter_set: ParameterSet | int, reason: str) -> Approval:
+        """Ask that a parameter set become the baseline; people sign the request, in person."""
+        return self._run(remote.submit(parameter_set, reason))
+
+    def approval(self, approval: Approval | int) -> Approval:
+        """Read a request for approval as it stands now."""
+        return self._run(remote.read_approval(approval))
+
+    def withdraw(self, parameter_set: ParameterSet | int, reason: str = "") -> ParameterSet:
+        """Take the request for a set back."""
+        return self._run(remote.withdraw(parameter_set, reason))
+
+    def promote(self, parameter_set: ParameterSet | int) -> ParameterSet:
+        """Make an approved set the baseline."""
+        return self._run(remote.promote(parameter_set))
+
+    def export(self, parameter_set: ParameterSet | int) -> bytes:
+        """Build the uplink package of an approved set or the baseline, and read its bytes."""
+        return self._run(remote.export(parameter_set))
+
+    def wait(self, run: Run | int, *, progress: Wanted = None, timeout_s: float | None = None) -> Run:
+        """Follow a run to its end; one that fails is an exception with its reason."""
+        with reporting(progress, "waiting for the run") as report:
+            return self._run(remote.wait(run, report, timeout_s))
+
+    def calibrate(
+        self,
+        telemetry: TelemetrySource | TelemetrySet | int,
+        sensor: SensorSource | ServerSensor | int | None = None,
+        *,
+        validate: TelemetrySource | TelemetrySet | int | None = None,
+        label: str = "",
+        progress: Wanted = None,
+        **settings: Any,
+    ) -> Calibration:
+        """Calibrate on the server: upload what is not there, launch, wait, fetch. Arguments as `boresight.calibrate`.
+
+        `telemetry` and `validate` may be sets of the server too, and `sensor` the name or number of one of its sensors.
+        """
+        with reporting(progress, "asking the server") as report:
+            return self._run(remote.calibrate(telemetry, sensor, validate, label, report, settings))
+
+    def _run(self, operation: Operation[T]) -> T:
+        """Do what an operation asks until it has its answer."""
+        try:
+            asked = next(operation)
+            while True:
+                if isinstance(asked, Pause):
+                    time.sleep(asked.seconds)
+                    asked = next(operation)
+                else:
+                    asked = operation.send(self._ask(asked))
+        except StopIteration as ended:
+            result: T = ended.value
+            return result
+
+    def _ask(self, request: Request) -> Answer:
+        """Send a request, again where that may help."""
+        attempt = 0
+        while True:
+            outcome: httpx.Response | httpx.TransportError
+            try:
+                with ExitStack() as opened:
+                    outcome = self._http.request(request.method, request.path, **self._arguments(request, opened))
+            except httpx.TransportError as error:
+                outcome = error
+            pause = self._pause_before_again(attempt, outcome)
+            if pause is None:
+                break
+            time.sleep(pause)
+            attempt += 1
+        if isinstance(outcome, httpx.TransportError):
+            raise self._refuse_silence(outcome) from outcome
+        return self._judge(outcome)
+
+
+class AsyncClient(_Connection):
+    """A server, asked with `async`; arguments and methods as `Client`."""
+
+    def __init__(self, url: str, key: str | None = None) -> None:
+        super().__init__(url, key)
+        self._http = httpx.AsyncClient(**self._settings)
+
+    async def close(self) -> None:
+        """Close the connections."""
+        await self._http.aclose()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    async def sensors(self) -> list[ServerSensor]:
+        """Read the fleet."""
+        return await self._run(remote.list_sensors())
+
+    async def sensor(self, sensor: SensorSource | ServerSensor | int) -> ServerSensor:
+        """Return the server's sensor of this number, name or file; one that it does not have is registered."""
+        return await self._run(remote.find_sensor(sensor))
+
+    async def upload(
+        self, telemetry: TelemetrySource, sensor: SensorSource | ServerSensor | int, purpose: Purpose = "calibration"
+    ) -> TelemetrySet:
+        """Store telemetry, a file as it is or a table as Parquet; the same again is the set that is there."""
+        return await self._run(remote.upload(telemetry, sensor, purpose))
+
+    async def launch(
+        self,
+        telemetry: TelemetrySet | int,
+        *,
+        validate: TelemetrySet | int | None = None,
+        label: str = "",
+        **settings: Any,
+    ) -> Run:
+        """Queue a calibration; settings as `boresight.calibrate` has them."""
+        return await self._run(remote.launch(telemetry, validate, label, settings))
+
+    async def run(self, run: Run | int) -> Run:
+        """Read how far a run is."""
+        return await self._run(remote.read_run(run))
+
+    async def fetch(self, run: Run | int) -> Calibration:
+        """Read a run's calibration; of one on its way, what there is so far."""
+        return await self._run(remote.fetch(run))
+
+    async def cancel(self, run: Run | int, reason: str = "") -> Run:
+        """Stop a run."""
+        return await self._run(remote.cancel(run, reason))
+
+    async def figures(self, run: Run | int) -> list[str]:
+        """Name the figures of a run."""
+        return await self._run(remote.list_figures(run))
+
+    async def figure(self, run: Run | int, name: str) -> go.Figure:
+        """Read a figure as the server's pages draw it, for Plotly."""
+        return await self._run(remote.figure(run, name))
+
+    async def report(self, run: Run | int) -> str:
+        """Read the report of a run that has ended, HTML that stands alone."""
+        return await self._run(remote.report_html(run))
+
+    async def make_parameter_set(self, run: Run | int) -> ParameterSet:
+        """Make an immutable candidate of a run; asked again, it is the same one."""
+        return await self._run(remote.make_parameter_set(run))
+
+    async def parameter_set(self, parameter_set: ParameterSet | int) -> ParameterSet:
+        """Read a parameter set as it stands now."""
+        return await self._run(remote.read_parameter_set(parameter_set))
+
+    async def assess(self, parameter_set: ParameterSet | int) -> GateReport:
+        """Hold a parameter set against its sensor's gates."""
+        return await self._run(remote.assess(parameter_set))
+
+    async def submit(self, parameter_set: ParameterSet | int, reason: str) -> Approval:
+        """Ask that a parameter set become the baseline; people sign the request, in person."""
+        return await self._run(remote.submit(parameter_set, reason))
+
+    async def approval(self, approval: Approval | int) -> Approval:
+        """Read a request for approval as it stands now."""
+        return await self._run(remote.read_approval(approval))
+
+    async def withdraw(self, parameter_set: ParameterSet | int, reason: str = "") -> ParameterSet:
+        """Take the request for a set back."""
+        return await self._run(remote.withdraw(parameter_set, reason))
+
+    async def promote(self, parameter_set: ParameterSet | int) -> ParameterSet:
+        """Make an approved set the baseline."""
+        return await self._run(remote.promote(parameter_set))
+
+    async def export(self, parameter_set: ParameterSet | int) -> bytes:
+        """Build the uplink package of an approved set or the baseline, and read its bytes."""
+        return await self._run(remote.export(parameter_set))
+
+    async def wait(self, run: Run | int, *, progress: Wanted = None, timeout_s: float | None = None) -> Run:
+        """Follow a run to its end; one that fails is an exception with its reason."""
+        with reporting(progress, "waiting for the run") as report:
+            return await self._run(remote.wait(run, report, timeout_s))
+
+    async def calibrate(
+        self,
+        telemetry: TelemetrySource | TelemetrySet | int,
+        sensor: SensorSource | ServerSensor | int | None = None,
+        *,
+        validate: TelemetrySource | TelemetrySet | int | None = None,
+        label: str = "",
+        progress: Wanted = None,
+        **settings: Any,
+    ) -> Calibration:
+        """Calibrate on the server: upload what is not there, launch, wait, fetch. Arguments as `boresight.calibrate`.
+
+        `telemetry` and `validate` may be sets of the server too, and `sensor` the name or number of one of its sensors.
+        """
+        with reporting(progress, "asking the server") as report:
+            return await self._run(remote.calibrate(telemetry, sensor, validate, label, report, settings))
+
+    async def _run(self, operation: Operation[T]) -> T:
+        """Do what an operation asks until it has its answer."""
+        try:
+            asked = next(operation)
+            while True:
+                if isinstance(asked, Pause):
+                    await asyncio.sleep(asked.seconds)
+                    asked = next(operation)
+                else:
+                    asked = operation.send(await self._ask(asked))
+        except StopIteration as ended:
+            result: T = ended.value
+            return result
+
+    async def _ask(self, request: Request) -> Answer:
+        """Send a request, again where that may help."""
+        attempt = 0
+        while True:
+            outcome: httpx.Response | httpx.TransportError
+            try:
+                with ExitStack() as opened:
+                    outcome = await self._http.request(request.method, request.path, **self._arguments(request, opened))
+            except httpx.TransportError as error:
+                outcome = error
+            pause = self._pause_before_again(attempt, outcome)
+            if pause is None:
+                break
+            await asyncio.sleep(pause)
+            attempt += 1
+        if isinstance(outcome, httpx.TransportError):
+            raise self._refuse_silence(outcome) from outcome
+        return self._judge(outcome)

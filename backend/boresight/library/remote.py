@@ -1,0 +1,503 @@
+"""What a server is asked and what it answers, without the network: every operation is a generator of requests.
+
+An operation yields a `Request` and is sent the `Answer`; it yields a `Pause` to wait. `library.client` drives the same operations
+with and without `async`. Answers are read into frozen dataclasses; what a newer server says besides is dropped.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import uuid
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
+
+from boresight import errors
+from boresight.errors import Fault, RefusedInputError, RunFailedError, UnavailableError
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+    from boresight.library.inputs import SensorSource, TelemetrySource
+    from boresight.library.progress import Report
+    from boresight.library.results import Calibration
+
+PREFIX = "/api/v1"
+PROBLEM = "urn:boresight:problem:"
+#: The exception of each problem, by the end of its type.
+PROBLEMS: Final[Mapping[str, type[errors.BoresightError]]] = {
+    "refused-input": errors.RefusedInputError,
+    "malformed-request": errors.RefusedInputError,
+    "not-found": errors.NotFoundError,
+    "conflict": errors.ConflictError,
+    "corrupt-file": errors.CorruptFileError,
+    "stale": errors.StaleError,
+    "precondition-required": errors.PreconditionRequiredError,
+    "forbidden": errors.ForbiddenError,
+    "password-to-be-set": errors.PasswordDueError,
+    "unauthenticated": errors.UnauthenticatedError,
+    "session-ended": errors.UnauthenticatedError,
+    "too-many-attempts": errors.TooManyAttemptsError,
+    "too-large": errors.TooLargeError,
+    "overloaded": errors.OverloadedError,
+    "unavailable": errors.UnavailableError,
+    "storage-unavailable": errors.StorageError,
+    "cancelled": errors.CancelledError,
+}
+ENDED = ("SUCCEEDED", "FAILED", "CANCELLED", "LOST")
+#: Seconds between two looks at a run: soon at first, for most are short.
+FIRST_PAUSE_S, LONGEST_PAUSE_S, SLOWER = 0.1, 1.0, 1.3
+ACCEPTED, FIRST_ERROR = 202, 400
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """One request; `key` makes a repeated POST the same POST. `file`: name and content of an upload."""
+
+    method: Literal["GET", "POST"]
+    path: str
+    params: Mapping[str, str] = field(default_factory=dict)
+    body: Mapping[str, Any] | None = None
+    form: Mapping[str, str] | None = None
+    file: tuple[str, Path | bytes] | None = None
+    headers: Mapping[str, str] = field(default_factory=dict)
+    key: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """What came back."""
+
+    status: int
+    headers: Mapping[str, str]
+    content: bytes
+
+    def json(self) -> Any:
+        """Return what it says."""
+        return json.loads(self.content)
+
+
+@dataclass(frozen=True)
+class Pause:
+    """So many seconds in which nothing is asked."""
+
+    seconds: float
+
+
+#: An operation: what it asks, what it is sent, what it ends with.
+Operation = Generator[Request | Pause, Answer, T]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServerSensor:
+    """A star tracker on a server."""
+
+    id: int
+    name: str
+    version: int
+    document: dict[str, Any] = field(repr=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TelemetrySet:
+    """A telemetry set on a server, with its quality report."""
+
+    id: int
+    sensor_id: int
+    name: str
+    purpose: str
+    frames: int
+    stars: int
+    original_sha256: str
+    quality: dict[str, Any] = field(repr=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunProgress:
+    """How far a run is, 0 to 1 and in words."""
+
+    fraction: float | None = None
+    message: str | None = None
+    elapsed_s: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A calibration on a server: QUEUED, RUNNING or CANCELLING, then SUCCEEDED, FAILED, CANCELLED or LOST with the reason."""
+
+    id: int
+    sensor_id: int
+    telemetry_set_id: int
+    validation_set_id: int | None
+    label: str
+    method: str
+    state: str
+    reason: str | None
+    attempt: int
+    progress: RunProgress | None
+    settings: dict[str, Any] = field(repr=False)
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether its state moves no more."""
+        return self.state in ENDED
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterSet:
+    """Parameters with a name; `ground_state` and `onboard_state` move, nothing else."""
+
+    id: int
+    name: str
+    sensor_id: int
+    run_id: int | None
+    sha256: str
+    ground_state: str
+    onboard_state: str
+    version: int
+    document: dict[str, Any] = field(repr=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GateReport:
+    """A parameter set held against its sensor's gates, by the server."""
+
+    id: int
+    parameter_set_id: int
+    verdict: str
+    words: str
+    blocking: list[str]
+    gates: list[dict[str, Any]] = field(repr=False)
+    sha256: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Approval:
+    """A request that a parameter set become the baseline: OPEN, then APPROVED, REJECTED, WITHDRAWN, STALE or EXPIRED."""
+
+    id: int
+    parameter_set_id: int
+    state: str
+    reason: str
+    needed: int
+    version: int
+    expires_utc: str | None
+
+
+def parse_record(kind: type[T], document: Mapping[str, Any]) -> T:
+    """Read a row of a server as one of the dataclasses here."""
+    try:
+        return kind(**{item.name: document[item.name] for item in fields(kind)})  # type: ignore[arg-type]  # a dataclass
+    except (KeyError, TypeError) as error:
+        raise UnavailableError(
+            f"The server's {kind.__name__} lacks {error}: it is of another version of Boresight, or no Boresight."
+        ) from error
+
+
+def parse_run(document: Mapping[str, Any]) -> Run:
+    """Read a run."""
+    progress = document.get("progress")
+    names = {item.name for item in fields(RunProgress)}
+    said = None if progress is None else RunProgress(**{k: v for k, v in progress.items() if k in names})
+    return parse_record(Run, {**document, "progress": said})
+
+
+def raise_problem(answer: Answer, address: str) -> None:
+    """Raise what a server refused, in its sentence; a failure that is none of its own says which status came."""
+    if answer.status < FIRST_ERROR:
+        return
+    try:
+        problem = answer.json()
+        sentence, kind = str(problem["detail"]), str(problem["type"]).removeprefix(PROBLEM)
+    except (ValueError, KeyError, TypeError):
+        raise UnavailableError(
+            f"{address} answered {answer.status}, and not as Boresight does: check the address."
+        ) from None
+    error = PROBLEMS.get(kind, errors.UnavailableError)
+    if issubclass(error, RefusedInputError):
+        faults = tuple(
+            Fault(one.get("row"), one.get("column"), one.get("detail", "")) for one in problem.get("errors") or ()
+        )
+        raise error(sentence, faults)
+    if issubclass(error, errors.TooManyAttemptsError | errors.OverloadedError):
+        raise error(sentence, int(answer.headers.get("retry-after", "1")))
+    raise error(sentence)
+
+
+def _get(path: str, **params: str) -> Request:
+    return Request(method="GET", path=path, params=params)
+
+
+def _post(path: str, body: Mapping[str, Any] | None = None, version: int | None = None) -> Request:
+    """Return a POST that may be sent again: with a key of its own."""
+    headers = {} if version is None else {"If-Match": f'"v{version}"'}
+    return Request(method="POST", path=path, body=body or {}, headers=headers, key=uuid.uuid4().hex)
+
+
+def list_sensors() -> Operation[list[ServerSensor]]:
+    """Read the fleet, page by page."""
+    found: list[ServerSensor] = []
+    cursor: str | None = ""
+    while cursor is not None:
+        answer = yield _get("/sensors", **({"cursor": cursor} if cursor else {}))
+        page = answer.json()
+        found += [parse_record(ServerSensor, one) for one in page["items"]]
+        cursor = page["next"]
+    return found
+
+
+def find_sensor(sensor: SensorSource | ServerSensor | int, *, register: bool = True) -> Operation[ServerSensor]:
+    """Return the server's sensor of this number, name or description; one that it does not have is registered.
+
+    A path is read; a text that is no file is a name.
+    """
+    from boresight.library.inputs import read_any_sensor
+    from boresight.telemetry.sensors import parse_sensor, sensor_document
+
+    if isinstance(sensor, ServerSensor):
+        return sensor
+    if isinstance(sensor, int):
+        answer = yield _get(f"/sensors/{sensor}")
+        return parse_record(ServerSensor, answer.json())
+    known = yield from list_sensors()
+    if isinstance(sensor, str) and not Path(sensor).exists():
+        for one in known:
+            if one.name == sensor:
+                return one
+        names = ", ".join(one.name for one in known) or "none"
+        raise errors.NotFoundError(f"The server has no sensor {sensor}, and there is no such file: it has {names}.")
+    described = read_any_sensor(sensor)
+    document = sensor_document(described)
+    for one in known:
+        if one.name == described.name:
+            if sensor_document(parse_sensor(one.document)) != document:
+                raise errors.ConflictError(
+                    f"The server's sensor {one.name} has another description than this file: give its name to use the server's, "
+                    "or edit it there."
+                )
+            return one
+    if not register:
+        raise errors.NotFoundError(f"The server has no sensor {described.name}: register it first.")
+    answer = yield _post("/sensors", document)
+    return parse_record(ServerSensor, answer.json())
+
+
+def upload(
+    telemetry: TelemetrySource, sensor: SensorSource | ServerSensor | int, purpose: str
+) -> Operation[TelemetrySet]:
+    """Store telemetry; the same bytes again are the set that is there."""
+    found = yield from find_sensor(sensor)
+    answer = yield Request(
+        method="POST",
+        path="/telemetry-sets",
+        form={"sensor_id": str(found.id), "purpose": purpose},
+        file=_file_of(telemetry),
+        key=uuid.uuid4().hex,
+    )
+    return parse_record(TelemetrySet, answer.json())
+
+
+def _file_of(telemetry: TelemetrySource) -> tuple[str, Path | bytes]:
+    """Return name and content of what is uploaded: the file as it is, or Parquet of what is in memory."""
+    if isinstance(telemetry, str | os.PathLike):
+        path = Path(telemetry)
+        if not path.is_file():
+            raise RefusedInputError(f"{path} does not exist: check the name.")
+        return path.name, path
+    import pyarrow.parquet as pq
+
+    from boresight.library.functions import read_telemetry
+    from boresight.telemetry.read.readers import contract_table
+
+    content = io.BytesIO()
+    pq.write_table(contract_table(read_telemetry(telemetry)), content, compression="zstd")
+    return "telemetry.parquet", content.getvalue()
+
+
+def launch(
+    telemetry: TelemetrySet | int,
+    validate: TelemetrySet | int | None,
+    label: str,
+    settings: Mapping[str, Any],
+) -> Operation[Run]:
+    """Queue a calibration."""
+    from boresight.library.functions import parse_choices
+
+    if isinstance(telemetry, int):
+        answer = yield _get(f"/telemetry-sets/{telemetry}")
+        telemetry = parse_record(TelemetrySet, answer.json())
+    document = parse_choices(settings).document()
+    chosen = {name: document[name] for name, value in settings.items() if value is not None}
+    order = {"sensor_id": telemetry.sensor_id, "telemetry_set_id": telemetry.id, "settings": chosen, "label": label}
+    if validate is not None:
+        order["validation_set_id"] = _id(validate)
+    answer = yield _post("/runs", order)
+    return parse_run(answer.json())
+
+
+def _id(thing: Any) -> int:
+    return thing if isinstance(thing, int) else int(thing.id)
+
+
+def read_run(run: Run | int) -> Operation[Run]:
+    """Read how far a run is."""
+    answer = yield _get(f"/runs/{_id(run)}")
+    return parse_run(answer.json())
+
+
+def wait(run: Run | int, report: Report, timeout_s: float | None) -> Operation[Run]:
+    """Follow a run to its end."""
+    pause, waited = FIRST_PAUSE_S, 0.0
+    while True:
+        found = yield from read_run(run)
+        if found.has_ended:
+            break
+        if timeout_s is not None and waited >= timeout_s:
+            raise UnavailableError(
+                f"Run {found.id} is {found.state} after {timeout_s:g} s: wait for it again, or cancel it."
+            )
+        said = found.progress
+        report((said.message if said else None) or f"run {found.id} is {found.state}", said.fraction if said else None)
+        yield Pause(pause)
+        waited, pause = waited + pause, min(SLOWER * pause, LONGEST_PAUSE_S)
+    if found.state == "CANCELLED":
+        raise errors.CancelledError(f"Run {found.id} was cancelled{_because(found)}")
+    if found.state != "SUCCEEDED":
+        raise RunFailedError(f"Run {found.id} ended {found.state}{_because(found)}")
+    return found
+
+
+def _because(run: Run) -> str:
+    return f": {run.reason}" if run.reason else "."
+
+
+def fetch(run: Run | int) -> Operation[Calibration]:
+    """Read a run's calibration, or how far it is."""
+    from boresight.calibration.calibration import parse_calibration
+    from boresight.library.results import Calibration
+
+    answer = yield _get(f"/runs/{_id(run)}/result")
+    document = answer.json()
+    if document.get("status") == "none":
+        raise errors.NotFoundError(f"Run {_id(run)} ended without a calibration.")
+    return Calibration.of(parse_calibration(document, f"The result of run {_id(run)}"))
+
+
+def calibrate(
+    telemetry: TelemetrySource | TelemetrySet | int,
+    sensor: SensorSource | ServerSensor | int | None,
+    validate: TelemetrySource | TelemetrySet | int | None,
+    label: str,
+    report: Report,
+    settings: Mapping[str, Any],
+) -> Operation[Calibration]:
+    """Upload, launch, wait and fetch."""
+    if not isinstance(telemetry, TelemetrySet | int):
+        if sensor is None:
+            raise RefusedInputError("Telemetry is uploaded for a sensor: name it, or give its file.")
+        sensor = yield from find_sensor(sensor)
+        report("uploading the telemetry", None)
+        telemetry = yield from upload(telemetry, sensor, "calibration")
+    if validate is not None and not isinstance(validate, TelemetrySet | int):
+        report("uploading the validation set", None)
+        owner = telemetry.sensor_id if isinstance(telemetry, TelemetrySet) else sensor
+        if owner is None:
+            raise RefusedInputError("A validation set is uploaded for a sensor: name it, or give its file.")
+        validate = yield from upload(validate, owner, "validation")
+    run = yield from launch(telemetry, validate, label, settings)
+    run = yield from wait(run, report, None)
+    return (yield from fetch(run))
+
+
+def cancel(run: Run | int, reason: str) -> Operation[Run]:
+    """Stop a run."""
+    seen = yield _get(f"/runs/{_id(run)}")
+    order = _post(f"/runs/{_id(run)}:cancel", {"reason": reason})
+    answer = yield Request(**{**vars(order), "headers": {"If-Match": seen.headers["etag"]}})
+    return parse_run(answer.json())
+
+
+def list_figures(run: Run | int) -> Operation[list[str]]:
+    """Name the figures of a run."""
+    answer = yield _get(f"/runs/{_id(run)}/figures")
+    return [str(one["name"]) for one in answer.json()["items"]]
+
+
+def figure(run: Run | int, name: str) -> Operation[go.Figure]:
+    """Read a figure as the pages draw it."""
+    answer = yield _get(f"/runs/{_id(run)}/figures/{name}")
+    document = answer.json()
+    import plotly.graph_objects as go
+
+    layout = {key: value for key, value in document["layout"].items() if key != "meta"}
+    return go.Figure({"data": document["data"], "layout": layout})
+
+
+def report_html(run: Run | int) -> Operation[str]:
+    """Read the report of a run that has ended."""
+    answer = yield _get(f"/runs/{_id(run)}/report")
+    return answer.content.decode("utf-8")
+
+
+def make_parameter_set(run: Run | int) -> Operation[ParameterSet]:
+    """Make an immutable candidate of a run; asked again, it is the same one."""
+    answer = yield _post("/parameter-sets", {"run_id": _id(run)})
+    return parse_record(ParameterSet, answer.json())
+
+
+def read_parameter_set(parameter_set: ParameterSet | int) -> Operation[ParameterSet]:
+    """Read a parameter set as it stands now."""
+    answer = yield _get(f"/parameter-sets/{_id(parameter_set)}")
+    return parse_record(ParameterSet, answer.json())
+
+
+def assess(parameter_set: ParameterSet | int) -> Operation[GateReport]:
+    """Hold a parameter set against its gates."""
+    answer = yield _post(f"/parameter-sets/{_id(parameter_set)}:assess")
+    return parse_record(GateReport, answer.json())
+
+
+def submit(parameter_set: ParameterSet | int, reason: str) -> Operation[Approval]:
+    """Ask that a set become the baseline."""
+    seen = yield from _seen(parameter_set)
+    answer = yield _post(f"/parameter-sets/{seen.id}:submit", {"reason": reason}, seen.version)
+    return parse_record(Approval, answer.json())
+
+
+def withdraw(parameter_set: ParameterSet | int, reason: str) -> Operation[ParameterSet]:
+    """Take the request back."""
+    found = yield from read_parameter_set(parameter_set)
+    answer = yield _post(f"/parameter-sets/{found.id}:withdraw", {"reason": reason}, found.version)
+    return parse_record(ParameterSet, answer.json())
+
+
+def promote(parameter_set: ParameterSet | int) -> Operation[ParameterSet]:
+    """Make an approved set the baseline."""
+    found = yield from _seen(parameter_set)
+    answer = yield _post(f"/parameter-sets/{found.id}:promote", {}, found.version)
+    return parse_record(ParameterSet, answer.json())
+
+
+def _seen(parameter_set: ParameterSet | int) -> Operation[ParameterSet]:
+    """Return the version that the caller saw; of a number, the one there is."""
+    if isinstance(parameter_set, int):
+        return (yield from read_parameter_set(parameter_set))
+    return parameter_set
+
+
+def read_approval(approval: Approval | int) -> Operation[Approval]:
+    """Read a request as it stands now."""
+    answer = yield _get(f"/approvals/{_id(approval)}")
+    return parse_record(Approval, answer.json())
+
+
+def export(parameter_set: ParameterSet | int) -> Operation[bytes]:
+    """Build the uplink package of an approved set or the baseline."""
+    answer = yield _post(f"/parameter-sets/{_id(parameter_set)}:export")
+    answer = yield _get(f"/packages/{answer.json()['id']}/content")
+    return answer.content
