@@ -226,4 +226,4 @@ def test_what_cannot_be_used_is_refused_in_one_line(assess, stored, option, docu
 
 def test_what_is_no_calibration_is_refused(boresight, simulated):
     done = boresight("assess", simulated / "truth.json", "--sensor", simulated / "sensor.json")
-    assert_refused(done, "truth.json is no whole calibration (schema")
+    assert_refused(done, "truth.json is no whole calibration (status")

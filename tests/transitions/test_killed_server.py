@@ -8,7 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -85,6 +85,7 @@ class Traffic:
     house: Installation
     server: Comings
     begun: int = 0
+    under_way: int = 0
     cut_off: int = 0
     accepted: list[str] = field(default_factory=list)
     refused: list[httpx.Response] = field(default_factory=list)
@@ -109,7 +110,8 @@ class Traffic:
         """Ask for one transition of a random set in the state that it is in now."""
         person, address, version, body = self._aim(rng)
         try:
-            answer = clients[person].post(self.server.address + address, json=body, headers=tag(version))
+            with self._counted():
+                answer = clients[person].post(self.server.address + address, json=body, headers=tag(version))
         except httpx.TransportError:
             with self._lock:
                 self.cut_off += 1
@@ -118,6 +120,16 @@ class Traffic:
             self.accepted.append(answer.headers["X-Request-ID"])
         else:
             self.refused.append(answer)
+
+    @contextmanager
+    def _counted(self) -> Iterator[None]:
+        with self._lock:
+            self.under_way += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self.under_way -= 1
 
     def _aim(self, rng: np.random.Generator) -> tuple[str, str, int, dict[str, str] | None]:
         """Choose a set, and a transition that its state has."""
@@ -149,6 +161,7 @@ def test_a_server_killed_in_the_middle_of_transitions_leaves_each_done_or_not_be
         _wait_until(traffic, number * TRANSITIONS // (KILLS + 1))
         time.sleep(float(rng.uniform(0.0, 0.05)))
         cut_off = traffic.cut_off
+        wait_until(lambda: traffic.under_way == DRIVERS, 120, 0.0005)
         traffic.up.clear()
         server.end(signal.SIGKILL)
         _is_whole(house, traffic)

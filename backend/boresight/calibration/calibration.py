@@ -989,24 +989,21 @@ def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 
-def parse_part(kind: type[T], document: str | bytes | Mapping[str, Any], refuse: Callable[[str], Exception]) -> T:
-    """Read JSON, as text or as what it says, as one of the dataclasses here; `refuse` makes an error of what is wrong with it."""
+def parse_part(kind: type[T], document: Mapping[str, Any], refuse: Callable[[str], Exception]) -> T:
+    """Read what a JSON says as one of the dataclasses here; `refuse` makes an error of what is wrong with it."""
     from pydantic import ValidationError  # noqa: PLC0415 - only where JSON is read
 
     adapter: TypeAdapter[T] = _adapter(kind)  # type: ignore[arg-type]  # every class can be hashed
     try:
-        found = (
-            adapter.validate_json(document) if isinstance(document, str | bytes) else adapter.validate_python(document)
-        )
+        return adapter.validate_python(document)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
         raise refuse(f"{where}: {first['msg']}" if where else str(first["msg"])) from error
-    return found
 
 
 #: What every ended calibration says.
-REQUIRED = ("sensor", "method", "camera_model", "parameters", "sigma", "covariance", "rms_arc_rad")
+REQUIRED = ("schema", "sensor", "method", "camera_model", "parameters", "sigma", "covariance", "rms_arc_rad")
 
 
 def parse_calibration(document: str | bytes | Mapping[str, Any], name: str = "This document") -> Calibration:
@@ -1024,21 +1021,21 @@ def parse_calibration(document: str | bytes | Mapping[str, Any], name: str = "Th
     RefusedInputError
         When it is no calibration, or a member is missing or of another type: which.
     """
-    found = parse_part(Calibration, document, partial(make_refusal, name))
-    if found.status != "running":
-        missing = next((one for one in REQUIRED if not _says(found, one)), None)
-        if missing is not None:
-            raise make_refusal(name, f"{missing}: missing")
+    from pydantic_core import from_json  # noqa: PLC0415 - only where JSON is read
+
+    refuse = partial(_make_refusal, name)
+    try:
+        said = from_json(document) if isinstance(document, str | bytes) else document
+    except ValueError as error:
+        raise refuse(str(error)) from error
+    found = parse_part(Calibration, said, refuse)
+    missing = next((one for one in REQUIRED if said.get(one) is None), None)
+    if missing is not None and found.status != "running":
+        raise refuse(f"{missing}: missing")
     return found
 
 
-def _says(found: Calibration, name: str) -> bool:
-    value = getattr(found, name)
-    return bool(value) if isinstance(value, str | Values) else True
-
-
-def make_refusal(name: str, fault: str) -> RefusedInputError:
-    """Say that a document is no whole calibration, and why."""
+def _make_refusal(name: str, fault: str) -> RefusedInputError:
     return RefusedInputError(
         f"{name} is no whole calibration ({fault}): give the file that `boresight calibrate --json` wrote, as it was written."
     )

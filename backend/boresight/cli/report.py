@@ -48,7 +48,7 @@ def _check_out(out_file: str) -> None:
 
 
 def _read(source: str) -> dict[str, Any]:
-    from boresight.console.runs.calibration_document import refuse_incomplete
+    from boresight.calibration.calibration import parse_calibration
 
     try:
         document: dict[str, Any] = orjson.loads(Path(source).read_bytes())
@@ -60,7 +60,7 @@ def _read(source: str) -> dict[str, Any]:
         ) from error
     except OSError as error:
         raise RefusedInputError(f"{source} cannot be read: {error.strerror}.") from error
-    refuse_incomplete(document, Path(source).name)
+    parse_calibration(document, Path(source).name)
     return document
 
 

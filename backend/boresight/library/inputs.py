@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from boresight.calibration.calibration import Calibration, make_refusal, parse_calibration
+from boresight.calibration.calibration import Calibration, parse_calibration
 from boresight.calibration.parameter_file import parse_parameters, read_document
 from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.errors import RefusedInputError
@@ -185,10 +185,7 @@ def read_any_calibration(source: ParameterSource) -> Calibration:
     """Read a whole calibration."""
     if isinstance(source, Calibration):
         return source
-    document, name = read_parameter_document(source), _describe(source)
-    if "schema" not in document:
-        raise make_refusal(name, "schema: missing")
-    return parse_calibration(document, name)
+    return parse_calibration(read_parameter_document(source), _describe(source))
 
 
 def _describe(source: ParameterSource) -> str:

@@ -15,7 +15,7 @@ from boresight.console.approvals import queries as rows
 from boresight.console.approvals.tables import ChangeProposal, GateProfile
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_rows
-from boresight.console.runs.calibration_document import read_result
+from boresight.console.runs.results import read_result
 from boresight.console.runs.tables import Run
 from boresight.console.transitions import DocumentInForce, require_change, require_seen_document
 from boresight.errors import BoresightError

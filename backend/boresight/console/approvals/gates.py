@@ -29,7 +29,7 @@ from boresight.console.approvals.tables import GateReport, Waiver
 from boresight.console.fleet.tables import Sensor as SensorRow
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.runs.calibration_document import read_result
+from boresight.console.runs.results import read_result
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.transitions import describe_baseline, require_seen

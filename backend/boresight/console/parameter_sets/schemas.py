@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from boresight.console.runs.calibration_document import Covariance
+from boresight.calibration.calibration import Covariance
 from boresight.console.schemas import Document, Row, Shape, Values
 
 

@@ -19,7 +19,7 @@ from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as rows
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
-from boresight.console.runs.calibration_document import read_result
+from boresight.console.runs.results import read_result
 from boresight.console.runs.tables import Run
 from boresight.console.transitions import name_subject
 from boresight.errors import ConflictError, RefusedInputError

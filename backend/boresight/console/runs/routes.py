@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.requests import Request
 from starlette.responses import Response
 
+from boresight.calibration.calibration import Calibration
 from boresight.console import schemas as console_schemas
 from boresight.console.access.dependencies import (
     SAME_FOR_ALL,
@@ -27,7 +28,6 @@ from boresight.console.access.dependencies import (
 from boresight.console.operation import Answer, Beside, json_response, operations
 from boresight.console.runs import frames, presets, schemas
 from boresight.console.runs import service as runs
-from boresight.console.runs.calibration_document import Calibration
 from boresight.console.runs.frames import FrameLine
 from boresight.console.runs.presets import BUILT_IN, OfferedPreset
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Preset, Run, RunEvent
@@ -128,7 +128,7 @@ def cancel_run(
     return runs.cancel(session, actor, run_id, cancellation.reason if cancellation else "")
 
 
-@router.get("/{run_id}/result", summary="Read the calibration", response_model=Calibration)
+@router.get("/{run_id}/result", summary="Read the calibration", response_model=Calibration | schemas.NoResult)
 def get_run_result(run_id: Id, session: Reading, blobs: Blobs) -> Response:
     """Read the calibration JSON; while the run computes, what there is so far with status `running`."""
     return json_response(result_so_far(session, blobs, run_id))

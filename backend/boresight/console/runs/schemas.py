@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from boresight.calibration.calibration import RadialDifference
 from boresight.calibration.evaluation.forecast import Forecast
 from boresight.console.schemas import Document, Numbers, Row, Shape
 
@@ -80,6 +81,14 @@ class DryRun(BaseModel):
     paced_by: int = Field(description="Past runs that the time follows from; 0 is a guess.")
     forecast: Forecast | None
     warnings: list[str]
+
+
+class NoResult(BaseModel):
+    """What stands for the calibration of a run that has none."""
+
+    document_schema: Literal["boresight.calibration/1"] = Field(alias="schema")
+    status: Literal["running", "none"] = Field(description="`none` where the run ended without a result.")
+    run_state: str
 
 
 class FrameLine(Row):
@@ -274,17 +283,6 @@ class ComparedCorrelation(Shape):
 
     names: list[str]
     values: Numbers
-
-
-class RadialDifference(Shape):
-    """How far a run places stars along the radius from where the reference places them."""
-
-    radius_px: Numbers
-    difference_px: Numbers
-    sigma_px: Numbers
-    difference_arcsec: Numbers
-    sigma_arcsec: Numbers
-    data_radius_px: float | None
 
 
 class Comparison(Shape):

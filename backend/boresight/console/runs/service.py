@@ -8,8 +8,8 @@ from typing import Any
 from boresight.console import list_queries as lists
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries
-from boresight.console.runs.calibration_document import read_result
 from boresight.console.runs.dry_runs import check_run_request, dry_run
+from boresight.console.runs.results import read_result
 from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
