@@ -42,18 +42,14 @@ def read_parameters(path: Path, sensor: Sensor) -> tuple[FloatArray, FloatArray 
     return parse_parameters(read_document(path), sensor, path.name)
 
 
-def read_document(path: Path) -> dict[str, Any]:
-    """Read a file of parameters as JSON."""
+def read_document(path: Path, wanted: str = "a calibration JSON or an object of parameters") -> dict[str, Any]:
+    """Read a JSON object of a file; `wanted` is what a refusal asks for."""
     try:
         document = read_json(path, path.name)
     except json.JSONDecodeError as error:
-        raise RefusedInputError(
-            f"{path.name} is not JSON: give a calibration JSON or an object of parameters."
-        ) from error
+        raise RefusedInputError(f"{path.name} is not JSON: give {wanted}.") from error
     if not isinstance(document, dict):
-        raise RefusedInputError(
-            f"{path.name} is not a JSON object: give a calibration JSON or an object of parameters."
-        )
+        raise RefusedInputError(f"{path.name} is not a JSON object: give {wanted}.")
     return document
 
 

@@ -333,7 +333,11 @@ def assess(
 
         described = read_any_sensor(sensor)
         limits = parse_profile(
-            {} if profile is None else profile if isinstance(profile, Mapping) else read_document(Path(profile))
+            {}
+            if profile is None
+            else profile
+            if isinstance(profile, Mapping)
+            else read_document(Path(profile), "a gate profile")
         )
         candidate = read_any_calibration(calibration).to_dict()
         incumbent = (
