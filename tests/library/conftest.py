@@ -1,8 +1,12 @@
 """The library over a data folder of its own, and a small simulated set."""
 
+import threading
+
 import pytest
 
 import boresight as bs
+from boresight.console.runs.tables import Run
+from boresight.platform.db.sessions import open_reading
 from tests.served import house
 
 __all__ = ["house"]
@@ -33,3 +37,36 @@ def cal(simulated, data_folder):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("BORESIGHT_DATA_FOLDER", str(data_folder))
         return bs.calibrate(simulated.telemetry, sensor=simulated.sensor, validate=simulated.validation, progress=False)
+
+
+SCOPES = ("sensors", "telemetry-sets", "runs", "parameter-sets", "uplinks")
+
+
+def key_of(house, person):
+    answer = house.person(person).post("/api/v1/api-keys", json={"label": "library", "scopes": list(SCOPES)})
+    assert answer.status_code == 201, answer.text
+    return answer.json()["secret"]
+
+
+@pytest.fixture(scope="module")
+def key(house):
+    return key_of(house, "ada")
+
+
+@pytest.fixture
+def computing(house):
+    """End every run that is queued, as workers would, until the test is over."""
+    over = threading.Event()
+
+    def compute():
+        while not over.wait(0.05):
+            with open_reading(house.app.state.engine) as session:
+                queued = [run.id for run in session.query(Run).filter(Run.state == "QUEUED")]
+            for run_id in queued:
+                house.end(run_id)
+
+    thread = threading.Thread(target=compute)
+    thread.start()
+    yield
+    over.set()
+    thread.join()

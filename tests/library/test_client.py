@@ -1,58 +1,24 @@
 """`boresight.Client` and `AsyncClient` against a real server: what a person's program asks, and what it is refused."""
 
 import asyncio
-import threading
 import time
 
 import plotly.graph_objects as go
 import pytest
 
 import boresight as bs
-from boresight.console.runs.tables import Run
 from boresight.library import client as client_module
 from boresight.library import remote
-from boresight.platform.db.sessions import open_reading
 from boresight.platform.web.problems import KINDS
+from tests.library.conftest import key_of
 from tests.library.servers import answering
 from tests.served import PASSWORD
-
-SCOPES = ("sensors", "telemetry-sets", "runs", "parameter-sets", "uplinks")
-
-
-def key_of(house, person):
-    answer = house.person(person).post("/api/v1/api-keys", json={"label": "library", "scopes": list(SCOPES)})
-    assert answer.status_code == 201, answer.text
-    return answer.json()["secret"]
-
-
-@pytest.fixture(scope="module")
-def key(house):
-    return key_of(house, "ada")
 
 
 @pytest.fixture
 def client(house, key):
     with bs.Client(house.address, key) as opened:
         yield opened
-
-
-@pytest.fixture
-def computing(house):
-    """End every run that is queued, as workers would, until the test is over."""
-    over = threading.Event()
-
-    def compute():
-        while not over.wait(0.05):
-            with open_reading(house.app.state.engine) as session:
-                queued = [run.id for run in session.query(Run).filter(Run.state == "QUEUED")]
-            for run_id in queued:
-                house.end(run_id)
-
-    thread = threading.Thread(target=compute)
-    thread.start()
-    yield
-    over.set()
-    thread.join()
 
 
 @pytest.mark.usefixtures("computing")

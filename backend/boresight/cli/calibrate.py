@@ -1,4 +1,4 @@
-"""`boresight calibrate`: a telemetry file and a sensor file in, a calibration out; no server, no store."""
+"""`boresight calibrate`: a telemetry file and a sensor file in, a calibration out; here, or on a server."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import click
 
 from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
 from boresight.cli.output import check_writable, json_option, write_json
+from boresight.cli.remote import open_client, server_option
 from boresight.errors import RefusedInputError
 from boresight.library.functions import calibrate as estimate
 from boresight.library.functions import parse_choices
@@ -89,18 +90,33 @@ FAILED = ("diverged", "too_few_stars")
 @click.option(
     "--validate", type=click.Path(path_type=Path), help="Telemetry that takes no part, to check the result by."
 )
+@server_option
 @json_option
-def calibrate(telemetry: Path, sensor_file: Path, validate: Path | None, json_file: str | None, **choices: Any) -> None:
+def calibrate(
+    telemetry: Path,
+    sensor_file: Path,
+    validate: Path | None,
+    server_url: str | None,
+    json_file: str | None,
+    **choices: Any,
+) -> None:
     """Calibrate a sensor from TELEMETRY (CSV, JSON Lines or Parquet).
 
     Prints the parameters with their sigmas, what the fit is worth, and advice. A set from which nothing could be
     estimated, or a fit that diverged, writes its JSON and ends with exit code 1.
+
+    With --server the files are uploaded, the calibration is a run there, and its JSON comes back; --sensor may be the name
+    of a sensor of that server.
     """
     check_writable(json_file)
     settings = chosen(choices)
     parse_settings(settings)
     with progress("reading the telemetry") as report:
-        found = estimate(telemetry, sensor_file, validate=validate, progress=report, **settings)
+        if server_url is None:
+            found = estimate(telemetry, sensor_file, validate=validate, progress=report, **settings)
+        else:
+            with open_client(server_url) as server:
+                found = server.calibrate(telemetry, str(sensor_file), validate=validate, progress=report, **settings)
     write_json(found.to_dict(), json_file)
     if json_file != "-" and found.status != "too_few_stars":
         click.echo("\n".join(summary_lines(found)))

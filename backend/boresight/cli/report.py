@@ -9,6 +9,7 @@ import click
 import orjson
 
 from boresight.cli.output import STANDARD_OUTPUT, check_writable, write_bytes
+from boresight.cli.remote import open_client, server_option
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
 
@@ -18,7 +19,8 @@ from boresight.settings import read_settings
 @click.option(
     "--out", "out_file", required=True, metavar="FILE.html", help="The report to write; - is standard output."
 )
-def report(source: str, out_file: str) -> None:
+@server_option
+def report(source: str, out_file: str, server_url: str | None) -> None:
     """Write the report of a stored run, by its number, or of a calibration JSON file.
 
     A number is a file only where there is one of that name. Of a stored run the report says when one person may sign alone here.
@@ -26,12 +28,27 @@ def report(source: str, out_file: str) -> None:
     from boresight.figures.report import render_report
 
     _check_out(out_file)
+    if server_url is not None:
+        _write(_fetch(server_url, source), out_file)
+        return
     stored = source.isdecimal() and not Path(source).exists()
     document = _stored(int(source)) if stored else _read(source)
     text = render_report(document, four_eyes=not stored or read_settings().policy.four_eyes)
+    _write(text, out_file)
+
+
+def _write(text: str, out_file: str) -> None:
     write_bytes(text.encode(), out_file)
     if out_file != STANDARD_OUTPUT:
         click.echo(f"Wrote {out_file}")
+
+
+def _fetch(server_url: str, source: str) -> str:
+    """Read the report of a run from a server."""
+    if not source.isdecimal():
+        raise RefusedInputError(f"A server has runs and no files: give the number of a run instead of {source}.")
+    with open_client(server_url) as server:
+        return server.report(int(source))
 
 
 def _check_out(out_file: str) -> None:

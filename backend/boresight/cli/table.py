@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
 import click
 
 from boresight.cli.output import REFUSED, check_writable, tell, write_bytes
+from boresight.cli.remote import open_client, server_option
 from boresight.library.text import aligned
 from boresight.settings import read_settings
 
@@ -17,13 +19,23 @@ from boresight.settings import read_settings
 @click.option("--out", "file", metavar="FILE", required=True, help="The ZIP to write; - is standard output.")
 @click.option("--flight-software", help="Version that the spacecraft has; the table is refused for another.")
 @click.option("--table-id", help="Table that the spacecraft has; refused for another.")
-def export(parameter_set: str, file: str, flight_software: str | None, table_id: str | None) -> None:
+@server_option
+def export(
+    parameter_set: str, file: str, flight_software: str | None, table_id: str | None, server_url: str | None
+) -> None:
     """Write the uplink package of PARAMETER_SET, an approved set or the baseline: PS-<sensor>-<n>, or its number.
 
     The package holds the parameters, the table as the mission defined it, sheets for people, and the way back. Built
     again of the same set it is the same file.
     """
     check_writable(file, "ZIP")
+    if server_url is not None:
+        with open_client(server_url) as server:
+            named = server.parameter_set(int(parameter_set) if parameter_set.isdecimal() else parameter_set)
+            content = server.export(named, flight_software_version=flight_software, table_id=table_id)
+        write_bytes(content, file)
+        tell(f"{named.name}: {hashlib.sha256(content).hexdigest()}  {file}", file)
+        return
     from boresight.console.uplinks import packages
     from boresight.platform.actors import COMMAND_LINE
     from boresight.platform.blobs.opening import open_blobs

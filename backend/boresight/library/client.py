@@ -188,8 +188,8 @@ class Client(_Connection):
         """Make an immutable candidate of a run; asked again, it is the same one."""
         return self._run(remote.make_parameter_set(run))
 
-    def parameter_set(self, parameter_set: ParameterSet | int) -> ParameterSet:
-        """Read a parameter set as it stands now."""
+    def parameter_set(self, parameter_set: ParameterSet | int | str) -> ParameterSet:
+        """Read a parameter set, by its number or name, as it stands now."""
         return self._run(remote.read_parameter_set(parameter_set))
 
     def assess(self, parameter_set: ParameterSet | int) -> GateReport:
@@ -212,9 +212,18 @@ class Client(_Connection):
         """Make an approved set the baseline."""
         return self._run(remote.promote(parameter_set))
 
-    def export(self, parameter_set: ParameterSet | int) -> bytes:
-        """Build the uplink package of an approved set or the baseline, and read its bytes."""
-        return self._run(remote.export(parameter_set))
+    def export(
+        self,
+        parameter_set: ParameterSet | int,
+        *,
+        flight_software_version: str | None = None,
+        table_id: str | None = None,
+    ) -> bytes:
+        """Build the uplink package of an approved set or the baseline, and read its bytes.
+
+        What the spacecraft has may be said: the package is refused for anything else.
+        """
+        return self._run(remote.export(parameter_set, flight_software_version, table_id))
 
     def wait(self, run: Run | int, *, progress: Wanted = None, timeout_s: float | None = None) -> Run:
         """Follow a run to its end; one that fails is an exception with its reason."""
@@ -344,8 +353,8 @@ class AsyncClient(_Connection):
         """Make an immutable candidate of a run; asked again, it is the same one."""
         return await self._run(remote.make_parameter_set(run))
 
-    async def parameter_set(self, parameter_set: ParameterSet | int) -> ParameterSet:
-        """Read a parameter set as it stands now."""
+    async def parameter_set(self, parameter_set: ParameterSet | int | str) -> ParameterSet:
+        """Read a parameter set, by its number or name, as it stands now."""
         return await self._run(remote.read_parameter_set(parameter_set))
 
     async def assess(self, parameter_set: ParameterSet | int) -> GateReport:
@@ -368,9 +377,18 @@ class AsyncClient(_Connection):
         """Make an approved set the baseline."""
         return await self._run(remote.promote(parameter_set))
 
-    async def export(self, parameter_set: ParameterSet | int) -> bytes:
-        """Build the uplink package of an approved set or the baseline, and read its bytes."""
-        return await self._run(remote.export(parameter_set))
+    async def export(
+        self,
+        parameter_set: ParameterSet | int,
+        *,
+        flight_software_version: str | None = None,
+        table_id: str | None = None,
+    ) -> bytes:
+        """Build the uplink package of an approved set or the baseline, and read its bytes.
+
+        What the spacecraft has may be said: the package is refused for anything else.
+        """
+        return await self._run(remote.export(parameter_set, flight_software_version, table_id))
 
     async def wait(self, run: Run | int, *, progress: Wanted = None, timeout_s: float | None = None) -> Run:
         """Follow a run to its end; one that fails is an exception with its reason."""

@@ -241,12 +241,18 @@ def _post(path: str, body: Mapping[str, Any] | None = None, version: int | None 
 
 def list_sensors() -> Operation[list[ServerSensor]]:
     """Read the fleet, page by page."""
-    found: list[ServerSensor] = []
+    rows = yield from _list("/sensors")
+    return [parse_record(ServerSensor, row) for row in rows]
+
+
+def _list(path: str) -> Operation[list[dict[str, Any]]]:
+    """Read every page of a list."""
+    found: list[dict[str, Any]] = []
     cursor: str | None = ""
     while cursor is not None:
-        answer = yield _get("/sensors", **({"cursor": cursor} if cursor else {}))
+        answer = yield _get(path, **({"cursor": cursor} if cursor else {}))
         page = answer.json()
-        found += [parse_record(ServerSensor, one) for one in page["items"]]
+        found += page["items"]
         cursor = page["next"]
     return found
 
@@ -450,8 +456,14 @@ def make_parameter_set(run: Run | int) -> Operation[ParameterSet]:
     return parse_record(ParameterSet, answer.json())
 
 
-def read_parameter_set(parameter_set: ParameterSet | int) -> Operation[ParameterSet]:
-    """Read a parameter set as it stands now."""
+def read_parameter_set(parameter_set: ParameterSet | int | str) -> Operation[ParameterSet]:
+    """Read a parameter set, by its number or name, as it stands now."""
+    if isinstance(parameter_set, str):
+        rows = yield from _list("/parameter-sets")
+        for row in rows:
+            if row["name"] == parameter_set:
+                return parse_record(ParameterSet, row)
+        raise errors.NotFoundError(f"The server has no parameter set {parameter_set}.")
     answer = yield _get(f"/parameter-sets/{_id(parameter_set)}")
     return parse_record(ParameterSet, answer.json())
 
@@ -496,8 +508,11 @@ def read_approval(approval: Approval | int) -> Operation[Approval]:
     return parse_record(Approval, answer.json())
 
 
-def export(parameter_set: ParameterSet | int) -> Operation[bytes]:
+def export(
+    parameter_set: ParameterSet | int, flight_software_version: str | None, table_id: str | None
+) -> Operation[bytes]:
     """Build the uplink package of an approved set or the baseline."""
-    answer = yield _post(f"/parameter-sets/{_id(parameter_set)}:export")
+    on_board = {"flight_software_version": flight_software_version, "table_id": table_id}
+    answer = yield _post(f"/parameter-sets/{_id(parameter_set)}:export", on_board)
     answer = yield _get(f"/packages/{answer.json()['id']}/content")
     return answer.content

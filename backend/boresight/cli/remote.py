@@ -1,0 +1,32 @@
+"""Commands on a server: `--server URL`, with an API key from the environment, for others see what stands in a command line."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+import click
+
+from boresight.errors import UnauthenticatedError
+
+if TYPE_CHECKING:
+    from boresight.library.client import Client
+
+#: Where the key comes from.
+API_KEY = "BORESIGHT_API_KEY"
+
+server_option = click.option(
+    "--server", "server_url", metavar="URL", help=f"Do it on this server, as the API key in {API_KEY} may."
+)
+
+
+def open_client(url: str) -> Client:
+    """Return a client of a server."""
+    from boresight.library.client import Client
+
+    key = os.environ.get(API_KEY)
+    if not key:
+        raise UnauthenticatedError(
+            f"A server wants an API key: make one on its page of people and keys, and set {API_KEY} to it."
+        )
+    return Client(url, key)

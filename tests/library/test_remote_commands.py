@@ -1,0 +1,63 @@
+"""`--server URL`: the commands on a server, as the key in the environment may."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+import boresight as bs
+from boresight.cli import main
+from boresight.cli.remote import API_KEY
+
+
+@pytest.fixture
+def files(house, tmp_path):
+    (tmp_path / "telemetry.csv").write_bytes(house.telemetry_csv)
+    (tmp_path / "sensor.json").write_text(json.dumps(house.sensor_file()))
+    return tmp_path
+
+
+@pytest.fixture
+def run(house, key, monkeypatch):
+    monkeypatch.setenv(API_KEY, key)
+    return lambda *words: CliRunner().invoke(
+        main, [*map(str, words), "--server", house.address], catch_exceptions=False
+    )
+
+
+@pytest.mark.usefixtures("computing")
+def test_a_calibration_on_a_server_prints_and_writes_what_it_would_here(run, files, house):
+    out = files / "out.json"
+    done = run("calibrate", files / "telemetry.csv", "--sensor", files / "sensor.json", "--free", "f_m", "--json", out)
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(out.read_text()) == house.result
+    assert done.stdout == repr(bs.load(house.result)) + "\n"
+    name = json.loads((files / "sensor.json").read_text())["name"]
+    assert run("calibrate", files / "telemetry.csv", "--sensor", name).exit_code == 0
+
+
+def test_a_report_and_a_package_come_from_the_server(run, files, house):
+    done = run("report", house.finished(), "--out", files / "run.html")
+    assert done.exit_code == 0, done.stderr
+    assert "</html>" in (files / "run.html").read_text()
+    approved = house.approved()
+    for name, file in ((approved["name"], "a.zip"), (approved["id"], "b.zip")):
+        done = run("export", name, "--out", files / file)
+        assert done.exit_code == 0, done.stderr
+    assert (files / "a.zip").read_bytes() == (files / "b.zip").read_bytes()
+
+
+def test_without_a_key_and_with_a_wrong_one_it_is_refused_in_one_line(run, files, monkeypatch):
+    words = ("calibrate", files / "telemetry.csv", "--sensor", files / "sensor.json")
+    monkeypatch.setenv(API_KEY, "wrong")
+    wrong = run(*words)
+    monkeypatch.delenv(API_KEY)
+    absent = run(*words)
+    assert (wrong.exit_code, absent.exit_code) == (1, 1)
+    assert wrong.stderr.count("\n") == absent.stderr.count("\n") == 1
+    assert API_KEY in absent.stderr
+
+
+def test_the_key_is_on_no_command_line():
+    options = {word for command in main.commands.values() for option in command.params for word in option.opts}
+    assert not [word for word in options if "key" in word]
