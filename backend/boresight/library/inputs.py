@@ -8,7 +8,7 @@ frame interchange protocol where an object has only that: pandas deprecates it.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -60,7 +60,7 @@ TelemetrySource = (
     | Telemetry
     | ArrowTable
     | InterchangeFrame
-    | Mapping[str, "ArrayLike"]
+    | Mapping[str, "ArrayLike | Sequence[object]"]
     | np.ndarray[Any, Any]
 )
 #: A sensor file, what such a file says, or a sensor of the library.
@@ -116,7 +116,7 @@ def _open_table(source: Any) -> tuple[str, pa.Table]:
     return name, pa.table(columns)
 
 
-def _join_arrays(arrays: Mapping[str, ArrayLike]) -> pa.Table:
+def _join_arrays(arrays: Mapping[str, Any]) -> pa.Table:
     """Make a table of arrays by column name."""
     columns: dict[str, pa.ChunkedArray] = {}
     rows: int | None = None
