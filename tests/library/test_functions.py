@@ -51,6 +51,13 @@ def test_every_figure_draws_and_its_name_is_listed(cal):
         cal.draw("divergence")
 
 
+def test_several_calibrations_are_drawn_over_one_another(cal, tmp_path):
+    cal.save(tmp_path / "cal.json")
+    both = bs.draw({"one": cal, "two": tmp_path / "cal.json"}, "convergence", theme="dark")
+    assert {"one", "two"} <= {trace.name for trace in both.data}
+    assert len(both.data) > len(bs.draw(cal, "convergence").data)
+
+
 @pytest.mark.parametrize("kind", ["pandas", "polars", "pyarrow"])
 def test_parameters_as_a_frame(kind, cal):
     pytest.importorskip(kind)

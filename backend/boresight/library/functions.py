@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.errors import RefusedInputError
@@ -22,6 +22,8 @@ from boresight.library.progress import Report, Wanted, reporting
 from boresight.settings import Settings, read_settings, use_kernel_folder
 
 if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
     from boresight.calibration.choice.result import Choice
     from boresight.library.inputs import ParameterSource, SensorSource, TelemetrySource
     from boresight.library.results import Assessment, Calibration, Evaluation, Matches, Quality, Simulation
@@ -441,6 +443,33 @@ def load(source: str | os.PathLike[str] | Mapping[str, Any]) -> Calibration:
     from boresight.library.results import Calibration
 
     return Calibration.of(read_any_calibration(source))
+
+
+def draw(
+    source: ParameterSource | Mapping[str, ParameterSource],
+    name: str,
+    *,
+    theme: Literal["light", "dark", "contrast"] = "light",
+) -> go.Figure:
+    """Draw a figure of a calibration, or of several over one another: {label: calibration}.
+
+    Parameters
+    ----------
+    source
+        A calibration, its JSON or the file of it; or several by label.
+    name
+        One of `Calibration.figures`.
+    theme
+        `light` is white paper, `dark` and `contrast` are the console's.
+    """
+    from boresight.figures.notebook import draw as draw_figure
+    from boresight.library.inputs import read_any_calibration
+
+    if isinstance(source, Mapping) and "schema" not in source:
+        return draw_figure(
+            {label: read_any_calibration(one).to_dict() for label, one in source.items()}, name, theme=theme
+        )
+    return draw_figure(read_any_calibration(source).to_dict(), name, theme=theme)
 
 
 def read_telemetry(source: TelemetrySource) -> Telemetry:
