@@ -1057,9 +1057,11 @@ def read_calibration(path: str | Path) -> Calibration:
 
 
 def compute_json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of the calibration JSON."""
+    """Return the JSON Schema of the calibration JSON; of one on its way (`running`) only the status is required."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": SCHEMA,
         **_adapter(Calibration).json_schema(mode="validation"),
+        "if": {"properties": {"status": {"const": "running"}}},
+        "else": {"required": list(REQUIRED)},
     }

@@ -19,6 +19,7 @@ from boresight.cli.evaluate import check, evaluate, match
 from boresight.cli.output import RefusingGroup
 from boresight.cli.report import report
 from boresight.cli.reproduce import reproduce, simulate
+from boresight.cli.schema import schema
 from boresight.cli.serve import demo, serve
 from boresight.cli.table import export, table
 from boresight.cli.worker import scheduler, warm, worker
@@ -44,6 +45,7 @@ for command in (
     check,
     simulate,
     report,
+    schema,
     export,
     table,
     reproduce,

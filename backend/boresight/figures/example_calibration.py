@@ -18,7 +18,7 @@ from boresight.figures.chart import Trace
 
 PLACE = Path(__file__).with_name("example_calibration.json")
 JUDGED_AT_THE_END = (
-    "chi2", "chi2_per_dof", "evaluation", "frame_observability", "matching", "observability", "shadow", "trust", "validation",
+    "chi2", "chi2_per_dof", "evaluation", "frame_observability", "matching", "observability", "trust", "validation",
 )  # fmt: skip
 LABELS = {"filter": ("Run 2", "as frames come down"), "batch": ("Run 1", "all frames at once")}
 
@@ -46,4 +46,4 @@ def _half_way(result: Result) -> Result:
     halved = {key: value[:half] if isinstance(value, list) else value for key, value in history.items()}
     done = result["frames"] - (len(history["frame"]) - half)
     judged = dict.fromkeys(JUDGED_AT_THE_END)
-    return {**result, **judged, "status": "running", "history": halved, "frames_done": done}
+    return {**result, **judged, "shadow": {}, "status": "running", "history": halved, "frames_done": done}

@@ -1,0 +1,160 @@
+"""The calibration JSON: what is written is read back, the published schema describes it, and what is none is refused by path."""
+
+import json
+from copy import deepcopy
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+
+from boresight.calibration.calibration import compute_json_schema, parse_calibration, read_calibration
+from boresight.calibration.options import METHODS
+from boresight.cameras import CAMERA_MODELS
+from boresight.errors import RefusedInputError
+from boresight.figures.example_calibration import get_example_calibrations
+from tests.console.operations import OPENAPI
+
+PUBLISHED = Path(__file__).resolve().parents[2] / "docs" / "calibration.schema.json"
+VALIDATOR = Draft202012Validator(json.loads(PUBLISHED.read_text()))
+EXAMPLES = get_example_calibrations()
+#: Members that the first version of the schema had not.
+NEWER = (
+    "alignment", "coverage", "delta_over_sigma", "evaluation", "frame_observability", "frames_in_set", "judged_on", "matching",
+    "robust", "shadow", "symbols", "timing_s", "trust", "variant",
+)  # fmt: skip
+
+
+def find_places(document, path=()):
+    """Yield the path of every member and entry."""
+    entries = (
+        document.items() if isinstance(document, dict) else enumerate(document) if isinstance(document, list) else ()
+    )
+    for key, value in entries:
+        yield (*path, key)
+        yield from find_places(value, (*path, key))
+
+
+def holds(whole, part):
+    """Whether every member of the part stands in the whole, as it is."""
+    if isinstance(part, dict):
+        return all(key in whole and holds(whole[key], value) for key, value in part.items())
+    return whole == part
+
+
+def replaced(document, path, value):
+    """Return the document with another value at one place."""
+    made = deepcopy(document)
+    place = made
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    return made
+
+
+BATCH = json.loads(json.dumps(EXAMPLES["batch"]))
+#: Without its longest parts, which are alike.
+SHORT = {
+    name: said
+    for name, said in BATCH.items()
+    if name not in {"coverage", "frame_observability", "history", "shadow", "trace", "trust"}
+}
+PLACES = list(find_places(SHORT))
+OTHERS = st.one_of(
+    st.none(), st.booleans(), st.integers(-9, 9), st.floats(-1e6, 1e6), st.text("ab", max_size=3),
+    st.just([]), st.just({}), st.just([1.0, None]), st.just({"f_m": 1.0}),
+)  # fmt: skip
+
+
+def test_the_published_schema_is_that_of_the_types_and_a_schema():
+    assert json.loads(PUBLISHED.read_text()) == compute_json_schema()
+    Draft202012Validator.check_schema(compute_json_schema())
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_every_stored_example_keeps_the_schema_and_comes_back_the_same(name):
+    document = json.loads(json.dumps(EXAMPLES[name] | {"schema": "boresight.calibration/1"}))
+    assert [error.json_path for error in VALIDATOR.iter_errors(document)] == []
+    once = parse_calibration(document)
+    assert parse_calibration(once.to_json()) == once
+    assert holds(once.to_dict(), document)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_result_of_every_method_keeps_the_schema_and_comes_back_the_same(
+    calibrated, make_telemetry, tmp_path, method
+):
+    document = calibrated(make_telemetry(1, frames=12), method=method, match="given")
+    assert [error.json_path for error in VALIDATOR.iter_errors(document)] == []
+    parse_calibration(document).save(tmp_path / "found.json")
+    assert json.loads((tmp_path / "found.json").read_text()) == document
+    assert read_calibration(tmp_path / "found.json") == parse_calibration(document)
+
+
+@pytest.mark.parametrize("model", CAMERA_MODELS)
+def test_parameters_of_every_camera_model_are_read_by_name(model):
+    names = CAMERA_MODELS[model].parameter_names
+    values = {name: float(number) for number, name in enumerate(names)}
+    found = parse_calibration(BATCH | {"camera_model": model, "parameters": values, "sigma": dict.fromkeys(names)})
+    assert [getattr(found.parameters, name) for name in names] == list(values.values())
+    assert found.sigma.to_dict() == dict.fromkeys(names)
+
+
+@given(path=st.sampled_from(PLACES), value=OTHERS)
+def test_what_the_schema_allows_is_read_and_what_is_refused_names_its_place(path, value):
+    document = replaced(SHORT, path, value)
+    if VALIDATOR.is_valid(document):
+        found = parse_calibration(document)
+        assert parse_calibration(found.to_json()).to_json() == found.to_json()
+    elif (fault := find_fault(document)) is not None:
+        assert any(f"({key!s}" in fault or f".{key}" in fault for key in path)
+
+
+def find_fault(document):
+    """Return what a refusal says; None where the reader understands more than the schema promises, as numbers in quotes."""
+    try:
+        parse_calibration(document)
+    except RefusedInputError as refused:
+        return str(refused)
+    return None
+
+
+def test_a_file_of_the_first_version_loads_without_what_came_later():
+    old = {key: value for key, value in BATCH.items() if key not in NEWER}
+    found = parse_calibration(json.dumps(old))
+    assert found.parameters.to_dict() == BATCH["parameters"]
+    assert (found.trust, found.matching, found.robust, found.shadow.validation) == (None, None, None, None)
+
+
+def test_members_of_a_later_version_are_passed_over():
+    assert parse_calibration(BATCH | {"moonlight": {"share": 0.1}}) == parse_calibration(BATCH)
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        ({"parameters": {"f_m": "long"}}, "parameters.f_m"),
+        ({"chi2": {"dof": 3}}, "chi2.lower"),
+        ({"covariance": {"names": ["f_m"], "matrix": [["a"]]}}, "covariance.matrix.0.0"),
+        ({"status": "fine"}, "status"),
+        ({"schema": "boresight.calibration/2"}, "schema"),
+        ({"sigma": None}, "sigma"),
+    ],
+)
+def test_what_is_no_calibration_is_refused_by_the_path_of_its_fault(change, place):
+    with pytest.raises(RefusedInputError, match="no whole calibration") as refused:
+        parse_calibration(BATCH | change, "cal.json")
+    assert f"({place}:" in str(refused.value)
+
+
+def test_text_that_is_no_json_is_refused_with_line_and_column():
+    with pytest.raises(RefusedInputError, match="line 1 column 12"):
+        parse_calibration('{"schema": oops}', "cal.json")
+
+
+def test_rest_describes_the_result_of_a_run_by_the_same_tree():
+    answer = OPENAPI["paths"]["/api/v1/runs/{run_id}/result"]["get"]["responses"]["200"]["content"]["application/json"]
+    assert {"$ref": "#/components/schemas/Calibration"} in answer["schema"]["anyOf"]
+    said = set(OPENAPI["components"]["schemas"]["Calibration"]["properties"])
+    assert said == set(compute_json_schema()["properties"])
