@@ -202,7 +202,12 @@ def __getattr__(name: str) -> Any:
     """Load a name of the library when it is first asked for."""
     if name not in _MODULES:
         raise AttributeError(f"module 'boresight' has no attribute {name!r}")
-    globals()[name] = value = getattr(import_module(_MODULES[name]), name)
+    module = _MODULES[name]
+    if not module.startswith(
+        ("boresight.library.", "boresight.errors")
+    ):  # it may load kernels, which must know their folder
+        import_module("boresight.library.functions").use_kernels()
+    globals()[name] = value = getattr(import_module(module), name)
     return value
 
 

@@ -1,8 +1,6 @@
 """Each function of the library does what its command does, on what is in memory, and answers with values."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import plotly.graph_objects as go
@@ -37,7 +35,7 @@ def test_a_terminal_shows_every_parameter_and_all_advice(cal):
 
 def test_a_notebook_shows_a_table_and_drawings_without_script_and_network(cal):
     page = cal._repr_html_()
-    assert page.count("<tr>") == 1 + len(cal.parameters)
+    assert page.count("<tr") == 1 + len(cal.parameters)
     assert page.count("<svg") == 2
     assert "<script" not in page
     assert "http" not in page
@@ -157,14 +155,3 @@ def test_a_simulation_repeats_by_its_seed(simulated):
     assert np.array_equal(again.telemetry.row_px, simulated.telemetry.row_px)
     other = bs.simulate({"sensor": 1, "frames": 5}, seed=7)
     assert len(np.unique(other.telemetry.frame)) == 5
-
-
-def test_kernels_are_in_one_folder_also_for_who_has_loaded_numba_before(tmp_path):
-    code = (
-        "import numba, boresight as bs\nfrom boresight.library.functions import use_kernels\nuse_kernels()\n"
-        "print(numba.config.CACHE_DIR)\nimport boresight.kernels.compilation\nprint(numba.config.CACHE_DIR)"
-    )
-    environment = {"BORESIGHT_DATA_FOLDER": str(tmp_path), "PATH": "", "PYTHONPATH": ":".join(sys.path)}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-    told, used = done.stdout.split()
-    assert used.startswith(told)

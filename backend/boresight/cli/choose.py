@@ -51,15 +51,15 @@ def choose(
         check_writable(place)
     if out_file is not None and sensor_file.exists() and Path(out_file).exists() and sensor_file.samefile(out_file):
         raise RefusedInputError(f"{out_file} is the sensor file that is read, and is kept: choose another name.")
-    from boresight.telemetry.sensors import read_sensor, sensor_document
-
     settings = chosen(choices)
     parse_settings(settings)
     with progress("reading the telemetry") as report:
-        sensor = read_sensor(sensor_file)
+        sensor = library.read_sensor(sensor_file)
         found = library.choose(telemetry, sensor, validate=validate, progress=report, **settings)
     write_json(found.to_dict(), json_file)
     if out_file is not None:
+        from boresight.telemetry.sensors import sensor_document
+
         write_json(sensor_document(found.describe_sensor(sensor)), out_file)
     if STANDARD_OUTPUT not in {json_file, out_file}:
         click.echo("\n".join(_lines(found)))

@@ -6,6 +6,7 @@ library, workers and server, the star catalogue, and the threads to compute on.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import inspect
 import os
@@ -14,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
 
 from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.errors import RefusedInputError
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 BUILT_IN = tuple(f"st16-{number}" for number in range(1, 7))
 VALIDATION_DELAY_H = 6
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -49,23 +52,32 @@ class _Prepared:
         return load_catalogue(self.settings.catalogue_folder)
 
 
-@contextmanager
-def _prepared(progress: Wanted, message: str) -> Iterator[_Prepared]:
-    """Read the settings, point to the kernels, and compute on the machine's threads."""
-    from boresight.estimation.blocks import computing_on
-
-    settings = use_kernels()
-    with reporting(progress, message) as report, computing_on(settings.computing_threads):
-        yield _Prepared(settings, report)
-
-
-def use_kernels() -> Settings:
+def use_kernels() -> None:
     """Point Numba to the folder of compiled kernels, also where the caller has loaded Numba before."""
-    settings = read_settings()
-    use_kernel_folder(settings)
+    use_kernel_folder(read_settings())
     if "numba" in sys.modules and "boresight.kernels" not in sys.modules:
         sys.modules["numba"].config.reload_config()
-    return settings
+
+
+def _on_kernels(function: Callable[P, T]) -> Callable[P, T]:
+    """Let a function know the folder of kernels before it loads anything that compiles."""
+
+    @functools.wraps(function)
+    def called(*arguments: P.args, **named: P.kwargs) -> T:
+        use_kernels()
+        return function(*arguments, **named)
+
+    return called
+
+
+@contextmanager
+def _prepared(progress: Wanted, message: str) -> Iterator[_Prepared]:
+    """Read the settings, and compute on the machine's threads."""
+    from boresight.estimation.blocks import computing_on
+
+    settings = read_settings()
+    with reporting(progress, message) as report, computing_on(settings.computing_threads):
+        yield _Prepared(settings, report)
 
 
 def parse_choices(choices: Mapping[str, Any]) -> CalibrationSettings:
@@ -87,6 +99,7 @@ def _split(name: str, text: str) -> Any:
     return [int(part) if part.isdecimal() else part for part in parts] if kind == "wholes" else parts
 
 
+@_on_kernels
 def calibrate(
     telemetry: TelemetrySource,
     sensor: SensorSource,
@@ -146,6 +159,7 @@ def calibrate(
     return Calibration.of(found)
 
 
+@_on_kernels
 def choose(
     telemetry: TelemetrySource,
     sensor: SensorSource,
@@ -179,6 +193,7 @@ def choose(
         )
 
 
+@_on_kernels
 def match(
     telemetry: TelemetrySource,
     sensor: SensorSource,
@@ -224,6 +239,7 @@ def match(
     return found
 
 
+@_on_kernels
 def evaluate(
     telemetry: TelemetrySource,
     sensor: SensorSource,
@@ -281,6 +297,7 @@ def evaluate(
         )
 
 
+@_on_kernels
 def check(telemetry: TelemetrySource, sensor: SensorSource, *, progress: Wanted = None) -> Quality:
     """Report on the quality of telemetry: counts, gaps, coverage, magnitudes, matches. Arguments as `calibrate`."""
     from boresight.library.inputs import iterate_telemetry, read_any_sensor
@@ -301,6 +318,7 @@ def check(telemetry: TelemetrySource, sensor: SensorSource, *, progress: Wanted 
     return replace(found, findings=[Finding(**one) for one in document["findings"]])
 
 
+@_on_kernels
 def assess(
     calibration: ParameterSource,
     sensor: SensorSource,
@@ -359,6 +377,7 @@ def assess(
     return replace(found, gates=answers)
 
 
+@_on_kernels
 def simulate(
     scenario: str | os.PathLike[str] | Mapping[str, Any] = "st16-1",
     *,
@@ -437,6 +456,7 @@ def _read_scenario(path: Path) -> Any:
         raise RefusedInputError(f"{path} cannot be read: {error.strerror}.") from error
 
 
+@_on_kernels
 def load(source: str | os.PathLike[str] | Mapping[str, Any]) -> Calibration:
     """Read a calibration that was saved, by `Calibration.save`, `boresight calibrate --json` or a server."""
     from boresight.library.inputs import read_any_calibration
@@ -445,6 +465,7 @@ def load(source: str | os.PathLike[str] | Mapping[str, Any]) -> Calibration:
     return Calibration.of(read_any_calibration(source))
 
 
+@_on_kernels
 def draw(
     source: ParameterSource | Mapping[str, ParameterSource],
     name: str,
@@ -472,6 +493,7 @@ def draw(
     return draw_figure(read_any_calibration(source).to_dict(), name, theme=theme)
 
 
+@_on_kernels
 def read_telemetry(source: TelemetrySource) -> Telemetry:
     """Read telemetry into arrays, SI, held against the rules of the format. `source` as `calibrate` takes it."""
     from boresight.library.inputs import read_in_memory
@@ -483,6 +505,7 @@ def read_telemetry(source: TelemetrySource) -> Telemetry:
     return read_in_memory(source, limits)
 
 
+@_on_kernels
 def read_sensor(source: SensorSource) -> Sensor:
     """Read a sensor: a file, or what one says."""
     from boresight.library.inputs import read_any_sensor

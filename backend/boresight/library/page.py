@@ -22,9 +22,7 @@ def page_html(found: Calibration) -> str:
     from boresight.figures.tables import HEADINGS, printed_rows
 
     head = "".join(f"<th>{escape(name)}</th>" for name in HEADINGS)
-    rows = "".join(
-        f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row.cells)}</tr>" for row in printed_rows(found.to_dict())
-    )
+    rows = "".join(_row(row.cells) for row in printed_rows(found.to_dict()))
     advice = "".join(f"<li>{escape(sentence)}</li>" for sentence in found.advice)
     drawings = "".join(
         f'<figure style="margin:0"><figcaption>{escape(caption)}</figcaption>{drawing}</figure>'
@@ -40,6 +38,10 @@ def page_html(found: Calibration) -> str:
         f'<div style="display:flex;gap:2em;flex-wrap:wrap">{drawings}</div>'
         f"{f'<ul>{advice}</ul>' if advice else ''}</div>"
     )
+
+
+def _row(cells: Sequence[str]) -> str:
+    return f'<tr style="text-align:right">{"".join(f"<td>{escape(cell)}</td>" for cell in cells)}</tr>'
 
 
 def _draw_changes(found: Calibration) -> str:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 from boresight import errors
 from boresight.errors import Fault, RefusedInputError, RunFailedError, UnavailableError
+from boresight.library.functions import parse_choices, read_sensor, read_telemetry
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -262,9 +263,6 @@ def find_sensor(sensor: SensorSource | ServerSensor | int, *, register: bool = T
 
     A path is read; a text that is no file is a name.
     """
-    from boresight.library.inputs import read_any_sensor
-    from boresight.telemetry.sensors import parse_sensor, sensor_document
-
     if isinstance(sensor, ServerSensor):
         return sensor
     if isinstance(sensor, int):
@@ -277,7 +275,9 @@ def find_sensor(sensor: SensorSource | ServerSensor | int, *, register: bool = T
                 return one
         names = ", ".join(one.name for one in known) or "none"
         raise errors.NotFoundError(f"The server has no sensor {sensor}, and there is no such file: it has {names}.")
-    described = read_any_sensor(sensor)
+    described = read_sensor(sensor)
+    from boresight.telemetry.sensors import parse_sensor, sensor_document
+
     document = sensor_document(described)
     for one in known:
         if one.name == described.name:
@@ -317,11 +317,11 @@ def _file_of(telemetry: TelemetrySource) -> tuple[str, Path | bytes]:
         return path.name, path
     import pyarrow.parquet as pq
 
-    from boresight.library.functions import read_telemetry
+    read = read_telemetry(telemetry)
     from boresight.telemetry.read.readers import contract_table
 
     content = io.BytesIO()
-    pq.write_table(contract_table(read_telemetry(telemetry)), content, compression="zstd")
+    pq.write_table(contract_table(read), content, compression="zstd")
     return "telemetry.parquet", content.getvalue()
 
 
@@ -332,8 +332,6 @@ def launch(
     settings: Mapping[str, Any],
 ) -> Operation[Run]:
     """Queue a calibration."""
-    from boresight.library.functions import parse_choices
-
     if isinstance(telemetry, int):
         answer = yield _get(f"/telemetry-sets/{telemetry}")
         telemetry = parse_record(TelemetrySet, answer.json())
