@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.figures import CHAPTERS, FIGURES, Trace, figure_json
-from boresight.figures.charts import trend
+from boresight.figures import CHAPTERS, FIGURES, Trace, figure_json, trend
 from boresight.figures.charts.innovations import running_mean
 from boresight.figures.charts.more_data import round_ticks
 from boresight.figures.charts.residual_distribution import shares

@@ -22,8 +22,7 @@ from boresight.console.runs import schemas as run_schemas
 from boresight.console.uplinks import schemas as uplink_schemas
 from boresight.console.uplinks import service as uplinks
 from boresight.errors import RefusedInputError
-from boresight.figures import figure_json
-from boresight.figures.charts import trend
+from boresight.figures import figure_json, trend
 from boresight.platform.web.media import CsvFile, csv_response
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 from boresight.platform.web.response_cache import cover_with_tag

@@ -41,7 +41,7 @@ from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.uplinks import service as uplinks
 from boresight.console.uplinks.tables import Uplink
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
-from boresight.figures.charts import trend as figure
+from boresight.figures import trend as figure
 from boresight.platform.actors import Actor
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, open_reading, utc_now
