@@ -1,6 +1,9 @@
 """Each function of the library does what its command does, on what is in memory, and answers with values."""
 
+import copy
+import dataclasses
 import json
+import sys
 
 import numpy as np
 import plotly.graph_objects as go
@@ -101,6 +104,20 @@ def test_progress_is_told_to_a_function(simulated):
     told = []
     bs.calibrate(simulated.telemetry, simulated.sensor, progress=lambda message, _: told.append(message))
     assert "loading the star catalogue" in told
+
+
+def test_a_notebook_without_widgets_shows_a_line_and_a_script_nothing(simulated, capsys, monkeypatch):
+    monkeypatch.setattr("boresight.library.progress.PATIENCE_S", 0.0)
+    bs.check(simulated.telemetry, simulated.sensor)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setitem(sys.modules, "ipykernel", sys)
+    bs.check(simulated.telemetry, simulated.sensor)
+    assert capsys.readouterr().err.startswith("boresight: ")
+
+
+def test_a_calibration_is_copied_with_what_it_can_do(cal):
+    assert copy.deepcopy(cal) == cal
+    assert dataclasses.replace(cal, advice=[]).figures == cal.figures
 
 
 def test_files_are_named_by_their_bytes_and_tables_are_not(simulated, cal, tmp_path):

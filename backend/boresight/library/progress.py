@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 
 from boresight.waiting import telling
 
@@ -21,7 +22,7 @@ class Progress:
 
     def __init__(self, message: str) -> None:
         self._message = message
-        self._bar = _Bar(message) if is_watched() else None
+        self._bar = _Bar(message) if sys.stderr.isatty() or _has_widgets() else None
         self._timer = threading.Timer(PATIENCE_S, self._speak)
         self._timer.daemon = True
         self._timer.start()
@@ -75,8 +76,17 @@ class _Bar:
 
 
 def is_watched() -> bool:
-    """Whether somebody sees a bar: in a terminal or in a notebook."""
-    return sys.stderr.isatty() or "ipykernel" in sys.modules
+    """Whether somebody looks on: in a terminal or in a notebook."""
+    return sys.stderr.isatty() or _is_notebook()
+
+
+def _is_notebook() -> bool:
+    return "ipykernel" in sys.modules
+
+
+def _has_widgets() -> bool:
+    """Whether a notebook can show a bar; without widgets it shows lines."""
+    return _is_notebook() and find_spec("ipywidgets") is not None
 
 
 @contextmanager
