@@ -100,7 +100,6 @@ if TYPE_CHECKING:
         ForbiddenError,
         NotFoundError,
         RefusedInputError,
-        RunFailedError,
         StaleError,
         UnauthenticatedError,
         UnavailableError,
@@ -119,6 +118,7 @@ if TYPE_CHECKING:
         read_telemetry,
         simulate,
     )
+    from boresight.library.remote import RunFailedError
     from boresight.library.results import Assessment, Calibration, Evaluation, Matches, Quality, Simulation
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
@@ -145,6 +145,7 @@ _PLACES = {
     "boresight.telemetry.schema": ("Telemetry",),
     "boresight.telemetry.sensors": ("Sensor",),
     "boresight.library.client": ("AsyncClient", "Client"),
+    "boresight.library.remote": ("RunFailedError",),
     "boresight.errors": (
         "BoresightError",
         "CancelledError",
@@ -153,7 +154,6 @@ _PLACES = {
         "ForbiddenError",
         "NotFoundError",
         "RefusedInputError",
-        "RunFailedError",
         "StaleError",
         "UnauthenticatedError",
         "UnavailableError",

@@ -120,7 +120,3 @@ class TooLargeError(BoresightError):
 
 class CancelledError(BoresightError):
     """The computation was asked to stop and did."""
-
-
-class RunFailedError(BoresightError):
-    """A run on a server ended without a calibration; says why."""

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 from boresight import errors
-from boresight.errors import Fault, RefusedInputError, RunFailedError, UnavailableError
+from boresight.errors import BoresightError, Fault, RefusedInputError, UnavailableError
 from boresight.library.functions import parse_choices, read_sensor, read_telemetry
 
 if TYPE_CHECKING:
@@ -54,6 +54,10 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S, SLOWER = 0.1, 1.0, 1.3
 ACCEPTED, FIRST_ERROR = 202, 400
 
 T = TypeVar("T")
+
+
+class RunFailedError(BoresightError):
+    """A run on a server ended without a calibration; says why."""
 
 
 @dataclass(frozen=True, kw_only=True)

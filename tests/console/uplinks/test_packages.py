@@ -167,7 +167,11 @@ def test_there_is_no_package_of_an_unknown_number(engine, blobs):
 def test_the_turn_of_the_attitude_travels_where_the_run_began_at_the_set_replaced(
     engine, people, blobs, build, finished_run
 ):
-    found = {"sentence": "Loading these parameters turns the attitude.", "c_sd_update": [[1.0]]}
+    found = {
+        "quaternion": [0.0, 0.0, 0.0, 1.0], "rotation_arcsec": [4.1, 0.0, 0.0], "sigma_arcsec": [1.0, 1.0, 9.0],
+        "sigma_of_mean_arcsec": [0.1, 0.1, 0.9], "frames": 40, "scatter_arcsec": 1.0, "noise_arcsec": 1.1, "consistent": True,
+        "sentence": "Loading these parameters turns the attitude.", "c_sd_update": [[1.0]],
+    }  # fmt: skip
     with open_writing(engine) as session:
         run = finished_run(session, people["ana"].user_id, alignment=found)
         row = parameter_sets.create_from_run(session, people["ana"], blobs, run.id)

@@ -6,7 +6,6 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from boresight.calibration.calibration import RadialDifference
 from boresight.calibration.evaluation.forecast import Forecast
 from boresight.console.schemas import Document, Numbers, Row, Shape
 
@@ -285,6 +284,17 @@ class ComparedCorrelation(Shape):
     values: Numbers
 
 
+class RadialContrast(Shape):
+    """How far a run places stars along the radius from where the reference places them."""
+
+    radius_px: Numbers
+    difference_px: Numbers
+    sigma_px: Numbers
+    difference_arcsec: Numbers
+    sigma_arcsec: Numbers
+    data_radius_px: float | None
+
+
 class Comparison(Shape):
     """Runs against a reference run."""
 
@@ -295,4 +305,4 @@ class Comparison(Shape):
     runs: list[ComparedRun]
     parameters: list[ComparedParameter]
     correlations: list[ComparedCorrelation]
-    radial: list[RadialDifference | None]
+    radial: list[RadialContrast | None]
