@@ -39,6 +39,7 @@ from benchmarks.pages.drawings import chromium
 from benchmarks.servers import Server, serving
 from benchmarks.stores import fill, opened, settings_in
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.calibration import parse_calibration, to_plain
 from boresight.calibration.options import CalibrationSettings
 from boresight.cli.output import json_option, write_json
 from boresight.console.runs.tables import Run
@@ -119,7 +120,7 @@ def furnish(folder: Path, frames: int, runs: int, overlaid: int) -> tuple[dict[s
                 sensor_id=filled.sensor_id, telemetry_set_id=filled.telemetry_set_id, method="sqrf", settings=settings.document(),
                 sensor_document=sensor_document(scenario.sensor), label=f"run {number + 1}", state="SUCCEEDED", launched_utc=now,
                 started_utc=now, ended_utc=now, result_sha256=addresses[number % overlaid],
-                summary=summarise_run(results[number % overlaid]),
+                summary=to_plain(summarise_run(parse_calibration(results[number % overlaid]))),
             )
             for number in range(runs)
         )  # fmt: skip
@@ -158,7 +159,7 @@ def peers(result: Mapping[str, Any], frames: int, overlaid: int) -> Rows:
     rows: Rows = {}
     rng = np.random.default_rng(3)
     for runs, updates in ((1, frames), (overlaid, frames // overlaid)):
-        traces = [Trace(f"Run {k}", drawn_out(result, updates, rng)) for k in range(runs)]
+        traces = [Trace(f"Run {k}", parse_calibration(drawn_out(result, updates, rng))) for k in range(runs)]
         for name in track(PEERS, f"unthinned, {runs} runs", console=Console(stderr=True)):
             times: dict[bool, list[float]] = {True: [], False: []}
             sizes: dict[bool, int] = {}

@@ -38,6 +38,7 @@ import pyarrow.parquet as arrow_parquet
 from click.testing import CliRunner
 
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.calibration import parse_calibration
 from boresight.calibration.options import ALL as METHODS
 from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.calibration.telemetry_pieces import TelemetryFile
@@ -712,10 +713,11 @@ def through_the_door(case: Case, sensor_file: Path) -> str | None:
 def shown(document: dict[str, Any], sensor: Sensor) -> None:
     """Draw and judge a result as report, pages and `assess` do; what is read is what the file holds."""
     result = json.loads(orjson.dumps(document))
-    render_report(result)
+    found = parse_calibration(result)
+    render_report(found)
     for figure in FIGURES.values():
-        orjson.dumps(figure.draw([Trace("edited", result)]).to_plotly_json(), option=orjson.OPT_SERIALIZE_NUMPY)
-        figure.table(result)
+        orjson.dumps(figure.draw([Trace("edited", found)]).to_plotly_json(), option=orjson.OPT_SERIALIZE_NUMPY)
+        figure.table(found)
     if result["status"] not in {"diverged", "too_few_stars"} and result["camera_model"] in CAMERA_MODELS:
         assess(result, sensor, ground_set(sensor), parse_profile({}))
 

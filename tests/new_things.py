@@ -52,7 +52,7 @@ def furnished(folder: Path) -> int:
     with open_writing(engine) as session:
         person = add_person(session, "ada", "analyst")
         sensor = sensors.register_sensor(session, COMMAND_LINE, sensor_document(SENSOR))
-        add_runs(session, blobs, person.id, sensor.id, get_example_calibrations()["filter"], count=2)
+        add_runs(session, blobs, person.id, sensor.id, get_example_calibrations()["filter"].to_dict(), count=2)
         found = sensor.id
     engine.dispose()
     return found
@@ -170,7 +170,7 @@ def chart(ada: httpx.Client) -> dict[str, Any]:
 
 
 def gate(ada: httpx.Client, sensor_id: int, folder: Path) -> dict[str, Any]:
-    result = get_example_calibrations()["batch"]
+    result = get_example_calibrations()["batch"].to_dict()
     limited = parse_profile({"gates": [{"name": "dummy-gate", "limit": 2.0, "marginal": 1.0}]})
     (found, strict) = (assess(result, SENSOR, ground_set(SENSOR), profile) for profile in (parse_profile({}), limited))
     answer, refused = ({one["name"]: one for one in report["gates"]}["dummy-gate"] for report in (found, strict))

@@ -19,6 +19,7 @@ import pytest
 from fastapi import Response
 
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.calibration import parse_calibration, to_plain
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.access import sessions
@@ -158,7 +159,7 @@ class Site:
             }
             if result is not None:
                 values["result_sha256"] = self.blobs.put(orjson.dumps(result))
-                values["summary"] = summarise_run(result)
+                values["summary"] = to_plain(summarise_run(parse_calibration(result)))
                 if session.get(Blob, values["result_sha256"]) is None:
                     session.add(
                         Blob(

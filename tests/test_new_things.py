@@ -55,7 +55,7 @@ def draw(drawn):
     return theme.dress(figure, title="How many frames", height_px=300)
 
 DUMMY_CHART = make_figure(
-    draw, lambda frames: {"frames": [frames]}, lambda result: result.get("frames"), lambda _: "No frame is counted yet.",
+    draw, lambda frames: {"frames": [frames]}, lambda result: result.frames or None, lambda _: "No frame is counted yet.",
     name="dummy-chart", title="Dummy chart", guide="One bar a run; a taller one has more frames.",
 )
 """,

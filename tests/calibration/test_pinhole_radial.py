@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from boresight.calibration.calibrate import calibrate
+from boresight.calibration.calibration import parse_calibration
 from boresight.calibration.matching.rematch import rematch
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
@@ -66,7 +67,7 @@ def test_the_attitude_correction_every_part_of_trust_and_the_report_are_there(re
     turned = np.hypot(*alignment["rotation_arcsec"][:2])
     assert turned == pytest.approx(np.hypot(10, 10) * 37.4, abs=4 * max(alignment["sigma_arcsec"]))
     assert results["batch"]["trust"]["unavailable"] == {}
-    page = render_report(results["batch"])
+    page = render_report(parse_calibration(results["batch"]))
     assert "pinhole_radial" in page
     assert all(name in page for name in TRUTH)
 
@@ -75,7 +76,7 @@ def test_the_attitude_correction_every_part_of_trust_and_the_report_are_there(re
 def test_every_figure_draws_it(results, name):
     if name == "shadow":
         pytest.skip("only a run that was matched by two sets of parameters has one")
-    assert FIGURES[name].draw([Trace("WU-1", results["batch"])]).data
+    assert FIGURES[name].draw([Trace("WU-1", parse_calibration(results["batch"]))]).data
 
 
 def test_matches_are_found_without_any_given(scenario, telemetry, catalogue):

@@ -1,4 +1,4 @@
-"""Two results with every key of the contract: figures are tested without running an estimator."""
+"""Two calibrations with every member: figures are tested without running an estimator."""
 
 import pytest
 

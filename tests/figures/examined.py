@@ -1,10 +1,11 @@
-"""Results with every key of the contract: the stored example, and what it happens not to have (doubts, gaps, long histories)."""
+"""Calibrations with every member: the stored example, and what it happens not to have (doubts, gaps, long histories)."""
 
 import numpy as np
 
+from boresight.calibration.calibration import parse_calibration
 from boresight.figures.example_calibration import get_example_calibrations
 
-EXAMPLE = get_example_calibrations()["filter"]
+EXAMPLE = get_example_calibrations()["filter"].to_dict()
 FLAGS = {3: ["double"], 7: ["solution type"]}
 
 
@@ -116,7 +117,11 @@ def shadow(n_frames=40, lost=(7,), gained=(1, 2, 3)):
 
 def examined(method):
     """Return the example by a method as a run over 200 frames that leaves doubts."""
-    result = get_example_calibrations()[method]
+    return parse_calibration(examined_document(method))
+
+
+def examined_document(method):
+    result = get_example_calibrations()[method].to_dict()
     truth = {name: value + 0.5 * result["sigma"][name] for name, value in result["parameters"].items()}
     moved = {
         name: (value - result["initial"][name]) / result["sigma"][name] for name, value in result["parameters"].items()
@@ -141,22 +146,21 @@ def examined(method):
 
 
 def sequential(n_frames=200, seed=4):
-    rng, result = np.random.default_rng(seed), examined("filter")
+    rng, result = np.random.default_rng(seed), examined_document("filter")
     typical, final_sigma, final = (
         np.array([result[key][name] for name in result["free"]]) for key in ("typical_sigma", "sigma", "parameters")
     )
     k = np.arange(1, n_frames + 1)[:, None]
     sigma = np.minimum(10 * typical, final_sigma * np.sqrt(n_frames / k))
     wander = np.cumsum(rng.normal(size=(n_frames, 8)), axis=0) / np.maximum(k, 1) ** 0.9
-    return result | {
-        "history": {
-            "frame": list(range(n_frames)),
-            "parameters": (final + sigma * (wander - wander[-1])).tolist(),
-            "sigma": sigma.tolist(),
-            "tail_rms_rad": (82.6e-6 + 300e-6 / k[:, 0] ** 1.3).tolist(),
-            "aggregate_rms_rad": (80e-6 + 120e-6 / k[:, 0]).tolist(),
-            "nis": rng.chisquare(19, n_frames).tolist(),
-            "nis_dof": [19] * n_frames,
-            "time_utc": None,
-        },
+    history = {
+        "frame": list(range(n_frames)),
+        "parameters": (final + sigma * (wander - wander[-1])).tolist(),
+        "sigma": sigma.tolist(),
+        "tail_rms_rad": (82.6e-6 + 300e-6 / k[:, 0] ** 1.3).tolist(),
+        "aggregate_rms_rad": (80e-6 + 120e-6 / k[:, 0]).tolist(),
+        "nis": rng.chisquare(19, n_frames).tolist(),
+        "nis_dof": [19] * n_frames,
+        "time_utc": None,
     }
+    return parse_calibration(result | {"history": history})

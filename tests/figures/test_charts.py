@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from boresight.calibration.calibration import (
+    USABLE,
+    Calibration,
+    Covariance,
+    History,
+    Inputs,
+    Trust,
+    Values,
+)  # fmt: skip
+from boresight.calibration.evaluation.contrast import RadialContrast
 from boresight.figures import FIGURES, Trace
 from boresight.figures.charts import radial as radial_contrast
 from boresight.figures.charts.methods import method_scores
@@ -22,7 +33,7 @@ def named(drawn, name):
 
 def draw(name, *results, **changes):
     return FIGURES[name].draw(
-        [Trace(label, result | changes) for label, result in zip(("Run", "other"), results, strict=False)]
+        [Trace(label, replace(result, **changes)) for label, result in zip(("Run", "other"), results, strict=False)]
     )
 
 
@@ -35,7 +46,7 @@ def test_rms_is_in_microradians_with_both_levels_and_a_dash_for_tail_and_aggrega
 
 
 def test_the_tail_begins_where_the_run_had_settled_or_where_a_reader_wants_it(sequential_result):
-    whole, running = (Trace("Run", sequential_result | more) for more in ({}, {"status": "running"}))
+    whole, running = (Trace("Run", replace(sequential_result, status=status)) for status in (USABLE, "running"))
     starts = (
         (whole, settled_step(sequential_result)),
         (*tailed([whole], 50), 50),
@@ -49,11 +60,11 @@ def test_the_tail_begins_where_the_run_had_settled_or_where_a_reader_wants_it(se
 
 def test_the_tail_s_mean_and_sigma_are_those_of_the_window_and_an_rms_scatters_by_its_sigma(sequential_result):
     (trace,) = tailed([Trace("Run", sequential_result)], 100)
-    tail = summarise_tail(trace.result)
-    mean = np.mean(sequential_result["history"]["tail_rms_rad"][100:])
+    tail = summarise_tail(trace.result, trace.tail_from)
+    mean = np.mean(sequential_result.history.tail_rms_rad[100:])
     assert (tail.points, tail.chosen) == (100, True)
     assert tail.tail_rad == pytest.approx(mean)
-    assert tail.sigma_rad == pytest.approx(mean / np.sqrt(2 * sequential_result["pairs"]))
+    assert tail.sigma_rad == pytest.approx(mean / np.sqrt(2 * sequential_result.pairs))
     arcs = np.random.default_rng(3).normal(size=(4000, 200))
     rms = np.sqrt(np.mean(arcs**2, axis=1))
     assert rms.std() == pytest.approx(sigma_of_rms(1.0, 200), rel=0.05)
@@ -62,7 +73,7 @@ def test_the_tail_s_mean_and_sigma_are_those_of_the_window_and_an_rms_scatters_b
 @pytest.mark.parametrize(("name", "panels"), [("distortion", 1), ("radial", 2)])
 def test_radii_without_stars_are_hatched_from_the_outermost_star_on_and_named_once(name, panels, sequential_result):
     hatched = named(draw(name, sequential_result), "no stars: extrapolated")
-    reached, last = sequential_result["radial"]["data_radius_px"], sequential_result["radial"]["radius_px"][-1]
+    reached, last = sequential_result.radial.data_radius_px, sequential_result.radial.radius_px[-1]
     assert [(min(one.x), max(one.x)) for one in hatched] == [(reached, pytest.approx(last))] * panels
     assert {one.fillpattern.shape for one in hatched} == {"/"}
     assert [one.showlegend for one in hatched].count(True) == 1
@@ -71,14 +82,14 @@ def test_radii_without_stars_are_hatched_from_the_outermost_star_on_and_named_on
 def test_displacements_differ_by_the_radial_difference_or_say_how_to_have_them(sequential_result):
     drawn = draw("distortion", sequential_result)
     (new,), (old,) = named(drawn, "Run"), named(drawn, "old: at launch")
-    assert np.array(new.y) - np.array(old.y) == pytest.approx(sequential_result["radial"]["difference_px"], abs=1e-5)
-    radial = {key: value for key, value in sequential_result["radial"].items() if key != "displacement_px"}
+    assert np.array(new.y) - np.array(old.y) == pytest.approx(sequential_result.radial.difference_px, abs=1e-5)
+    radial = replace(sequential_result.radial, displacement_px=None)
     assert "start it again" in draw("distortion", sequential_result, radial=radial).layout.annotations[0].text
 
 
 def test_correlations_are_the_covariance_over_the_sigmas_and_name_the_strongest_pair():
     P = np.array([[4.0, -5.4], [-5.4, 9.0]])
-    result = {"covariance": {"names": ["f_m", "b2_per_m2"], "matrix": P.tolist()}, "parameters": {"f_m": 1.0}}
+    result = Calibration(status=USABLE, covariance=Covariance(names=["f_m", "b2_per_m2"], matrix=P.tolist()))
     drawn = draw("correlation", result)
     assert np.array(drawn.data[0].z, float)[0, 1] == pytest.approx(-0.9)
     assert np.isnan(np.array(drawn.data[0].z, float)[0, 0])
@@ -89,12 +100,14 @@ def test_correlations_are_the_covariance_over_the_sigmas_and_name_the_strongest_
 def test_maps_beside_each_other_have_short_titles_and_one_set_of_row_labels_where_detectors_are_alike(
     sequential_result,
 ):
-    shorter = sequential_result["coverage"] | {"row_edges_px": np.linspace(-0.5, 1023.5, 13).tolist()}
+    shorter = replace(sequential_result.coverage, row_edges_px=np.linspace(-0.5, 1023.5, 13).tolist())
     short = ["Run 12", "Run 13"]
     labels = [f"{run} · Square-root filter, fed as frames come down" for run in short]
     alike, unlike = (
-        FIGURES["coverage"].draw(list(map(Trace, labels, (sequential_result, sequential_result | more), short)))
-        for more in ({}, {"coverage": shorter})
+        FIGURES["coverage"].draw(
+            list(map(Trace, labels, (sequential_result, replace(sequential_result, coverage=seen)), short))
+        )
+        for seen in (sequential_result.coverage, shorter)
     )
     assert [title.text for title in alike.layout.annotations] == short
     assert (alike.layout.yaxis.showticklabels, alike.layout.yaxis2.showticklabels) == (True, False)
@@ -104,26 +117,27 @@ def test_maps_beside_each_other_have_short_titles_and_one_set_of_row_labels_wher
 
 
 def test_the_arcsecond_axis_is_the_pixel_axis_by_the_plate_scale_where_all_runs_have_one(sequential_result):
-    drawn, radial = draw("radial", sequential_result), sequential_result["radial"]
-    scale = radial["difference_arcsec"][1] / radial["difference_px"][1]
+    drawn, radial = draw("radial", sequential_result), sequential_result.radial
+    scale = radial.difference_arcsec[1] / radial.difference_px[1]
     assert np.array(drawn.layout.yaxis2.range) / np.array(drawn.layout.yaxis.range) == pytest.approx(scale, rel=1e-5)
-    doubled = radial | {key: [2 * v for v in radial[key]] for key in ("difference_arcsec", "sigma_arcsec")}
-    assert draw("radial", sequential_result, sequential_result | {"radial": doubled}).layout.yaxis2.range is None
+    twice = {name: [2 * v for v in getattr(radial, name)] for name in ("difference_arcsec", "sigma_arcsec")}
+    other = replace(sequential_result, radial=replace(radial, **twice))
+    assert draw("radial", sequential_result, other).layout.yaxis2.range is None
 
 
 def test_each_direction_is_a_column_with_its_largest_share_positive_and_the_weakest_said_in_words(sequential_result):
-    drawn, seen = draw("observability", sequential_result), sequential_result["observability"]
+    drawn, seen = draw("observability", sequential_result), sequential_result.observability
     shares = np.array(drawn.data[-1].z, dtype=float)
-    assert np.abs(shares) == pytest.approx(np.abs(np.array(seen["right_singular_vectors"]).T), abs=1e-6)
+    assert np.abs(shares) == pytest.approx(np.abs(np.array(seen.right_singular_vectors).T), abs=1e-6)
     assert np.all(shares[np.argmax(np.abs(shares), axis=0), np.arange(8)] > 0)
-    assert f"{seen['condition_number']:.0f}" in drawn.layout.title.text
+    assert f"{seen.condition_number:.0f}" in drawn.layout.title.text
     assert any("g_y and f move together" in annotation.text for annotation in drawn.layout.annotations)
-    open_one = seen | {"singular_values": [*seen["singular_values"][:-1], 0.0], "condition_number": None}
+    open_one = replace(seen, singular_values=[*seen.singular_values[:-1], 0.0], condition_number=None)
     assert "infinite" in draw("observability", sequential_result, observability=open_one).layout.title.text
 
 
 def test_the_first_detector_row_is_at_the_top_and_empty_cells_are_gaps(sequential_result):
-    drawn, counts = draw("coverage", sequential_result), np.array(sequential_result["coverage"]["counts"])
+    drawn, counts = draw("coverage", sequential_result), np.array(sequential_result.coverage.counts)
     assert drawn.layout.yaxis.autorange == "reversed"
     assert np.array_equal(np.isnan(np.array(drawn.data[0].z, dtype=float)), counts == 0)
 
@@ -131,7 +145,7 @@ def test_the_first_detector_row_is_at_the_top_and_empty_cells_are_gaps(sequentia
 def test_a_change_within_three_sigma_is_paler_and_compared_runs_stand_beside_each_other(
     sequential_result, batch_result
 ):
-    still = sequential_result["initial"] | {"f_m": sequential_result["parameters"]["f_m"]}
+    still = Values({**sequential_result.initial, "f_m": sequential_result.parameters.f_m})
     drawn = draw("parameters", sequential_result, parameters=still)
     assert drawn.data[0].marker.color[0] == "#3b8fe0"
     assert all(colour.startswith("rgba") for colour in drawn.data[0].marker.color[1:])
@@ -139,41 +153,46 @@ def test_a_change_within_three_sigma_is_paler_and_compared_runs_stand_beside_eac
     both = draw("parameters", sequential_result, batch_result)
     assert [trace.offsetgroup for trace in both.data] == ["Run", "Run", "other", "other"]
     columns = FIGURES["parameters"].table(sequential_result)
-    assert columns["final"][0] == sequential_result["parameters"]["f_m"]
-    assert columns["delta_over_sigma"][0] == pytest.approx(sequential_result["delta_over_sigma"]["f_m"])
+    assert columns["final"][0] == sequential_result.parameters.f_m
+    assert columns["delta_over_sigma"][0] == pytest.approx(sequential_result.delta_over_sigma.f_m)
 
 
 def test_radii_that_no_star_of_both_runs_reached_are_hatched_over_the_height_of_the_comparison():
-    curve = {"radius_px": [0.0, 500.0, 1000.0], "data_radius_px": 700.0}
-    curve |= {"difference_px": [0.0, 1.0, 4.0], "sigma_px": [0.0, 0.1, 0.5]}
-    curve |= {"difference_arcsec": [0.0, 28.0, 112.0], "sigma_arcsec": [0.0, 2.8, 14.0]}
+    curve = RadialContrast(
+        radius_px=[0.0, 500.0, 1000.0],
+        difference_px=[0.0, 1.0, 4.0],
+        sigma_px=[0.0, 0.1, 0.5],
+        difference_arcsec=[0.0, 28.0, 112.0],
+        sigma_arcsec=[0.0, 2.8, 14.0],
+        data_radius_px=700.0,
+    )
     drawn = radial_contrast.draw_radial_contrast(["one", "other"], 0, [None, curve])
     (hatched,) = named(drawn, EXTRAPOLATED)
     assert hatched.fillpattern.shape == "/"
     assert (min(hatched.x), max(hatched.x)) == (700.0, 1000.0)
     assert min(hatched.y) < 0.0 < 4.0 + 3 * 0.5 < max(hatched.y)
-    whole = radial_contrast.draw_radial_contrast(["one", "other"], 0, [None, {**curve, "data_radius_px": 1000.0}])
+    whole = radial_contrast.draw_radial_contrast(["one", "other"], 0, [None, replace(curve, data_radius_px=1000.0)])
     assert named(whole, EXTRAPOLATED) == []
 
 
 def test_free_parameters_have_panels_and_fixed_ones_null_sigmas_and_none(sequential_result):
     drawn = draw("convergence", sequential_result, free=["f_m", "b2_per_m2"])
     assert len({trace.yaxis for trace in drawn.data}) == len(named(drawn, "Run")) == 4
-    history = sequential_result["history"]
-    held = history | {"sigma": [[*row[:7], None] for row in history["sigma"]]}
-    fixed = sequential_result | {"history": held, "free": sequential_result["free"][:7]}
+    history = sequential_result.history
+    held = replace(history, sigma=[[*row[:7], None] for row in history.sigma])
+    fixed = replace(sequential_result, history=held, free=sequential_result.free[:7])
     assert len(named(draw("convergence", fixed), "Run")) == 9
     assert FIGURES["convergence"].table(fixed)["sigma_g_y"] == [None] * 200
 
 
 def test_the_focal_length_is_in_micrometres_since_its_start_with_a_band_of_three_sigmas(sequential_result):
     drawn = draw("convergence", sequential_result)
-    change_m = sequential_result["parameters"]["f_m"] - sequential_result["initial"]["f_m"]
+    change_m = sequential_result.parameters.f_m - sequential_result.initial.f_m
     assert named(drawn, "Run")[0].y[-1] == pytest.approx(change_m * 1e6, rel=1e-4)
     assert "µm" in drawn.layout.yaxis.title.text
     outline = np.array(named(drawn, "Run ±3σ")[0].y, dtype=float)
     upper, lower = outline[: len(outline) // 2], outline[len(outline) // 2 :][::-1]
-    sigma_um = np.array(sequential_result["history"]["sigma"])[:, 0] * 1e6
+    sigma_um = np.array(sequential_result.history.sigma)[:, 0] * 1e6
     assert (upper - lower) / 2 == pytest.approx(3 * sigma_um, rel=1e-3)
 
 
@@ -192,9 +211,9 @@ def test_batch_and_baseline_are_levels_beside_a_filter_over_frames_that_share_th
     level = named(draw("convergence", sequential_result, batch_result), "other")[0]
     assert list(level.x) == [0, 199]
     assert level.y[0] == level.y[1]
-    moved = {name: 1.001 * value for name, value in sequential_result["initial"].items()}
-    level = named(draw("convergence", sequential_result, baseline=moved), "baseline")[0]
-    assert level.y[0] == pytest.approx((moved["f_m"] - sequential_result["initial"]["f_m"]) * 1e6, rel=1e-4)
+    moved = {name: 1.001 * value for name, value in sequential_result.initial.items()}
+    level = named(FIGURES["convergence"].draw([Trace("Run", sequential_result, baseline=moved)]), "baseline")[0]
+    assert level.y[0] == pytest.approx((moved["f_m"] - sequential_result.initial.f_m) * 1e6, rel=1e-4)
     for name in ("convergence", "rms", "frame-observability"):
         assert draw(name, sequential_result).layout.meta["axis"] == "frame"
 
@@ -202,7 +221,7 @@ def test_batch_and_baseline_are_levels_beside_a_filter_over_frames_that_share_th
 def test_the_cost_of_a_batch_is_on_a_log_axis_and_its_step_in_final_sigmas_on_either_scale(batch_result):
     drawn = draw("convergence", batch_result)
     assert (drawn.layout.yaxis9.title.text, drawn.layout.yaxis9.type) == ("cost", "log")
-    value, sigma = (np.array(batch_result["trace"][key]) for key in ("parameters", "sigma"))
+    value, sigma = (np.array(rows) for rows in (batch_result.trace.parameters, batch_result.trace.sigma))
     expected = np.sqrt(np.mean((np.diff(value, axis=0) / sigma[-1]) ** 2, axis=1))
     step = next(trace for trace in named(drawn, "Run") if trace.yaxis == "y10")
     moved = expected > 0
@@ -211,34 +230,34 @@ def test_the_cost_of_a_batch_is_on_a_log_axis_and_its_step_in_final_sigmas_on_ei
 
 
 def test_the_step_from_which_on_nothing_leaves_three_final_sigmas_is_marked_in_every_panel(sequential_result):
-    history, free = sequential_result["history"], range(8)
-    value, sigma = (np.array(history[key])[:, free] for key in ("parameters", "sigma"))
+    history, free = sequential_result.history, range(8)
+    value, sigma = (np.array(rows)[:, free] for rows in (history.parameters, history.sigma))
     inside = (np.abs(value - value[-1]) <= 3 * sigma[-1]).all(axis=1)
     first = next(k for k in range(len(inside)) if inside[k:].all())
     drawn = draw("convergence", sequential_result)
     marks = [shape for shape in drawn.layout.shapes if shape.x0 == shape.x1]
-    assert {shape.x0 for shape in marks} == {float(history["frame"][first])}
+    assert {shape.x0 for shape in marks} == {float(history.frame[first])}
     assert len({shape.yref for shape in marks}) == 10
-    assert named(drawn, f"settled at {history['frame'][first]}")
+    assert named(drawn, f"settled at {history.frame[first]}")
     running = draw("convergence", sequential_result, status="running")
     assert not any("settled" in (trace.name or "") for trace in running.data)
 
 
 def grown(follow, history, first):
     """What a page draws for the points from the first on, by the trace's own words."""
-    values = np.array(history[follow["column"]], float)[first:]
+    values = np.array(getattr(history, follow["column"]), float)[first:]
     value = values if follow.get("index") is None else values[:, follow["index"]]
     return (value - follow.get("origin", 0.0)) * follow["factor"]
 
 
 @pytest.fixture
 def running(sequential_result):
-    return {**sequential_result, "status": "running"}
+    return replace(sequential_result, status="running")
 
 
 @pytest.mark.parametrize("name", ["convergence", "rms"])
 def test_what_a_trace_says_of_its_growth_gives_the_points_that_it_shows(running, name):
-    history = running["history"]
+    history = running.history
     figure = draw(name, running)
     growing = [trace for trace in figure.data if "follow" in (trace.meta or {})]
     curves = [trace for trace in growing if not {"band", "level"} & set(trace.meta["follow"])]
@@ -257,8 +276,8 @@ def test_a_band_lies_three_sigmas_around_its_curve(running):
         if (trace.meta or {}).get("follow", {}).get("band"):
             follow = trace.meta["follow"]
             half = len(trace.y) // 2
-            sigma = np.array(running["history"]["sigma"], float)[-half:, follow["index"]]
-            centre = grown(follow, running["history"], -half)
+            sigma = np.array(running.history.sigma, float)[-half:, follow["index"]]
+            centre = grown(follow, running.history, -half)
             expected = centre + follow["band"] * sigma * follow["factor"]
             assert expected == pytest.approx(np.asarray(trace.y, float)[:half], rel=1e-5, abs=1e-4)
 
@@ -270,10 +289,11 @@ def test_only_the_figure_of_one_running_filter_says_how_it_grows(running, sequen
 
 
 def test_the_claimed_error_is_the_mean_ratio_and_the_true_one_counted_in_sigmas_of_the_bound(sequential_result):
-    efficiency = {"ratio": {"f_m": 1.0, "g_y": 4.0}, "cramer_rao_sigma": {"f_m": 1e-7, "g_y": 1e-6}}
-    truth, parameters = {"f_m": 0.016, "g_y": 1.0}, {"f_m": 0.016 + 3e-7, "g_y": 1.0 - 4e-6}
-    known = {"trust": {"efficiency": efficiency}, "truth": truth, "parameters": parameters}
-    found = method_scores(sequential_result | known)
+    ratio, bound = Values({"f_m": 1.0, "g_y": 4.0}), Values({"f_m": 1e-7, "g_y": 1e-6})
+    efficiency = replace(sequential_result.trust.efficiency, ratio=ratio, cramer_rao_sigma=bound)
+    truth, parameters = Values({"f_m": 0.016, "g_y": 1.0}), Values({"f_m": 0.016 + 3e-7, "g_y": 1.0 - 4e-6})
+    known = {"trust": Trust(efficiency=efficiency), "truth": truth, "parameters": parameters}
+    found = method_scores(replace(sequential_result, **known))
     assert found.claimed == pytest.approx(2.0)
     assert found.true_error == pytest.approx(math.sqrt((9 + 16) / 2), rel=1e-6)
 
@@ -281,18 +301,18 @@ def test_the_claimed_error_is_the_mean_ratio_and_the_true_one_counted_in_sigmas_
 def test_the_nees_takes_correlation_into_account_over_ten_decades(sequential_result):
     sigma, correlation = np.array([1e-7, 1e3]), np.array([[1.0, 0.8], [0.8, 1.0]])
     offset, names = np.array([1.0, 1.0]), ["f_m", "b2_per_m2"]  # in sigmas, along the well-correlated direction
-    covariance = {"names": names, "matrix": (correlation * np.outer(sigma, sigma)).tolist()}
-    parameters = dict(zip(names, sigma.tolist(), strict=True))
-    known = {"truth": dict.fromkeys(names, 0.0), "parameters": parameters, "covariance": covariance}
+    covariance = Covariance(names=names, matrix=(correlation * np.outer(sigma, sigma)).tolist())
+    parameters, truth = Values(dict(zip(names, sigma.tolist(), strict=True))), Values(dict.fromkeys(names, 0.0))
+    known = replace(sequential_result, truth=truth, parameters=parameters, covariance=covariance)
     expected = offset @ np.linalg.solve(correlation, offset) / 2
-    assert method_scores(sequential_result | known).honesty.mean == pytest.approx(expected)
+    assert method_scores(known).honesty.mean == pytest.approx(expected)
 
 
 def test_a_frame_costs_what_the_method_took_a_replay_has_no_cost_and_curves_end_at_their_scores(sequential_result):
     assert method_scores(sequential_result).ms_per_frame == pytest.approx(1e3 * 0.4 / 200)
     assert draw("methods", sequential_result).data[0].name == "Run (2.0 ms a frame)"
-    replay = {"inputs": {"settings": {"replay_frames_per_s": 5.0}}}
-    assert method_scores(sequential_result | replay).ms_per_frame is None
+    replay = replace(sequential_result, inputs=Inputs(settings={"replay_frames_per_s": 5.0}))
+    assert method_scores(replay).ms_per_frame is None
     table, scores = FIGURES["methods"].table(sequential_result), method_scores(sequential_result)
     assert table["claimed_over_bound"][-1] == pytest.approx(scores.claimed, rel=1e-5)
     assert table["true_over_bound"][-1] == pytest.approx(scores.true_error, rel=1e-5)
@@ -300,9 +320,14 @@ def test_a_frame_costs_what_the_method_took_a_replay_has_no_cost_and_curves_end_
 
 def steps(values, sigma):
     n = len(values)
-    history = {"frame": list(range(n)), "parameters": [[value] for value in values], "sigma": [[sigma]] * n}
-    names = {"parameter_names": ["f_m"], "free": ["f_m"]}
-    return {"status": "converged", "frames": n, "history": history, **names}
+    history = History(
+        frame=list(range(n)),
+        parameters=[[value] for value in values],
+        sigma=[[sigma]] * n,
+        tail_rms_rad=[],
+        aggregate_rms_rad=[],
+    )
+    return Calibration(status=USABLE, frames=n, history=history, parameter_names=["f_m"], free=["f_m"])
 
 
 def test_a_filter_has_settled_after_its_last_departure_in_frames_of_the_set_and_a_batch_in_iterations(
@@ -310,12 +335,12 @@ def test_a_filter_has_settled_after_its_last_departure_in_frames_of_the_set_and_
 ):
     assert method_scores(steps([9.0, 0.0, 9.0, 0.1, 0.2, 0.0], 1.0)).settled_frames == 4
     assert method_scores(steps([0.1, 0.2, 0.0], 1.0)).settled_frames == 1
-    assert method_scores(steps([9.0, 0.0, 0.0], 1.0) | {"frames": 2001}).settled_frames == 1001
+    assert method_scores(replace(steps([9.0, 0.0, 0.0], 1.0), frames=2001)).settled_frames == 1001
     found = method_scores(batch_result)
     assert found.settled_frames is None
     assert 0 < found.settled_iterations < 8
-    assert method_scores(sequential_result | {"status": "running"}).settled_frames is None
-    assert set(vars(method_scores({})).values()) == {None}
+    assert method_scores(replace(sequential_result, status="running")).settled_frames is None
+    assert set(vars(method_scores(Calibration(status="running"))).values()) == {None}
 
 
 def test_a_batch_beside_a_filter_is_a_level_and_alone_has_iterations(sequential_result, batch_result):
@@ -327,10 +352,10 @@ def test_a_batch_beside_a_filter_is_a_level_and_alone_has_iterations(sequential_
 
 
 def test_what_cannot_be_drawn_of_methods_and_frames_says_why_or_asks_to_be_computed_again(sequential_result):
-    trust = {"efficiency": None, "unavailable": {"efficiency": "There is no bound: hold a parameter fixed."}}
+    trust = Trust(unavailable={"efficiency": "There is no bound: hold a parameter fixed."})
     said = draw("methods", sequential_result, trust=trust).layout.annotations[0].text
     assert said == "There is no bound: hold a parameter fixed."
-    old = {key: value for key, value in sequential_result.items() if key != "frame_observability"}
+    old = replace(sequential_result, frame_observability=None)
     for name in ("frame-observability", "reference-information"):
         assert "clone its run" in FIGURES[name].draw([Trace("Run", old)]).layout.annotations[0].text
 
@@ -347,18 +372,18 @@ def test_frames_that_determine_too_little_are_gaps_in_every_curve(sequential_res
 def test_one_frame_that_hardly_determines_anything_does_not_flatten_the_others_and_none_leaves_the_sentence(
     sequential_result,
 ):
-    view = sequential_result["frame_observability"]
+    view = sequential_result.frame_observability
 
     def drawn(curves):
-        seen = view | {"minimum_singular_value": curves}
+        seen = replace(view, minimum_singular_value=curves)
         return draw("frame-observability", sequential_result, frame_observability=seen)
 
-    curves = view["minimum_singular_value"]
+    curves = view.minimum_singular_value
     low, high = drawn({**curves, "model_4": [1e-11, *curves["model_4"][1:]]}).layout.yaxis.range
     assert high - low < 4
     nothing = drawn({name: [None] * 120 for name in curves})
     assert not nothing.data
-    assert nothing.layout.annotations[0].text == view["sentence"]
+    assert nothing.layout.annotations[0].text == view.sentence
 
 
 def test_a_reference_that_leaves_a_parameter_open_has_no_bar_and_says_so(sequential_result):
@@ -368,8 +393,8 @@ def test_a_reference_that_leaves_a_parameter_open_has_no_bar_and_says_so(sequent
     assert np.isnan(bars.y[place])
     assert bars.text[place] == "open"
     said = " ".join(note.text.replace("<br>", " ") for note in drawn.layout.annotations if note.text)
-    assert sequential_result["frame_observability"]["sentence"] in said
+    assert sequential_result.frame_observability.sentence in said
     table = FIGURES["reference-information"].table(sequential_result)
-    share = sequential_result["frame_observability"]["information"][5]["share"]
+    share = sequential_result.frame_observability.information[5].share
     assert table["reference"][5] == "model_4"
     assert column(table["sigma_over_bound"])[5] == pytest.approx(share**-0.5)

@@ -1,6 +1,7 @@
 """Claims for every figure of the registry, its guide and the example it draws; in a notebook a figure is one call away."""
 
 import re
+from dataclasses import fields, replace
 from pathlib import Path
 
 import orjson
@@ -8,6 +9,7 @@ import plotly.graph_objects as go
 import pytest
 
 from benchmarks.pages.drawings import _shortened, guide_page, name_image
+from boresight.calibration.calibration import Calibration
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES, Trace, figure_json
 from boresight.figures.example_calibration import PLACE, get_example_calibrations, make_example_traces
@@ -30,44 +32,42 @@ def test_a_finished_run_is_drawn_in_svg_with_something_on_it_as_a_pure_function(
     figure, method, sequential_result, batch_result
 ):
     result = sequential_result if method == "sequential" else batch_result
-    before = orjson.dumps(result)
+    before = result.to_json()
     drawn, again = (figure.draw([Trace("Run 1", result)]) for _ in range(2))
     assert {trace.type for trace in drawn.data} <= {"scatter", "bar", "heatmap"}
     assert len(drawn.data) > 0
     assert figure_json(drawn) == figure_json(again)
     assert figure_json(drawn).startswith(b"{")
-    assert orjson.dumps(result) == before
+    assert result.to_json() == before
 
 
-class Read(dict):
-    def __init__(self, result):
-        super().__init__(result)
-        self.read = set()
+NOTHING = Calibration(status="running")
+MEMBERS = [item.name for item in fields(Calibration) if item.name != "status"]
 
-    def __getitem__(self, key):
-        self.read.add(key)
-        return super().__getitem__(key)
 
-    def get(self, key, default=None):
-        self.read.add(key)
-        return super().get(key, default)
+class Watched(Calibration):
+    """Keeps which members were read."""
+
+    def __getattribute__(self, name):
+        if name in MEMBERS:
+            super().__getattribute__("__dict__").setdefault("read", set()).add(name)
+        return super().__getattribute__(name)
 
 
 @EVERY_FIGURE
-def test_every_key_may_be_missing_and_the_figure_says_what_is(figure, sequential_result):
-    whole = Read(sequential_result)
+def test_every_member_may_be_missing_and_the_figure_says_what_is(figure, sequential_result):
+    whole = Watched(**vars(sequential_result))
     figure.draw([Trace("whole", whole)])
-    for key in effort(sorted(whole.read & set(whole)), list(whole)):
-        figure.draw([Trace("partial", {name: value for name, value in sequential_result.items() if name != key})])
-    figure.draw([Trace("partial", dict.fromkeys(sequential_result))])
-    nothing = figure.draw([Trace("empty", {"status": "running"})])
+    for name in effort(sorted(vars(whole)["read"]), MEMBERS):
+        figure.draw([Trace("partial", replace(sequential_result, **{name: getattr(NOTHING, name)}))])
+    nothing = figure.draw([Trace("empty", NOTHING)])
     assert not nothing.data
     assert len(words(nothing)) > 20
 
 
 @EVERY_FIGURE
 def test_a_run_without_the_data_does_not_hide_the_others(figure, sequential_result):
-    drawn = figure.draw([Trace("empty", {"status": "running"}), Trace("full", sequential_result)])
+    drawn = figure.draw([Trace("empty", NOTHING), Trace("full", sequential_result)])
     assert len(drawn.data) > 0
 
 
@@ -108,7 +108,7 @@ def test_the_table_has_columns_of_one_length_and_no_thinning(figure, method, seq
     assert columns
     assert len({len(column) for column in columns.values()}) == 1
     assert orjson.dumps(columns)
-    assert figure.table({"status": "running"}) == {}
+    assert figure.table(NOTHING) == {}
 
 
 MOST_BYTES = 400_000
@@ -133,11 +133,11 @@ def test_where_nothing_is_known_every_figure_says_so(figure):
 
 def test_half_way_a_filter_has_half_a_history_and_numbers_keep_seven_digits():
     whole, half = get_example_calibrations()["filter"], get_example_calibrations()["partial"]
-    assert len(half["history"]["frame"]) == len(half["history"]["parameters"]) == len(whole["history"]["frame"]) // 2
-    assert half["status"] == "running"
-    assert half["frames_done"] < half["frames"]
-    assert half["trust"] is None
-    assert whole["trust"] is not None
+    assert len(half.history.frame) == len(half.history.parameters) == len(whole.history.frame) // 2
+    assert half.status == "running"
+    assert half.frames_done < half.frames
+    assert half.trust is None
+    assert whole.trust is not None
     shortened = {"a": [1.234568e-5, [2.0, 3]], "b": "1.23456789", "c": None}
     assert _shortened({"a": [1.23456789e-5, (2.0, 3)], "b": "1.23456789", "c": None}) == shortened
 
@@ -167,7 +167,7 @@ def test_a_figure_is_named_explained_in_two_sentences_and_shown(figure):
 @pytest.fixture
 def file(tmp_path):
     path = tmp_path / "result.json"
-    path.write_bytes(orjson.dumps(get_example_calibrations()["filter"]))
+    get_example_calibrations()["filter"].save(path)
     return path
 
 
@@ -199,8 +199,8 @@ def test_a_notebook_shows_it_and_several_calibrations_under_their_labels(file):
     ("arguments", "sentence"),
     [
         (("absent.json", "rms"), "cannot be read"),
-        (({}, "rms"), "no calibration"),
-        (({"schema": "boresight.evaluation/1"}, "rms"), "no calibration"),
+        (({}, "rms"), "no whole calibration"),
+        (({"schema": "boresight.evaluation/1"}, "rms"), "no whole calibration"),
         ((get_example_calibrations()["filter"], "nothing"), "There is no figure nothing; choose from"),
     ],
 )
@@ -211,7 +211,7 @@ def test_what_cannot_be_drawn_is_refused_in_a_sentence(arguments, sentence):
 
 def test_what_is_no_json_and_what_is_no_theme_are_refused(tmp_path, file):
     (tmp_path / "words.json").write_text("words")
-    with pytest.raises(RefusedInputError, match="is no JSON"):
+    with pytest.raises(RefusedInputError, match="is no whole calibration"):
         draw(tmp_path / "words.json", "rms")
     with pytest.raises(RefusedInputError, match="choose from light, dark, contrast"):
         draw(file, "rms", theme="pink")

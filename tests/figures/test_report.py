@@ -1,20 +1,29 @@
 """The report is one file that needs nothing else; the examination in words, the command that makes it again, helpful data."""
 
 import re
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import click
 import pytest
 
+from boresight.calibration.calibration import (
+    Calibration,
+    Change,
+    Coverage,
+    Observability,
+    RadialDifference,
+    Values,
+    WeakestDirection,
+)  # fmt: skip
 from boresight.calibration.options import CalibrationSettings
 from boresight.cli import main
-from boresight.errors import RefusedInputError
 from boresight.estimation.statistics.observability import WEAK
 from boresight.figures import FIGURES
 from boresight.figures.charts.observability import helpful_data, weakest_words
 from boresight.figures.report import MOST_STARS, calibrate_command, command, render_report
 from boresight.figures.tables import digits, flight_rows, match_counts, printed_rows, reason_tables, star_rows, to_flag
 from boresight.verdicts.verdict import make_verdict, prospects, trust_doubts, trust_level, trust_marks
+from tests.calibrations import changed
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>"
 
@@ -39,12 +48,12 @@ def test_the_report_stands_alone_with_every_figure_and_its_guide(report):
 
 
 def test_the_report_has_verdict_advice_parameters_trust_matching_provenance_and_the_command(report, sequential_result):
-    trust = sequential_result["trust"]
+    trust = sequential_result.trust
     for said in (
         "CAUTION · converged, with reservations",
-        trust["drop_one_sentence"],
-        trust["whiteness"]["sentence"],
-        sequential_result["advice"][0],
+        trust.drop_one_sentence,
+        trust.whiteness.sentence,
+        sequential_result.advice[0],
         "ab" * 32,
         "boresight calibrate TELEMETRY --sensor SENSOR.json --method sqrf --match ",
         "change / sigma",
@@ -57,29 +66,22 @@ def test_the_report_has_verdict_advice_parameters_trust_matching_provenance_and_
 
 
 def test_the_report_says_where_one_person_works_alone_and_why_a_part_is_not_there(report, sequential_result):
-    page = render_report(sequential_result | {"trust": None, "matching": None}, four_eyes=False)
+    page = render_report(replace(sequential_result, trust=None, matching=None), four_eyes=False)
     assert ["FOUR EYES ARE OFF" in one for one in (report, page)] == [False, True]
     assert "start it again to have one" in page
     assert "nothing was matched again" in page
 
 
 def test_nothing_that_came_from_outside_becomes_markup_and_a_failed_run_still_gets_its_report(sequential_result):
-    hostile = {"sensor": HOSTILE, "advice": [HOSTILE], "method": HOSTILE, "free": [*sequential_result["free"], HOSTILE]}
-    hostile |= {"inputs": {HOSTILE: HOSTILE}, "symbols": {HOSTILE: HOSTILE}}
-    hostile |= {"parameters": sequential_result["parameters"] | {HOSTILE: 1.0}}
-    page = without_library(render_report(sequential_result | hostile))
+    hostile = {"sensor": HOSTILE, "advice": [HOSTILE], "method": HOSTILE, "free": [*sequential_result.free, HOSTILE]}
+    hostile |= {"inputs": {"versions": {HOSTILE: HOSTILE}}, "symbols": {HOSTILE: HOSTILE}, "parameters": {HOSTILE: 1.0}}
+    page = without_library(render_report(changed(sequential_result, **hostile)))
     assert "<script>alert" not in page
     assert "<img" not in page
     absent = dict.fromkeys(("history", "trace", "radial", "coverage", "observability", "chi2", "nis", "validation"))
-    empty = sequential_result | absent | {"status": "too_few_stars", "chi2_per_dof": None}
-    empty |= {"rms_arc_rad": {"initial": None, "final": None}, "sigma": dict.fromkeys(empty["sigma"])}
-    assert "CRITICAL · too few stars" in render_report(empty)
-
-
-@pytest.mark.parametrize("document", [{}, [], {"schema": "boresight.evaluation/1"}])
-def test_what_is_no_calibration_is_refused(document):
-    with pytest.raises(RefusedInputError, match="no calibration"):
-        render_report(document)
+    unknown = Values(dict.fromkeys(sequential_result.sigma))
+    empty = replace(sequential_result, **absent, status="too_few_stars", chi2_per_dof=None, sigma=unknown)
+    assert "CRITICAL · too few stars" in render_report(replace(empty, rms_arc_rad=Change()))
 
 
 @pytest.mark.parametrize(
@@ -97,7 +99,7 @@ def test_what_is_no_calibration_is_refused(document):
     ],
 )
 def test_the_verdict_is_as_good_as_its_worst_answer(change, level, sequential_result):
-    judged = make_verdict(sequential_result | {"trust": None} | change)
+    judged = make_verdict(changed(replace(sequential_result, trust=None), **change))
     assert judged.level == level
     assert all(reason.endswith(".") for reason in judged.reasons)
 
@@ -105,14 +107,8 @@ def test_the_verdict_is_as_good_as_its_worst_answer(change, level, sequential_re
 def test_a_value_stops_at_the_second_digit_of_its_sigma_and_what_is_not_known_is_a_dash(sequential_result):
     known = [(16.0198234, 0.00063), (-1886.7, 10.2), (6.634e7, 7.9e5), (786_689.0, 786_689.0), (0.5, None), (None, 1.0)]
     assert [digits(*pair) for pair in known] == ["16.01982", "−1,887", "6.634e+07", "7.9e+05", "0.5", "–"]
-    row = printed_rows(sequential_result | {"sigma": sequential_result["sigma"] | {"g_y": None}})[-1]
+    row = printed_rows(changed(sequential_result, sigma={"g_y": None}))[-1]
     assert (row.sigma, row.worth, row.typical) == ("–", "–", "–")
-
-
-def changed(result, part, **values):
-    trust = result["trust"]
-    made = {**trust[part], **values} if values else None
-    return result | {"trust": trust | {part: made}}
 
 
 def find_mark(result, question):
@@ -132,7 +128,7 @@ def find_mark(result, question):
 )
 def test_a_test_that_fails_is_a_caution_with_its_sentence(part, question, values, sequential_result):
     assert find_mark(sequential_result, question).level == "normal"
-    mark = find_mark(changed(sequential_result, part, **values), question)
+    mark = find_mark(changed(sequential_result, trust={part: values}), question)
     assert mark.level == "caution"
     assert mark.reason.endswith(".")
 
@@ -142,24 +138,24 @@ def test_a_test_that_fails_is_a_caution_with_its_sentence(part, question, values
 )
 def test_a_part_that_is_missing_is_no_data_and_never_passes(part, sequential_result):
     before = trust_marks(sequential_result)
-    after = trust_marks(changed(sequential_result, part))
+    after = trust_marks(changed(sequential_result, trust={part: None}))
     (lost,) = [now for was, now in zip(before, after, strict=True) if was != now]
     assert (lost.level, lost.word) == ("off", "NO DATA")
 
 
 def test_doubts_are_the_sentences_of_the_cautions_and_reservations_of_the_verdict(sequential_result):
-    trust, judged = sequential_result["trust"], make_verdict(sequential_result)
-    assert trust_doubts(sequential_result) == [trust["drop_one_sentence"], trust["stars_sentence"]]
+    trust, judged = sequential_result.trust, make_verdict(sequential_result)
+    assert trust_doubts(sequential_result) == [trust.drop_one_sentence, trust.stars_sentence]
     assert trust_level(sequential_result) == "caution"
-    assert prospects(sequential_result) == [trust["more_data"]["sentence"]]
+    assert prospects(sequential_result) == [trust.more_data.sentence]
     assert (judged.level, judged.word) == ("caution", "converged, with reservations")
     assert set(judged.reasons) == set(trust_doubts(sequential_result))
-    nothing = sequential_result | {"trust": None}
+    nothing = replace(sequential_result, trust=None)
     assert (trust_marks(nothing), trust_level(nothing)) == ([], "off")
 
 
 def test_stars_and_matches_are_listed_in_order_with_the_list_to_flag(sequential_result):
-    rows, matching = star_rows(sequential_result), sequential_result["matching"]
+    rows, matching = star_rows(sequential_result), sequential_result.matching
     assert [row.star_id for row in rows if row.suspect] == [1000, 1017]
     assert to_flag(sequential_result) == "1000, 1017"
     assert (rows[3].flags, rows[0].cells[-1]) == ("double", "9.1")
@@ -168,8 +164,10 @@ def test_stars_and_matches_are_listed_in_order_with_the_list_to_flag(sequential_
 
 
 def test_intervals_stand_beside_what_they_belong_to(sequential_result):
+    nothing = {"initial": [], "final": []}
     intervals = {"availability": {"initial": [0.35, 0.57], "final": [0.96, 1.0]}, "matched_star_ratio": [2.5, 2.9]}
-    with_them = sequential_result | {"validation": sequential_result["validation"] | {"intervals": intervals}}
+    intervals |= {"rms_arc_rad": nothing, "rms_ratio": []}
+    with_them = changed(sequential_result, validation={"intervals": intervals})
     rows = {(row.whose, row.name): row for row in flight_rows(with_them)}
     assert rows["Validation set", "Frames available"].initial == "46.0\u202f% (35.0 to 57.0)"
     assert rows["Validation set", "Matched star ratio"].final == "2.70 (2.50 to 2.90)"
@@ -209,15 +207,25 @@ def test_every_changed_setting_becomes_an_option_that_the_command_reads_back(nam
 
 
 def seen(direction, sigma, frames=200, **rest):
-    weakest = {"direction": direction, "sentence": "Said elsewhere."}
-    observed = {"singular_values": [9.0, 1.0], "sigma_of_direction": [0.1, sigma], "weakest": weakest}
-    return {"observability": observed, "frames": frames, **rest}
+    weakest = WeakestDirection(direction=Values(direction), sentence="Said elsewhere.")
+    observed = Observability(
+        parameter_names=[*direction],
+        singular_values=[9.0, 1.0],
+        condition_number=9.0,
+        right_singular_vectors=[],
+        sigma_of_direction=[0.1, sigma],
+        weakest=weakest,
+    )
+    return Calibration(status="converged", observability=observed, frames=frames, **rest)
 
 
 def test_data_that_would_help_name_what_the_weakest_direction_mixes_and_where_stars_are_missing():
     assert weakest_words(seen({"m0_px": 0.82, "a2_rad": -0.55, "f_m": 0.05}, 0.4)) == "0.82 m0 − 0.55 a2"
-    assert weakest_words({"observability": None}) == ""
-    radial, coverage = {"radius_px": [0.0, 1000.0], "data_radius_px": 600.0}, {"counts": [[3, 0], [0, 2]]}
+    assert weakest_words(Calibration(status="running")) == ""
+    columns = ("difference_px", "sigma_px", "difference_arcsec", "sigma_arcsec")
+    curves = {name: [0.0, 0.0] for name in columns}
+    radial = RadialDifference(radius_px=[0.0, 1000.0], data_radius_px=600.0, **curves)
+    coverage = Coverage(row_edges_px=[0.0, 1.0, 2.0], col_edges_px=[0.0, 1.0, 2.0], counts=[[3, 0], [0, 2]])
     said = " ".join(helpful_data(seen({"f_m": 1.0}, 0.1, radial=radial, coverage=coverage)))
     assert "60\u202f% of the way" in said
     assert "2 of 4 cells" in said
@@ -248,5 +256,5 @@ def test_what_is_mixed_says_which_stars_would_part_it(direction, wanted):
 )
 def test_so_many_times_the_frames_as_the_square_of_what_is_missing(sigma, said, sequential_result):
     assert said in helpful_data(seen({"f_m": 1.0}, sigma))[-1]
-    assert helpful_data(sequential_result | {"observability": None}) == []
+    assert helpful_data(replace(sequential_result, observability=None)) == []
     assert helpful_data(sequential_result)

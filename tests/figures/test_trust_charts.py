@@ -1,5 +1,6 @@
 """What the charts of trust, residuals, shadow and trend promise: levels, bounds, marks, and reasons in place of what is missing."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.calibration.calibration import Calibration, LeftOut, Shadow, ShadowOfSet, parse_part
 from boresight.figures import CHAPTERS, FIGURES, Trace, figure_json, trend
 from boresight.figures.charts.innovations import running_mean
 from boresight.figures.charts.more_data import round_ticks
@@ -24,6 +26,7 @@ from boresight.figures.charts.residual_map import (
 from boresight.figures.charts.residual_outliers import reasons
 from boresight.figures.charts.rms import compute_axis_residuals, running
 from boresight.figures.charts.shadow import SHADOW
+from tests.calibrations import changed
 from tests.figures.examined import shadow
 
 PART_OF = {
@@ -51,8 +54,7 @@ def draw(name, result):
 
 
 def without(result, part, reason):
-    trust = result["trust"]
-    return result | {"trust": trust | {part: None, "unavailable": {part: reason}}}
+    return changed(result, trust={part: None, "unavailable": {part: reason}})
 
 
 def values(trace, axis="y"):
@@ -68,16 +70,14 @@ def test_a_part_that_is_missing_is_drawn_as_its_own_reason(name, sequential_resu
     drawn = draw(name, without(sequential_result, PART_OF[name], "Twenty frames are needed <and more>."))
     assert not drawn.data
     assert drawn.layout.annotations[0].text == "Twenty frames are needed &lt;and more&gt;."
-    old = draw("whiteness", sequential_result | {"trust": None})
+    old = draw("whiteness", replace(sequential_result, trust=None))
     assert "start it again" in old.layout.annotations[0].text
 
 
 def test_halves_are_held_against_three_sigmas_and_only_those_that_differ_are_called_so(sequential_result):
     def title(value):
-        halves = sequential_result["trust"]["two_halves"]
-        chi2 = halves["chi2"] | {"value": value, "consistent": False}
-        trust = sequential_result["trust"] | {"two_halves": halves | {"chi2": chi2}}
-        return draw("two-halves", sequential_result | {"trust": trust}).layout.title.text
+        differing = changed(sequential_result, trust={"two_halves": {"chi2": {"value": value, "consistent": False}}})
+        return draw("two-halves", differing).layout.title.text
 
     drawn = draw("two-halves", sequential_result)
     assert {shape.y0 for shape in drawn.layout.shapes} == {-3.0, 3.0}
@@ -93,14 +93,14 @@ def test_levels_stand_where_chance_and_the_bound_put_them_and_predictions_begin_
     assert (drawn.data[0].zmin, drawn.layout.yaxis.autorange, "5°" in drawn.layout.title.text) == (0, "reversed", True)
     drawn = draw("efficiency", sequential_result)
     assert [shape.y0 for shape in drawn.layout.shapes] == [1]
-    ratios = sequential_result["trust"]["efficiency"]["ratio"].values()
+    ratios = sequential_result.trust.efficiency.ratio.values()
     assert values(drawn.data[0]) == pytest.approx(list(ratios))
     levels = sorted(shape.y0 for shape in draw("whiteness", sequential_result).layout.shapes)
-    bound = sequential_result["trust"]["whiteness"]["bound"]
+    bound = sequential_result.trust.whiteness.bound
     assert levels == pytest.approx([-bound, bound])
     first = draw("more-data", sequential_result).data[0]
-    assert values(first, "x")[0] == sequential_result["trust"]["more_data"]["frames"]
-    assert values(first)[0] == pytest.approx(sequential_result["sigma"]["f_m"] * 1e6, rel=1e-4)
+    assert values(first, "x")[0] == sequential_result.trust.more_data.frames
+    assert values(first)[0] == pytest.approx(sequential_result.sigma.f_m * 1e6, rel=1e-4)
     assert draw("more-data", sequential_result).layout.xaxis.type == "log"
 
 
@@ -116,15 +116,15 @@ def test_spare_parameters_are_hatched_outside_frames_have_another_shape_and_susp
     drawn = draw("drop-one", sequential_result)
     assert list(drawn.data[0].marker.pattern.shape) == ["", "", "", "", "", "", "/", ""]
     assert "<i>a</i><sub>2</sub>" in drawn.layout.title.text
-    part = sequential_result["trust"]["nis_over_time"]
+    part = sequential_result.trust.nis_over_time
     points = next(trace for trace in draw("innovations", sequential_result).data if trace.mode == "markers")
-    nis, low, high = (np.array(part[key]) for key in ("nis_per_dof", "lower", "upper"))
+    nis, low, high = (np.array(numbers) for numbers in (part.nis_per_dof, part.lower, part.upper))
     outside = (nis < low) | (nis > high)
     assert [symbol != "circle" for symbol in points.marker.symbol] == outside.tolist()
     drawn = draw("stars", sequential_result).data[0]
     assert [text for text in drawn.text if text] == ["1000", "1017"]
     assert list(drawn.marker.symbol).count("diamond") == 2
-    assert f"2 of {sequential_result['trust']['stars_in_all']}" in draw("stars", sequential_result).layout.title.text
+    assert f"2 of {sequential_result.trust.stars_in_all}" in draw("stars", sequential_result).layout.title.text
 
 
 @given(st.lists(st.floats(-100, 100) | st.just(float("nan")), min_size=1, max_size=60), st.integers(1, 20))
@@ -137,12 +137,12 @@ def test_the_running_mean_is_the_mean_of_the_values_around(numbers, width):
 
 
 def test_a_cause_without_data_says_why_in_its_own_panel_and_a_mean_residual_has_its_sigma_as_bar(sequential_result):
-    drawn, bins = draw("residual-against", sequential_result), sequential_result["trust"]["residual_against"]["radius"]
+    drawn, bins = draw("residual-against", sequential_result), sequential_result.trust.residual_against.radius
     (said,) = drawn.layout.annotations
     assert said.text.replace("<br>", " ") == "The telemetry has no temperatures."
     assert said.xref == "x3 domain"
     bars = np.array(drawn.data[0].error_y.array)
-    assert bars == pytest.approx(1.96 * np.array(bins["sigma_of_mean_px"]), rel=1e-6)
+    assert bars == pytest.approx(1.96 * np.array(bins.sigma_of_mean_px), rel=1e-6)
 
 
 def test_a_cell_mean_is_clear_only_where_it_leaves_its_noise():
@@ -160,7 +160,7 @@ def test_matching_draws_both_counts_of_every_cycle_or_says_that_matches_were_giv
     drawn = draw("matching", sequential_result)
     assert [values(trace).tolist() for trace in drawn.data[:2]] == [[4401, 4466, 4466], [2297, 65, 0]]
     assert "rested after 3 cycles" in drawn.layout.title.text
-    given = sequential_result | {"matching": None, "inputs": {"settings": {"match": "given"}}}
+    given = changed(sequential_result, matching=None, inputs={"settings": {"match": "given"}})
     assert "matches it was given" in draw("matching", given).layout.annotations[0].text
 
 
@@ -168,13 +168,13 @@ def test_residuals_are_turned_to_the_radius_at_their_length_and_an_axis_has_its_
     found = compute_axis_residuals(sequential_result)
     rows, columns, along, across = found.by_axis.values()
     assert np.hypot(rows, columns) == pytest.approx(np.hypot(along, across))
-    seen = sequential_result["trust"]["residuals"]
-    centre = [sequential_result["parameters"][name] for name in ("m0_px", "n0_px")]
-    outward = np.array([seen["row_px"], seen["col_px"]]).T - centre
+    seen = sequential_result.trust.residuals
+    centre = [sequential_result.parameters[name] for name in ("m0_px", "n0_px")]
+    outward = np.array([seen.row_px, seen.col_px]).T - centre
     expected = np.sum(outward * np.array([rows, columns]).T, axis=1) / np.linalg.norm(outward, axis=1)
     assert along == pytest.approx(expected)
     columns = FIGURES["rms-axes"].table(sequential_result)
-    rows = np.array(sequential_result["trust"]["residuals"]["d_row_px"])
+    rows = np.array(sequential_result.trust.residuals.d_row_px)
     assert columns["rms_px"][0] == pytest.approx(np.sqrt(np.mean(rows**2)))
     assert columns["sigma_of_rms_px"][0] == pytest.approx(columns["rms_px"][0] / np.sqrt(2 * len(rows)))
     frame, level, sigma = running(compute_axis_residuals(sequential_result), "across the radius")
@@ -186,7 +186,7 @@ def test_residuals_are_turned_to_the_radius_at_their_length_and_an_axis_has_its_
 def test_arrows_and_circles_are_to_the_scale_of_the_bar_and_cells_clear_of_their_noise_are_diamonds(sequential_result):
     drawn = draw("residual-quiver", sequential_result)
     circles, arrows, _, bar = [trace for trace in drawn.data if trace.xaxis == "x2"]
-    cells = read_cells(sequential_result["trust"]["residual_field"], "after")
+    cells = read_cells(sequential_result.trust.residual_field, sequential_result.trust.residual_field.after)
     scale = (bar.x[1] - bar.x[0]) / float(bar.text[1].split("px")[0])
     x, y = values(arrows, "x").reshape(-1, 3), values(arrows).reshape(-1, 3)
     np.testing.assert_allclose(x[:, 1] - x[:, 0], scale * cells.d_col, rtol=1e-3, atol=0.02)
@@ -200,9 +200,7 @@ def test_arrows_and_circles_are_to_the_scale_of_the_bar_and_cells_clear_of_their
 
 
 def test_before_is_left_out_where_the_old_parameters_have_no_residuals(sequential_result):
-    trust = sequential_result["trust"]
-    field = trust["residual_field"] | {"before": None}
-    drawn = draw("residual-quiver", sequential_result | {"trust": trust | {"residual_field": field}})
+    drawn = draw("residual-quiver", changed(sequential_result, trust={"residual_field": {"before": None}}))
     assert {trace.xaxis for trace in drawn.data} == {"x"}
     assert set(FIGURES["residual-quiver"].table(sequential_result)["when"]) == {"before", "after"}
 
@@ -217,62 +215,58 @@ def test_the_scale_of_arrows_is_round_and_keeps_them_inside_their_cells(length_p
 
 
 def test_shares_are_of_all_residuals_beyond_the_bins_too_and_quantiles_stand_in_the_band_of_chance(sequential_result):
-    part = sequential_result["trust"]["residual_distribution"]
-    counts, drawn = part["before"]["counts"], draw("residual-distribution", sequential_result).data
-    assert shares(part, "before").sum() == pytest.approx(
-        sum(counts) / (sum(counts) + part["before"]["below"] + part["before"]["above"])
+    part = sequential_result.trust.residual_distribution
+    counts, drawn = part.before.counts, draw("residual-distribution", sequential_result).data
+    assert shares(part.before).sum() == pytest.approx(
+        sum(counts) / (sum(counts) + part.before.below + part.before.above)
     )
-    assert shares(part, "after").sum() == pytest.approx(1)
+    assert shares(part.after).sum() == pytest.approx(1)
     assert any("beyond 6 σ" in trace.name for trace in drawn)
     band, line = [trace for trace in drawn if trace.xaxis == "x2"]
-    np.testing.assert_allclose(values(line), np.subtract(part["quantile"], part["normal"]), atol=1e-6)
-    np.testing.assert_allclose(values(band).max(), 3 * max(part["sigma_of_quantile"]), rtol=1e-5)
+    np.testing.assert_allclose(values(line), np.subtract(part.quantile, part.normal), atol=1e-6)
+    np.testing.assert_allclose(values(band).max(), 3 * max(part.sigma_of_quantile), rtol=1e-5)
 
 
-def test_reasons_are_counted_once_and_the_most_frequent_come_first():
+def test_reasons_are_counted_once_and_the_most_frequent_come_first(sequential_result):
     left_out = [
-        {"what": "stars", "count": 14, "reason": "not matched to a catalogue star"},
-        {"what": "exposures", "count": 7, "reason": "fewer than 4 usable stars"},
+        LeftOut(what="stars", count=14, reason="not matched to a catalogue star"),
+        LeftOut(what="exposures", count=7, reason="fewer than 4 usable stars"),
     ]
-    found = reasons({"matching": {"row_reasons": {"no star is near": 5, "two are near": 9}}, "left_out": left_out})
+    matching = replace(sequential_result.matching, row_reasons={"no star is near": 5, "two are near": 9})
+    found = reasons(Calibration(status="converged", matching=matching, left_out=left_out))
     ordered = [("two are near", 9), ("exposures: fewer than 4 usable stars", 7), ("no star is near", 5)]
     assert list(found.items()) == ordered
-    assert reasons({"left_out": left_out})["stars: not matched to a catalogue star"] == 14
-    assert reasons({}) == {}
+    assert reasons(Calibration(status="converged", left_out=left_out))["stars: not matched to a catalogue star"] == 14
+    assert reasons(Calibration(status="running")) == {}
 
 
 def test_outliers_name_their_frame_and_star_and_are_drawn_on_the_whole_detector(sequential_result):
-    part = sequential_result["trust"]["residual_outliers"]
+    part = sequential_result.trust.residual_outliers
     places = draw("residual-outliers", sequential_result).data[0]
-    assert places.text[0] == f"HIP {part['star_id'][0]}, frame {part['frame'][0]}"
-    assert FIGURES["residual-outliers"].table(sequential_result)["frame"] == part["frame"]
+    assert places.text[0] == f"HIP {part.star_id[0]}, frame {part.frame[0]}"
+    assert FIGURES["residual-outliers"].table(sequential_result)["frame"] == part.frame
     drawn = draw("residual-outliers", sequential_result)
     assert drawn.layout.xaxis.range == (-0.5, 2591.5)
     assert drawn.layout.yaxis.range == (1943.5, -0.5)
-    trust = sequential_result["trust"]
-    part = {name: value for name, value in trust["residual_outliers"].items() if name not in {"rows", "columns"}}
-    former = draw("residual-outliers", sequential_result | {"trust": trust | {"residual_outliers": part}})
-    assert former.layout.xaxis.range[1] == pytest.approx(max(part["col_px"]) + 0.5)
 
 
 def test_the_rms_map_leaves_cells_without_stars_open(sequential_result):
-    trust = sequential_result["trust"]
-    field = trust["residual_field"]
-    rms = [[*row] for row in field["after"]["rms_px"]]
+    rms = [[*row] for row in sequential_result.trust.residual_field.after.rms_px]
     rms[3][4] = None
-    part = field | {"after": field["after"] | {"rms_px": rms}}
-    (cells,) = draw("residual-rms", sequential_result | {"trust": trust | {"residual_field": part}}).data
+    (cells,) = draw(
+        "residual-rms", changed(sequential_result, trust={"residual_field": {"after": {"rms_px": rms}}})
+    ).data
     assert np.isnan(values(cells, "z")[3, 4])
     assert cells.zmin == 0
     assert np.isnan(values(cells, "z")).sum() == sum(row.count(None) for row in rms)
 
 
 def make_shadow(n_frames=40, lost=(7,), gained=(1, 2, 3)):
-    return shadow(n_frames, lost, gained)["validation"]
+    return parse_part(ShadowOfSet, shadow(n_frames, lost, gained)["validation"], ValueError)
 
 
 def flown(**sets):
-    return {"shadow": {"calibration": None, "validation": None} | sets}
+    return Calibration(status="converged", shadow=Shadow(**sets))
 
 
 def test_the_validation_set_is_shown_first_and_the_table_lists_every_frame_with_the_stars_that_moved():
@@ -305,12 +299,14 @@ def test_a_comparison_gives_each_candidate_its_colour_and_stays_small():
     assert len(text) < 500_000
 
 
-@pytest.mark.parametrize("document", [{}, {"shadow": None}, flown(), flown(validation={"frames": []})])
-def test_without_a_view_it_says_what_is_missing(document):
-    drawn = SHADOW.draw([Trace("run", document)])
+@pytest.mark.parametrize(
+    "result", [flown(), flown(validation=replace(make_shadow(), frames=[]))], ids=["none", "empty"]
+)
+def test_without_a_view_it_says_what_is_missing(result):
+    drawn = SHADOW.draw([Trace("run", result)])
     assert not drawn.data
     assert "side by side when the run ends" in drawn.layout.annotations[0].text
-    assert SHADOW.table(document) == {}
+    assert SHADOW.table(result) == {}
 
 
 NAMES = ["f_m", "b2_per_m2"]

@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from dataclasses import replace
 
 import numpy as np
 import plotly.graph_objects as go
@@ -14,10 +15,11 @@ from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES, Trace, figure_json
 from boresight.figures.style import theme
 from boresight.figures.style.axes import ALIGNMENTS
-from boresight.figures.style.theme import THEMES, TOKENS, read_themes, run_styles
+from boresight.figures.style.theme import THEMES, TOKENS, label_styles, read_themes
 from boresight.figures.style.thinning import POINT_LIMIT, keep_extremes, thinning
 from boresight.figures.views import POINT_BUDGET, aligned, as_band, find_span, focus
 from boresight.resources import folder
+from tests.calibrations import changed
 from tests.figures.examined import examined, sequential, shadow, trust
 
 LONG = 30_000
@@ -25,38 +27,33 @@ LONG = 30_000
 
 def timed(result, start="2026-01-01T00:00:00Z"):
     """Give a history a time every 30 seconds."""
-    n = len(result["history"]["frame"])
+    n = len(result.history.frame)
     times = np.datetime64(start.rstrip("Z")) + np.arange(n) * np.timedelta64(30, "s")
-    return {**result, "history": {**result["history"], "time_utc": [f"{time}Z" for time in times]}}
+    return replace(result, history=replace(result.history, time_utc=[f"{time}Z" for time in times]))
 
 
 def later(result, frames):
     """Move a history's frame numbers."""
-    return {**result, "history": {**result["history"], "frame": [k + frames for k in result["history"]["frame"]]}}
+    return replace(result, history=replace(result.history, frame=[k + frames for k in result.history.frame]))
 
 
 def test_runs_of_other_weeks_lie_over_each_other_by_time_and_by_update_but_not_by_frame():
     first = timed(sequential(100, seed=1))
     second = later(timed(sequential(100, seed=2), "2026-03-01T00:00:00Z"), 5000)
     starts = {
-        along: [
-            trace.result["history"]["frame"][0] for trace in aligned([Trace("a", first), Trace("b", second)], along)
-        ]
+        along: [trace.result.history.frame[0] for trace in aligned([Trace("a", first), Trace("b", second)], along)]
         for along in ALIGNMENTS
     }
     assert starts == {"frame": [0, 5000], "time": [0.0, 0.0], "update": [1.0, 1.0]}
-    (hours, _) = (
-        trace.result["history"]["frame"] for trace in aligned([Trace("a", first), Trace("b", second)], "time")
-    )
+    (hours, _) = (trace.result.history.frame for trace in aligned([Trace("a", first), Trace("b", second)], "time"))
     assert hours[-1] == pytest.approx(99 * 30 / 3600)
 
 
 def test_updates_are_counted_over_all_and_a_run_without_times_says_what_else_there_is():
-    result = sequential(100)
-    result["trust"] = {**result["trust"], "nis_over_time": {**result["trust"]["nis_over_time"], "points_in_all": 1981}}
+    result = changed(sequential(100), trust={"nis_over_time": {"points_in_all": 1981}})
     (trace,) = aligned([Trace("a", result)], "update")
-    assert trace.result["history"]["frame"][:2] == [1.0, 21.0]
-    assert trace.result["history"]["frame"][-1] == 1981
+    assert trace.result.history.frame[:2] == [1.0, 21.0]
+    assert trace.result.history.frame[-1] == 1981
     with pytest.raises(RefusedInputError, match=r"Run 7 has no times.*by frame or by update"):
         aligned([Trace("Run 7", sequential(20))], "time")
     with pytest.raises(RefusedInputError, match="choose from frame, time, update"):
@@ -111,7 +108,7 @@ def test_a_curve_says_whose_it_is_a_band_its_sigmas_and_twenty_runs_have_twenty_
     bands = [trace for trace in drawn if trace.fill == "toself"]
     assert bands
     assert all(trace.meta == {"run": "a", "part": "", "sigmas": 3} for trace in bands)
-    styles = run_styles([Trace(f"Run {k}", {}) for k in range(20)])
+    styles = label_styles([f"Run {k}" for k in range(20)])
     assert len({(style.colour, style.dash) for style in styles}) == 20
 
 
@@ -172,9 +169,10 @@ def test_no_figure_of_twenty_long_runs_is_over_500_kb(name, long_result):
 @pytest.fixture(scope="module")
 def long_result():
     """A history longer than any budget: from here on more updates make no figure larger."""
-    judged, moved = trust(6000), {"shadow": shadow(6000, range(100), range(200, 300))}
+    judged = trust(6000)
     stars = {key: (2 * cells)[:2000] for key, cells in judged["residuals"].items() if isinstance(cells, list)}
-    return sequential(6000) | {"trust": judged | {"residuals": judged["residuals"] | stars}} | moved
+    flown = shadow(6000, range(100), range(200, 300))
+    return changed(sequential(6000), trust=judged | {"residuals": judged["residuals"] | stars}, shadow=flown)
 
 
 SERIES = arrays.arrays(

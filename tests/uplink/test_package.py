@@ -298,7 +298,7 @@ def test_a_dump_of_another_length_is_refused_with_both_lengths(dump: bytes) -> N
 
 
 def test_what_the_camera_leaves_travels_as_a_table_with_sigmas_that_says_what_it_is():
-    spline = get_example_calibrations()["batch"]["trust"]["residual_spline"] | {"structure": True}
+    spline = get_example_calibrations()["batch"].to_dict()["trust"]["residual_spline"] | {"structure": True}
     subject = make_set("pinhole_radial", 2, 1e-6, "APPROVED")
     subject["document"]["residual_spline"] = spline
     files = _files(make_inputs(subject=subject))

@@ -334,7 +334,7 @@ class Matching:
     removed_reasons: dict[str, int]
     exposure_reasons: dict[str, int]
     starts: dict[str, int]
-    flagged: FlaggedStars = field(default_factory=FlaggedStars)
+    flagged: FlaggedStars | None = None
     flight: FlightScores | None = None
 
 
@@ -650,6 +650,13 @@ class ResidualAgainst:
     magnitude: ResidualDependence | None = None
     temperature: ResidualDependence | None = None
     time: ResidualDependence | None = None
+
+    @property
+    def by_cause(self) -> dict[str, ResidualDependence | None]:
+        """The dependence on each, by its name."""
+        return {
+            "radius": self.radius, "magnitude": self.magnitude, "temperature": self.temperature, "time": self.time,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

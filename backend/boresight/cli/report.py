@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import orjson
@@ -12,6 +12,9 @@ from boresight.cli.output import STANDARD_OUTPUT, check_writable, write_bytes
 from boresight.cli.remote import open_client, server_option
 from boresight.errors import RefusedInputError
 from boresight.settings import read_settings
+
+if TYPE_CHECKING:
+    from boresight.calibration.calibration import Calibration
 
 
 @click.command()
@@ -32,8 +35,8 @@ def report(source: str, out_file: str, server_url: str | None) -> None:
         _write(_fetch(server_url, source), out_file)
         return
     stored = source.isdecimal() and not Path(source).exists()
-    document = _stored(int(source)) if stored else _read(source)
-    text = render_report(document, four_eyes=not stored or read_settings().policy.four_eyes)
+    found = _stored(int(source)) if stored else _read(source)
+    text = render_report(found, four_eyes=not stored or read_settings().policy.four_eyes)
     _write(text, out_file)
 
 
@@ -64,7 +67,7 @@ def _check_out(out_file: str) -> None:
     check_writable(out_file, "HTML")
 
 
-def _read(source: str) -> dict[str, Any]:
+def _read(source: str) -> Calibration:
     from boresight.calibration.calibration import parse_calibration
 
     try:
@@ -77,15 +80,15 @@ def _read(source: str) -> dict[str, Any]:
         ) from error
     except OSError as error:
         raise RefusedInputError(f"{source} cannot be read: {error.strerror}.") from error
-    parse_calibration(document, Path(source).name)
-    return document
+    return parse_calibration(document, Path(source).name)
 
 
-def _stored(run_id: int) -> dict[str, Any]:
+def _stored(run_id: int) -> Calibration:
+    from boresight.calibration.calibration import parse_calibration
     from boresight.console.runs import service as runs
     from boresight.platform.blobs.opening import open_blobs
     from boresight.platform.db.sessions import open_reading, open_store
 
     settings = read_settings()
     with open_store(settings.database_url) as engine, open_reading(engine) as session:
-        return runs.get_final_result(session, open_blobs(settings.blob_place), run_id)
+        return parse_calibration(runs.get_final_result(session, open_blobs(settings.blob_place), run_id))

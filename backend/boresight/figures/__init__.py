@@ -1,4 +1,4 @@
-"""Every chart of the product, each a pure function of calibration JSON; `charts` lists them.
+"""Every chart of the product, each a pure function of a calibration; `charts` lists them.
 
 The list is loaded when it is first asked for: the tables of this package are printed by commands that draw nothing, and Plotly with
 its templates takes a quarter of a second.
@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from boresight.calibration.result import Result
 from boresight.figures.chart import Figure, Table, Trace, figure_json
 
 if TYPE_CHECKING:
     from boresight.figures.charts import CHAPTERS, FIGURES, WIDE
 
-__all__ = ["CHAPTERS", "FIGURES", "WIDE", "Figure", "Result", "Table", "Trace", "figure_json"]
+__all__ = ["CHAPTERS", "FIGURES", "WIDE", "Figure", "Table", "Trace", "figure_json"]
 
 _LISTED = ("CHAPTERS", "FIGURES", "WIDE")
 

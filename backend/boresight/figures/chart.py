@@ -1,18 +1,18 @@
-"""What a figure is: a name, a guide in words, and two pure functions of calibration JSON.
+"""What a figure is: a name, a guide in words, and two pure functions of a calibration.
 
 A figure never reads a file, a database or a clock, so the page, the report, a notebook and a test draw the same thing.
-A run that is still computing gives a JSON with keys missing; the figure then says what is missing instead of failing.
+A run that is still computing gives a calibration with members missing; the figure then says what is missing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import orjson
 
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -25,26 +25,30 @@ class Trace:
     """One run to draw; several make a comparison.
 
     `short`: What stands for the label over a narrow map. `along`: What the axis of frames counts, one of `ALIGNMENTS`.
+    `baseline`: The parameters in force now, SI, where the run did not start from them. `tail_from`: Where a reader wants the
+    tail of the RMS to begin, on the axis of the run.
     """
 
     label: str
-    result: Result
+    result: Calibration
     short: str = ""
     along: str = "frame"
+    baseline: Mapping[str, float | None] | None = None
+    tail_from: float | None = None
 
 
 @dataclass(frozen=True)
 class Figure:
     """One chart of the registry.
 
-    `table`: One calibration result to the columns of its CSV: complete, in SI, never thinned. `wide`: It takes a page's width.
+    `table`: One calibration to the columns of its CSV: complete, in SI, never thinned. `wide`: It takes a page's width.
     """
 
     name: str
     title: str
     guide: str
     draw: Callable[[Sequence[Trace]], go.Figure]
-    table: Callable[[Result], Table]
+    table: Callable[[Calibration], Table]
     wide: bool = False
 
 

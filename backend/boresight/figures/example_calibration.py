@@ -8,12 +8,14 @@ than a drawing shows. `python -m benchmarks.pages --figures --renew` makes the f
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import orjson
 
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration, History, Shadow, parse_calibration
 from boresight.figures.chart import Trace
 
 PLACE = Path(__file__).with_name("example_calibration.json")
@@ -24,10 +26,10 @@ LABELS = {"filter": ("Run 2", "as frames come down"), "batch": ("Run 1", "all fr
 
 
 @cache
-def get_example_calibrations() -> dict[str, Result]:
-    """Read the example: the results `filter`, `batch`, `partial` and `nothing`."""
-    found: dict[str, Result] = orjson.loads(PLACE.read_bytes())
-    return found | {"partial": _half_way(found["filter"]), "nothing": {"status": "running"}}
+def get_example_calibrations() -> dict[str, Calibration]:
+    """Read the example: the calibrations `filter`, `batch`, `partial` and `nothing`."""
+    found = {name: parse_calibration(document) for name, document in orjson.loads(PLACE.read_bytes()).items()}
+    return found | {"partial": _half_way(found["filter"]), "nothing": Calibration(status="running")}
 
 
 def make_example_traces(names: tuple[str, ...]) -> list[Trace]:
@@ -39,11 +41,15 @@ def make_example_traces(names: tuple[str, ...]) -> list[Trace]:
     ]
 
 
-def _half_way(result: Result) -> Result:
+def _half_way(result: Calibration) -> Calibration:
     """Return what a filter had told when half of its frames were in: no evaluation yet, half a history."""
-    history = result["history"]
-    half = len(history["frame"]) // 2
-    halved = {key: value[:half] if isinstance(value, list) else value for key, value in history.items()}
-    done = result["frames"] - (len(history["frame"]) - half)
-    judged = dict.fromkeys(JUDGED_AT_THE_END)
-    return {**result, **judged, "shadow": {}, "status": "running", "history": halved, "frames_done": done}
+    history = result.history
+    if history is None:
+        return result
+    half = len(history.frame) // 2
+    columns = {item.name: getattr(history, item.name) for item in fields(History)}
+    kept: dict[str, Any] = {name: rows[:half] for name, rows in columns.items() if isinstance(rows, list)}
+    halved = replace(history, **kept)
+    done = result.frames - (len(history.frame) - half)
+    judged: dict[str, Any] = dict.fromkeys(JUDGED_AT_THE_END)
+    return replace(result, **judged, shadow=Shadow(), status="running", history=halved, frames_done=done)

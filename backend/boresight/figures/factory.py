@@ -1,52 +1,56 @@
-"""Makes figures of what they read in results, each with what it says where that is not there."""
+"""Makes figures of what they read in calibrations, each with what it says where that is not there."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration, Trust
 from boresight.figures.chart import Figure, Table, Trace
 from boresight.figures.style import theme
-from boresight.verdicts.verdict import read_part, why_absent
+from boresight.verdicts.verdict import why_absent
 
-Part = tuple[Trace, theme.RunStyle, Any]  # a run, how it is drawn, and what a figure reads of its result
+P = TypeVar("P")
+Part = tuple[Trace, theme.RunStyle, P]  # a run, how it is drawn, and what a figure reads of its calibration
 
 
 def make_figure(
-    draw: Callable[[Sequence[Part]], go.Figure],
-    table: Callable[[Any], Table],
-    read: Callable[[Result], Any],
-    why: Callable[[Result], str],
+    draw: Callable[[Sequence[Part[P]]], go.Figure],
+    table: Callable[[P], Table],
+    read: Callable[[Calibration], P | None],
+    why: Callable[[Calibration], str],
     *,
     name: str,
     title: str,
     guide: str,
     wide: bool = False,
 ) -> Figure:
-    """Make a figure of what `read` finds in results; where the first run has nothing, `why` says so in its place."""
+    """Make a figure of what `read` finds in calibrations; where the first run has nothing, `why` says so in its place."""
 
     def draw_runs(traces: Sequence[Trace]) -> go.Figure:
         drawn = [(trace, style, part) for trace, style in theme.styled(traces) if (part := read(trace.result))]
         return draw(drawn) if drawn else theme.missing(title, why(traces[0].result))
 
-    def list_run(result: Result) -> Table:
+    def list_run(result: Calibration) -> Table:
         return table(part) if (part := read(result)) else {}
 
     return Figure(name, title, guide, draw_runs, list_run, wide)
 
 
 def part_figure(
-    draw: Callable[[Sequence[Part]], go.Figure], table: Callable[[Any], Table], part: str, **named: Any
+    draw: Callable[[Sequence[Part[P]]], go.Figure], table: Callable[[P], Table], part: str, **named: Any
 ) -> Figure:
     """Make a figure of one part of `trust`."""
-    return make_figure(
-        draw, table, lambda result: read_part(result, part), lambda result: why_absent(result, part), **named
-    )
+
+    def read(result: Calibration) -> P | None:
+        found: P | None = getattr(result.trust or Trust(), part)
+        return found
+
+    return make_figure(draw, table, read, lambda result: why_absent(result, part), **named)
 
 
 def column(values: Any) -> FloatArray:

@@ -9,17 +9,22 @@ RMS may lie from this one's.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration import calibration as tree
+from boresight.calibration.calibration import Calibration
 from boresight.figures.chart import Trace
 from boresight.verdicts.verdict import sigma_of_rms
 
 SETTLED_SIGMAS = 3.0
+
+
+def _nothing() -> FloatArray:
+    return np.empty(0)
 
 
 @dataclass(frozen=True)
@@ -27,7 +32,8 @@ class History:
     """What a run's history or trace says.
 
     `x`: (n_steps,) frame numbers or iterations. `names`: (n_parameters,) in model order. `value`, `sigma`: (n_steps,
-    n_parameters) SI; sigma is NaN for a fixed parameter.
+    n_parameters) SI; sigma is NaN for a fixed parameter. The other columns are (n_steps,), NaN where nothing is known, and
+    empty where runs of this kind have none.
     """
 
     axis: str
@@ -36,11 +42,13 @@ class History:
     free: tuple[str, ...]
     value: FloatArray
     sigma: FloatArray
-    record: Result
-
-    def series(self, key: str) -> FloatArray:
-        """Read another column of the same record, (n_steps,), NaN where it says nothing."""
-        return _padded(self.record.get(key), len(self.x))
+    time_utc: Sequence[str | None] | None = None
+    tail_rms_rad: FloatArray = field(default_factory=_nothing)
+    aggregate_rms_rad: FloatArray = field(default_factory=_nothing)
+    nis: FloatArray = field(default_factory=_nothing)
+    nis_dof: FloatArray = field(default_factory=_nothing)
+    cost: FloatArray = field(default_factory=_nothing)
+    rms_arc_rad: FloatArray = field(default_factory=_nothing)
 
 
 def _padded(values: Any, n_steps: int) -> FloatArray:
@@ -55,27 +63,44 @@ def _matrix(rows: Any, n_steps: int, n_parameters: int) -> FloatArray:
     return matrix if matrix.shape == (n_steps, n_parameters) else np.full((n_steps, n_parameters), np.nan)
 
 
-def read_history(result: Result) -> History | None:
+def read_history(result: Calibration) -> History | None:
     """Read the history of a run, or None while it has none."""
-    names = parameter_names(result)
-    for axis, key in (("frame", "history"), ("iteration", "trace")):
-        record = result.get(key)
-        if record and record.get(axis):
-            x = np.array(record[axis], dtype=np.float64)
-            value = _matrix(record.get("parameters"), len(x), len(names))
-            sigma = _matrix(record.get("sigma"), len(x), len(names))
-            free = tuple(name for name in free_names(result) if name in names)
-            return History(axis, x, names, free, value, sigma, record)
+    updates, iterates = result.history, result.trace
+    if updates is not None and updates.frame:
+        n_steps = len(updates.frame)
+        return replace(
+            _states(result, "frame", updates.frame, updates),
+            time_utc=updates.time_utc,
+            tail_rms_rad=_padded(updates.tail_rms_rad, n_steps),
+            aggregate_rms_rad=_padded(updates.aggregate_rms_rad, n_steps),
+            nis=_padded(updates.nis, n_steps),
+            nis_dof=_padded(updates.nis_dof, n_steps),
+        )
+    if iterates is not None and iterates.iteration:
+        n_steps = len(iterates.iteration)
+        return replace(
+            _states(result, "iteration", iterates.iteration, iterates),
+            cost=_padded(iterates.cost, n_steps),
+            rms_arc_rad=_padded(iterates.rms_arc_rad, n_steps),
+        )
     return None
 
 
-def settled_step(result: Result) -> int | None:
+def _states(result: Calibration, axis: str, steps: Sequence[int], record: tree.History | tree.Iterations) -> History:
+    """Read the parameters and their sigmas at every step."""
+    names = parameter_names(result)
+    x = np.array(steps, dtype=np.float64)
+    value, sigma = (_matrix(rows, len(x), len(names)) for rows in (record.parameters, record.sigma))
+    return History(axis, x, names, tuple(name for name in free_names(result) if name in names), value, sigma)
+
+
+def settled_step(result: Calibration) -> int | None:
     """Return the index of the step from which on every free parameter stays within `SETTLED_SIGMAS` final sigmas of its end.
 
     None while the run is on its way, and where an estimate or a sigma is not known.
     """
     history = read_history(result)
-    if history is None or result.get("status") in {None, "running"}:
+    if history is None or result.status == "running":
         return None
     free = [history.names.index(name) for name in history.free]
     value, reach = history.value[:, free], SETTLED_SIGMAS * history.sigma[-1, free]
@@ -85,14 +110,14 @@ def settled_step(result: Result) -> int | None:
     return int(away[-1]) + 1 if len(away) else 0
 
 
-def parameter_names(result: Result) -> tuple[str, ...]:
+def parameter_names(result: Calibration) -> tuple[str, ...]:
     """Name the parameters in model order, which is the order of every column."""
-    return tuple(result.get("parameter_names") or result.get("parameters") or result.get("initial") or ())
+    return tuple(result.parameter_names or result.parameters or result.initial)
 
 
-def free_names(result: Result) -> tuple[str, ...]:
+def free_names(result: Calibration) -> tuple[str, ...]:
     """Name the estimated parameters, in model order."""
-    return tuple(result.get("free") or result.get("parameters") or ())
+    return tuple(result.free or result.parameters)
 
 
 SETTLING_SHARE = 0.2  # of the run, where nothing says when it settled
@@ -115,34 +140,30 @@ class RmsTail:
 
 def tailed(traces: Sequence[Trace], tail_from: float | None) -> list[Trace]:
     """Tell every run where a reader wants its tail to begin."""
-    if tail_from is None:
-        return list(traces)
-    return [replace(trace, result={**trace.result, "tail_from": tail_from}) for trace in traces]
+    return [replace(trace, tail_from=tail_from) for trace in traces]
 
 
-def tail_start(result: Result, history: History) -> float:
-    """Return the step at which the tail begins, on the history's axis."""
+def tail_start(result: Calibration, history: History, tail_from: float | None) -> float:
+    """Return the step at which the tail begins, on the history's axis; `tail_from` is where a reader wants it."""
     low, high = float(history.x.min()), float(history.x.max())
     latest = low + LATEST_SHARE * (high - low)
-    if (chosen := result.get("tail_from")) is not None:
-        return float(np.clip(chosen, low, latest))
+    if tail_from is not None:
+        return float(np.clip(tail_from, low, latest))
     first = settled_step(result)
     settled = low + SETTLING_SHARE * (high - low) if first is None else float(history.x[first])
     return min(settled, latest)
 
 
-def summarise_tail(result: Result) -> RmsTail | None:
+def summarise_tail(result: Calibration, tail_from: float | None = None) -> RmsTail | None:
     """Sum up what follows the start of the tail; None for a batch, which has no way behind it, and before any step."""
     history = read_history(result)
     if history is None or history.axis != "frame":
         return None
-    start = tail_start(result, history)
+    start = tail_start(result, history, tail_from)
     shown = history.x >= start
-    tail = history.series("tail_rms_rad")[shown]
-    aggregate = history.series("aggregate_rms_rad")
+    tail, aggregate = history.tail_rms_rad[shown], history.aggregate_rms_rad
     known, seen = tail[np.isfinite(tail)], aggregate[np.isfinite(aggregate)]
     mean = float(known.mean()) if len(known) else None
-    arcs = result.get("pairs")
     return RmsTail(
         axis=history.axis,
         start=start,
@@ -150,6 +171,6 @@ def summarise_tail(result: Result) -> RmsTail | None:
         points=int(shown.sum()),
         tail_rad=mean,
         aggregate_rad=float(seen[-1]) if len(seen) else None,
-        sigma_rad=sigma_of_rms(mean, arcs),
-        chosen=result.get("tail_from") is not None,
+        sigma_rad=sigma_of_rms(mean, result.pairs),
+        chosen=tail_from is not None,
     )

@@ -33,7 +33,7 @@ class Panel:
 
 def find_running_history(traces: Sequence[Trace]) -> History | None:
     """Return the history of the one run of a figure that is still a filter on its way, else None."""
-    if len(traces) != 1 or traces[0].result.get("status") != "running":
+    if len(traces) != 1 or traces[0].result.status != "running":
         return None
     history = read_history(traces[0].result)
     return history if history is not None and history.axis == "frame" else None
@@ -58,7 +58,7 @@ def follow_column(figure: go.Figure, place: dict[str, int], column: str, traces:
 def follow_errors(figure: go.Figure, factor: float, traces: Sequence[Trace]) -> go.Figure:
     """Mark the curves of tail and aggregate error; the tail's sigma is its share 1 / sqrt(2 n) of n pairs."""
     if find_running_history(traces):
-        pairs = traces[0].result.get("pairs")
+        pairs = traces[0].result.pairs
         share = {"share": 1 / sqrt(2 * pairs)} if pairs else {}
         for trace in figure.select_traces({"type": "scatter"}):
             is_aggregate = (trace.meta or {}).get("part") == "aggregate"

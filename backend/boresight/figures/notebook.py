@@ -14,18 +14,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import orjson
 import plotly.graph_objects as go
 
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration, parse_calibration, read_calibration
 from boresight.errors import RefusedInputError
 from boresight.figures import FIGURES
 from boresight.figures.chart import Figure, Table, Trace
 from boresight.figures.style.theme import CONTRAST_TEMPLATE, DARK_TEMPLATE, LIGHT_TEMPLATE, TOKENS
 
-SCHEMA = "boresight.calibration/1"
 TEMPLATES = {"light": LIGHT_TEMPLATE, "dark": DARK_TEMPLATE, "contrast": CONTRAST_TEMPLATE}
-Source = Result | str | Path
+Source = Calibration | Mapping[str, Any] | str | Path
 
 
 def draw(source: Source | Mapping[str, Source], name: str, *, theme: str = "light") -> go.Figure:
@@ -70,18 +68,11 @@ def _traces(source: Source | Mapping[str, Source]) -> list[Trace]:
     if isinstance(source, Mapping) and source and "schema" not in source:
         return [Trace(label, _read(one)) for label, one in source.items()]
     result = _read(source)
-    return [Trace(str(result.get("method") or "run"), result)]
+    return [Trace(result.method or "run", result)]
 
 
-def _read(source: Any) -> Result:
-    """Read a calibration from a file, or take the one that is given."""
-    if isinstance(source, str | Path):
-        try:
-            source = orjson.loads(Path(source).read_bytes())
-        except OSError as error:
-            raise RefusedInputError(f"{source} cannot be read: {error.strerror}.") from error
-        except orjson.JSONDecodeError as error:
-            raise RefusedInputError(f"{source} is no JSON: give what `boresight calibrate --json` wrote.") from error
-    if not isinstance(source, Mapping) or source.get("schema") != SCHEMA:
-        raise RefusedInputError(f"This is no calibration result: its `schema` must be {SCHEMA!r}.")
-    return source
+def _read(source: Source) -> Calibration:
+    """Read a calibration from a file or from its JSON, or take the one that is given."""
+    if isinstance(source, Calibration):
+        return source
+    return read_calibration(source) if isinstance(source, str | Path) else parse_calibration(source)

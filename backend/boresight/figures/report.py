@@ -12,9 +12,8 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from boresight import __version__
+from boresight.calibration.calibration import Calibration, Change, to_plain
 from boresight.calibration.options import OPTIONS, CalibrationSettings, format_value
-from boresight.calibration.result import Result
-from boresight.errors import RefusedInputError
 from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.chart import Trace, figure_json
 from boresight.figures.charts.matching import why_no_matching
@@ -48,14 +47,11 @@ def embed_figures(figures: Mapping[str, go.Figure]) -> dict[str, Markup]:
     }
 
 
-SCHEMA = "boresight.calibration/1"
 MOST_STARS = 25  # in print; the run's CSV has more
 
 
-def render_report(result: Result, *, four_eyes: bool = True) -> str:
+def render_report(result: Calibration, *, four_eyes: bool = True) -> str:
     """Render the report as HTML text."""
-    if not isinstance(result, Mapping) or result.get("schema") != SCHEMA:
-        raise RefusedInputError(f"This is no calibration result: its `schema` must be {SCHEMA!r}.")
     environment = Environment(
         loader=FileSystemLoader(folder("frontend") / "templates"), autoescape=True, undefined=StrictUndefined
     )
@@ -70,14 +66,14 @@ def render_report(result: Result, *, four_eyes: bool = True) -> str:
         **embed_figures({name: figure.draw([_trace(result)]) for name, figure in FIGURES.items()}),
         **_examined(result),
         **_matched(result),
-        provenance=list(flattened(result.get("inputs") or {})),
-        timing=list(flattened(result.get("timing_s") or {})),
+        provenance=list(flattened(to_plain(result.inputs))),
+        timing=list(flattened(result.timing_s)),
         command=command(result),
         version=__version__,
     )
 
 
-def _examined(result: Result) -> dict[str, Any]:
+def _examined(result: Calibration) -> dict[str, Any]:
     return {
         "trust_marks": trust_marks(result),
         "why_no_trust": why_absent(result, ""),
@@ -87,42 +83,44 @@ def _examined(result: Result) -> dict[str, Any]:
     }
 
 
-def _matched(result: Result) -> dict[str, Any]:
-    matching = result.get("matching") or {}
+def _matched(result: Calibration) -> dict[str, Any]:
+    matching = result.matching
     return {
         "match_counts": match_counts(matching) if matching else [],
-        "match_facts": match_facts(matching),
+        "match_facts": match_facts(matching) if matching else [],
         "flight": flight_rows(result),
         "flight_tolerance": flight_tolerance(result),
         "side_by_side": side_by_side(result),
-        "reasons": reason_tables(matching),
+        "reasons": reason_tables(matching) if matching else [],
         "why_no_matching": why_no_matching(result),
     }
 
 
-def _trace(result: Result) -> Trace:
-    return Trace(str(result.get("method") or "run"), result)
+def _trace(result: Calibration) -> Trace:
+    return Trace(result.method or "run", result)
 
 
-def _summary(result: Result) -> Iterator[tuple[str, str]]:
-    yield "Method", " ".join(str(result[key]) for key in ("method", "variant") if result.get(key))
-    yield "Camera model", str(result.get("camera_model") or "–")
-    yield "Free parameters", ", ".join(result.get("free") or ()) or "–"
-    for key in ("frames", "exposures", "stars", "pairs", "iterations"):
-        if result.get(key) is not None:
-            yield key.capitalize(), f"{result[key]:,}"
-    yield "RMS arc error", _pair(result.get("rms_arc_rad"))
-    if result.get("chi2_per_dof") is not None:
-        yield "χ² per degree of freedom", f"{result['chi2_per_dof']:.4g}"
-    condition = (result.get("observability") or {}).get("condition_number")
+def _summary(result: Calibration) -> Iterator[tuple[str, str]]:
+    yield "Method", " ".join(word for word in (result.method, result.variant) if word)
+    yield "Camera model", result.camera_model or "–"
+    yield "Free parameters", ", ".join(result.free) or "–"
+    if result.frames or result.status != "running":
+        yield "Frames", f"{result.frames:,}"
+        yield "Exposures", f"{result.exposures:,}"
+        yield "Stars", f"{result.stars:,}"
+        yield "Pairs", f"{result.pairs:,}"
+        yield "Iterations", f"{result.iterations:,}"
+    yield "RMS arc error", _pair(result.rms_arc_rad)
+    if result.chi2_per_dof is not None:
+        yield "χ² per degree of freedom", f"{result.chi2_per_dof:.4g}"
+    condition = result.observability.condition_number if result.observability else None
     yield "Condition number", f"{condition:,.4g}" if condition is not None else "–"
-    validation = result.get("validation")
-    yield "Validation RMS", _pair(validation.get("rms_arc_rad")) if validation else "no validation set was given"
+    validation = result.validation
+    yield "Validation RMS", _pair(validation.rms_arc_rad) if validation else "no validation set was given"
 
 
-def _pair(rms: Mapping[str, float | None] | None) -> str:
-    values = [(rms or {}).get(key) for key in ("initial", "final")]
-    return " → ".join("–" if value is None else f"{value * 1e6:.1f}" for value in values) + " µrad"
+def _pair(rms: Change) -> str:
+    return " → ".join("–" if value is None else f"{value * 1e6:.1f}" for value in (rms.initial, rms.final)) + " µrad"
 
 
 def flattened(document: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
@@ -135,10 +133,10 @@ def flattened(document: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[s
             yield f"{prefix}{key}", "–" if value is None else text
 
 
-def command(result: Result) -> str:
+def command(result: Calibration) -> str:
     """Write the command that makes this result again from the same files."""
-    settings = {**((result.get("inputs") or {}).get("settings") or {}), "method": result.get("method")}
-    validation = "VALIDATION" if result.get("validation") else None
+    settings = {**result.inputs.settings, "method": result.method}
+    validation = "VALIDATION" if result.validation else None
     return " ".join(calibrate_command("TELEMETRY", "SENSOR.json", settings, validation, "RESULT.json"))
 
 

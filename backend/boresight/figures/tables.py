@@ -12,7 +12,16 @@ from dataclasses import astuple, dataclass
 from decimal import Decimal
 from typing import Any
 
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import (
+    Calibration,
+    Change,
+    CountChange,
+    Evaluation,
+    EvaluationIntervals,
+    IntervalChange,
+    Matching,
+    ShadowOfSet,
+)
 from boresight.cameras import CAMERA_MODELS
 from boresight.verdicts.numbers import (
     MINUS,
@@ -27,10 +36,11 @@ from boresight.verdicts.numbers import (
     to_second_digit,
     urad,
 )
-from boresight.verdicts.verdict import read_part
 
 # The six sensors of E Table III moved by up to 9.8: more asks for a look at the matches.
 UNEXPECTED_TYPICAL_SIGMAS = 10.0
+#: Numbers by the parameter's name.
+Numbers = Mapping[str, float | None]
 FAR_SIGMAS = 4.0  # of the eight parameters of an honest run one in 2,000 is so far from the truth
 
 
@@ -90,11 +100,21 @@ def _ratio(value: float | None, scale: float | None) -> float | None:
     return None if value is None or not scale else value / scale
 
 
-def parameter_rows(result: Mapping[str, Any]) -> list[ParameterRow]:
-    """Lay out every parameter of a calibration JSON, in model order."""
-    old, new, sigma = (result.get(key) or {} for key in ("initial", "parameters", "sigma"))
-    model = CAMERA_MODELS.get(str(result.get("camera_model")))
-    typical, truth = (result.get(key) or {} for key in ("typical_sigma", "truth"))
+def parameter_rows(result: Calibration) -> list[ParameterRow]:
+    """Lay out every parameter of a calibration, in model order."""
+    names = _model_order(result.camera_model, result.parameters)
+    return _lay_out(names, result.initial, result.parameters, result.sigma, result.typical_sigma, result.truth or {})
+
+
+def _model_order(camera_model: str, values: Numbers) -> list[str]:
+    """Name the parameters that have values, in the model's order where it is known."""
+    model = CAMERA_MODELS.get(camera_model)
+    return [name for name in (model.parameter_names if model else values) if name in values]
+
+
+def _lay_out(
+    names: Sequence[str], old: Numbers, new: Numbers, sigma: Numbers, typical: Numbers, truth: Numbers
+) -> list[ParameterRow]:
     return [
         ParameterRow(
             name=name,
@@ -105,8 +125,7 @@ def parameter_rows(result: Mapping[str, Any]) -> list[ParameterRow]:
             typical_sigma=typical.get(name),
             truth=truth.get(name),
         )
-        for name in (model.parameter_names if model else new)
-        if name in new
+        for name in names
     ]
 
 
@@ -115,7 +134,9 @@ def set_rows(
 ) -> list[ParameterRow]:
     """Lay out a parameter set's values against the set it replaces, on the scale of its sensor's typical sigmas."""
     old = (incumbent or {}).get("parameters") or {}
-    return parameter_rows({**document, "initial": old, "typical_sigma": sensor.get("typical_sigma")})
+    new, sigma = document["parameters"], document.get("sigma") or {}
+    names = _model_order(str(document.get("camera_model")), new)
+    return _lay_out(names, old, new, sigma, sensor.get("typical_sigma") or {}, document.get("truth") or {})
 
 
 LARGE = 1e5  # the width of a terminal's column
@@ -142,7 +163,7 @@ class PrintedRow:
         return astuple(self)
 
 
-def printed_rows(result: Result) -> list[PrintedRow]:
+def printed_rows(result: Calibration) -> list[PrintedRow]:
     """Print every parameter of a result, in model order."""
     return [_printed(row, quantity(row.name, result)) for row in parameter_rows(result)]
 
@@ -185,22 +206,8 @@ def _signed(value: float | None) -> str:
     return MISSING if value is None else f"{value:+,.1f}".replace("-", MINUS)
 
 
-COUNTS = (
-    ("Given", "given", "identified in the telemetry"),
-    ("Kept", "kept", "of them, still the same star"),
-    ("Removed", "removed", "of them, unmatched or of another star"),
-    ("Added", "added", "found by Boresight"),
-    ("Matched", "matched", "used in the end"),
-)
-REASONS = (
-    ("Where attitudes came from", "exposures", "starts"),
-    ("Stars that were not matched", "stars", "row_reasons"),
-    ("Given matches that were taken back", "stars", "removed_reasons"),
-    ("Exposures that were not valid", "exposures", "exposure_reasons"),
-)
 VALID = "valid"  # the reason of an exposure that needs none
-ENDS = ("initial", "final")
-FLAGGED = (("doubles", "doubles"), ("unreliable", "of unreliable astrometry"), ("left_out", "left out"))
+NO_INTERVALS = IntervalChange(initial=[], final=[])
 
 
 @dataclass(frozen=True)
@@ -222,107 +229,139 @@ class FlightRow:
     final: str
 
 
-def match_counts(matching: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+def match_counts(matching: Matching) -> list[tuple[str, str, str]]:
     """List the counts of matches: name, number, what it counts."""
-    return [(name, count(matching.get(key)), meaning) for name, key, meaning in COUNTS]
-
-
-def match_facts(matching: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """List what else there is to know: cycles, tolerance, flagged stars."""
-    cycles = matching.get("cycles") or ()
-    tolerance = matching.get("tolerance_px") or {}
-    flagged = matching.get("flagged") or {}
-    said = ", ".join(f"{count(flagged[key])} {word}" for key, word in FLAGGED if flagged.get(key) is not None)
-    tolerances = f"{number(tolerance.get('median'), 3)} px, 95 % below {number(tolerance.get('p95'), 3)} px"
-    rest = "the matches rested" if matching.get("rested") else "the matches had not rested"
-    renamed = count(matching.get("renamed"))
     return [
-        ("Cycles", f"{len(cycles)}: {rest}" if cycles else MISSING),
-        ("Given another star", renamed),
-        ("Median tolerance", tolerances if tolerance else MISSING),
-        ("Flagged in the catalogue", said or MISSING),
+        ("Given", count(matching.given), "identified in the telemetry"),
+        ("Kept", count(matching.kept), "of them, still the same star"),
+        ("Removed", count(matching.removed), "of them, unmatched or of another star"),
+        ("Added", count(matching.added), "found by Boresight"),
+        ("Matched", count(matching.matched), "used in the end"),
     ]
 
 
-def reason_tables(matching: Mapping[str, Any]) -> list[Reasons]:
+def match_facts(matching: Matching) -> list[tuple[str, str]]:
+    """List what else there is to know: cycles, tolerance, flagged stars."""
+    tolerance, flagged = matching.tolerance_px, matching.flagged
+    rest = "the matches rested" if matching.rested else "the matches had not rested"
+    said = (
+        f"{count(flagged.doubles)} doubles, {count(flagged.unreliable)} of unreliable astrometry, "
+        f"{count(flagged.left_out)} left out"
+        if flagged
+        else MISSING
+    )
+    return [
+        ("Cycles", f"{len(matching.cycles)}: {rest}" if matching.cycles else MISSING),
+        ("Given another star", count(matching.renamed)),
+        ("Median tolerance", f"{number(tolerance.median, 3)} px, 95 % below {number(tolerance.p95, 3)} px"),
+        ("Flagged in the catalogue", said),
+    ]
+
+
+def reason_tables(matching: Matching) -> list[Reasons]:
     """List starts and reasons, the commonest first; those that never occurred are left out."""
     tables = []
-    for title, unit, key in REASONS:
-        found = [(phrase, times) for phrase, times in (matching.get(key) or {}).items() if times and phrase != VALID]
+    for title, unit, counts in (
+        ("Where attitudes came from", "exposures", matching.starts),
+        ("Stars that were not matched", "stars", matching.row_reasons),
+        ("Given matches that were taken back", "stars", matching.removed_reasons),
+        ("Exposures that were not valid", "exposures", matching.exposure_reasons),
+    ):
+        found = [(phrase, times) for phrase, times in counts.items() if times and phrase != VALID]
         if found:
             tables.append(Reasons(title, unit, sorted(found, key=lambda row: -row[1])))
     return tables
 
 
-def flight_rows(result: Result) -> list[FlightRow]:
+def flight_rows(result: Calibration) -> list[FlightRow]:
     """List availability, matched stars and error before and after, of the calibration and of the validation set."""
-    rows = [
-        *_flight_rows("Calibration set", _scores(result)),
-        *_flight_rows("Validation set", result.get("validation") or {}),
-    ]
+    flight = result.matching.flight if result.matching else None
+    rows: list[FlightRow] = []
+    if result.evaluation is not None:
+        rows += _evaluation_rows("Calibration set", result.evaluation)
+    elif flight is not None:
+        rows += _flight_rows("Calibration set", flight.availability, flight.matched_stars)
+    if result.validation is not None:
+        rows += _evaluation_rows("Validation set", result.validation)
     return [row for row in rows if (row.initial, row.final) != (MISSING, MISSING)]
 
 
-def _scores(result: Result) -> Mapping[str, Any]:
-    """Read the scores of the calibration set, with intervals where they were resampled."""
-    return result.get("evaluation") or (result.get("matching") or {}).get("flight") or {}
+def _evaluation_rows(whose: str, scores: Evaluation) -> list[FlightRow]:
+    return _flight_rows(
+        whose,
+        scores.availability,
+        scores.matched_stars,
+        scores.matched_star_ratio,
+        scores.rms_arc_rad,
+        scores.intervals,
+    )
 
 
-def _flight_rows(whose: str, measured: Mapping[str, Any]) -> list[FlightRow]:
-    intervals = measured.get("intervals") or {}
-    available, stars, rms = (measured.get(key) or {} for key in ("availability", "matched_stars", "rms_arc_rad"))
-    reach, rms_reach = (intervals.get(key) or {} for key in ("availability", "rms_arc_rad"))
-    ratio = measured.get("matched_star_ratio")
-    if ratio is None and stars.get("initial"):
-        ratio = (stars.get("final") or 0) / stars["initial"]
+def _flight_rows(
+    whose: str,
+    available: Change,
+    stars: CountChange | None,
+    ratio: float | None = None,
+    rms: Change = Change(),  # noqa: B008 - frozen
+    intervals: EvaluationIntervals | None = None,
+) -> list[FlightRow]:
+    reach, rms_reach = (intervals.availability, intervals.rms_arc_rad) if intervals else (NO_INTERVALS, NO_INTERVALS)
+    ratio_reach = intervals.matched_star_ratio if intervals else []
+    if ratio is None and stars is not None and stars.initial:
+        ratio = stars.final / stars.initial
+    counts = (MISSING, MISSING) if stars is None else (count(stars.initial), count(stars.final))
+    shares = _share(available.initial, reach.initial), _share(available.final, reach.final)
+    errors = _error(rms.initial, rms_reach.initial), _error(rms.final, rms_reach.final)
     return [
-        FlightRow(whose, "Frames available", *(_share(available.get(k), reach.get(k)) for k in ENDS)),
-        FlightRow(whose, "Stars matched", *(count(stars.get(k)) for k in ENDS)),
-        FlightRow(whose, "Matched star ratio", MISSING, _printed_ratio(ratio, intervals.get("matched_star_ratio"))),
-        FlightRow(whose, "RMS arc (µrad)", *(_error(rms.get(k), rms_reach.get(k)) for k in ENDS)),
+        FlightRow(whose, "Frames available", *shares),
+        FlightRow(whose, "Stars matched", *counts),
+        FlightRow(whose, "Matched star ratio", MISSING, _printed_ratio(ratio, ratio_reach)),
+        FlightRow(whose, "RMS arc (µrad)", *errors),
     ]
 
 
-def _within(reach: Sequence[float] | None, factor: float, decimals: int) -> str:
+def _within(reach: Sequence[float | None], factor: float, decimals: int) -> str:
     """Print a 95 % interval in brackets; nothing where there is none."""
-    if not reach or None in reach:
+    low, high = reach or (None, None)
+    if low is None or high is None:
         return ""
-    return f" ({fixed(factor * reach[0], decimals)} to {fixed(factor * reach[1], decimals)})"
+    return f" ({fixed(factor * low, decimals)} to {fixed(factor * high, decimals)})"
 
 
-def _share(value: Any, reach: Sequence[float] | None) -> str:
+def _share(value: float | None, reach: Sequence[float | None]) -> str:
     return f"{percent(value)}{_within(reach, 100, 1)}" if value is not None else MISSING
 
 
-def _printed_ratio(value: Any, reach: Sequence[float] | None) -> str:
+def _printed_ratio(value: float | None, reach: Sequence[float | None]) -> str:
     return f"{fixed(value, 2)}{_within(reach, 1, 2)}" if value is not None else MISSING
 
 
-def _error(value_rad: Any, reach: Sequence[float] | None) -> str:
+def _error(value_rad: float | None, reach: Sequence[float | None]) -> str:
     return f"{fixed(1e6 * value_rad, 1)}{_within(reach, 1e6, 1)}" if value_rad is not None else MISSING
 
 
-def flight_tolerance(result: Result) -> str:
+def flight_tolerance(result: Calibration) -> str:
     """Print the tolerance at which the flight code accepts an arc, with its unit."""
-    scores = _scores(result)
-    tolerance_rad = scores.get("flight_tolerance_rad", scores.get("tolerance_rad"))
+    flight = result.matching.flight if result.matching else None
+    tolerance_rad = flight.tolerance_rad if flight else None
+    if result.evaluation is not None:
+        tolerance_rad = result.evaluation.flight_tolerance_rad
     return f"{urad(tolerance_rad, 3)}{NARROW_SPACE}µrad" if tolerance_rad is not None else MISSING
 
 
-def shown(result: Result) -> tuple[str, Mapping[str, Any]] | None:
+def shown(result: Calibration) -> tuple[str, ShadowOfSet] | None:
     """Return which set is shown side by side under baseline and candidate, and its view; None where there is none.
 
     The validation set where the run has one, for it took no part in the estimate; else the calibration set.
     """
-    shadow = result.get("shadow") or {}
-    sets = ("validation", "calibration")
-    return next(((name, shadow[name]) for name in sets if (shadow.get(name) or {}).get("frames")), None)
+    sets = {"validation": result.shadow.validation, "calibration": result.shadow.calibration}
+    return next(((name, view) for name, view in sets.items() if view is not None and view.frames), None)
 
 
-def side_by_side(result: Result) -> str:
+def side_by_side(result: Calibration) -> str:
     """Say in a sentence what baseline and candidate would each lose; empty where they were not set side by side."""
     found = shown(result)
-    return str(found[1]["summary"].get("sentence") or "") if found else ""
+    return found[1].summary.sentence if found else ""
 
 
 @dataclass(frozen=True)
@@ -330,17 +369,17 @@ class StarRow:
     """One star: its Hipparcos number, how often it was seen, and its residual."""
 
     star_id: int
-    sightings: int | None
-    mean_px: float | None
-    rms_px: float | None
-    z: float | None
+    sightings: int
+    mean_px: float
+    rms_px: float
+    z: float
     suspect: bool
     flags: str
 
     @property
-    def numbers(self) -> tuple[float | str, ...]:
-        """What the columns of `cells` are sorted by; an empty word where there is no number."""
-        return tuple("" if n is None else n for n in (self.sightings, self.mean_px, self.rms_px, abs(self.z or 0.0)))
+    def numbers(self) -> tuple[float, ...]:
+        """What the columns of `cells` are sorted by."""
+        return self.sightings, self.mean_px, self.rms_px, abs(self.z)
 
     @property
     def cells(self) -> tuple[str, ...]:
@@ -348,22 +387,22 @@ class StarRow:
         return count(self.sightings), fixed(self.mean_px, 3), fixed(self.rms_px, 3), fixed(self.z, 1)
 
 
-def star_rows(result: Result) -> list[StarRow]:
+def star_rows(result: Calibration) -> list[StarRow]:
     """Read the stars of a result, worst first; none where they were not examined."""
     return [
         StarRow(
-            star_id=row["star_id"],
-            sightings=row.get("sightings"),
-            mean_px=row.get("mean_residual_px"),
-            rms_px=row.get("rms_px"),
-            z=row.get("z"),
-            suspect=bool(row.get("suspect")),
-            flags=", ".join(map(str, row.get("flags") or ())),
+            star_id=star.star_id,
+            sightings=star.sightings,
+            mean_px=star.mean_residual_px,
+            rms_px=star.rms_px,
+            z=star.z,
+            suspect=star.suspect,
+            flags=", ".join(star.flags),
         )
-        for row in read_part(result, "stars") or ()
+        for star in (result.trust.stars if result.trust else None) or ()
     ]
 
 
-def to_flag(result: Result) -> str:
+def to_flag(result: Calibration) -> str:
     """List the suspects' Hipparcos numbers, ready to paste; empty where there are none."""
-    return ", ".join(str(star) for star in (result.get("trust") or {}).get("suspects") or ())
+    return ", ".join(map(str, result.trust.suspects if result.trust else ()))

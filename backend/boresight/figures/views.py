@@ -13,7 +13,7 @@ nothing, and the band is that of the others. Marks that are no curves (bars, map
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,15 +22,13 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration, NisOverTime, Trust
 from boresight.errors import RefusedInputError
 from boresight.figures.chart import Trace
 from boresight.figures.style import theme
 from boresight.figures.style.axes import ALIGNMENTS
 from boresight.figures.style.thinning import keep_extremes
 
-#: Part of `trust` with one value a frame or update.
-SERIES = "nis_over_time"
 NO_TIMES = "A batch run keeps no times of its frames: align by frame to see its innovations."
 
 
@@ -44,14 +42,18 @@ def aligned(traces: Sequence[Trace], along: str) -> list[Trace]:
     return [replace(trace, result=move(trace), along=along) for trace in traces]
 
 
-def _by_update(trace: Trace) -> Result:
+def _by_update(trace: Trace) -> Calibration:
     """Count updates; a batch run's innovations are one a frame, and are counted so."""
-    result, history = trace.result, trace.result.get("history")
-    series = (result.get("trust") or {}).get(SERIES)
-    total = (series or {}).get("points_in_all") or result.get("frames") or 0
-    placed = None if series is None else _numbered(len(series["frame"]), total)
-    numbered = None if not history else _numbered(len(history["frame"]), total)
+    result, history, series = trace.result, trace.result.history, _innovations(trace.result)
+    total = (series.points_in_all if series else 0) or result.frames
+    placed = None if series is None else _numbered(len(series.frame), total)
+    numbered = None if history is None else _numbered(len(history.frame), total)
     return _on_axis(result, numbered, placed)
+
+
+def _innovations(result: Calibration) -> NisOverTime | None:
+    """Return the part of `trust` with one value a frame or update."""
+    return result.trust.nis_over_time if result.trust else None
 
 
 def _numbered(n_kept: int, n_updates: int) -> FloatArray:
@@ -59,30 +61,31 @@ def _numbered(n_kept: int, n_updates: int) -> FloatArray:
     return np.linspace(0, max(n_updates, n_kept) - 1, n_kept).round() + 1
 
 
-def _by_time(trace: Trace) -> Result:
-    result, history = trace.result, trace.result.get("history")
-    if not history or not history.get("frame"):
-        trust = result.get("trust") or {}
-        why = {**(trust.get("unavailable") or {}), SERIES: NO_TIMES}
-        return {**result, "trust": {**trust, SERIES: None, "unavailable": why}} if trust else result
-    if not history.get("time_utc"):
+def _by_time(trace: Trace) -> Calibration:
+    result, history, trust = trace.result, trace.result.history, trace.result.trust
+    if history is None or not history.frame:
+        return replace(result, trust=_without_innovations(trust)) if trust else result
+    if not history.time_utc:
         raise RefusedInputError(f"{trace.label} has no times in its telemetry: align by frame or by update.")
-    times = np.array([str(time).rstrip("Z") for time in history["time_utc"]], dtype="datetime64[us]")
+    times = np.array([str(time).rstrip("Z") for time in history.time_utc], dtype="datetime64[us]")
     hours = (times - times[0]) / np.timedelta64(3600, "s")
-    series = (result.get("trust") or {}).get(SERIES)
-    placed = None if series is None else np.interp(series["frame"], history["frame"], hours)
+    series = _innovations(result)
+    placed = None if series is None else np.interp(series.frame, history.frame, hours)
     return _on_axis(result, hours, placed)
 
 
-def _on_axis(result: Result, steps: FloatArray | None, placed: FloatArray | None) -> dict[str, Any]:
-    """Put new steps in place of the frames of the history, and of the series of innovations."""
-    moved: dict[str, Any] = dict(result)
-    if steps is not None:
-        moved["history"] = {**moved["history"], "frame": steps.tolist()}
-    if placed is not None:
-        trust: Mapping[str, Any] = moved["trust"]
-        moved["trust"] = {**trust, SERIES: {**trust[SERIES], "frame": placed.tolist()}}
-    return moved
+def _without_innovations(trust: Trust) -> Trust:
+    return replace(trust, nis_over_time=None, unavailable={**trust.unavailable, "nis_over_time": NO_TIMES})
+
+
+def _on_axis(result: Calibration, steps: FloatArray | None, placed: FloatArray | None) -> Calibration:
+    """Put new steps in place of the frames of the history, and of the series of innovations; hours are not whole."""
+    if steps is not None and result.history is not None:
+        result = replace(result, history=replace(result.history, frame=steps.tolist()))
+    if placed is not None and result.trust is not None and result.trust.nis_over_time is not None:
+        series = replace(result.trust.nis_over_time, frame=placed.tolist())
+        result = replace(result, trust=replace(result.trust, nis_over_time=series))
+    return result
 
 
 CurveKey = tuple[str, str, str]

@@ -487,10 +487,8 @@ def draw(
     from boresight.library.inputs import read_any_calibration
 
     if isinstance(source, Mapping) and "schema" not in source:
-        return draw_figure(
-            {label: read_any_calibration(one).to_dict() for label, one in source.items()}, name, theme=theme
-        )
-    return draw_figure(read_any_calibration(source).to_dict(), name, theme=theme)
+        return draw_figure({label: read_any_calibration(one) for label, one in source.items()}, name, theme=theme)
+    return draw_figure(read_any_calibration(source), name, theme=theme)
 
 
 @_on_kernels

@@ -22,7 +22,7 @@ def page_html(found: Calibration) -> str:
     from boresight.figures.tables import HEADINGS, printed_rows
 
     head = "".join(f"<th>{escape(name)}</th>" for name in HEADINGS)
-    rows = "".join(_row(row.cells) for row in printed_rows(found.to_dict()))
+    rows = "".join(_row(row.cells) for row in printed_rows(found))
     advice = "".join(f"<li>{escape(sentence)}</li>" for sentence in found.advice)
     drawings = "".join(
         f'<figure style="margin:0"><figcaption>{escape(caption)}</figcaption>{drawing}</figure>'

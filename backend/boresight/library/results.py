@@ -85,13 +85,13 @@ class Calibration(tree.Calibration):
         """Draw a figure; `figures` lists the names. `theme`: light, dark or contrast."""
         from boresight.figures.notebook import draw
 
-        return draw(self.to_dict(), name, theme=theme)
+        return draw(self, name, theme=theme)
 
     def table(self, name: str) -> dict[str, list[Any]]:
         """Return the numbers behind a figure as columns of one length, complete and in SI."""
         from boresight.figures.notebook import table
 
-        return table(self.to_dict(), name)
+        return table(self, name)
 
     def to_frame(self, kind: FrameKind | None = None) -> Any:
         """Return the parameters as a DataFrame, a row a parameter, SI.
@@ -117,7 +117,7 @@ class Calibration(tree.Calibration):
         """Write the report, one HTML file that stands alone."""
         from boresight.figures.report import render_report
 
-        Path(path).write_text(render_report(self.to_dict()), encoding="utf-8")
+        Path(path).write_text(render_report(self), encoding="utf-8")
 
 
 @dataclass(frozen=True, kw_only=True)

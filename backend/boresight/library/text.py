@@ -35,7 +35,7 @@ def summary_lines(found: Calibration) -> Iterator[str]:
     if left_out := "; ".join(f"{item.count:,} {item.what}: {item.reason}" for item in found.left_out):
         yield f"left out: {left_out}"
     yield ""
-    yield aligned([HEADINGS, *(row.cells for row in printed_rows(found.to_dict()))], left=(0, 1, 6))
+    yield aligned([HEADINGS, *(row.cells for row in printed_rows(found))], left=(0, 1, 6))
     yield ""
     yield aligned([("verdict", verdict(found)), *_scores(found)], left=(0, 1))
     for sentence in found.advice:
@@ -53,7 +53,7 @@ def verdict(found: Calibration) -> str:
     """Say in a word or two what the numbers say about their own trustworthiness; the advice says why."""
     from boresight.verdicts.verdict import make_verdict
 
-    return make_verdict(found.to_dict()).word
+    return make_verdict(found).word
 
 
 def _scores(found: Calibration) -> Iterator[tuple[str, str]]:

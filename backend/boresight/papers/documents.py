@@ -46,7 +46,6 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from boresight import __version__
 from boresight.calibration.result import versions
 from boresight.errors import RefusedInputError
-from boresight.figures.chart import Trace
 from boresight.figures.report import embed_figures
 from boresight.figures.style import theme
 from boresight.resources import folder
@@ -169,7 +168,7 @@ def drawing(number: str, title: str, claim: str, conclusion: Conclusion, curves:
 def styled_curves(drawing: Mapping[str, Any], *keys: str) -> Iterator[Any]:
     """Yield each curve's style and, in the order of the keys, its columns (n,); null is NaN."""
     curves = drawing["curves"]
-    for curve, style in zip(curves, theme.run_styles([Trace(one["label"], {}) for one in curves]), strict=True):
+    for curve, style in zip(curves, theme.label_styles([one["label"] for one in curves]), strict=True):
         yield style, *(np.array(curve[key], dtype=np.float64) for key in keys)
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from boresight.calibration.calibration import Calibration
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import Parameter
 
@@ -47,13 +47,13 @@ QUANTITIES = {
 }
 
 
-def quantity(name: str, result: Mapping[str, Any] | None = None) -> Quantity:
+def quantity(name: str, result: Calibration | None = None) -> Quantity:
     """Look a parameter up by its name, one that is not in the table in its result."""
     if name in QUANTITIES:
         return QUANTITIES[name]
-    symbols, units = ((result or {}).get(key) or {} for key in ("symbols", "units"))
-    symbol = re.sub(r"[^\w]", "", str(symbols.get(name) or name))
-    unit = re.sub(r"[<>&]", "", str(units.get(name) or ""))
+    symbols, units = (result.symbols, result.units) if result else ({}, {})
+    symbol = re.sub(r"[^\w]", "", symbols.get(name) or name)
+    unit = re.sub(r"[<>&]", "", units.get(name) or "")
     return Quantity(symbol, unit, 1.0, unit, 1.0)
 
 

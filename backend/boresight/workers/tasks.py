@@ -31,7 +31,7 @@ import orjson
 from distributed.diagnostics.plugin import WorkerPlugin
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.calibration import Calibration
+from boresight.calibration.calibration import Calibration, to_plain
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.telemetry_pieces import StoredTable
 from boresight.cameras import CAMERA_MODELS
@@ -190,11 +190,11 @@ def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tupl
     """Calibrate, begin to put the result, and describe it."""
     begun_s, begun_cpu_s = time.perf_counter(), time.thread_time()
     blobs = open_blobs(replace(_own_place(), address=inputs["blob_address"]), make=False)
-    document = _calibrated(blobs, inputs, calculation, link).to_dict()
-    content = orjson.dumps(document)
+    calibration = _calibrated(blobs, inputs, calculation, link)
+    content = orjson.dumps(calibration.to_dict())
     seconds, cpu_seconds = time.perf_counter() - begun_s, time.thread_time() - begun_cpu_s
     took = {"seconds": round(seconds, 4), "cpu_seconds": round(cpu_seconds, 4)}
-    summary = summarise_run(document) | took
+    summary = to_plain(summarise_run(calibration)) | took
     told = Line.log(f"Computed in {seconds:.2f} s: {summary['status']}.", took)
     end = RunEnd(link.run_id, link.attempt, "SUCCEEDED", summary=summary, result_bytes=len(content), log=[told])
     return end, keep(lambda: blobs.put(content))

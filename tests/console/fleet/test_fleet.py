@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import pytest
 
+from boresight.calibration.calibration import parse_calibration, to_plain
 from boresight.console.alarms import queries as alarms_queries
 from boresight.console.alarms import rules
 from boresight.console.alarms import service as alarms
@@ -81,10 +82,10 @@ def test_the_newest_run_speaks_for_the_sensor(engine, finished_run, made, status
     assert says in tile.sentence
 
 
-EXAMPLE = get_example_calibrations()["batch"]
+EXAMPLE = get_example_calibrations()["batch"].to_dict()
 CONSISTENT = EXAMPLE | {
     "status": "converged",
-    "chi2": {"consistent": True, "dof": 90, "lower": 0.8, "upper": 1.2},
+    "chi2": {"value": 90.0, "consistent": True, "dof": 90, "lower": 0.8, "upper": 1.2},
     "chi2_per_dof": 1.0,
     "observability": None,
     "advice": [],
@@ -119,7 +120,7 @@ WORSE = EXAMPLE["validation"] | {"rms_arc_rad": {"initial": 1e-5, "final": 2e-5}
 def test_a_fit_that_its_page_doubts_is_not_normal_for_the_fleet(engine, finished_run, found, status, says):
     with open_writing(engine) as session:
         run = finished_run(session)
-        run.summary = summarise_run(CONSISTENT | found)
+        run.summary = to_plain(summarise_run(parse_calibration(CONSISTENT | found)))
     tile = find_tile(engine)
     assert tile.status == status
     assert says in tile.sentence

@@ -46,7 +46,7 @@ def test_a_candidate_says_all_that_it_is_and_is_named_by_its_hash(engine, candid
 def test_what_the_camera_leaves_goes_with_its_parameters_where_it_is_more_than_noise(
     session, people, blobs, finished_run
 ):
-    spline = get_example_calibrations()["batch"]["trust"]["residual_spline"]
+    spline = get_example_calibrations()["batch"].to_dict()["trust"]["residual_spline"]
     for structure in (False, True):
         run = finished_run(session, trust={"residual_spline": spline | {"structure": structure}})
         document = parameter_sets.create_from_run(session, people["ana"], blobs, run.id).document

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 from starlette.datastructures import QueryParams
 
+from boresight.calibration.calibration import parse_calibration
 from boresight.calibration.options import METHODS
 from boresight.console.runs.figure_routes import _stacked
 from boresight.console.runs.pages.compare import method_panel
@@ -40,7 +41,7 @@ def test_the_numbers_behind_every_figure_come_as_csv_and_of_several_runs_below_o
     assert answer.headers["content-type"] == "text/csv; charset=utf-8"
     assert f'filename="run-{run_id}-{name}.csv"' in answer.headers["content-disposition"]
     rows = list(csv.reader(io.StringIO(answer.text)))
-    table = FIGURES[name].table(house.result)
+    table = FIGURES[name].table(parse_calibration(house.result))
     assert rows[0] == list(table)
     assert len(rows) == 1 + max(len(column) for column in table.values())
     answer = client.get(address, params={"compare": f"{second},{waiting},{second},{run_id}"})
@@ -73,7 +74,7 @@ def test_runs_to_compare_that_are_none_are_refused(house, compare):
 
 
 def view(text, result):
-    return read_run_view(QueryParams(text), result)
+    return read_run_view(QueryParams(text), parse_calibration(result))
 
 
 def test_a_view_is_what_the_address_asks_for_as_far_as_it_can_be_had(results):
@@ -95,7 +96,7 @@ def test_what_cannot_be_had_falls_back_to_the_usual_view(text, results):
 def test_a_batch_has_no_axis_to_choose_and_no_tail_and_without_a_held_out_set_it_is_said_how_to_have_one(results):
     asked = view("align=update&tail_from=3", results["batch"])
     assert (dict(asked.aligns), asked.align, asked.tail_from) == ({}, "frame", None)
-    tail, rows = tail_facts({**results["batch"], "validation": None}, asked)
+    tail, rows = tail_facts(parse_calibration({**results["batch"], "validation": None}), asked)
     assert tail is None
     assert not any(term.startswith("Tail") for term, _, _ in rows)
     assert "launch with one" in rows[-1][2]
@@ -103,7 +104,7 @@ def test_a_batch_has_no_axis_to_choose_and_no_tail_and_without_a_held_out_set_it
 
 def test_errors_stand_with_their_three_sigma_and_held_out_ones_by_themselves(results):
     result = results["sqrf"]
-    tail, rows = tail_facts(result, view("tail_from=30", result))
+    tail, rows = tail_facts(parse_calibration(result), view("tail_from=30", result))
     numbers = {term: number for term, number, _ in rows}
     final = 1e6 * result["rms_arc_rad"]["final"]
     value, _, reach = numbers["Fitted data, new parameters"].partition(" ± ")
@@ -121,25 +122,27 @@ def test_errors_stand_with_their_three_sigma_and_held_out_ones_by_themselves(res
 def test_a_result_that_kept_no_number_of_held_out_arcs_shows_the_value_and_says_so(results):
     result = results["batch"]
     kept = {key: value for key, value in result["validation"].items() if key != "common_pairs"}
-    _, value, meaning = tail_facts({**result, "validation": kept}, view("", result))[1][-1]
+    judged = parse_calibration({**result, "validation": kept})
+    _, value, meaning = tail_facts(judged, view("", result))[1][-1]
     assert float(value) == pytest.approx(1e6 * kept["rms_arc_rad"]["final"], rel=1e-3)
     assert meaning.endswith("σ not kept.")
-    said = {mark.question: mark.detail for mark in make_verdict_marks({**result, "validation": kept})}
+    said = {mark.question: mark.detail for mark in make_verdict_marks(judged)}
     assert said["Validation RMS"].endswith("σ not kept")
-    assert "(3σ)" in next(mark.detail for mark in make_verdict_marks(result) if mark.question == "Validation RMS")
+    marks = make_verdict_marks(parse_calibration(result))
+    assert "(3σ)" in next(mark.detail for mark in marks if mark.question == "Validation RMS")
 
 
 def test_a_history_says_where_it_settled_or_that_it_has_not_yet(results):
-    assert list_history_facts(results["batch"])[0][1].startswith("iteration ")
-    assert list_history_facts({**results["sqrf"], "status": "running"})[0][1] == "not yet"
+    assert list_history_facts(parse_calibration(results["batch"]))[0][1].startswith("iteration ")
+    assert list_history_facts(parse_calibration({**results["sqrf"], "status": "running"}))[0][1] == "not yet"
     assert list_history_facts(None) == []
 
 
 def test_what_the_data_see_is_said_in_words(results):
-    rows, helpful = sight_facts(results["batch"])
+    rows, helpful = sight_facts(parse_calibration(results["batch"]))
     assert [term for term, _, _ in rows] == ["Weakest direction", "Known to", "Condition number"]
     assert helpful
-    assert sight_facts({**results["batch"], "observability": None}) == ([], [])
+    assert sight_facts(parse_calibration({**results["batch"], "observability": None})) == ([], [])
 
 
 def test_a_browser_that_has_a_figure_is_told_that_it_still_holds(house):
@@ -206,7 +209,8 @@ def test_a_comparison_that_there_cannot_be_is_refused(house, asked, status):
 
 def one(run_id=1, method="batch", set_id=1, result=None, **settings):
     run = SimpleNamespace(id=run_id, method=method, telemetry_set_id=set_id, settings={"method": method} | settings)
-    return SimpleNamespace(run=run, result=result or {})
+    calibration = parse_calibration(result or {"status": "running"})
+    return SimpleNamespace(run=run, result=result or {}, calibration=calibration)
 
 
 def line(panel, name):
@@ -232,7 +236,7 @@ def test_a_simulated_sensor_adds_true_error_and_nees_and_a_real_one_has_neither(
 
 def test_the_numbers_are_those_of_the_results(results):
     panel = method_panel([one(1, "batch", result=results["batch"]), one(2, "sqrf", result=results["sqrf"])])
-    scores = [method_scores(results[name]) for name in ("batch", "sqrf")]
+    scores = [method_scores(parse_calibration(results[name])) for name in ("batch", "sqrf")]
     assert line(panel, "Claimed error").values == [f"{score.claimed:.3f}" for score in scores]
     assert line(panel, "Converged after").values == [
         f"{scores[0].settled_iterations} iterations", f"{scores[1].settled_frames} frames"

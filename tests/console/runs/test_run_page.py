@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
+from boresight.calibration.calibration import parse_calibration
 from boresight.console.runs.pages.run import PARTS
 from boresight.console.runs.queries import Line, write_event
 from boresight.console.runs.tables import RUN_STATES, RunEvent
@@ -119,7 +120,7 @@ def test_a_viewer_sees_the_cancel_button_disabled_with_the_reason_and_is_refused
 
 
 def find_mark(result, question):
-    return next(mark for mark in make_verdict_marks(result) if mark.question.startswith(question))
+    return next(mark for mark in make_verdict_marks(parse_calibration(result)) if mark.question.startswith(question))
 
 
 def test_a_filter_is_judged_by_its_innovations_and_a_batch_is_not(results):
@@ -129,14 +130,14 @@ def test_a_filter_is_judged_by_its_innovations_and_a_batch_is_not(results):
 
 def test_a_filter_on_its_way_counts_the_frames_so_far_and_no_star_that_is_still_to_come(results):
     partial = results["sqrf-partial"]
-    fit = make_verdict_marks(
-        {**partial, "frames": 200, "frames_done": 12, "history": {**partial["history"], "frame": [7, 11]}}
-    )[0]
+    history = {**partial["history"], "frame": [7, 11]}
+    on_its_way = parse_calibration({**partial, "frames": 200, "frames_done": 12, "history": history})
+    fit = make_verdict_marks(on_its_way)[0]
     assert (fit.word, fit.value, fit.detail) == ("running", "as of frame 11", "12 of 200 frames so far")
     batch = {**results["batch"], "status": "running", "frames_done": None, "frames": 200, "iterations": 3}
-    fit = make_verdict_marks(batch)[0]
+    fit = make_verdict_marks(parse_calibration(batch))[0]
     assert (fit.value, fit.detail) == ("as of iteration 3", "200 frames in all")
-    assert "stars" in make_verdict_marks(results["sqrf"])[0].detail
+    assert "stars" in make_verdict_marks(parse_calibration(results["sqrf"]))[0].detail
 
 
 def test_no_validation_is_no_data_and_never_passes_and_noise_above_the_model_is_a_caution(results):
@@ -150,14 +151,15 @@ def test_no_validation_is_no_data_and_never_passes_and_noise_above_the_model_is_
 def test_an_estimate_far_from_the_truth_is_marked(results):
     sigma, found = results["batch"]["sigma"], results["batch"]["parameters"]
     truth = {name: value + 10 * (sigma[name] or 0) for name, value in found.items()}
-    rows = parameter_rows({**results["batch"], "truth": truth})
+    rows = parameter_rows(parse_calibration({**results["batch"], "truth": truth}))
     assert all(row.off_truth for row in rows)
     assert [row.error_over_sigma for row in rows] == pytest.approx([-10.0] * len(rows))
 
 
 def test_rows_have_the_result_s_own_delta_in_the_model_s_order_however_the_store_sorted_them(results):
     batch = results["batch"]
-    rows = parameter_rows({**batch, "parameters": dict(sorted(batch["parameters"].items()))})
+    shuffled = {**batch, "parameters": dict(sorted(batch["parameters"].items()))}
+    rows = parameter_rows(parse_calibration(shuffled))
     assert [row.name for row in rows] == list(batch["parameters"])
     assert [row.delta_over_sigma for row in rows] == pytest.approx(
         [batch["delta_over_sigma"][row.name] for row in rows]

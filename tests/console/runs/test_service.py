@@ -375,9 +375,9 @@ def test_the_radial_difference_is_that_of_the_focal_lengths(session, blobs, run_
     runs = [run_on(list(range(40))), run_on(list(range(50, 90)), step=1.6e-5)]
     curve = compare(session, blobs, runs).radial()[1]
     at = 60
-    assert curve["difference_px"][at] == pytest.approx(-1e-3 * curve["radius_px"][at], rel=2e-3)
-    assert compare(session, blobs, runs, runs[1]).radial()[0]["difference_px"][at] == pytest.approx(
-        1e-3 * curve["radius_px"][at], rel=2e-3
+    assert curve.difference_px[at] == pytest.approx(-1e-3 * curve.radius_px[at], rel=2e-3)
+    assert compare(session, blobs, runs, runs[1]).radial()[0].difference_px[at] == pytest.approx(
+        1e-3 * curve.radius_px[at], rel=2e-3
     )
 
 

@@ -31,13 +31,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration, Numbers
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation.statistics.uncertainty import radial_difference
 
@@ -134,23 +133,21 @@ class Contrast:
         return np.asarray(self.difference / self.sigma)
 
 
-def read_values(result: Result, names: Sequence[str]) -> FloatArray:
+def read_values(result: Calibration, names: Sequence[str]) -> FloatArray:
     """Read a result's parameters, (n_parameters,), NaN where it has none."""
-    values = result.get("parameters") or {}
-    return np.array([values.get(name) for name in names], dtype=np.float64)
+    return np.array([result.parameters.get(name) for name in names], dtype=np.float64)
 
 
-def read_covariance(result: Result, names: Sequence[str]) -> FloatArray:
+def read_covariance(result: Calibration, names: Sequence[str]) -> FloatArray:
     """Read a result's covariance in the model's order, (n_parameters, n_parameters), zero rows for what it held fixed."""
-    found = result.get("covariance") or {}
-    place = [names.index(name) for name in found.get("names") or ()]
+    place = [names.index(name) for name in result.covariance.names]
     P = np.zeros((len(names), len(names)))
     if place:
-        P[np.ix_(place, place)] = np.array(found["matrix"], dtype=np.float64)
+        P[np.ix_(place, place)] = np.asarray(result.covariance)
     return P
 
 
-def contrast(result: Result, reference: Result, names: Sequence[str], shared: SharedData) -> Contrast:
+def contrast(result: Calibration, reference: Calibration, names: Sequence[str], shared: SharedData) -> Contrast:
     """Set one result against another."""
     difference = read_values(result, names) - read_values(reference, names)
     P, P_reference = read_covariance(result, names), read_covariance(reference, names)
@@ -159,14 +156,16 @@ def contrast(result: Result, reference: Result, names: Sequence[str], shared: Sh
     return Contrast(difference, D, sigma, joint_test(difference, D, sigma))
 
 
-def correlation(result: Result, names: Sequence[str]) -> FloatArray:
+def correlation(result: Calibration, names: Sequence[str]) -> FloatArray:
     """Read a result's correlations, (n_parameters, n_parameters), NaN where a parameter was not estimated."""
     P = read_covariance(result, names)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(P / np.sqrt(np.outer(np.diag(P), np.diag(P))))
 
 
-def strong_correlations(results: Sequence[Result], names: Sequence[str]) -> list[tuple[str, str, list[float | None]]]:
+def strong_correlations(
+    results: Sequence[Calibration], names: Sequence[str]
+) -> list[tuple[str, str, list[float | None]]]:
     """List the pairs of parameters that any run correlates by `STRONG` or more, the strongest first, with a number a run."""
     matrices = np.array([correlation(result, names) for result in results])
     rows, columns = np.triu_indices(len(names), 1)
@@ -178,16 +177,29 @@ def strong_correlations(results: Sequence[Result], names: Sequence[str]) -> list
     ]
 
 
-def radial_contrast(
-    result: Result, reference: Result, against: Contrast, detector: tuple[int, int, float]
-) -> dict[str, Any] | None:
-    """Displacement along the radius of one result against another, with one-sigma; None where a result has none.
+@dataclass(frozen=True, kw_only=True)
+class RadialContrast:
+    """Displacement along the radius of one result against another, one-sigma, None for what is not noise.
 
-    `against`: of the two results. `detector`: rows, columns, and pixel pitch in metres. Returns dict with `radius_px`,
-    `difference_px`, `sigma_px`, `difference_arcsec`, `sigma_arcsec`, lists of one length with null for what is not noise, and
-    `data_radius_px`, the outermost star that both have seen.
+    `data_radius_px`: of the outermost star that both have seen.
     """
-    camera = CAMERA_MODELS[str(result.get("camera_model"))]
+
+    radius_px: list[float]
+    difference_px: Numbers
+    sigma_px: Numbers
+    difference_arcsec: Numbers
+    sigma_arcsec: Numbers
+    data_radius_px: float | None
+
+
+def radial_contrast(
+    result: Calibration, reference: Calibration, against: Contrast, detector: tuple[int, int, float]
+) -> RadialContrast | None:
+    """Displacement along the radius of one result against another; None where a result has none.
+
+    `against`: of the two results. `detector`: rows, columns, and pixel pitch in metres.
+    """
+    camera = CAMERA_MODELS[result.camera_model]
     x, x_0 = (read_values(one, camera.parameter_names) for one in (result, reference))
     if not (np.isfinite(x).all() and np.isfinite(x_0).all()):
         return None
@@ -196,16 +208,16 @@ def radial_contrast(
     curve = radial_difference(camera, x, x_0, against.covariance, np.linspace(0, corner, RADII), detector[2])
     known = np.isfinite(against.sigma).any()
     sigma_px, sigma_rad = (values if known else np.full(RADII, np.nan) for values in (curve.sigma_px, curve.sigma_rad))
-    radials = [one.get("radial") or {} for one in (result, reference)]
-    reached = [radial["data_radius_px"] for radial in radials if radial.get("data_radius_px") is not None]
-    return {
-        "radius_px": _listed(curve.radius_px),
-        "difference_px": _listed(curve.difference_px),
-        "sigma_px": _listed(sigma_px),
-        "difference_arcsec": _listed(curve.difference_rad * ARCSEC),
-        "sigma_arcsec": _listed(sigma_rad * ARCSEC),
-        "data_radius_px": min(map(float, reached)) if len(reached) == 2 else None,
-    }
+    reached = [one.radial.data_radius_px if one.radial else None for one in (result, reference)]
+    known_px = [radius for radius in reached if radius is not None]
+    return RadialContrast(
+        radius_px=curve.radius_px.tolist(),
+        difference_px=_listed(curve.difference_px),
+        sigma_px=_listed(sigma_px),
+        difference_arcsec=_listed(curve.difference_rad * ARCSEC),
+        sigma_arcsec=_listed(sigma_rad * ARCSEC),
+        data_radius_px=min(known_px) if len(known_px) == 2 else None,
+    )
 
 
 def _listed(values: FloatArray) -> list[float | None]:

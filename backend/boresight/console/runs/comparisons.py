@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.calibration.calibration import Calibration, parse_calibration, to_plain
 from boresight.calibration.evaluation.contrast import (
     Contrast,
+    RadialContrast,
     SharedData,
     contrast,
     radial_contrast,
@@ -54,6 +57,11 @@ class ComparedRun:
     run: Run
     result: Mapping[str, Any]
 
+    @cached_property
+    def calibration(self) -> Calibration:
+        """The result, typed; one that tells nothing where the run has none."""
+        return parse_calibration(self.result) if self.result else Calibration(status="running")
+
     @property
     def camera_model(self) -> str:
         """The camera model the run was launched with."""
@@ -79,13 +87,13 @@ class Comparison:
 
     def correlations(self) -> list[tuple[str, str, list[float | None]]]:
         """List the strong correlations, a number a run."""
-        return strong_correlations([one.result for one in self.compared], self.names)
+        return strong_correlations([one.calibration for one in self.compared], self.names)
 
-    def radial(self) -> list[dict[str, Any] | None]:
+    def radial(self) -> list[RadialContrast | None]:
         """Compute the radial difference of each run to the reference; None where it cannot be had."""
         base = self.compared[self.reference]
         return [
-            radial_contrast(one.result, base.result, against, base.detector)
+            radial_contrast(one.calibration, base.calibration, against, base.detector)
             if against is not None and one.detector == base.detector
             else None
             for one, against in zip(self.compared, self.contrasts, strict=True)
@@ -151,7 +159,7 @@ def compare(session: Session, blobs: BlobStore, run_ids: Sequence[int], referenc
     names = CAMERA_MODELS[base.camera_model].parameter_names
     related = [_describe_shared(session, blobs, one.run, base.run) for one in compared]
     contrasts = [
-        contrast(one.result, base.result, names, shared)
+        contrast(one.calibration, base.calibration, names, shared)
         if one is not base and one.result.get("parameters") and base.result.get("parameters")
         else None
         for one, (shared, _) in zip(compared, related, strict=True)
@@ -204,7 +212,7 @@ def document(comparison: Comparison) -> dict[str, Any]:
         ],
         "parameters": [_row(comparison, i) for i in range(len(comparison.names))],
         "correlations": [{"names": [a, b], "values": values} for a, b, values in comparison.correlations()],
-        "radial": comparison.radial(),
+        "radial": [to_plain(one) for one in comparison.radial()],
     }
 
 

@@ -11,6 +11,7 @@ from fastapi import Depends, Path, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
+from boresight.calibration.calibration import Calibration, parse_calibration
 from boresight.console.access.dependencies import Blobs, Reading, ServerFigureCache
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside, json_response, operations
@@ -18,7 +19,7 @@ from boresight.console.parameter_sets.service import get_incumbent_parameters
 from boresight.console.runs import comparisons, schemas
 from boresight.console.runs import service as runs
 from boresight.console.runs.comparisons import Comparison
-from boresight.console.runs.routes import result_so_far
+from boresight.console.runs.service import find_result
 from boresight.console.runs.tables import Run
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import FIGURES, Figure, Table, Trace, figure_json
@@ -99,9 +100,8 @@ def get_figure(
     labels, sources = [make_label(session, run) for run in asked], [get_figure_source(session, run) for run in asked]
 
     def draw() -> bytes:
-        results = [_beside_baseline(session, blobs, run) for run in asked]
-        named = zip(labels, results, asked, strict=True)
-        return seen.draw(figure, [Trace(label, result, f"Run {run.id}") for label, result, run in named])
+        named = zip(labels, asked, strict=True)
+        return seen.draw(figure, [_make_trace(session, blobs, run, label) for label, run in named])
 
     known = None if None in sources else [name, repr(seen), *labels, *map(str, sources)]
     return figure_cache.answer(request, known, draw)
@@ -115,10 +115,16 @@ def get_figure_source(session: Session, run: Run) -> str | None:
     return run.result_sha256 + orjson.dumps(moving, option=orjson.OPT_SORT_KEYS).decode()
 
 
-def _beside_baseline(session: Session, blobs: BlobStore, run: Run) -> dict[str, Any]:
+def _make_trace(session: Session, blobs: BlobStore, run: Run, label: str) -> Trace:
     """Read a result, with the parameters that are in force now where the run did not start from them."""
-    baseline = get_incumbent_parameters(session, run)
-    return {**result_so_far(session, blobs, run.id), **({"baseline": baseline} if baseline else {})}
+    found, baseline = _read_calibration(session, blobs, run.id), get_incumbent_parameters(session, run)
+    return Trace(label, found, f"Run {run.id}", baseline=baseline)
+
+
+def _read_calibration(session: Session, blobs: BlobStore, run_id: Id) -> Calibration:
+    """Read a run's calibration, complete or so far, which may be nothing yet."""
+    found = find_result(session, blobs, run_id)
+    return Calibration(status="running") if found is None else parse_calibration(found)
 
 
 @router.get(
@@ -130,7 +136,7 @@ def _beside_baseline(session: Session, blobs: BlobStore, run: Run) -> dict[str, 
 def get_figure_data(run_id: Id, name: FigureName, session: Reading, blobs: Blobs, compare: Compare = "") -> Response:
     """Read the numbers behind a figure as CSV; of several runs one after another, with the run's number first."""
     figure, ids = _figure(name), [run_id, *_others(compare, run_id)]
-    tables = {number: figure.table(result_so_far(session, blobs, number)) for number in ids}
+    tables = {number: figure.table(_read_calibration(session, blobs, number)) for number in ids}
     table = _stacked(tables) if len(tables) > 1 else tables[run_id]
     return csv_response(table, f"run-{'-'.join(map(str, ids))}-{name}.csv")
 

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.requests import Request
 from starlette.responses import Response
 
-from boresight.calibration.calibration import Calibration
+from boresight.calibration.calibration import Calibration, parse_calibration
 from boresight.console import schemas as console_schemas
 from boresight.console.access.dependencies import (
     SAME_FOR_ALL,
@@ -143,7 +143,7 @@ def get_run_log(run_id: Id, session: Reading, page: Paged) -> Listing[RunEvent]:
 @router.get("/{run_id}/report", summary="Read the report", response_class=HTMLResponse)
 def get_run_report(run_id: Id, session: Reading, blobs: Blobs, policy: ServerPolicy) -> HTMLResponse:
     """Read the report of a run that has ended: one HTML file that needs nothing else, figures included."""
-    report = render_report(runs.get_final_result(session, blobs, run_id), four_eyes=policy.four_eyes)
+    report = render_report(parse_calibration(runs.get_final_result(session, blobs, run_id)), four_eyes=policy.four_eyes)
     headers = {"Content-Disposition": f'attachment; filename="run-{run_id}-report.html"'}
     return HTMLResponse(report, headers=headers)
 

@@ -8,40 +8,37 @@ angle there, whatever the centroids do.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
+from boresight.calibration.calibration import ArcSigmaMap
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style.axes import MAX_MAPS, cells, detector_map, draw_maps
 
-KEY = "sigma_arcsec"
 
-
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[ArcSigmaMap]]) -> go.Figure:
     """Draw one map a run on one scale from zero; only the last shows it."""
-    highest = max(float(np.nanmax(column(part[KEY]))) for _, _, part in drawn)
+    highest = max(float(np.nanmax(column(part.sigma_arcsec))) for _, _, part in drawn)
     scale = {"zmin": 0, "zmax": highest or 1, "colorscale": "Cividis"}
 
-    def draw_map(one: Part, last: bool) -> go.Heatmap:
-        return detector_map(one[2], KEY, one[1].label, showscale=last, **scale)
+    def draw_map(one: Part[ArcSigmaMap], last: bool) -> go.Heatmap:
+        return detector_map(one[2], one[2].sigma_arcsec, one[1].label, showscale=last, **scale)
 
     return draw_maps(drawn[:MAX_MAPS], draw_map, title=_headline(drawn), height_px=460)
 
 
-def _headline(drawn: Sequence[Part]) -> str:
+def _headline(drawn: Sequence[Part[ArcSigmaMap]]) -> str:
     if len(drawn) > 1:
         return f"1σ of an arc over the detector, {len(drawn)} runs"
-    sigma, degrees = column(drawn[0][2][KEY]), drawn[0][2].get("arc_deg")
-    arc = f"an arc of {degrees:.3g}°" if degrees is not None else "an arc"
-    return f"1σ of {arc}: {np.nanmin(sigma):.3g} to {np.nanmax(sigma):.3g} arcsec over the detector"
+    sigma, degrees = column(drawn[0][2].sigma_arcsec), drawn[0][2].arc_deg
+    return f"1σ of an arc of {degrees:.3g}°: {np.nanmin(sigma):.3g} to {np.nanmax(sigma):.3g} arcsec over the detector"
 
 
-def table(part: Any) -> Table:
+def table(part: ArcSigmaMap) -> Table:
     """List one cell a row: its centre in px and the sigma of the arc from there in arcsec."""
-    return cells(part, KEY)
+    return cells(part, "sigma_arcsec", part.sigma_arcsec)
 
 
 ARC_UNCERTAINTY = part_figure(

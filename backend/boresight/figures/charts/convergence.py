@@ -18,7 +18,7 @@ A run is settled from the step on after which every free parameter stays within 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,7 +27,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration
 from boresight.figures.chart import Figure, Table, Trace
 from boresight.figures.history import History, free_names, read_history, settled_step
 from boresight.figures.live_traces import Panel, follow_column, follow_parameters
@@ -48,7 +48,7 @@ def draw_panels(
     """Add both panels in their places; a history that is None is another axis's."""
     for history, style in zip(histories, theme.run_styles(traces), strict=True):
         if history is not None:
-            judged = history.series("cost") if history.axis == "iteration" else innovations(history)
+            judged = history.cost if history.axis == "iteration" else innovations(history)
             _draw(figure, places[0], history, judged, style, POINT_BUDGET // len(traces))
             _draw(figure, places[1], history, step_norm(history), style, POINT_BUDGET // len(traces))
     cost, step = places
@@ -78,7 +78,7 @@ def _axis_name(figure: go.Figure, place: Subplot) -> str:
 
 def innovations(history: History) -> FloatArray:
     """Average the normalised innovation squared over the frames so far, per degree of freedom."""
-    nis, dof = (np.nancumsum(history.series(key)) for key in ("nis", "nis_dof"))
+    nis, dof = (np.nancumsum(values) for values in (history.nis, history.nis_dof))
     return np.where(dof > 0, nis / np.maximum(dof, 1), np.nan)
 
 
@@ -190,7 +190,7 @@ def _headline(traces: Sequence[Trace]) -> str:
     result = traces[0].result
     if len(traces) > 1:
         return f"Change since the initial parameters, {len(traces)} runs, bands ±3σ"
-    state = "" if result.get("status") != "running" else ", still running"
+    state = "" if result.status != "running" else ", still running"
     return f"Change since the initial parameters, band ±3σ{state}"
 
 
@@ -213,8 +213,8 @@ def _panels(traces: Sequence[Trace], histories: Sequence[History]) -> list[Conve
 def _origin(name: str, traces: Sequence[Trace], histories: Sequence[History]) -> float:
     """Choose what changes are counted from: the first run's initial value, or its first estimate."""
     for trace in traces:
-        if (initial := (trace.result.get("initial") or {}).get(name)) is not None:
-            return float(initial)
+        if (initial := trace.result.initial.get(name)) is not None:
+            return initial
     return next(float(c.value[0, c.names.index(name)]) for c in histories if name in c.names)
 
 
@@ -225,7 +225,7 @@ def _span(histories: Sequence[History]) -> tuple[float, float]:
 def _level(history: History, span: tuple[float, float]) -> History:
     """Stretch a batch run's last estimate over the frames of the sequential runs beside it."""
     value, sigma = (np.tile(last, (2, 1)) for last in (history.value[-1], history.sigma[-1]))
-    return replace(history, axis="frame", x=np.array(span), value=value, sigma=sigma, record={})
+    return replace(history, axis="frame", x=np.array(span), value=value, sigma=sigma)
 
 
 def _draw_run(
@@ -266,10 +266,11 @@ def _draw_references(
     """Add the initial level, the baseline's where it is another, and the true one where a simulation knows it."""
     levels: dict[tuple[str, float], tuple[str, str]] = {}
     for trace in traces:
-        for key, look in REFERENCES.items():
-            value = _named(trace.result.get(key), panel.name)
+        known = {"initial": trace.result.initial, "baseline": trace.baseline, "truth": trace.result.truth}
+        for key, values in known.items():
+            value = values.get(panel.name) if values else None
             if value is not None:
-                levels[key, float(panel.change(value))] = look
+                levels[key, float(panel.change(value))] = REFERENCES[key]
     first = panel.row == panel.column == 0
     height = max(panel.seen, default=0.0) - min(panel.seen, default=0.0)
     for (key, level), (colour, dash) in levels.items():
@@ -280,10 +281,6 @@ def _draw_references(
             panel.seen.append(level)
 
 
-def _named(values: Mapping[str, float | None] | None, name: str) -> float | None:
-    return None if not values else values.get(name)
-
-
 def _frame_panel(figure: go.Figure, panel: ConvergencePanel) -> None:
     low, high = (min(panel.seen), max(panel.seen)) if panel.seen else (-1.0, 1.0)
     margin = 0.08 * (high - low) or 1.0
@@ -291,14 +288,14 @@ def _frame_panel(figure: go.Figure, panel: ConvergencePanel) -> None:
     figure.update_yaxes(title=title, range=[low - margin, high + margin], row=panel.row + 1, col=panel.column + 1)
 
 
-def table(result: Result) -> Table:
+def table(result: Calibration) -> Table:
     """List every step: parameters and sigmas in SI."""
     history = read_history(result)
     if history is None:
         return {}
     columns: Table = {history.axis: [int(step) for step in history.x]}
-    if history.axis == "frame" and history.record.get("time_utc"):
-        columns["time_utc"] = list(history.record["time_utc"])
+    if history.time_utc:
+        columns["time_utc"] = list(history.time_utc)
     for i, name in enumerate(history.names):
         columns[name] = theme.plain(history.value[:, i])
         columns[f"sigma_{name}"] = theme.plain(history.sigma[:, i])

@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration
 from boresight.figures.chart import Table, Trace
 from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
@@ -23,9 +23,11 @@ from boresight.verdicts.numbers import quantity
 STRONG = 0.9  # from here on two parameters are read together
 MAX_MAPS = 3
 ROW_PX, LEAST_PX = 34, 200
+#: Names (n,), rho and P (n, n) each.
+Correlations = tuple[list[str], FloatArray, FloatArray]
 
 
-def draw(found: Sequence[Part]) -> go.Figure:
+def draw(found: Sequence[Part[Correlations]]) -> go.Figure:
     """Draw one map a run, beside each other, up to three."""
     drawn = found[:MAX_MAPS]
     titles = [style.label for _, style, _ in drawn] if len(drawn) > 1 else None
@@ -39,11 +41,9 @@ def draw(found: Sequence[Part]) -> go.Figure:
     return figure
 
 
-def correlations(result: Result) -> tuple[list[str], FloatArray, FloatArray] | None:
-    """Read names, rho and P (n, n) each out of a result's covariance; None where it has none."""
-    covariance = result.get("covariance") or {}
-    names = list(covariance.get("names") or ())
-    P = np.array(covariance.get("matrix") or [], dtype=np.float64)
+def correlations(result: Calibration) -> Correlations | None:
+    """Read names, rho and P out of a result's covariance; None where it has none."""
+    names, P = result.covariance.names, np.array(result.covariance.matrix, dtype=np.float64)
     if not names or P.shape != (len(names), len(names)):
         return None
     sigma = np.sqrt(np.where(np.diag(P) > 0, np.diag(P), np.nan))
@@ -73,7 +73,7 @@ def _map(trace: Trace, names: Sequence[str], rho: FloatArray, *, scale: bool) ->
     )  # fmt: skip
 
 
-def _headline(one: Part) -> str:
+def _headline(one: Part[Correlations]) -> str:
     trace, _, (names, rho, _) = one
     pair = strongest(names, rho)
     if pair is None:
@@ -83,7 +83,7 @@ def _headline(one: Part) -> str:
     return f"Strongest: {first} and {second}, ρ = {theme.signed(pair[2])}: {advice}"
 
 
-def table(found: tuple[list[str], FloatArray, FloatArray]) -> Table:
+def table(found: Correlations) -> Table:
     """List one pair a row: the two parameters, their correlation and their covariance in SI."""
     names, rho, P = found
     rows, columns = np.triu_indices(len(names), 0)

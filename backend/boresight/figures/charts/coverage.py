@@ -7,27 +7,25 @@ from collections.abc import Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration, Coverage
 from boresight.figures.chart import Table
-from boresight.figures.factory import Part, column, make_figure
+from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import MAX_MAPS, QUIET, lay_maps
 
 
-def read_coverage(result: Result) -> Result | None:
+def read_coverage(result: Calibration) -> Coverage | None:
     """Read the counts of a result; None where it has none."""
-    coverage: Result = result.get("coverage") or {}
-    counts = column(coverage.get("counts"))
-    return coverage if counts.ndim == 2 and counts.size else None
+    return result.coverage if result.coverage and any(result.coverage.counts) else None
 
 
-def draw(found: Sequence[Part]) -> go.Figure:
+def draw(found: Sequence[Part[Coverage]]) -> go.Figure:
     """Draw one heat map a run, beside each other on one colour scale; empty cells show the surface."""
     drawn = found[:MAX_MAPS]
-    alike = all(coverage["row_edges_px"] == drawn[0][2]["row_edges_px"] for _, _, coverage in drawn)
+    alike = all(coverage.row_edges_px == drawn[0][2].row_edges_px for _, _, coverage in drawn)
     # rows that differ need their own labels, and room for them
     figure = lay_maps(drawn, 0.05 if alike else 0.4 / len(drawn))
-    highest = max(float(np.max(coverage["counts"])) for _, _, coverage in drawn)
+    highest = max(float(np.max(coverage.counts)) for _, _, coverage in drawn)
     for place, one in enumerate(drawn, start=1):
         figure.add_trace(_map(one, highest), row=1, col=place)
     figure.update_traces(showscale=True, col=len(drawn))
@@ -43,12 +41,12 @@ def draw(found: Sequence[Part]) -> go.Figure:
     return figure
 
 
-def _map(one: Part, highest: float) -> go.Heatmap:
+def _map(one: Part[Coverage], highest: float) -> go.Heatmap:
     _, style, coverage = one
     return go.Heatmap(
-        x=list(coverage["col_edges_px"]),
-        y=list(coverage["row_edges_px"]),
-        z=[[int(count) or None for count in row] for row in coverage["counts"]],
+        x=list(coverage.col_edges_px),
+        y=list(coverage.row_edges_px),
+        z=[[int(count) or None for count in row] for row in coverage.counts],
         zmin=0,
         zmax=highest or 1,
         colorscale="Cividis",
@@ -61,18 +59,18 @@ def _map(one: Part, highest: float) -> go.Heatmap:
     )
 
 
-def _headline(drawn: Sequence[Part]) -> str:
+def _headline(drawn: Sequence[Part[Coverage]]) -> str:
     if len(drawn) > 1:
         return f"Stars on the detector, {len(drawn)} runs"
-    counts = np.array(drawn[0][2]["counts"])
+    counts = np.array(drawn[0][2].counts)
     empty = int((counts == 0).sum())
     cells = "no cell is empty" if not empty else f"{empty} of {counts.size} cells are empty"
     return f"{int(counts.sum()):,} stars on the detector, {cells}"
 
 
-def table(coverage: Result) -> Table:
+def table(coverage: Coverage) -> Table:
     """List one cell a row: its edges in px and its stars."""
-    rows, columns, counts = coverage["row_edges_px"], coverage["col_edges_px"], coverage["counts"]
+    rows, columns, counts = coverage.row_edges_px, coverage.col_edges_px, coverage.counts
     places = list(np.ndindex(np.shape(counts)))
     return {
         "row_from_px": [rows[i] for i, _ in places],

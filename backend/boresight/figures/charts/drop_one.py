@@ -6,14 +6,14 @@ by more than 6.63 in one case of a hundred. The others' shift is counted in thei
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
+from boresight.calibration.calibration import DroppedParameter
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
@@ -23,11 +23,11 @@ BY_CHANCE = 6.63  # the 99 % point of chi-square with one degree of freedom
 LEAST = 0.1  # the log axis starts here; a fit that became no worse is drawn as a bar of no height
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[list[DroppedParameter]]]) -> go.Figure:
     """Draw the rise of chi-square on a log axis, and below it the shift of the others."""
     figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.1)
     for one in drawn:
-        rises = column([row.get("chi2_increase") for row in one[2]])
+        rises = column([row.chi2_increase for row in one[2]])
         shifts = column([largest_shift(row) for row in one[2]])
         figure.add_trace(_bars(one, np.maximum(rises, LEAST), rises, "Δχ² %{customdata:.4g}"), row=1, col=1)
         figure.add_trace(_bars(one, np.maximum(shifts, LEAST), shifts, "%{customdata:.3g} σ"), row=2, col=1)
@@ -48,38 +48,35 @@ def _window(figure: go.Figure, half: int) -> list[float]:
     return [float(np.log10(LEAST)) - 0.1, float(np.log10(max(highest, 2 * BY_CHANCE))) + 0.3]
 
 
-def largest_shift(row: Mapping[str, Any]) -> float | None:
+def largest_shift(row: DroppedParameter) -> float | None:
     """Return how far the other parameters moved at most, in their sigmas."""
-    shift = row.get("shift_in_sigma_of_others")
-    if isinstance(shift, Mapping):
-        return max((abs(value) for value in shift.values() if value is not None), default=None)
-    return None if shift is None else abs(float(shift))
+    return None if row.shift_in_sigma_of_others is None else abs(row.shift_in_sigma_of_others)
 
 
-def _bars(one: Part, values: FloatArray, told: FloatArray, hover: str) -> go.Bar:
+def _bars(one: Part[list[DroppedParameter]], values: FloatArray, told: FloatArray, hover: str) -> go.Bar:
     """Draw one run's bars; a parameter that is not needed is hatched."""
     trace, style, part = one
-    names = [quantity(row["name"], trace.result).markup for row in part]
-    pattern = {"shape": ["" if row.get("needed", True) else "/" for row in part]}
+    names = [quantity(row.name, trace.result).markup for row in part]
+    pattern = {"shape": ["" if row.needed else "/" for row in part]}
     more = {"customdata": theme.short(told), "marker": {"color": style.colour, "pattern": pattern}}
     return theme.bars(style, names, values, f"without %{{x}}: {hover}", offsetgroup=style.label, **more)
 
 
-def _headline(drawn: Sequence[Part]) -> str:
+def _headline(drawn: Sequence[Part[list[DroppedParameter]]]) -> str:
     if len(drawn) > 1:
         return f"Leaving one parameter out, {len(drawn)} runs; hatched is not needed"
-    spare = [quantity(row["name"], drawn[0][0].result).markup for row in drawn[0][2] if not row.get("needed", True)]
+    spare = [quantity(row.name, drawn[0][0].result).markup for row in drawn[0][2] if not row.needed]
     return f"Not needed by these data: {', '.join(spare)} (hatched)" if spare else "Every free parameter is needed"
 
 
-def table(part: Any) -> Table:
+def table(part: list[DroppedParameter]) -> Table:
     """List one left-out parameter a row: rise of chi-square, RMS in rad, largest shift of the others in sigmas."""
     return {
-        "left_out": [row["name"] for row in part],
-        "chi2_increase": [row.get("chi2_increase") for row in part],
-        "rms_arc_rad": [row.get("rms_arc_rad") for row in part],
+        "left_out": [row.name for row in part],
+        "chi2_increase": [row.chi2_increase for row in part],
+        "rms_arc_rad": [row.rms_arc_rad for row in part],
         "largest_shift_in_sigma": [largest_shift(row) for row in part],
-        "needed": [row.get("needed") for row in part],
+        "needed": [row.needed for row in part],
     }
 
 

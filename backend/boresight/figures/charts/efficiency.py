@@ -6,20 +6,19 @@ The bound is (J^T R^-1 J)^-1 at the final parameters, with R the covariance of t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Efficiency
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.verdicts.numbers import quantity
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[Efficiency]]) -> go.Figure:
     """Draw one bar a parameter and run, and the bound as the level one."""
     figure = go.Figure([_bars(one, labelled=len(drawn) == 1) for one in drawn])
     many = len(drawn) > 1
@@ -30,31 +29,31 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     return figure
 
 
-def _ratios(part: Result) -> FloatArray:
-    return column([(part.get("ratio") or {}).get(name) for name in part["names"]])
+def _ratios(part: Efficiency) -> FloatArray:
+    return column([part.ratio.get(name) for name in part.names])
 
 
-def _bars(one: Part, *, labelled: bool) -> go.Bar:
+def _bars(one: Part[Efficiency], *, labelled: bool) -> go.Bar:
     trace, style, part = one
     ratios = _ratios(part)
-    names = [quantity(name, trace.result).markup for name in part["names"]]
+    names = [quantity(name, trace.result).markup for name in part.names]
     text = [f"{ratio:.3g}" if np.isfinite(ratio) else "" for ratio in ratios] if labelled else None
     return theme.bars(style, names, ratios, "%{x}: %{y:.4g} times the bound", text=text)
 
 
-def _headline(drawn: Sequence[Part]) -> str:
+def _headline(drawn: Sequence[Part[Efficiency]]) -> str:
     ratios = _ratios(drawn[0][2])
     if len(drawn) > 1 or not np.isfinite(ratios).any():
         return "Claimed sigma over the Cramér-Rao bound"
     return f"Claimed sigma over the Cramér-Rao bound: {np.nanmin(ratios):.3g} to {np.nanmax(ratios):.3g}"
 
 
-def table(part: Any) -> Table:
+def table(part: Efficiency) -> Table:
     """List one parameter a row: the bound in SI, the claimed sigma in SI, and their ratio."""
-    bound = column([(part.get("cramer_rao_sigma") or {}).get(name) for name in part["names"]])
+    bound = column([part.cramer_rao_sigma.get(name) for name in part.names])
     ratios = _ratios(part)
     return {
-        "parameter": list(part["names"]),
+        "parameter": list(part.names),
         "cramer_rao_sigma": theme.plain(bound),
         "claimed_sigma": theme.plain(bound * ratios),
         "ratio": theme.plain(ratios),

@@ -22,7 +22,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration, FrameObservability, ReferenceInformation
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.style import theme
@@ -30,7 +30,6 @@ from boresight.figures.style.axes import share_cursor
 from boresight.verdicts.numbers import quantity
 
 TITLE = "Observability per frame"
-KEY = "frame_observability"
 NOT_YET = "Single frames are judged when the run ends; that is not there yet."
 NEVER = "This result has no judgement of single frames: clone its run and start it again to have one."
 MODELS = {f"model_{model}": f"Model {model}" for model in (1, 2, 3, 4)}
@@ -41,19 +40,24 @@ COMPARED = ("model_4", "sigma_2")
 FARTHEST_BELOW = 300.0
 
 
-def read_frame_observability(result: Result, needed: str) -> Result | None:
-    """Read how observable single frames are; None where it has not what is needed."""
-    view: Result = result.get(KEY) or {}
-    return view if view.get(needed) else None
+def read_frames(result: Calibration) -> FrameObservability | None:
+    """Read how observable single frames are; None where that is of no frame."""
+    return result.frame_observability if result.frame_observability and result.frame_observability.frame else None
 
 
-def explain_absence(result: Result) -> str:
+def read_references(result: Calibration) -> FrameObservability | None:
+    """Read the information of each reference; None where there is none."""
+    view = result.frame_observability
+    return view if view and view.information else None
+
+
+def explain_absence(result: Calibration) -> str:
     """Say why a result tells nothing of single frames."""
-    never = NOT_YET if result.get("status") in {None, "running"} else NEVER
-    return str((result.get(KEY) or {}).get("sentence") or never)
+    said = result.frame_observability.sentence if result.frame_observability else ""
+    return said or (NOT_YET if result.status == "running" else NEVER)
 
 
-def draw(found: Sequence[Part]) -> go.Figure:
+def draw(found: Sequence[Part[FrameObservability]]) -> go.Figure:
     """Draw every model and value of one run, or Model 4 and one value of several."""
     drawn = [one for one in found if _measured(one[2])]
     if not drawn:
@@ -75,9 +79,9 @@ def draw(found: Sequence[Part]) -> go.Figure:
     return share_cursor(figure, "frame")
 
 
-def _window(drawn: Sequence[Part], names: Sequence[str]) -> list[float] | None:
+def _window(drawn: Sequence[Part[FrameObservability]], names: Sequence[str]) -> list[float] | None:
     """Choose the decades of a log axis, so that a few frames that hardly determine anything do not flatten the others."""
-    curves = [column(view["minimum_singular_value"].get(name)) for _, _, view in drawn for name in names]
+    curves = [column(view.minimum_singular_value.get(name)) for _, _, view in drawn for name in names]
     known = np.concatenate(curves)
     known = known[np.isfinite(known) & (known > 0)]
     if not len(known):
@@ -86,53 +90,54 @@ def _window(drawn: Sequence[Part], names: Sequence[str]) -> list[float] | None:
     return [float(np.log10(low)) - 0.15, float(np.log10(known.max())) + 0.15]
 
 
-def _measured(view: Result) -> bool:
+def _measured(view: FrameObservability) -> bool:
     """Tell whether any frame determines all parameters under any choice."""
-    curves = (view.get("minimum_singular_value") or {}).values()
-    return any(value is not None for curve in curves for value in curve)
+    return any(value is not None for curve in view.minimum_singular_value.values() for value in curve)
 
 
-def _draw_run(figure: go.Figure, one: Part, names: dict[str, str], row: int, *, alone: bool) -> None:
+def _draw_run(
+    figure: go.Figure, one: Part[FrameObservability], names: dict[str, str], row: int, *, alone: bool
+) -> None:
     """Add one run's curves to a panel: all of them in colours of their own, or one in the colour of the run."""
     _, style, view = one
-    frame = column(view["frame"])
+    frame = column(view.frame)
     for place, (name, label) in enumerate(names.items()):
-        if name not in view["minimum_singular_value"] or not (alone or name in COMPARED):
+        if name not in view.minimum_singular_value or not (alone or name in COMPARED):
             continue
         colour = theme.RUN_COLOURS[(place + len(MODELS) * (row - 1)) % len(theme.RUN_COLOURS)]
         own = theme.RunStyle(label, colour, "solid") if alone else style
         hover = f"frame %{{x}}: %{{y:.3g}}<extra>{label}{'' if alone else ', ' + style.label}</extra>"
         options: dict[str, Any] = {"hovertemplate": hover, "showlegend": alone or row == 1, "connectgaps": False}
-        curve = theme.line(own, frame, column(view["minimum_singular_value"][name]), mode="lines+markers", **options)
+        curve = theme.line(own, frame, column(view.minimum_singular_value[name]), mode="lines+markers", **options)
         curve.update(line={"width": 1.1}, marker={"size": 3, "color": own.colour})
         figure.add_trace(curve, row=row, col=1)
 
 
-def _headline(drawn: Sequence[Part]) -> str:
+def _headline(drawn: Sequence[Part[FrameObservability]]) -> str:
     """Say what is drawn, and of how many frames."""
     if len(drawn) > 1:
         return f"Minimum singular value by frame, {len(drawn)} runs"
     return f"Minimum singular value by frame{_spacing(drawn)}"
 
 
-def _spacing(drawn: Sequence[Part]) -> str:
+def _spacing(drawn: Sequence[Part[FrameObservability]]) -> str:
     """Say of how many frames the curves are, where it is not all of one run's."""
     view = drawn[0][2]
-    used, frames = view.get("frames_used"), view.get("frames")
+    used, frames = view.frames_used, view.frames
     return "" if len(drawn) > 1 or used == frames else f" ({used} spaced evenly over {frames})"
 
 
-def table(view: Result) -> Table:
+def table(view: FrameObservability) -> Table:
     """List one frame a row: the minimum singular value under each choice, per typical sigma."""
-    columns: Table = {"frame": np.asarray(view["frame"]).tolist()}
-    curves = view["minimum_singular_value"].items()
+    columns: Table = {"frame": list(view.frame)}
+    curves = view.minimum_singular_value.items()
     return columns | {name: theme.plain(column(values)) for name, values in curves}
 
 
 FRAME_OBSERVABILITY = make_figure(
     draw,
     table,
-    lambda result: read_frame_observability(result, "frame"),
+    read_frames,
     explain_absence,
     name="frame-observability",
     title=TITLE,
@@ -158,7 +163,7 @@ LABELS = {
 SENTENCE_WIDTH = 62
 
 
-def draw_reference_information(drawn: Sequence[Part]) -> go.Figure:
+def draw_reference_information(drawn: Sequence[Part[FrameObservability]]) -> go.Figure:
     """Draw one bar a reference and run, and all there is as the level one."""
     figure = go.Figure([_bars(one, labelled=len(drawn) == 1) for one in drawn])
     many = len(drawn) > 1
@@ -167,7 +172,7 @@ def draw_reference_information(drawn: Sequence[Part]) -> go.Figure:
     figure.add_hline(y=1, line={"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.4})
     figure.update_yaxes(title_text="share of the information", rangemode="tozero")
     figure.update_xaxes(showgrid=False, tickangle=0)
-    words = theme.escape(str(drawn[0][2].get("sentence") or ""))
+    words = theme.escape(drawn[0][2].sentence)
     said = "<br>".join(textwrap.wrap(words, SENTENCE_WIDTH))
     figure.update_layout(margin={"b": 66 + 18 * (1 + said.count("<br>"))})
     figure.add_annotation(
@@ -177,40 +182,40 @@ def draw_reference_information(drawn: Sequence[Part]) -> go.Figure:
     return figure
 
 
-def _shares(view: Result, key: str = "share") -> FloatArray:
-    return column([entry.get(key) for entry in view["information"]])
+def _shares(view: FrameObservability) -> FloatArray:
+    return column([entry.share for entry in view.information])
 
 
-def _bars(one: Part, *, labelled: bool) -> go.Bar:
+def _bars(one: Part[FrameObservability], *, labelled: bool) -> go.Bar:
     trace, style, view = one
     shares = _shares(view)
-    names = [LABELS.get(entry["reference"], theme.escape(entry["reference"])) for entry in view["information"]]
+    names = [LABELS.get(entry.reference, theme.escape(entry.reference)) for entry in view.information]
     text = [f"{share:.2f}" if np.isfinite(share) else "open" for share in shares] if labelled else None
-    least = [_least(entry, trace.result) for entry in view["information"]]
+    least = [_least(entry, trace.result) for entry in view.information]
     return theme.bars(style, names, shares, "%{y:.3f}, %{customdata}", text=text, customdata=least)
 
 
-def _least(entry: Result, result: Result) -> str:
-    if entry.get("least") is None or entry.get("least_share") is None:
+def _least(entry: ReferenceInformation, result: Calibration) -> str:
+    if entry.least is None or entry.least_share is None:
         return "leaves a parameter open"
-    return f"least for {quantity(entry['least'], result).markup}, {entry['least_share']:.3f}"
+    return f"least for {quantity(entry.least, result).markup}, {entry.least_share:.3f}"
 
 
-def table_reference_information(view: Result) -> Table:
+def table_reference_information(view: FrameObservability) -> Table:
     """List one reference a row: its share of the information, and the parameter it serves worst."""
     return {
-        "reference": [entry["reference"] for entry in view["information"]],
+        "reference": [entry.reference for entry in view.information],
         "share_of_information": theme.plain(_shares(view)),
         "sigma_over_bound": theme.plain(1 / np.sqrt(_shares(view))),
-        "least_share": theme.plain(_shares(view, "least_share")),
-        "least_parameter": [entry.get("least") for entry in view["information"]],
+        "least_share": theme.plain(column([entry.least_share for entry in view.information])),
+        "least_parameter": [entry.least for entry in view.information],
     }
 
 
 REFERENCE_INFORMATION = make_figure(
     draw_reference_information,
     table_reference_information,
-    lambda result: read_frame_observability(result, "information"),
+    read_references,
     explain_absence,
     name="reference-information",
     title="Information of each reference",

@@ -13,6 +13,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
+from boresight.calibration.calibration import NisOverTime
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
@@ -22,10 +23,9 @@ from boresight.verdicts.numbers import percent
 
 POINT_BUDGET = 6000  # points of all runs together
 WINDOW_SHARE = 0.05  # of the frames, over which the mean runs
-BOUNDS = ("lower", "upper")
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[NisOverTime]]) -> go.Figure:
     """Draw each run's frames as points, those outside their bounds as crosses, with the bounds and a running mean."""
     figure = go.Figure()
     for one in drawn:
@@ -37,13 +37,13 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     return figure
 
 
-def _draw_run(figure: go.Figure, one: Part, limit: int, *, alone: bool) -> None:
+def _draw_run(figure: go.Figure, one: Part[NisOverTime], limit: int, *, alone: bool) -> None:
     _, style, part = one
-    frame, nis = column(part["frame"]), column(part["nis_per_dof"])
-    low, high = (column(part[bound]) for bound in BOUNDS)
+    frame, nis = column(part.frame), column(part.nis_per_dof)
+    low, high = column(part.lower), column(part.upper)
     kept = keep_extremes([nis], limit // 3)
-    for name, bound in zip(BOUNDS, (low, high), strict=True):
-        options = {"name": "95 % bounds", "showlegend": alone and name == "upper", "hoverinfo": "skip", "meta": None}
+    for bound in (low, high):
+        options = {"name": "95 % bounds", "showlegend": alone and bound is high, "hoverinfo": "skip", "meta": None}
         level = theme.line(style, frame[kept], bound[kept], **options)
         level.update(line={"dash": "dot", "width": 1, "color": theme.translucent(style.colour, 0.8)})
         figure.add_trace(level)
@@ -57,7 +57,9 @@ def _draw_run(figure: go.Figure, one: Part, limit: int, *, alone: bool) -> None:
         figure.update_traces(legendgroup=None)
 
 
-def _points(one: Part, frame: FloatArray, nis: FloatArray, outside: Any, kept: Any, *, alone: bool) -> go.Scatter:
+def _points(
+    one: Part[NisOverTime], frame: FloatArray, nis: FloatArray, outside: Any, kept: Any, *, alone: bool
+) -> go.Scatter:
     """Draw the frames, a frame outside its bounds by another shape."""
     style = one[1]
     return go.Scatter(
@@ -87,17 +89,18 @@ def running_mean(values: FloatArray, width: int) -> FloatArray:
         return np.asarray((sums[end] - sums[start]) / (counts[end] - counts[start]))
 
 
-def _headline(drawn: Sequence[Part]) -> str:
+def _headline(drawn: Sequence[Part[NisOverTime]]) -> str:
     part = drawn[0][2]
     if len(drawn) > 1:
         return f"Normalised innovations by frame, {len(drawn)} runs"
-    return f"{percent(part.get('outside_share'))} of the frames are outside, {percent(part.get('expected_share'))} are expected"
+    return f"{percent(part.outside_share)} of the frames are outside, {percent(part.expected_share)} are expected"
 
 
-def table(part: Any) -> Table:
+def table(part: NisOverTime) -> Table:
     """List one frame a row: the innovation a degree of freedom and its bounds."""
-    columns: Table = {"frame": list(part["frame"])}
-    return columns | {name: theme.plain(column(part[name])) for name in ("nis_per_dof", *BOUNDS)}
+    columns: Table = {"frame": list(part.frame)}
+    told = {"nis_per_dof": part.nis_per_dof, "lower": part.lower, "upper": part.upper}
+    return columns | {name: theme.plain(column(values)) for name, values in told.items()}
 
 
 INNOVATIONS = part_figure(

@@ -24,7 +24,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration, Values
 from boresight.estimation.statistics.consistency import ChiSquare, chi_square, nees
 from boresight.figures.chart import Table, Trace
 from boresight.figures.factory import Part, make_figure
@@ -33,7 +33,7 @@ from boresight.figures.style import theme
 from boresight.figures.style.axes import axis_title, counted, share_cursor
 from boresight.figures.style.thinning import keep_extremes
 from boresight.verdicts.numbers import number
-from boresight.verdicts.verdict import read_part, why_absent
+from boresight.verdicts.verdict import why_absent
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,10 @@ class MethodScores:
     consistent: bool | None
 
 
-def method_scores(result: Result) -> MethodScores:
-    """Sum a calibration JSON up, finished or not."""
-    settled, axis = _settled(result), (read_history(result) or _NOTHING).axis
-    chi2 = result.get("chi2") or {}
+def method_scores(result: Calibration) -> MethodScores:
+    """Sum a calibration up, finished or not."""
+    settled, history = _settled(result), read_history(result)
+    axis = history.axis if history else ""
     return MethodScores(
         claimed=_claimed(result),
         true_error=_true_error(result),
@@ -62,42 +62,42 @@ def method_scores(result: Result) -> MethodScores:
         ms_per_frame=_ms_per_frame(result),
         settled_frames=settled if axis == "frame" else None,
         settled_iterations=settled if axis == "iteration" else None,
-        condition=(result.get("observability") or {}).get("condition_number"),
-        chi2_per_dof=result.get("chi2_per_dof"),
-        consistent=chi2.get("consistent"),
+        condition=result.observability.condition_number if result.observability else None,
+        chi2_per_dof=result.chi2_per_dof,
+        consistent=result.chi2.consistent if result.chi2 else None,
     )
 
 
-_NOTHING = History("", np.empty(0), (), (), np.empty((0, 0)), np.empty((0, 0)), {})
-
-
-def read_bound(result: Result) -> dict[str, float]:
+def read_bound(result: Calibration) -> dict[str, float]:
     """Read the bound's sigma of each free parameter, SI; empty where it is not known."""
-    bound = (read_part(result, "efficiency") or {}).get("cramer_rao_sigma") or {}
-    if not bound or not all(isinstance(sigma, int | float) and sigma > 0 for sigma in bound.values()):
-        return {}
-    return {name: float(sigma) for name, sigma in bound.items()}
+    efficiency = result.trust.efficiency if result.trust else None
+    return _all_positive(efficiency.cramer_rao_sigma) if efficiency else {}
 
 
-def compute_errors(result: Result) -> dict[str, float]:
+def _all_positive(values: Values) -> dict[str, float]:
+    """Return the values, none where one of them is unknown or not above zero."""
+    known = {name: value for name, value in values.items() if value is not None and value > 0}
+    return known if len(known) == len(values) else {}
+
+
+def compute_errors(result: Calibration) -> dict[str, float]:
     """Estimate minus truth of each parameter that both know, SI."""
-    truth, estimate = result.get("truth") or {}, result.get("parameters") or {}
+    estimates = {name: value for name, value in result.parameters.items() if value is not None}
     return {
-        name: float(estimate[name]) - float(value)
-        for name, value in truth.items()
-        if value is not None and estimate.get(name) is not None
+        name: estimates[name] - value
+        for name, value in (result.truth or {}).items()
+        if value is not None and name in estimates
     }
 
 
-def _claimed(result: Result) -> float | None:
+def _claimed(result: Calibration) -> float | None:
     """Geometric mean of claimed sigma over bound."""
-    ratios = list(((read_part(result, "efficiency") or {}).get("ratio") or {}).values())
-    if not ratios or not all(isinstance(ratio, int | float) and ratio > 0 for ratio in ratios):
-        return None
-    return float(np.exp(np.mean(np.log(ratios))))
+    efficiency = result.trust.efficiency if result.trust else None
+    ratios = list(_all_positive(efficiency.ratio).values()) if efficiency else []
+    return float(np.exp(np.mean(np.log(ratios)))) if ratios else None
 
 
-def _true_error(result: Result) -> float | None:
+def _true_error(result: Calibration) -> float | None:
     """Root mean square of true error over bound."""
     bound, errors = read_bound(result), compute_errors(result)
     if not bound or not set(bound) <= set(errors):
@@ -105,11 +105,10 @@ def _true_error(result: Result) -> float | None:
     return float(np.sqrt(np.mean([(errors[name] / sigma) ** 2 for name, sigma in bound.items()])))
 
 
-def _honesty(result: Result) -> ChiSquare | None:
+def _honesty(result: Calibration) -> ChiSquare | None:
     """NEES of the free parameters."""
-    covariance, errors = result.get("covariance") or {}, compute_errors(result)
-    names = covariance.get("names") or []
-    P = np.array(covariance.get("matrix") or [], dtype=np.float64)
+    errors, names = compute_errors(result), result.covariance.names
+    P = np.array(result.covariance.matrix, dtype=np.float64)
     if not names or P.shape != (len(names), len(names)) or not set(names) <= set(errors):
         return None
     scale = np.sqrt(np.diag(P))  # parameters differ by ten decades in SI
@@ -119,23 +118,22 @@ def _honesty(result: Result) -> ChiSquare | None:
     return chi_square(total, len(names)) if np.isfinite(total) else None
 
 
-def _ms_per_frame(result: Result) -> float | None:
+def _ms_per_frame(result: Calibration) -> float | None:
     """Processor time of the method over the frames; None for a replay, which takes its frames one by one."""
-    seconds, frames = (result.get("timing_s") or {}).get("method"), result.get("frames")
-    chosen = (result.get("inputs") or {}).get("settings") or {}
-    if seconds is None or not frames or (chosen.get("replay_frames_per_s") or 0) > 0:
+    seconds, frames = result.timing_s.get("method"), result.frames
+    if seconds is None or not frames or (result.inputs.settings.get("replay_frames_per_s") or 0) > 0:
         return None
-    return 1e3 * float(seconds) / int(frames)
+    return 1e3 * seconds / frames
 
 
-def _settled(result: Result) -> int | None:
+def _settled(result: Calibration) -> int | None:
     """Frames or iterations after which every free parameter stays near its end; None while the run is on its way."""
     history, first = read_history(result), settled_step(result)
     if history is None or first is None:
         return None
     if history.axis == "iteration":
         return int(history.x[first])
-    frames = int(result.get("frames") or len(history.x))  # a long history keeps updates spaced evenly
+    frames = result.frames or len(history.x)  # a long history keeps updates spaced evenly
     return 1 + round(first * (frames - 1) / max(len(history.x) - 1, 1))
 
 
@@ -151,7 +149,7 @@ class _Convergence:
     true: FloatArray
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[_Convergence]]) -> go.Figure:
     """Draw every run's claimed and true error over frames, or over iterations when every run is a batch."""
     axis = "frame" if any(way.history.axis == "frame" for _, _, way in drawn) else "iteration"
     x = np.concatenate([way.history.x for _, _, way in drawn if way.history.axis == axis])
@@ -170,15 +168,15 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     return share_cursor(figure, counted(axis, along))
 
 
-def _approach(result: Result) -> _Convergence | None:
+def _approach(result: Calibration) -> _Convergence | None:
     """Read how a run came to the bound, or None where the bound or the way is not known."""
     bound, history = read_bound(result), read_history(result)
     if not bound or history is None or not set(bound) <= set(history.names):
         return None
     places = [history.names.index(name) for name in bound]
     b = np.array(list(bound.values()))
-    truth = result.get("truth") or {}
-    true = np.array([np.nan if truth.get(name) is None else float(truth[name]) for name in bound])
+    truth = result.truth or Values()
+    true = np.array([truth.get(name) for name in bound], dtype=np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
         claimed = np.exp(np.mean(np.log(history.sigma[:, places] / b), axis=1))
         error = np.sqrt(np.mean(((history.value[:, places] - true) / b) ** 2, axis=1))

@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration, MoreData
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
@@ -27,9 +27,9 @@ STEPS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0
 FEWEST_TICKS = 2
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[MoreData]]) -> go.Figure:
     """Draw one panel a parameter: the predicted sigma over the frames there would be in all."""
-    names = list(dict.fromkeys(name for _, _, part in drawn for name in part["sigma"]))
+    names = list(dict.fromkeys(name for _, _, part in drawn for name in part.sigma))
     n_rows = -(-len(names) // COLUMNS)
     figure = make_subplots(n_rows, COLUMNS, horizontal_spacing=0.085, vertical_spacing=0.24 / n_rows)
     for i, name in enumerate(names):
@@ -38,12 +38,14 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     return figure
 
 
-def _panel(figure: go.Figure, drawn: Sequence[Part], name: str, where: dict[str, int], *, named: bool) -> None:
+def _panel(
+    figure: go.Figure, drawn: Sequence[Part[MoreData]], name: str, where: dict[str, int], *, named: bool
+) -> None:
     """Add one parameter's curve of every run, and a mark at the frames that the run has."""
     item = quantity(name, drawn[0][0].result)
     seen: list[list[FloatArray]] = []
     for trace, style, part in drawn:
-        if name not in part["sigma"]:
+        if name not in part.sigma:
             continue
         frames, sigma = _curve(trace.result, part, name)
         hover = f"%{{x:.0f}} frames: %{{y:.3g}} {item.change_unit}<extra>{style.label}</extra>"
@@ -59,13 +61,13 @@ def _panel(figure: go.Figure, drawn: Sequence[Part], name: str, where: dict[str,
     figure.update_yaxes(title={"text": f"σ of {item.markup}{unit}", "standoff": 4}, **where)
 
 
-def _curve(result: Result, part: Result, name: str) -> tuple[FloatArray, FloatArray]:
+def _curve(result: Calibration, part: MoreData, name: str) -> tuple[FloatArray, FloatArray]:
     """Return frames in all (n,) and sigma (n,) in SI, beginning with what the run has now."""
-    further, sigma = column(part["further_frames"]), column(part["sigma"][name])
-    now, frames_now = (result.get("sigma") or {}).get(name), part.get("frames") or result.get("frames")
+    further, sigma = column(part.further_frames), column(part.sigma[name])
+    now, frames_now = result.sigma.get(name), part.frames or result.frames
     if now is not None and 0 not in further:
         further, sigma = np.append(0.0, further), np.append(now, sigma)
-    frames = further + float(frames_now or 0)
+    frames = further + frames_now
     shown = frames > 0
     return frames[shown], sigma[shown]
 
@@ -92,7 +94,7 @@ def _tick(value: float) -> str:
     return f"{value / 1e3:g}k" if value >= 1e3 else f"{value:g}"
 
 
-def _dress(figure: go.Figure, drawn: Sequence[Part], n_rows: int, n_panels: int) -> None:
+def _dress(figure: go.Figure, drawn: Sequence[Part[MoreData]], n_rows: int, n_panels: int) -> None:
     many = len(drawn) > 1
     title = "Predicted sigma over frames in all, the mark at the left is now"
     theme.dress(figure, title=title, height_px=90 + n_rows * PANEL_HEIGHT_PX, legend=many, hovermode="closest")
@@ -103,10 +105,10 @@ def _dress(figure: go.Figure, drawn: Sequence[Part], n_rows: int, n_panels: int)
     frame_grid(figure, n_panels, COLUMNS, "frames")
 
 
-def table(part: Any) -> Table:
+def table(part: MoreData) -> Table:
     """List further frames and the predicted sigma of each parameter in SI."""
-    further: Table = {"further_frames": list(part["further_frames"])}
-    return further | {f"sigma_{name}": theme.plain(column(values)) for name, values in part["sigma"].items()}
+    further: Table = {"further_frames": list(part.further_frames)}
+    return further | {f"sigma_{name}": theme.plain(column(values)) for name, values in part.sigma.items()}
 
 
 MORE_DATA = part_figure(

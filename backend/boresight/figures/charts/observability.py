@@ -22,7 +22,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration, Observability
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import Role
 from boresight.estimation.statistics.observability import NAMED, WEAK
@@ -34,14 +34,12 @@ from boresight.verdicts.numbers import count, number, percent, quantity
 THRESHOLD = 1.0 / WEAK
 
 
-def read_observability(result: Result) -> Result | None:
-    """Read what the data can tell apart, with the result's own names; None where that was not computed."""
-    seen = result.get("observability") or {}
-    names = tuple(seen.get("parameter_names") or result.get("free") or ())
-    return {**seen, "parameter_names": names} if seen.get("singular_values") else None
+def read_observability(result: Calibration) -> Observability | None:
+    """Read what the data can tell apart; None where that was not computed."""
+    return result.observability if result.observability and result.observability.singular_values else None
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[Observability]]) -> go.Figure:
     """Draw singular values as bars on a log axis, over the heat map of the first run's directions."""
     figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.4, 0.6], vertical_spacing=0.07)
     for _, style, seen in drawn:
@@ -55,8 +53,8 @@ def _modes(n_modes: int) -> list[str]:
     return [f"{i + 1}" for i in range(n_modes)]
 
 
-def _bars(seen: Result, style: theme.RunStyle, *, labelled: bool) -> go.Bar:
-    values = np.array(seen["singular_values"], dtype=np.float64)
+def _bars(seen: Observability, style: theme.RunStyle, *, labelled: bool) -> go.Bar:
+    values = np.array(seen.singular_values, dtype=np.float64)
     with np.errstate(divide="ignore"):
         spread = 1.0 / values
     hover = "s = %{y:.4g}<br>σ = %{customdata:.3g} typical σ"
@@ -64,9 +62,9 @@ def _bars(seen: Result, style: theme.RunStyle, *, labelled: bool) -> go.Bar:
     return theme.bars(style, _modes(len(values)), np.where(values > 0, values, np.nan), hover, **more)
 
 
-def _directions(result: Result, seen: Result) -> go.Heatmap:
+def _directions(result: Calibration, seen: Observability) -> go.Heatmap:
     """Draw V: rows are parameters, columns are directions from the best known to the weakest."""
-    names, n_modes = seen["parameter_names"], len(seen["singular_values"])
+    names, n_modes = seen.parameter_names, len(seen.singular_values)
     V = _vectors(seen)
     if V is None:
         V = np.full((len(names), n_modes), np.nan)
@@ -77,18 +75,18 @@ def _directions(result: Result, seen: Result) -> go.Heatmap:
     )  # fmt: skip
 
 
-def _vectors(seen: Result) -> FloatArray | None:
+def _vectors(seen: Observability) -> FloatArray | None:
     """Read V (n_parameters, n_modes), the largest share of each direction positive; None where the result has none."""
-    V = np.array(seen.get("right_singular_vectors") or [], dtype=np.float64).T
-    if V.shape != (len(seen["parameter_names"]), len(seen["singular_values"])):
+    V = np.array(seen.right_singular_vectors, dtype=np.float64).T
+    if V.shape != (len(seen.parameter_names), len(seen.singular_values)):
         return None
     largest = np.argmax(np.abs(V), axis=0)
     return np.asarray(V * np.where(V[largest, np.arange(V.shape[1])] < 0, -1.0, 1.0))
 
 
-def _dress(figure: go.Figure, drawn: Sequence[Part]) -> None:
+def _dress(figure: go.Figure, drawn: Sequence[Part[Observability]]) -> None:
     """Title with the condition number, and the weakest direction in words below."""
-    condition = drawn[0][2].get("condition_number")
+    condition = drawn[0][2].condition_number
     size = f"{condition:.4g}" if condition is not None else "infinite: a direction is not determined at all"
     whose = f" ({drawn[0][1].label})" if len(drawn) > 1 else ""
     sentence = _sentence(drawn[0][2])
@@ -112,23 +110,22 @@ def _draw_threshold(figure: go.Figure) -> None:
     figure.add_hline(y=THRESHOLD, line=theme.LEVEL, **words, row=1, col=1)
 
 
-def _window(drawn: Sequence[Part]) -> list[float]:
+def _window(drawn: Sequence[Part[Observability]]) -> list[float]:
     """Choose the decades of the log axis: every bar can be seen, and the threshold too."""
-    values = np.concatenate([seen["singular_values"] for _, _, seen in drawn])
+    values = np.concatenate([seen.singular_values for _, _, seen in drawn])
     known = values[values > 0]
     low, high = float(np.min(known, initial=THRESHOLD)), float(np.max(known, initial=THRESHOLD))
     return [float(np.log10(low)) - 0.5, float(np.log10(high)) + 0.5]
 
 
-def _sentence(seen: Result) -> str:
-    weakest = seen.get("weakest") or {}
-    words = theme.escape(str(weakest.get("sentence") or ""))
+def _sentence(seen: Observability) -> str:
+    words = theme.escape(seen.weakest.sentence)
     return "<br>".join(textwrap.wrap(f"Weakest direction: {words}", 88)) if words else ""
 
 
-def table(seen: Result) -> Table:
+def table(seen: Observability) -> Table:
     """List one direction a row: singular value, sigma in typical sigmas, and the parameters' shares."""
-    values = np.array(seen["singular_values"], dtype=np.float64)
+    values = np.array(seen.singular_values, dtype=np.float64)
     with np.errstate(divide="ignore"):
         spread = np.where(values > 0, 1.0 / values, np.nan)
     columns: Table = {
@@ -138,7 +135,7 @@ def table(seen: Result) -> Table:
     }
     V = _vectors(seen)
     if V is not None:
-        columns |= {name: theme.plain(row) for name, row in zip(seen["parameter_names"], V, strict=True)}
+        columns |= {name: theme.plain(row) for name, row in zip(seen.parameter_names, V, strict=True)}
     return columns
 
 
@@ -179,7 +176,7 @@ HELPFUL = {
 }
 
 
-def weakest_words(result: Result) -> str:
+def weakest_words(result: Calibration) -> str:
     """Write the weakest direction as a sum of parameters, such as `0.82 m0 + 0.55 a2`; empty where it is not known."""
     shares = _shares(result)
     named = {name: share for name, share in shares.items() if abs(share) >= NAMED}
@@ -190,7 +187,7 @@ def weakest_words(result: Result) -> str:
     return text.removeprefix("+ ")
 
 
-def helpful_data(result: Result) -> list[str]:
+def helpful_data(result: Calibration) -> list[str]:
     """Say in a sentence each which data would help the weakest direction most; none where observability is not known."""
     shares = _shares(result)
     if not shares:
@@ -201,20 +198,19 @@ def helpful_data(result: Result) -> list[str]:
     return [*wanted, *_reach(result), *_frames(result)]
 
 
-def _shares(result: Result) -> Mapping[str, float]:
-    seen: Mapping[str, Any] = result.get("observability") or {}
-    direction = (seen.get("weakest") or {}).get("direction") or {}
-    return {name: float(share) for name, share in direction.items() if share is not None}
+def _shares(result: Calibration) -> Mapping[str, float]:
+    direction = result.observability.weakest.direction if result.observability else {}
+    return {name: share for name, share in direction.items() if share is not None}
 
 
-def _reach(result: Result) -> list[str]:
+def _reach(result: Calibration) -> list[str]:
     """Say where on the detector no star was."""
     said = []
-    radial, coverage = result.get("radial") or {}, result.get("coverage") or {}
-    reached, radii = radial.get("data_radius_px"), radial.get("radius_px") or [0.0]
-    if reached is not None and radii[-1] > 0 and reached < REACH_ENOUGH * radii[-1]:
-        said.append(f"Stars reach {percent(reached / radii[-1], 0)} of the way to the farthest corner: go farther out.")
-    counts = np.array(coverage.get("counts") or [], dtype=np.float64)
+    reached = result.radial.data_radius_px if result.radial else None
+    corner = (result.radial.radius_px or [0.0])[-1] if result.radial else None
+    if reached is not None and corner is not None and corner > 0 and reached < REACH_ENOUGH * corner:
+        said.append(f"Stars reach {percent(reached / corner, 0)} of the way to the farthest corner: go farther out.")
+    counts = np.array(result.coverage.counts if result.coverage else [], dtype=np.float64)
     empty = int((counts == 0).sum())
     if empty:
         said.append(
@@ -223,15 +219,14 @@ def _reach(result: Result) -> list[str]:
     return said
 
 
-def _frames(result: Result) -> list[str]:
+def _frames(result: Calibration) -> list[str]:
     """Say how many frames like these would make the weakest direction known, by the square-root law."""
-    spread = (result.get("observability") or {}).get("sigma_of_direction") or []
-    frames = result.get("frames")
+    spread, frames = result.observability.sigma_of_direction if result.observability else [], result.frames
     if not spread or not frames:
         return []
     if spread[-1] is None:
         return ["More frames like these would leave the weakest direction as open as it is."]
-    times = (float(spread[-1]) / WEAK) ** 2
+    times = (spread[-1] / WEAK) ** 2
     if times <= 1:
         return ["Every direction is known: more frames narrow all sigmas by the square root of their number."]
     if times > MOST_TIMES:

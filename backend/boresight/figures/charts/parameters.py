@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration, Values
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, make_figure
 from boresight.figures.history import free_names
@@ -21,7 +21,7 @@ SIGNIFICANT = 3.0
 FLOOR = 0.1  # the log axis starts here: a smaller change cannot be seen in the noise at all
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[Calibration]]) -> go.Figure:
     """Draw |delta| / sigma as bars on a log axis, and delta in typical sigmas with 3-sigma error bars."""
     figure = make_subplots(1, 2, shared_yaxes=True, horizontal_spacing=0.06)
     names = list(dict.fromkeys(name for _, _, result in drawn for name in free_names(result)))
@@ -33,13 +33,12 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     return figure
 
 
-def _column(result: Result, key: str, names: Sequence[str]) -> FloatArray:
-    values = result.get(key) or {}
+def _column(values: Values, names: Sequence[str]) -> FloatArray:
     return np.array([values.get(name) for name in names], dtype=np.float64)
 
 
-def _change(result: Result, names: Sequence[str]) -> FloatArray:
-    return _column(result, "parameters", names) - _column(result, "initial", names)
+def _change(result: Calibration, names: Sequence[str]) -> FloatArray:
+    return _column(result.parameters, names) - _column(result.initial, names)
 
 
 def _ratio(above: FloatArray, below: FloatArray) -> FloatArray:
@@ -49,12 +48,12 @@ def _ratio(above: FloatArray, below: FloatArray) -> FloatArray:
     return quotient
 
 
-def _labels(result: Result, names: Sequence[str]) -> list[str]:
+def _labels(result: Calibration, names: Sequence[str]) -> list[str]:
     return [quantity(name, result).markup for name in names]
 
 
-def _bars(result: Result, names: Sequence[str], style: theme.RunStyle, *, labelled: bool) -> go.Bar:
-    worth = _ratio(_change(result, names), _column(result, "sigma", names))
+def _bars(result: Calibration, names: Sequence[str], style: theme.RunStyle, *, labelled: bool) -> go.Bar:
+    worth = _ratio(_change(result, names), _column(result.sigma, names))
     return go.Bar(
         y=_labels(result, names),
         x=theme.short(np.maximum(np.abs(worth), FLOOR)),
@@ -74,10 +73,10 @@ def _bars(result: Result, names: Sequence[str], style: theme.RunStyle, *, labell
     )
 
 
-def _points(result: Result, names: Sequence[str], style: theme.RunStyle) -> go.Scatter:
-    typical = _column(result, "typical_sigma", names)
+def _points(result: Calibration, names: Sequence[str], style: theme.RunStyle) -> go.Scatter:
+    typical = _column(result.typical_sigma, names)
     change = _ratio(_change(result, names), typical)
-    reach = _ratio(3 * _column(result, "sigma", names), typical)
+    reach = _ratio(3 * _column(result.sigma, names), typical)
     return go.Scatter(
         y=_labels(result, names),
         x=theme.short(change),
@@ -94,7 +93,7 @@ def _points(result: Result, names: Sequence[str], style: theme.RunStyle) -> go.S
     )
 
 
-def _dress(figure: go.Figure, drawn: Sequence[Part], n_names: int) -> None:
+def _dress(figure: go.Figure, drawn: Sequence[Part[Calibration]], n_names: int) -> None:
     height = 150 + n_names * max(34, 18 * len(drawn))
     layout: dict[str, Any] = {"hovermode": "closest", "barmode": "group", "scattermode": "group"}
     theme.dress(figure, title=_headline(drawn), height_px=height, legend=len(drawn) > 1, **layout)
@@ -106,41 +105,41 @@ def _dress(figure: go.Figure, drawn: Sequence[Part], n_names: int) -> None:
     figure.add_vline(x=SIGNIFICANT, line=theme.LEVEL, row=1, col=1)
 
 
-def _largest(result: Result) -> float:
+def _largest(result: Calibration) -> float:
     names = free_names(result)
-    worth = np.abs(_ratio(_change(result, names), _column(result, "sigma", names)))
+    worth = np.abs(_ratio(_change(result, names), _column(result.sigma, names)))
     return float(np.max(worth[np.isfinite(worth)], initial=SIGNIFICANT))
 
 
-def _headline(drawn: Sequence[Part]) -> str:
+def _headline(drawn: Sequence[Part[Calibration]]) -> str:
     if len(drawn) > 1:
         return f"Change since the initial parameters, {len(drawn)} runs"
     result = drawn[0][2]
     names = free_names(result)
-    worth = np.abs(_ratio(_change(result, names), _column(result, "sigma", names)))
+    worth = np.abs(_ratio(_change(result, names), _column(result.sigma, names)))
     moved = int(np.sum(worth >= SIGNIFICANT))
     return f"{moved} of {len(names)} parameters moved by more than 3σ"
 
 
-def table(result: Result) -> Table:
+def table(result: Calibration) -> Table:
     """List every parameter in SI: initial, final, change, sigma and the two ratios."""
-    names = tuple(result["parameters"])
-    change, sigma = _change(result, names), _column(result, "sigma", names)
+    names = tuple(result.parameters)
+    change, sigma = _change(result, names), _column(result.sigma, names)
     return {
         "parameter": list(names),
-        "initial": theme.plain(_column(result, "initial", names)),
-        "final": theme.plain(_column(result, "parameters", names)),
+        "initial": theme.plain(_column(result.initial, names)),
+        "final": theme.plain(_column(result.parameters, names)),
         "delta": theme.plain(change),
         "sigma": theme.plain(sigma),
         "delta_over_sigma": theme.plain(_ratio(change, sigma)),
-        "delta_in_typical_sigma": theme.plain(_ratio(change, _column(result, "typical_sigma", names))),
+        "delta_in_typical_sigma": theme.plain(_ratio(change, _column(result.typical_sigma, names))),
     }
 
 
 PARAMETERS = make_figure(
     draw,
     table,
-    lambda result: result if result.get("parameters") and result.get("initial") else None,
+    lambda result: result if result.parameters and result.initial else None,
     lambda _: "No parameters have been estimated yet.",
     name="parameters",
     title="Parameter changes",

@@ -17,16 +17,17 @@ chart below, to the last digit. The band is that of the new curve; of the old pa
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
-from boresight.figures.chart import Table, Trace
+from boresight.calibration.calibration import Calibration, Displacement, RadialDifference, StarCounts
+from boresight.calibration.evaluation.contrast import RadialContrast
+from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, make_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import hatch, share_cursor
@@ -36,13 +37,12 @@ TITLE = "Radial difference"
 CONTRAST_COLUMNS = ("radius_px", "difference_px", "sigma_px", "difference_arcsec", "sigma_arcsec")
 
 
-def read_radial(result: Result) -> Result | None:
+def read_radial(result: Calibration) -> RadialDifference | None:
     """Read the radial difference of a result; None where it has none."""
-    radial: Result = result.get("radial") or {}
-    return radial if radial.get("radius_px") else None
+    return result.radial if result.radial and result.radial.radius_px else None
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[RadialDifference]]) -> go.Figure:
     """Draw radial difference curves over the coverage histogram."""
     figure = make_subplots(
         2, 1, shared_xaxes=True, row_heights=[0.7, 0.3], vertical_spacing=0.05, specs=[[{"secondary_y": True}], [{}]]
@@ -63,19 +63,19 @@ def compute_window(seen: Sequence[float]) -> list[float]:
     return [min(seen) - margin, max(seen) + margin]
 
 
-def series(radial: Result, key: str) -> FloatArray:
-    """Read a series over the radii, (n_radii,), NaN where it is not there."""
-    n_points = len(radial["radius_px"])
-    values = np.array(radial.get(key) or [], dtype=np.float64)
-    return values if values.shape == (n_points,) else np.full(n_points, np.nan)
+def lay_over(radial: RadialDifference, values: Sequence[float | None]) -> FloatArray:
+    """Lay a series over the radii, (n_radii,), NaN where it is not there."""
+    n_points = len(radial.radius_px)
+    series = np.array(values, dtype=np.float64)
+    return series if series.shape == (n_points,) else np.full(n_points, np.nan)
 
 
-def _draw_run(figure: go.Figure, radial: Result, style: theme.RunStyle) -> list[float]:
+def _draw_run(figure: go.Figure, radial: RadialDifference, style: theme.RunStyle) -> list[float]:
     """Add one run's curve, band and histogram; return what the axis must hold where there are stars."""
-    radius, change = series(radial, "radius_px"), series(radial, "difference_px")
-    reach = 3 * series(radial, "sigma_px")
+    radius, change = column(radial.radius_px), lay_over(radial, radial.difference_px)
+    reach = 3 * lay_over(radial, radial.sigma_px)
     kept = keep_extremes([change, reach])
-    angles = np.stack([series(radial, "difference_arcsec"), 3 * series(radial, "sigma_arcsec")])[:, kept]
+    angles = np.stack([lay_over(radial, radial.difference_arcsec), 3 * lay_over(radial, radial.sigma_arcsec)])[:, kept]
     seen = np.concatenate([change, change - reach, change + reach])
     radius, change, reach = radius[kept], change[kept], reach[kept]
     figure.add_trace(theme.band(style, radius, change - reach, change + reach), row=1, col=1)
@@ -85,17 +85,17 @@ def _draw_run(figure: go.Figure, radial: Result, style: theme.RunStyle) -> list[
     )
     spread = theme.short(np.stack([*angles, reach], axis=-1))
     figure.add_trace(theme.line(style, radius, change, customdata=spread, hovertemplate=hover), row=1, col=1)
-    _draw_counts(figure, radial.get("counts") or {}, style)
+    _draw_counts(figure, radial.counts, style)
     return [float(value) for value in seen[np.isfinite(seen)]]
 
 
-def _draw_counts(figure: go.Figure, counts: Result, style: theme.RunStyle) -> None:
+def _draw_counts(figure: go.Figure, counts: StarCounts | None, style: theme.RunStyle) -> None:
     """Add the histogram of stars as a filled outline, so that several runs can lie over each other."""
-    edges, stars = counts.get("edges_px") or [], counts.get("stars") or []
-    if len(edges) != len(stars) + 1:
+    if counts is None or len(counts.edges_px) != len(counts.stars) + 1:
         return
+    stars = counts.stars
     outline = go.Scatter(
-        x=list(edges),
+        x=list(counts.edges_px),
         y=[*stars, stars[-1] if stars else 0],
         mode="lines",
         line={"color": style.colour, "dash": style.dash, "width": 1.2, "shape": "hv"},
@@ -110,32 +110,32 @@ def _draw_counts(figure: go.Figure, counts: Result, style: theme.RunStyle) -> No
     figure.add_trace(outline, row=2, col=1)
 
 
-def reached_px(radials: Sequence[Result]) -> tuple[float, float]:
+def reached_px(radials: Sequence[RadialDifference]) -> tuple[float, float]:
     """Return the radius of the outermost star of any run, and where the axis ends."""
-    reached = [float(radial["data_radius_px"]) for radial in radials if radial.get("data_radius_px") is not None]
-    end = max(float(np.max(radial["radius_px"])) for radial in radials)
+    reached = [radial.data_radius_px for radial in radials if radial.data_radius_px is not None]
+    end = max(float(column(radial.radius_px).max()) for radial in radials)
     return (max(reached) if reached else end), end
 
 
-def _hatch_extrapolation(figure: go.Figure, radials: Sequence[Result], window: list[float]) -> None:
+def _hatch_extrapolation(figure: go.Figure, radials: Sequence[RadialDifference], window: list[float]) -> None:
     """Hatch the radii that no star of any run reached."""
     reached, end = reached_px(radials)
     figure.update_xaxes(range=[0, end])
     if reached >= end:
         return
-    most = max([1, *(count for radial in radials for count in (radial.get("counts") or {}).get("stars") or ())])
+    most = max([1, *(count for radial in radials for count in (radial.counts.stars if radial.counts else ()))])
     hatch(figure, (reached, end), (window[0], window[1]), named=True, row=1, col=1)
     hatch(figure, (reached, end), (0, most), named=False, row=2, col=1)
     line = {"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1}
     figure.add_vline(x=reached, line=line, row="all", col=1)
 
 
-def arcsec_per_px(radials: Sequence[Result]) -> float | None:
+def arcsec_per_px(radials: Sequence[RadialDifference]) -> float | None:
     """Read the plate scale on the axis out of the curves, or None where the runs do not share one."""
     scales = []
     for radial in radials:
-        pixels = np.concatenate([series(radial, "sigma_px"), series(radial, "difference_px")])
-        angles = np.concatenate([series(radial, "sigma_arcsec"), series(radial, "difference_arcsec")])
+        pixels = np.concatenate([lay_over(radial, radial.sigma_px), lay_over(radial, radial.difference_px)])
+        angles = np.concatenate([lay_over(radial, radial.sigma_arcsec), lay_over(radial, radial.difference_arcsec)])
         usable = np.isfinite(pixels) & np.isfinite(angles) & (np.abs(pixels) > 1e-12)
         if not usable.any():
             return None
@@ -143,14 +143,14 @@ def arcsec_per_px(radials: Sequence[Result]) -> float | None:
     return scales[0] if max(scales) < 1.02 * min(scales) else None
 
 
-def _scale(figure: go.Figure, window: list[float], radials: Sequence[Result]) -> None:
+def _scale(figure: go.Figure, window: list[float], radials: Sequence[RadialDifference]) -> None:
     figure.update_xaxes(title_text="radius from the principal point (px)", row=2, col=1)
     figure.update_yaxes(title_text="stars", rangemode="tozero", row=2, col=1)
     figure.update_yaxes(title_text="final − initial (px)", range=window, zeroline=True, row=1, col=1, secondary_y=False)
     _tie_arcsec(figure, window, radials)
 
 
-def _tie_arcsec(figure: go.Figure, window: list[float], radials: Sequence[Result]) -> None:
+def _tie_arcsec(figure: go.Figure, window: list[float], radials: Sequence[RadialDifference]) -> None:
     """Put arcseconds on the right of the first panel, tied to the pixels on the left, where one plate scale holds."""
     scale, right = arcsec_per_px(radials), {"row": 1, "col": 1, "secondary_y": True}
     if scale is None:
@@ -164,21 +164,21 @@ def _tie_arcsec(figure: go.Figure, window: list[float], radials: Sequence[Result
     figure.update_yaxes(fixedrange=True, row=1, col=1)  # zoom along the radius: the two scales stay tied
 
 
-def _headline(radial: Result) -> str:
-    change, radius = series(radial, "difference_px"), series(radial, "radius_px")
-    reached = radial.get("data_radius_px")
-    within = np.isfinite(change) & (radius <= (np.inf if reached is None else float(reached)))
+def _headline(radial: RadialDifference) -> str:
+    change, radius = lay_over(radial, radial.difference_px), column(radial.radius_px)
+    reached = radial.data_radius_px
+    within = np.isfinite(change) & (radius <= (np.inf if reached is None else reached))
     if not within.any():
         return TITLE
     worst = int(np.argmax(np.where(within, np.abs(change), -1.0)))
-    reach = 3 * series(radial, "sigma_px")[worst]
+    reach = 3 * lay_over(radial, radial.sigma_px)[worst]
     spread = f" ±{reach:.2g}" if np.isfinite(reach) else ""
     return f"Largest change where stars reach: {theme.signed(change[worst])}{spread} px (3σ) at {radius[worst]:.0f} px"
 
 
-def table(radial: Result) -> Table:
+def table(radial: RadialDifference) -> Table:
     """List the curve: radius and difference in px, and the difference as an angle."""
-    return {key: theme.plain(series(radial, key)) for key in CONTRAST_COLUMNS}
+    return {name: theme.plain(lay_over(radial, getattr(radial, name))) for name in CONTRAST_COLUMNS}
 
 
 RADIAL = make_figure(
@@ -207,12 +207,10 @@ MARGIN = 0.06  # of the height drawn, above and below
 CROWDED = 8  # above so many bands nothing is seen through them
 
 
-def draw_radial_contrast(
-    labels: Sequence[str], reference: int, curves: Sequence[Mapping[str, Any] | None]
-) -> go.Figure:
+def draw_radial_contrast(labels: Sequence[str], reference: int, curves: Sequence[RadialContrast | None]) -> go.Figure:
     """Draw one curve a run."""
     order = [reference, *(i for i in range(len(labels)) if i != reference)]  # the colours of every other figure
-    styles = dict(zip(order, theme.run_styles([Trace(labels[i], {}) for i in order]), strict=True))
+    styles = dict(zip(order, theme.label_styles([labels[i] for i in order]), strict=True))
     shown = [(styles[i], curve) for i in order if (curve := curves[i]) is not None]
     if not shown:
         return theme.missing(
@@ -221,7 +219,7 @@ def draw_radial_contrast(
     figure = go.Figure()
     for style, curve in shown:
         _draw_contrast(figure, style, curve, banded=len(shown) <= CROWDED)
-    told = any(np.isfinite(column(curve["sigma_px"])).any() for _, curve in shown)
+    told = any(np.isfinite(column(curve.sigma_px)).any() for _, curve in shown)
     words = "±3σ of the difference" if told else "the same data and equal sigmas: what differs is not noise"
     theme.dress(figure, title=f"Against {theme.escape(labels[reference])}, {words}", height_px=420)
     figure.update_xaxes(title_text="radius from the principal point (px)")
@@ -231,9 +229,9 @@ def draw_radial_contrast(
     return figure
 
 
-def _draw_contrast(figure: go.Figure, style: theme.RunStyle, curve: Mapping[str, Any], *, banded: bool) -> None:
+def _draw_contrast(figure: go.Figure, style: theme.RunStyle, curve: RadialContrast, *, banded: bool) -> None:
     """Add one run's curve, and its band where there is one."""
-    radius, change, sigma, angle, sigma_angle = (column(curve[key]) for key in CONTRAST_COLUMNS)
+    radius, change, sigma, angle, sigma_angle = (column(getattr(curve, name)) for name in CONTRAST_COLUMNS)
     reach = 3 * sigma
     if banded and np.isfinite(reach).any():
         figure.add_trace(theme.band(style, radius, change - reach, change + reach))
@@ -243,10 +241,10 @@ def _draw_contrast(figure: go.Figure, style: theme.RunStyle, curve: Mapping[str,
     figure.add_trace(theme.line(style, radius, change, customdata=theme.short(angles), hovertemplate=hover))
 
 
-def _hatch_unshared(figure: go.Figure, curves: Sequence[Mapping[str, Any]]) -> None:
+def _hatch_unshared(figure: go.Figure, curves: Sequence[RadialContrast]) -> None:
     """Hatch the radii that no star of both runs reached, over the height of what is drawn."""
-    end = max(float(curve["radius_px"][-1]) for curve in curves)
-    reached = [float(curve["data_radius_px"]) for curve in curves if curve["data_radius_px"] is not None]
+    end = max(float(curve.radius_px[-1]) for curve in curves)
+    reached = [curve.data_radius_px for curve in curves if curve.data_radius_px is not None]
     figure.update_xaxes(range=[0, end])
     if reached and min(reached) < end:
         drawn = np.concatenate([[0.0], *(np.asarray(trace.y, dtype=np.float64) for trace in figure.data)])
@@ -257,14 +255,14 @@ def _hatch_unshared(figure: go.Figure, curves: Sequence[Mapping[str, Any]]) -> N
         figure.update_yaxes(range=window)
 
 
-def table_radial_contrast(run_ids: Sequence[int], curves: Sequence[Mapping[str, Any] | None]) -> Table:
+def table_radial_contrast(run_ids: Sequence[int], curves: Sequence[RadialContrast | None]) -> Table:
     """List every curve below the other, the run's number first."""
     listed: Table = {"run": [], **{name: [] for name in CONTRAST_COLUMNS}}
     for run_id, curve in zip(run_ids, curves, strict=True):
         if curve is not None:
-            listed["run"] += [run_id] * len(curve["radius_px"])
+            listed["run"] += [run_id] * len(curve.radius_px)
             for name in CONTRAST_COLUMNS:
-                listed[name] += curve[name]
+                listed[name] += getattr(curve, name)
     return listed
 
 
@@ -274,33 +272,37 @@ OLDER = (
 NOT_YET = "The distortion is computed when the run ends; it is not there yet."
 
 
-def draw_distortion(drawn: Sequence[Part]) -> go.Figure:
+def draw_distortion(drawn: Sequence[Part[Distortion]]) -> go.Figure:
     """Draw every run's new curve with its band, and the old curve of the first as a reference."""
     figure = make_subplots(1, 1, specs=[[{"secondary_y": True}]])
     seen = [0.0]
-    for _, style, radial in drawn:
-        seen += _draw_new(figure, radial, style)
-    radials = [radial for _, _, radial in drawn]
-    seen += _draw_old(figure, radials[0])
-    theme.dress(figure, title=_outermost(radials[0]), height_px=400)
+    for _, style, curves in drawn:
+        seen += _draw_new(figure, curves, style)
+    radials = [curves.difference for _, _, curves in drawn]
+    seen += _draw_old(figure, drawn[0][2])
+    theme.dress(figure, title=_outermost(drawn[0][2]), height_px=400)
     _tie_scales(figure, radials, compute_window(seen))
     return share_cursor(figure, "radius_px")
 
 
-def read_distortion(result: Result) -> Result | None:
+@dataclass(frozen=True)
+class Distortion:
+    """The difference along the radius, and the two curves that it is of, px."""
+
+    difference: RadialDifference
+    displacement: Displacement
+
+
+def read_distortion(result: Calibration) -> Distortion | None:
     """Read the curves of a result; None where it was made before they were kept."""
-    radial: Result = result.get("radial") or {}
-    return radial if radial.get("displacement_px") else None
+    radial = result.radial
+    return Distortion(radial, radial.displacement_px) if radial and radial.displacement_px else None
 
 
-def _displacement(radial: Result, which: str) -> FloatArray:
-    """Read one curve, (n_radii,), px."""
-    return np.array(radial["displacement_px"][which], dtype=np.float64)
-
-
-def _draw_new(figure: go.Figure, radial: Result, style: theme.RunStyle) -> list[float]:
+def _draw_new(figure: go.Figure, curves: Distortion, style: theme.RunStyle) -> list[float]:
     """Add one run's curve and band; return what the axis must hold."""
-    radius, y, reach = series(radial, "radius_px"), _displacement(radial, "final"), 3 * series(radial, "sigma_px")
+    radial, y = curves.difference, column(curves.displacement.final)
+    radius, reach = column(radial.radius_px), 3 * lay_over(radial, radial.sigma_px)
     kept = keep_extremes([y, reach])
     radius, y, reach = radius[kept], y[kept], reach[kept]
     figure.add_trace(theme.band(style, radius, y - reach, y + reach), row=1, col=1)
@@ -311,15 +313,15 @@ def _draw_new(figure: go.Figure, radial: Result, style: theme.RunStyle) -> list[
     return [float(value) for value in both[np.isfinite(both)]]
 
 
-def _draw_old(figure: go.Figure, radial: Result) -> list[float]:
+def _draw_old(figure: go.Figure, curves: Distortion) -> list[float]:
     old = theme.RunStyle("old: at launch", theme.REFERENCE_COLOUR, "dot")
-    y = _displacement(radial, "initial")
+    y = column(curves.displacement.initial)
     hover = "old %{y:+.3f} px<extra></extra>"
-    figure.add_trace(theme.line(old, series(radial, "radius_px"), y, hovertemplate=hover), row=1, col=1)
+    figure.add_trace(theme.line(old, column(curves.difference.radius_px), y, hovertemplate=hover), row=1, col=1)
     return [float(value) for value in y[np.isfinite(y)]]
 
 
-def _tie_scales(figure: go.Figure, radials: Sequence[Result], window: list[float]) -> None:
+def _tie_scales(figure: go.Figure, radials: Sequence[RadialDifference], window: list[float]) -> None:
     """Hatch what is extrapolated, and tie arcseconds on the right to pixels on the left where one plate scale holds."""
     reached, end = reached_px(radials)
     figure.update_xaxes(range=[0, end], title_text="radius from the principal point (px)")
@@ -329,23 +331,25 @@ def _tie_scales(figure: go.Figure, radials: Sequence[Result], window: list[float
     _tie_arcsec(figure, window, radials)
 
 
-def _outermost(radial: Result) -> str:
-    radius, new, old = series(radial, "radius_px"), _displacement(radial, "final"), _displacement(radial, "initial")
+def _outermost(curves: Distortion) -> str:
+    radial, new, old = curves.difference, column(curves.displacement.final), column(curves.displacement.initial)
+    radius = column(radial.radius_px)
     reached, _ = reached_px([radial])
     last = int(np.flatnonzero(radius <= reached)[-1])
     return (
         f"At the outermost star, {reached:.0f} px: {theme.signed(old[last])} px old, {theme.signed(new[last])} "
-        f"±{3 * series(radial, 'sigma_px')[last]:.2g} px new (3σ)"
+        f"±{3 * lay_over(radial, radial.sigma_px)[last]:.2g} px new (3σ)"
     )
 
 
-def table_distortion(radial: Result) -> Table:
+def table_distortion(curves: Distortion) -> Table:
     """List radius, old and new displacement and the new one's sigma, in px."""
+    radial = curves.difference
     return {
-        "radius_px": theme.plain(series(radial, "radius_px")),
-        "old_px": theme.plain(_displacement(radial, "initial")),
-        "new_px": theme.plain(_displacement(radial, "final")),
-        "sigma_px": theme.plain(series(radial, "sigma_px")),
+        "radius_px": theme.plain(column(radial.radius_px)),
+        "old_px": theme.plain(column(curves.displacement.initial)),
+        "new_px": theme.plain(column(curves.displacement.final)),
+        "sigma_px": theme.plain(lay_over(radial, radial.sigma_px)),
     }
 
 
@@ -353,7 +357,7 @@ DISTORTION = make_figure(
     draw_distortion,
     table_distortion,
     read_distortion,
-    lambda result: OLDER if result.get("radial") else NOT_YET,
+    lambda result: OLDER if result.radial else NOT_YET,
     name="distortion",
     title="Radial distortion, old and new",
     guide=(

@@ -15,22 +15,21 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration, ResidualAgainst, ResidualDependence
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 
 PART = "residual_against"
-CAUSES = ("radius", "magnitude", "temperature", "time")
 UNITS = {"radius": "px", "magnitude": "mag", "temperature": "°C", "time": "h"}
 REASON_LETTERS = 30  # a line of a reason inside its panel
 REACH_SIGMA = 1.96
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[ResidualAgainst]]) -> go.Figure:
     """Draw four panels; one without data says why."""
     figure = make_subplots(2, 2, horizontal_spacing=0.1, vertical_spacing=0.2)
-    for i, cause in enumerate(CAUSES):
+    for i, cause in enumerate(UNITS):
         _panel(figure, drawn, cause, {"row": i // 2 + 1, "col": i % 2 + 1})
     many, title = len(drawn) > 1, "Mean radial residual, 95 % bars; dotted: RMS"
     theme.dress(figure, title=title, height_px=520, legend=many, hovermode="closest")
@@ -38,22 +37,22 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     return figure
 
 
-def _panel(figure: go.Figure, drawn: Sequence[Part], cause: str, where: dict[str, int]) -> None:
+def _panel(figure: go.Figure, drawn: Sequence[Part[ResidualAgainst]], cause: str, where: dict[str, int]) -> None:
     """Add one cause: every run's means and RMS, or the reason why there is nothing."""
-    known = [(style, part[cause]) for _, style, part in drawn if part.get(cause)]
+    known = [(style, bins) for _, style, part in drawn if (bins := part.by_cause[cause]) is not None]
     for style, bins in known:
         figure.add_trace(_means(style, bins), **where)
         figure.add_trace(_spread(style, bins), **where)
-    unit = known[0][1].get("unit") or UNITS[cause] if known else UNITS[cause]
+    unit = known[0][1].unit if known else UNITS[cause]
     figure.update_xaxes(title_text=f"{cause} ({unit})", **where)
     figure.update_yaxes(title_text="residual (px)" if where["col"] == 1 else None, **where)
     if not known:
         _say(figure, _why(drawn[0][0].result, cause), where)
 
 
-def _why(result: Result, cause: str) -> str:
-    unavailable = (result.get("trust") or {}).get("unavailable") or {}
-    return str(unavailable.get(f"{PART}.{cause}") or f"The telemetry has no {cause}.")
+def _why(result: Calibration, cause: str) -> str:
+    unavailable = result.trust.unavailable if result.trust else {}
+    return unavailable.get(f"{PART}.{cause}") or f"The telemetry has no {cause}."
 
 
 def _say(figure: go.Figure, sentence: str, where: dict[str, int]) -> None:
@@ -80,33 +79,25 @@ def folded(sentence: str, letters: int) -> list[str]:
     return lines
 
 
-def _centres(bins: Result) -> FloatArray:
-    edges = column(bins["edges"])
+def _centres(bins: ResidualDependence) -> FloatArray:
+    edges = column(bins.edges)
     return np.asarray((edges[1:] + edges[:-1]) / 2)
 
 
-def sigma_of_mean(bins: Result) -> FloatArray:
-    """Read the sigma of each bin's mean in px, (n,); where the result has none, RMS over the root of the count."""
-    if bins.get("sigma_of_mean_px") is not None:
-        return column(bins["sigma_of_mean_px"])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(column(bins["rms_px"]) / np.sqrt(column(bins["count"])))
-
-
-def _means(style: theme.RunStyle, bins: Result) -> go.Scatter:
-    error = REACH_SIGMA * sigma_of_mean(bins)
+def _means(style: theme.RunStyle, bins: ResidualDependence) -> go.Scatter:
+    error = REACH_SIGMA * column(bins.sigma_of_mean_px)
     hover = f"%{{y:+.3f}} px, %{{customdata:.0f}} stars<extra>{style.label}</extra>"
-    options: dict[str, Any] = {"mode": "lines+markers", "customdata": theme.short(column(bins["count"]))}
-    drawn = theme.line(style, _centres(bins), column(bins["mean_px"]), hovertemplate=hover, **options)
+    options: dict[str, Any] = {"mode": "lines+markers", "customdata": theme.short(column(bins.count))}
+    drawn = theme.line(style, _centres(bins), column(bins.mean_px), hovertemplate=hover, **options)
     known = np.where(np.isfinite(error), error, 0.0)
     drawn.update(error_y={"array": theme.short(known), "thickness": 1.2, "width": 2}, marker={"size": 5})
     drawn.update(connectgaps=False)
     return drawn
 
 
-def _spread(style: theme.RunStyle, bins: Result) -> go.Scatter:
+def _spread(style: theme.RunStyle, bins: ResidualDependence) -> go.Scatter:
     hover = f"RMS %{{y:.3f}} px<extra>{style.label}</extra>"
-    drawn = theme.line(style, _centres(bins), column(bins["rms_px"]), hovertemplate=hover)
+    drawn = theme.line(style, _centres(bins), column(bins.rms_px), hovertemplate=hover)
     drawn.update(line={"dash": "dot", "width": 1.2}, connectgaps=False)
     return drawn
 
@@ -120,17 +111,17 @@ def _name_once(figure: go.Figure) -> None:
         seen.add(trace.name)
 
 
-def table(part: Any) -> Table:
+def table(part: ResidualAgainst) -> Table:
     """List one bin a row: cause, edges with their unit, stars, mean with its sigma, and RMS in px."""
     rows: list[tuple[Any, ...]] = []
-    for cause in CAUSES:
-        if not (bins := part.get(cause)):
+    for cause, bins in part.by_cause.items():
+        if bins is None:
             continue
-        values = [theme.plain(column(bins[name])) for name in ("edges", "mean_px", "rms_px", "count")]
-        sigma, unit = theme.plain(sigma_of_mean(bins)), bins.get("unit") or UNITS[cause]
-        edges, means, spreads, counts = values
+        columns = (bins.edges, bins.mean_px, bins.sigma_of_mean_px, bins.rms_px, bins.count)
+        edges, means, sigma, spreads, counts = (theme.plain(column(values)) for values in columns)
         rows += [
-            (cause, edges[i], edges[i + 1], unit, counts[i], means[i], sigma[i], spreads[i]) for i in range(len(means))
+            (cause, edges[i], edges[i + 1], bins.unit, counts[i], means[i], sigma[i], spreads[i])
+            for i in range(len(means))
         ]
     names = ("against", "from", "to", "unit", "stars", "mean_px", "sigma_of_mean_px", "rms_px")
     return {name: list(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)} if rows else {}

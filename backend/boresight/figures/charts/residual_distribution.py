@@ -15,7 +15,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Histogram, ResidualDistribution
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
@@ -25,17 +25,16 @@ CLEAR_SIGMA = 3.0
 NORMAL = np.linspace(-6, 6, 121)
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[ResidualDistribution]]) -> go.Figure:
     """Draw the histograms of all runs over the normal curve, and their quantiles."""
     titles = ["share of residuals", "quantile less the normal's"]
     figure = make_subplots(1, 2, horizontal_spacing=0.1, subplot_titles=titles)
-    if drawn[0][2].get("before"):
-        figure.add_trace(_steps(drawn[0], "before"), row=1, col=1)
+    figure.add_trace(_steps(drawn[0], drawn[0][2].before, is_old=True), row=1, col=1)
     for one in drawn:
-        figure.add_trace(_steps(one, "after"), row=1, col=1)
+        figure.add_trace(_steps(one, one[2].after), row=1, col=1)
         for trace in _quantiles(one):
             figure.add_trace(trace, row=1, col=2)
-    figure.add_trace(_normal_curve(float(np.diff(column(drawn[0][2]["edges"])).mean())), row=1, col=1)
+    figure.add_trace(_normal_curve(float(np.diff(column(drawn[0][2].edges)).mean())), row=1, col=1)
     theme.dress(figure, title=_headline(drawn), height_px=440, hovermode="closest", margin={"t": 96})
     figure.add_hline(y=0, line=theme.LEVEL, row=1, col=2)
     figure.update_xaxes(title_text="residual (σ)", range=[-6, 6], row=1, col=1)
@@ -45,20 +44,19 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     return figure
 
 
-def shares(part: Result, side: str) -> FloatArray:
-    """Share of all residuals of a side that each bin holds, (n_bins,); what lies beyond the bins counts among all."""
-    histogram = part[side]
-    counts = column(histogram["counts"])
-    return np.asarray(counts / max(counts.sum() + histogram["below"] + histogram["above"], 1))
+def shares(histogram: Histogram) -> FloatArray:
+    """Share of all residuals that each bin holds, (n_bins,); what lies beyond the bins counts among all."""
+    counts = column(histogram.counts)
+    return np.asarray(counts / max(counts.sum() + histogram.below + histogram.above, 1))
 
 
-def _steps(one: Part, side: str) -> go.Scatter:
+def _steps(one: Part[ResidualDistribution], histogram: Histogram, *, is_old: bool = False) -> go.Scatter:
     """Draw a histogram as steps; the one at the old parameters in the style of a reference."""
     _, style, part = one
-    edges, share = column(part["edges"]), shares(part, side)
+    edges, share = column(part.edges), shares(histogram)
     line: dict[str, Any] = {"shape": "hv", "color": style.colour, "dash": style.dash, "width": 1.8}
     name = style.label
-    if side == "before":
+    if is_old:
         beyond = 1 - float(share.sum())
         line |= {"color": theme.REFERENCE_COLOUR, "dash": "dot", "width": 1.4}
         name = f"old parameters, {percent(beyond, 0)} beyond 6 σ"
@@ -83,11 +81,11 @@ def _normal_curve(width: float) -> go.Scatter:
     )
 
 
-def _quantiles(one: Part) -> list[go.Scatter]:
+def _quantiles(one: Part[ResidualDistribution]) -> list[go.Scatter]:
     """Draw a run's quantiles less the deviates, with the band of chance about zero."""
     _, style, part = one
-    normal, off = column(part["normal"]), column(part["quantile"]) - column(part["normal"])
-    reach = CLEAR_SIGMA * column(part["sigma_of_quantile"])
+    normal, off = column(part.normal), column(part.quantile) - column(part.normal)
+    reach = CLEAR_SIGMA * column(part.sigma_of_quantile)
     hover = f"%{{y:+.3f}} σ at %{{x}}<extra>{style.label}</extra>"
     return [
         theme.band(style, normal, -reach, reach),
@@ -95,21 +93,25 @@ def _quantiles(one: Part) -> list[go.Scatter]:
     ]
 
 
-def _headline(drawn: Sequence[Part]) -> str:
+def _headline(drawn: Sequence[Part[ResidualDistribution]]) -> str:
     part = drawn[0][2]
     if len(drawn) > 1:
         return f"Residuals over their sigmas, {len(drawn)} runs"
-    tails = f"{percent(part['beyond_share'], 2)} beyond 3 spreads, {percent(part['expected_share'], 2)} expected"
-    return f"Residuals have a standard deviation of {part['sigma']:.2f} σ; {tails}"
+    tails = f"{percent(part.beyond_share, 2)} beyond 3 spreads, {percent(part.expected_share, 2)} expected"
+    return f"Residuals have a standard deviation of {part.sigma:.2f} σ; {tails}"
 
 
-def table(part: Any) -> Table:
+def table(part: ResidualDistribution) -> Table:
     """List one bin a row with its counts, and beside them the quantiles; the shorter of the two ends in empty cells."""
-    edges = column(part["edges"])
+    edges = column(part.edges)
     columns: Table = {"from_sigma": theme.plain(edges[:-1]), "to_sigma": theme.plain(edges[1:])}
-    columns |= {f"count_{side}": list(part[side]["counts"]) for side in ("before", "after") if part.get(side)}
-    names = {"normal": "normal_deviate", "quantile": "quantile_sigma", "sigma_of_quantile": "sigma_of_quantile"}
-    columns |= {title: theme.plain(column(part[name])) for name, title in names.items()}
+    columns |= {
+        "count_before": list(part.before.counts),
+        "count_after": list(part.after.counts),
+        "normal_deviate": theme.plain(column(part.normal)),
+        "quantile_sigma": theme.plain(column(part.quantile)),
+        "sigma_of_quantile": theme.plain(column(part.sigma_of_quantile)),
+    }
     longest = max(map(len, columns.values()))
     return {name: values + [None] * (longest - len(values)) for name, values in columns.items()}
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import FieldOfResiduals, ResidualField, Residuals
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
@@ -51,7 +50,7 @@ class ArrowField:
     clear: NDArray[np.bool_]
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[Residuals]]) -> go.Figure:
     """Draw the first run's stars as arrows, and the mean arrow of each cell."""
     stars = _stars(drawn[0][2])
     means = cell_means(stars)
@@ -76,8 +75,8 @@ def others(labels: Sequence[str]) -> str:
     return f"<br>of {labels[0]} alone; open {', '.join(labels[1:3])}{more} for theirs"
 
 
-def _stars(part: Result) -> ArrowField:
-    row, col, d_row, d_col = (column(part[name]) for name in COLUMNS)
+def _stars(part: Residuals) -> ArrowField:
+    row, col, d_row, d_col = (column(getattr(part, name)) for name in COLUMNS)
     return ArrowField(row, col, d_row, d_col, clear=np.zeros(len(row), dtype=bool))
 
 
@@ -144,10 +143,10 @@ def _frame(figure: go.Figure) -> None:
     figure.update_yaxes(title_text="row (px)", row=1, col=1)
 
 
-def table(part: Any) -> Table:
+def table(part: Residuals) -> Table:
     """List one star a row: frame, star, place and residual in px."""
-    columns: Table = {name: list(part[name]) for name in ("frame", "star_id") if part.get(name) is not None}
-    return columns | {name: theme.plain(column(part[name])) for name in COLUMNS}
+    columns: Table = {"frame": list(part.frame)} | ({} if part.star_id is None else {"star_id": list(part.star_id)})
+    return columns | {name: theme.plain(column(getattr(part, name))) for name in COLUMNS}
 
 
 RESIDUAL_MAP = part_figure(
@@ -166,27 +165,27 @@ RESIDUAL_MAP = part_figure(
 )
 
 
-def draw_residual_rms(found: Sequence[Part]) -> go.Figure:
+def draw_residual_rms(found: Sequence[Part[ResidualField]]) -> go.Figure:
     """Lay the maps of the runs beside each other on one scale."""
     drawn = found[:MAX_MAPS]
     top = max(float(np.nanmax(_rms(part))) for _, _, part in drawn)
-    title = f"RMS {number(drawn[0][2]['after']['rms_in_all_px'], 3)} px an axis at the best fit"
+    title = f"RMS {number(drawn[0][2].after.rms_in_all_px, 3)} px an axis at the best fit"
     return draw_maps(drawn, partial(_map, top), title=title, height_px=440)
 
 
-def _rms(part: Result) -> FloatArray:
+def _rms(part: ResidualField) -> FloatArray:
     """RMS of each cell, px, NaN where it has too few stars."""
-    return column(part["after"]["rms_px"])
+    return column(part.after.rms_px)
 
 
-def _map(top: float, one: Part, last: bool) -> go.Heatmap:
+def _map(top: float, one: Part[ResidualField], last: bool) -> go.Heatmap:
     _, style, part = one
-    row, col = (column(part[name]) for name in ("row_edges_px", "col_edges_px"))
+    row, col = column(part.row_edges_px), column(part.col_edges_px)
     return go.Heatmap(
         x=theme.plain((col[1:] + col[:-1]) / 2),
         y=theme.plain((row[1:] + row[:-1]) / 2),
         z=theme.short(_rms(part)),
-        customdata=theme.short(column(part["after"]["count"])),
+        customdata=theme.short(column(part.after.count)),
         zmin=0,
         zmax=top,
         colorscale="Cividis",
@@ -197,13 +196,13 @@ def _map(top: float, one: Part, last: bool) -> go.Heatmap:
     )
 
 
-def table_residual_rms(part: Any) -> Table:
+def table_residual_rms(part: ResidualField) -> Table:
     """List one cell a row: its edges, RMS before and after in px, and how many stars it has."""
-    row, col = column(part["row_edges_px"]), column(part["col_edges_px"])
+    row, col = column(part.row_edges_px), column(part.col_edges_px)
     i, j = (index.ravel() for index in np.indices((len(row) - 1, len(col) - 1)))
     columns = {"row_from_px": row[i], "row_to_px": row[i + 1], "column_from_px": col[j], "column_to_px": col[j + 1]}
-    sides = {f"rms_{side}_px": column(part[side]["rms_px"]).ravel() for side in ("before", "after") if part.get(side)}
-    stars = {"stars": column(part["after"]["count"]).ravel()}
+    sides = {f"rms_{side}_px": column(field.rms_px).ravel() for side, field in list_sides(part).items()}
+    stars = {"stars": column(part.after.count).ravel()}
     return {name: theme.plain(values) for name, values in (columns | sides | stars).items()}
 
 
@@ -221,7 +220,6 @@ RESIDUAL_RMS = part_figure(
 )
 
 
-SIDES = ("before", "after")
 LONGEST_SHARE = 0.8  # of a cell: the typical arrow among the longest
 CIRCLE = np.append(np.exp(2j * np.pi * np.arange(17) / 16), np.nan)
 
@@ -245,25 +243,30 @@ class MeanCells:
         return np.asarray(out | (np.abs(self.d_col) > CLEAR_SIGMA * self.s_col))
 
 
-def read_cells(part: Result, side: str) -> MeanCells:
-    """Read one side of a field."""
-    edges = column(part["row_edges_px"]), column(part["col_edges_px"])
+def list_sides(part: ResidualField) -> dict[str, FieldOfResiduals]:
+    """Return the residuals before, where they are known, and after."""
+    return ({} if part.before is None else {"before": part.before}) | {"after": part.after}
+
+
+def read_cells(part: ResidualField, field: FieldOfResiduals) -> MeanCells:
+    """Read the cells of one side."""
+    edges = column(part.row_edges_px), column(part.col_edges_px)
     row, col = (middle.ravel() for middle in np.meshgrid(*((e[1:] + e[:-1]) / 2 for e in edges), indexing="ij"))
-    names = ("mean_row_px", "mean_col_px", "sigma_row_px", "sigma_col_px", "count")
-    values = np.stack([row, col, *(column(part[side][name]).ravel() for name in names)])
+    told = (field.mean_row_px, field.mean_col_px, field.sigma_row_px, field.sigma_col_px, field.count)
+    values = np.stack([row, col, *(column(cells).ravel() for cells in told)])
     return MeanCells(*values[:, np.isfinite(values[2])])
 
 
-def draw_quiver(drawn: Sequence[Part]) -> go.Figure:
+def draw_quiver(drawn: Sequence[Part[ResidualField]]) -> go.Figure:
     """Draw the first run's cells, before on the left and after on the right."""
     _, style, part = drawn[0]
-    sides = [side for side in SIDES if part.get(side)]
-    titles = [f"{side}: RMS {number(part[side]['rms_in_all_px'], 3)} px" for side in sides]
+    sides = list_sides(part)
+    titles = [f"{side}: RMS {number(field.rms_in_all_px, 3)} px" for side, field in sides.items()]
     figure = make_subplots(1, len(sides), shared_yaxes=True, horizontal_spacing=0.05, subplot_titles=titles)
-    for place, side in enumerate(sides, start=1):
+    for place, (side, field) in enumerate(sides.items(), start=1):
         colour = theme.REFERENCE_COLOUR if side == "before" else style.colour
-        _side(figure, part, read_cells(part, side), place, colour, style.label)
-    after = read_cells(part, "after")
+        _side(figure, part, read_cells(part, field), place, colour, style.label)
+    after = read_cells(part, part.after)
     counted = f"{int(after.clear.sum())} of {len(after.row)} cell means are clear of their noise after"
     title = f"Residuals: {counted}{others([style.label for _, style, _ in drawn])}"
     theme.dress(figure, title=title, height_px=500, legend=False, hovermode="closest", margin={"t": 66})
@@ -283,9 +286,9 @@ def _round_down(value: float) -> float:
     return float(max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1 + 1e-9)) * power)
 
 
-def _side(figure: go.Figure, part: Result, cells: MeanCells, place: int, colour: str, label: str) -> None:
+def _side(figure: go.Figure, part: ResidualField, cells: MeanCells, place: int, colour: str, label: str) -> None:
     """Draw noise circles, arrows, their feet, and the bar that says how long they are."""
-    columns, rows = column(part["col_edges_px"]), column(part["row_edges_px"])
+    columns, rows = column(part.col_edges_px), column(part.row_edges_px)
     scale, where = choose_scale(cells, float(np.diff(columns).mean())), {"row": 1, "col": place}
     gap = np.full(len(cells.row), np.nan)
     circle_x = cells.col[:, None] + CLEAR_SIGMA * scale * cells.s_col[:, None] * CIRCLE.real
@@ -343,9 +346,9 @@ def _bar(figure: go.Figure, corner: tuple[float, float, float], scale: float, wh
     )
 
 
-def _frame_cells(figure: go.Figure, part: Result, n_sides: int) -> None:
+def _frame_cells(figure: go.Figure, part: ResidualField, n_sides: int) -> None:
     """Make the subplots detectors, row 0 on top, with room for the bar below."""
-    rows, columns = part["row_edges_px"], part["col_edges_px"]
+    rows, columns = column(part.row_edges_px), column(part.col_edges_px)
     for place in range(1, n_sides + 1):
         anchor, where = "x" if place == 1 else f"x{place}", {"row": 1, "col": place}
         figure.update_xaxes(
@@ -356,15 +359,14 @@ def _frame_cells(figure: go.Figure, part: Result, n_sides: int) -> None:
     figure.update_yaxes(title_text="row (px)", row=1, col=1)
 
 
-def table_quiver(part: Any) -> Table:
+def table_quiver(part: ResidualField) -> Table:
     """List one cell a row and side: its centre, mean residual with sigmas in px, and how many stars it has."""
     columns: Table = {"when": []}
-    for side in SIDES:
-        if part.get(side):
-            cells = read_cells(part, side)
-            columns["when"] += [side] * len(cells.row)
-            for name, values in vars(cells).items():
-                columns.setdefault(COLUMN_OF[name], []).extend(theme.plain(values))
+    for side, field in list_sides(part).items():
+        cells = read_cells(part, field)
+        columns["when"] += [side] * len(cells.row)
+        for name, values in vars(cells).items():
+            columns.setdefault(COLUMN_OF[name], []).extend(theme.plain(values))
     return columns
 
 

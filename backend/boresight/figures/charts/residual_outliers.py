@@ -7,13 +7,12 @@ detections or exposures were left out for each reason. A detection that was reje
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration, ResidualOutliers
 from boresight.figures.chart import Table
 from boresight.figures.charts.residual_against import folded
 from boresight.figures.factory import Part, column, part_figure
@@ -23,7 +22,7 @@ MOST_REASONS = 8
 REASON_LETTERS = 34
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[ResidualOutliers]]) -> go.Figure:
     """Draw every run's outliers on the detector, and its reasons as bars."""
     figure = make_subplots(1, 2, horizontal_spacing=0.3, column_widths=[0.6, 0.4])
     for one in drawn:
@@ -32,7 +31,7 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     theme.dress(
         figure, title=_headline(drawn), height_px=440, legend=len(drawn) > 1, hovermode="closest", barmode="group"
     )
-    rows, columns = (_extent(drawn, name, place) for name, place in (("rows", "row_px"), ("columns", "col_px")))
+    rows, columns = (max(sizes) for sizes in zip(*((part.rows, part.columns) for _, _, part in drawn), strict=True))
     quiet = {"showgrid": False, "zeroline": False}
     across = {"title_text": "column (px)", "range": [-0.5, columns - 0.5], "constrain": "domain", "nticks": 6, **quiet}
     down = {"title_text": "row (px)", "range": [rows - 0.5, -0.5], "constrain": "domain", **quiet}
@@ -43,29 +42,24 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     return figure
 
 
-def _extent(drawn: Sequence[Part], name: str, place: str) -> float:
-    """Rows or columns of the detector; of a result that does not keep them, as far as its outliers reach."""
-    return max(float(part.get(name) or 1 + max(part[place], default=0.0)) for _, _, part in drawn)
-
-
-def reasons(result: Result) -> dict[str, int]:
+def reasons(result: Calibration) -> dict[str, int]:
     """Count what took no part by reason, the most frequent first: detections that matching gave no star, and what followed."""
-    counts: dict[str, int] = dict((result.get("matching") or {}).get("row_reasons") or {})
-    for item in result.get("left_out") or ():
-        phrase = f"{item['what']}: {item['reason']}"
-        if not (counts and item["reason"] == "not matched to a catalogue star"):  # counted by matching's own reasons
-            counts[phrase] = counts.get(phrase, 0) + item["count"]
+    counts = dict(result.matching.row_reasons) if result.matching else {}
+    for item in result.left_out:
+        phrase = f"{item.what}: {item.reason}"
+        if not (counts and item.reason == "not matched to a catalogue star"):  # counted by matching's own reasons
+            counts[phrase] = counts.get(phrase, 0) + item.count
     return dict(sorted(counts.items(), key=lambda pair: -pair[1])[:MOST_REASONS])
 
 
-def _places(one: Part) -> go.Scatter:
+def _places(one: Part[ResidualOutliers]) -> go.Scatter:
     _, style, part = one
-    size = column(part["normalised"])
-    stars = part.get("star_id") or [None] * len(size)
+    size = column(part.normalised)
+    stars: Sequence[int | None] = part.star_id or [None] * len(size)
     said = [f"HIP {star}" if star else "no number" for star in stars]
     return go.Scatter(
-        x=theme.short(column(part["col_px"])),
-        y=theme.short(column(part["row_px"])),
+        x=theme.short(column(part.col_px)),
+        y=theme.short(column(part.row_px)),
         mode="markers",
         name=style.label,
         legendgroup=style.label,
@@ -75,8 +69,8 @@ def _places(one: Part) -> go.Scatter:
             "symbol": "x-thin-open",
             "line": {"width": 1.8, "color": style.colour},
         },
-        text=[f"{name}, frame {frame}" for name, frame in zip(said, part["frame"], strict=True)],
-        customdata=theme.short(np.stack([column(part["d_row_px"]), column(part["d_col_px"]), size], axis=1)),
+        text=[f"{name}, frame {frame}" for name, frame in zip(said, part.frame, strict=True)],
+        customdata=theme.short(np.stack([column(part.d_row_px), column(part.d_col_px), size], axis=1)),
         hovertemplate=(
             "%{text}<br>rows %{customdata[0]:+.2f} px, columns %{customdata[1]:+.2f} px: %{customdata[2]:.1f} σ"
             f"<extra>{style.label}</extra>"
@@ -84,7 +78,7 @@ def _places(one: Part) -> go.Scatter:
     )
 
 
-def _reasons(one: Part) -> go.Bar:
+def _reasons(one: Part[ResidualOutliers]) -> go.Bar:
     trace, style, _ = one
     found = reasons(trace.result) or {"nothing was left out": 0}
     return go.Bar(
@@ -101,18 +95,19 @@ def _reasons(one: Part) -> go.Bar:
     )
 
 
-def _headline(drawn: Sequence[Part]) -> str:
+def _headline(drawn: Sequence[Part[ResidualOutliers]]) -> str:
     part = drawn[0][2]
     if len(drawn) > 1:
-        return f"Sightings beyond {part['limit']:g} σ, {len(drawn)} runs"
-    return f"{part['in_all']} of {part['stars_in_all']:,} sightings beyond {part['limit']:g} σ, {part['expected']:.1f} expected"
+        return f"Sightings beyond {part.limit:g} σ, {len(drawn)} runs"
+    return f"{part.in_all} of {part.stars_in_all:,} sightings beyond {part.limit:g} σ, {part.expected:.1f} expected"
 
 
-def table(part: Any) -> Table:
+def table(part: ResidualOutliers) -> Table:
     """List one outlier a row: frame, exposure, star, place and residual in px, and how many sigmas that is."""
-    columns: Table = {name: list(part[name]) for name in ("frame", "exposure", "star_id") if part.get(name) is not None}
+    columns: Table = {"frame": list(part.frame), "exposure": list(part.exposure)}
+    columns |= {} if part.star_id is None else {"star_id": list(part.star_id)}
     names = ("row_px", "col_px", "d_row_px", "d_col_px", "normalised")
-    return columns | {name: theme.plain(column(part[name])) for name in names}
+    return columns | {name: theme.plain(column(getattr(part, name))) for name in names}
 
 
 RESIDUAL_OUTLIERS = part_figure(

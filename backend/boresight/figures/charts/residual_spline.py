@@ -7,13 +7,13 @@ nothing but noise looks pale; a diamond marks a place that is more than three si
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
+from boresight.calibration.calibration import ResidualSpline
 from boresight.figures.chart import Table
 from boresight.figures.charts.residual_map import others
 from boresight.figures.factory import Part, column, part_figure
@@ -26,7 +26,7 @@ SIDES = {"row": "of rows", "col": "of columns"}
 COLUMNS = ("row_px", "col_px", "d_row_px", "sigma_row_px", "d_col_px", "sigma_col_px")
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[ResidualSpline]]) -> go.Figure:
     """Draw the first run's displacement of rows on the left, of columns on the right."""
     _, style, part = drawn[0]
     reach = max(_reach(part, side) for side in SIDES)
@@ -43,17 +43,23 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     return figure
 
 
-def _reach(part: Any, side: str) -> float:
-    return float(
-        max(np.abs(column(part[f"d_{side}_px"])).max(), CLEAR_SIGMA * np.median(column(part[f"sigma_{side}_px"])))
-    )
+def _displacement(part: ResidualSpline, side: str) -> tuple[FloatArray, FloatArray]:
+    """The displacement along rows or columns and its sigma, (n_rows, n_columns) each, px."""
+    if side == "row":
+        return column(part.d_row_px), column(part.sigma_row_px)
+    return column(part.d_col_px), column(part.sigma_col_px)
 
 
-def _field(part: Any, side: str, reach: float, label: str, *, last: bool) -> go.Heatmap:
-    d, sigma = (column(part[f"{name}_{side}_px"]) for name in ("d", "sigma"))
+def _reach(part: ResidualSpline, side: str) -> float:
+    d, sigma = _displacement(part, side)
+    return float(max(np.abs(d).max(), CLEAR_SIGMA * np.median(sigma)))
+
+
+def _field(part: ResidualSpline, side: str, reach: float, label: str, *, last: bool) -> go.Heatmap:
+    d, sigma = _displacement(part, side)
     return go.Heatmap(
-        x=theme.plain(column(part["col_px"])),
-        y=theme.plain(column(part["row_px"])),
+        x=theme.plain(column(part.col_px)),
+        y=theme.plain(column(part.row_px)),
         z=theme.short(d),
         customdata=theme.short(sigma),
         zmin=-reach,
@@ -65,14 +71,14 @@ def _field(part: Any, side: str, reach: float, label: str, *, last: bool) -> go.
     )
 
 
-def find_clear(part: Any, side: str) -> tuple[FloatArray, FloatArray]:
+def find_clear(part: ResidualSpline, side: str) -> tuple[FloatArray, FloatArray]:
     """Rows and columns of the places that are more than `CLEAR_SIGMA` sigmas from nought, none where the test finds nothing."""
-    out = np.abs(column(part[f"d_{side}_px"])) > CLEAR_SIGMA * column(part[f"sigma_{side}_px"])
-    row, col = np.nonzero(out & bool(part["structure"]))
-    return column(part["row_px"])[row], column(part["col_px"])[col]
+    d, sigma = _displacement(part, side)
+    row, col = np.nonzero((np.abs(d) > CLEAR_SIGMA * sigma) & part.structure)
+    return column(part.row_px)[row], column(part.col_px)[col]
 
 
-def _marks(part: Any, side: str, label: str) -> go.Scatter:
+def _marks(part: ResidualSpline, side: str, label: str) -> go.Scatter:
     row, col = find_clear(part, side)
     marker = {"symbol": "diamond", "size": 7, "color": "#222222", "line": {"color": "#ffffff", "width": 1}}
     return go.Scatter(
@@ -80,19 +86,19 @@ def _marks(part: Any, side: str, label: str) -> go.Scatter:
     )
 
 
-def _headline(part: Any) -> str:
-    p = part["test"]["p"]
+def _headline(part: ResidualSpline) -> str:
+    p = part.test.p
     chance = f"p = {p:.2g}" if p >= 1e-4 else "p < 0.0001"
-    if not part["structure"]:
-        return f"Left over: nothing beyond the noise, {chance}; at most {number(part['at_most_px'], 2)} px (95 %)"
-    largest = part["largest"]
-    return f"Left over: up to {number(largest['size_px'], 2)} ± {number(largest['sigma_px'], 1)} px, {chance}"
+    if not part.structure:
+        return f"Left over: nothing beyond the noise, {chance}; at most {number(part.at_most_px, 2)} px (95 %)"
+    largest = part.largest
+    return f"Left over: up to {number(largest.size_px, 2)} ± {number(largest.sigma_px, 1)} px, {chance}"
 
 
-def table(part: Any) -> Table:
+def table(part: ResidualSpline) -> Table:
     """List one place a row: its displacement along rows and columns with their sigmas, px."""
-    row, col = np.meshgrid(column(part["row_px"]), column(part["col_px"]), indexing="ij")
-    values = (row, col, *(column(part[name]) for name in COLUMNS[2:]))
+    row, col = np.meshgrid(column(part.row_px), column(part.col_px), indexing="ij")
+    values = (row, col, *(column(getattr(part, name)) for name in COLUMNS[2:]))
     return {name: theme.plain(value.ravel()) for name, value in zip(COLUMNS, values, strict=True)}
 
 

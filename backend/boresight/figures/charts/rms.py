@@ -26,7 +26,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
-from boresight.calibration.result import Result
+from boresight.calibration.calibration import Calibration
 from boresight.cameras import CAMERA_MODELS
 from boresight.figures.chart import Figure, Table, Trace
 from boresight.figures.factory import Part, column, make_figure
@@ -35,7 +35,7 @@ from boresight.figures.live_traces import follow_errors
 from boresight.figures.style import theme
 from boresight.figures.style.axes import axis_title, counted, share_cursor
 from boresight.figures.style.thinning import keep_extremes
-from boresight.verdicts.verdict import read_part, why_absent
+from boresight.verdicts.verdict import why_absent
 
 TITLE = "Tail and aggregate RMS"
 URAD_PER_RAD = 1e6
@@ -43,7 +43,6 @@ LOG_RATIO = 8.0  # beyond this ratio of highest to lowest a log axis reads bette
 TICKS_URAD = [step * 10**decade for decade in range(-1, 6) for step in (1, 2, 5)]
 MOST_BANDS = 3  # runs with their bands; more hide the curves
 POINT_BUDGET = 8000  # of all panels, runs and curves together
-CURVES = {"frame": {"tail_rms_rad": "tail", "aggregate_rms_rad": "aggregate"}, "iteration": {"rms_arc_rad": "RMS"}}
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,7 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
     for trace, history, style in zip(traces, histories, theme.run_styles(traces), strict=True):
         for panel in panels:
             if history is not None and history.axis == axis:
-                _draw_run(figure, panel, history, style, len(traces) <= MOST_BANDS and trace.result.get("pairs"))
+                _draw_run(figure, panel, history, style, trace.result.pairs if len(traces) <= MOST_BANDS else 0)
             if len(traces) == 1 or history is None or history.axis != axis:
                 _draw_levels(figure, panel, trace.result, style, single=len(traces) == 1)
     return follow_errors(_dress(figure, panels, traces, axis), URAD_PER_RAD, traces)
@@ -81,17 +80,28 @@ def draw(traces: Sequence[Trace]) -> go.Figure:
 def _tail_start(traces: Sequence[Trace], histories: Sequence[History | None]) -> float:
     """Return where the last of the sequential runs has its tail begin."""
     pairs = zip(traces, histories, strict=True)
-    return max(tail_start(trace.result, history) for trace, history in pairs if history and history.axis == "frame")
+    return max(
+        tail_start(trace.result, history, trace.tail_from)
+        for trace, history in pairs
+        if history and history.axis == "frame"
+    )
+
+
+def _curves(history: History) -> dict[str, FloatArray]:
+    """The curves of a run, rad, by what they are called."""
+    if history.axis == "iteration":
+        return {"RMS": history.rms_arc_rad}
+    return {"tail": history.tail_rms_rad, "aggregate": history.aggregate_rms_rad}
 
 
 def _has_curve(history: History) -> bool:
-    return any(np.isfinite(history.series(key)).any() for key in CURVES[history.axis])
+    return any(np.isfinite(values).any() for values in _curves(history).values())
 
 
-def _draw_run(figure: go.Figure, panel: _Panel, history: History, style: theme.RunStyle, pairs: float | None) -> None:
-    """Add the curves of one run; tail in the run's dash, aggregate dotted in the same colour; bands where `pairs` is known."""
-    for key, word in CURVES[history.axis].items():
-        y = history.series(key) * URAD_PER_RAD
+def _draw_run(figure: go.Figure, panel: _Panel, history: History, style: theme.RunStyle, pairs: int) -> None:
+    """Add the curves of one run; tail in the run's dash, aggregate dotted in the same colour; bands of `pairs`, if any."""
+    for word, values in _curves(history).items():
+        y = values * URAD_PER_RAD
         shown = np.isfinite(y) & (history.x >= panel.start)
         x, y = history.x[shown], y[shown]
         if not len(x):
@@ -114,16 +124,19 @@ def _draw_run(figure: go.Figure, panel: _Panel, history: History, style: theme.R
         panel.seen.extend((float(y.min()), float(y.max())))
 
 
-def _draw_levels(figure: go.Figure, panel: _Panel, result: Result, style: theme.RunStyle, *, single: bool) -> None:
+def _draw_levels(figure: go.Figure, panel: _Panel, result: Calibration, style: theme.RunStyle, *, single: bool) -> None:
     """Add the errors under the initial and the final parameters; beside sequential runs a batch is its final level."""
-    rms = result.get("rms_arc_rad") or {}
-    looks = {"initial": (theme.REFERENCE_COLOUR, "dot"), "final": (theme.REFERENCE_COLOUR, "dash")}
+    rms = result.rms_arc_rad
+    looks = {
+        "initial": (rms.initial, theme.REFERENCE_COLOUR, "dot"),
+        "final": (rms.final, theme.REFERENCE_COLOUR, "dash"),
+    }
     if not single:
-        looks = {"final": (style.colour, style.dash)}
-    for key, (colour, dash) in looks.items():
-        if rms.get(key) is None or (key == "initial" and panel.column > 1):
+        looks = {"final": (rms.final, style.colour, style.dash)}
+    for key, (value, colour, dash) in looks.items():
+        if value is None or (key == "initial" and panel.column > 1):
             continue
-        level = float(rms[key]) * URAD_PER_RAD
+        level = value * URAD_PER_RAD
         name = f"{key} parameters" if single else f"{style.label} · final"
         settings = {"hovertemplate": f"%{{y:.2f}} µrad<extra>{name}</extra>", "showlegend": panel.column == 1}
         settings |= {} if single else {"meta": theme.of_run(style.label, key)}
@@ -155,20 +168,22 @@ def _window(start: float, end: float) -> list[float]:
 
 
 def _headline(traces: Sequence[Trace]) -> str:
-    rms = traces[0].result.get("rms_arc_rad") or {}
-    if len(traces) == 1 and rms.get("initial") is not None and rms.get("final") is not None:
-        before, after = (rms[key] * URAD_PER_RAD for key in ("initial", "final"))
-        return f"RMS arc error {before:.1f} → {after:.1f} µrad"
+    rms = traces[0].result.rms_arc_rad
+    if len(traces) == 1 and rms.initial is not None and rms.final is not None:
+        return f"RMS arc error {rms.initial * URAD_PER_RAD:.1f} → {rms.final * URAD_PER_RAD:.1f} µrad"
     return "RMS arc error" if len(traces) == 1 else f"RMS arc error of {len(traces)} runs"
 
 
-def table(result: Result) -> Table:
+def table(result: Calibration) -> Table:
     """List the RMS arc errors in rad by frame or iteration."""
     history = read_history(result)
     if history is None:
         return {}
     steps: Table = {history.axis: [int(step) for step in history.x]}
-    return steps | {key: theme.plain(history.series(key)) for key in CURVES[history.axis]}
+    if history.axis == "iteration":
+        return steps | {"rms_arc_rad": theme.plain(history.rms_arc_rad)}
+    columns = {"tail_rms_rad": history.tail_rms_rad, "aggregate_rms_rad": history.aggregate_rms_rad}
+    return steps | {name: theme.plain(values) for name, values in columns.items()}
 
 
 RMS = Figure(
@@ -199,13 +214,13 @@ class AxisResiduals:
     frame: FloatArray
 
 
-def compute_axis_residuals(result: Result) -> AxisResiduals | None:
+def compute_axis_residuals(result: Calibration) -> AxisResiduals | None:
     """Turn a result's residuals to its axes; None where it has none."""
-    seen = read_part(result, "residuals")
-    if not seen:
+    seen = result.trust.residuals if result.trust else None
+    if seen is None:
         return None
-    d_row, d_col = column(seen.get("d_row_px")), column(seen.get("d_col_px"))
-    row, col, frame = (column(seen.get(key)) for key in ("row_px", "col_px", "frame"))
+    d_row, d_col = column(seen.d_row_px), column(seen.d_col_px)
+    row, col, frame = column(seen.row_px), column(seen.col_px), column(seen.frame)
     if not len(d_row) or len({len(values) for values in (d_row, d_col, row, col, frame)}) > 1:
         return None
     row_0, col_0 = _centre(result, row, col)
@@ -217,15 +232,15 @@ def compute_axis_residuals(result: Result) -> AxisResiduals | None:
     return AxisResiduals(dict(zip(AXES, turned, strict=True)), frame)
 
 
-def _centre(result: Result, row: FloatArray, col: FloatArray) -> tuple[float, float]:
+def _centre(result: Calibration, row: FloatArray, col: FloatArray) -> tuple[float, float]:
     """Return the principal point, or the middle of the stars where the camera model is not known."""
-    model, values = CAMERA_MODELS.get(str(result.get("camera_model"))), result.get("parameters") or {}
+    model, values = CAMERA_MODELS.get(result.camera_model), result.parameters
     if model is None or any(values.get(name) is None for name in model.parameter_names):
         return float(row.mean()), float(col.mean())
     return model.principal_point(np.array([values[name] for name in model.parameter_names], dtype=np.float64))
 
 
-def draw_rms_axes(drawn: Sequence[Part]) -> go.Figure:
+def draw_rms_axes(drawn: Sequence[Part[AxisResiduals]]) -> go.Figure:
     """Draw every run's RMS by axis with 3-sigma bars, and how it runs over the frames."""
     figure = make_subplots(1, 2, column_widths=[0.35, 0.65], horizontal_spacing=0.08)
     for _, style, found in drawn:

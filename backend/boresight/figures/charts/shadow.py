@@ -6,13 +6,13 @@ simulated check of the flight code does not accept counts no stars.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
 
 from boresight.arrays import FloatArray
+from boresight.calibration.calibration import ShadowAnswer, ShadowFrame, ShadowOfSet
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, make_figure
 from boresight.figures.style import theme
@@ -27,12 +27,12 @@ ALONE = {
 }
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[tuple[str, ShadowOfSet]]]) -> go.Figure:
     """Draw matched stars by frame, baseline in the reference's grey, each run's candidate in its colour."""
     figure = go.Figure()
     limit = POINT_BUDGET // (2 * len(drawn))
     for _, style, (_, view) in drawn:
-        frame, stars = _numbers(view, "frame"), {side: _stars(view, side) for side in SIDES}
+        frame, stars = _frames(view), {side: _stars(view, side) for side in SIDES}
         kept = keep_extremes([stars["candidate"]], limit)
         if len(drawn) == 1:
             figure.add_trace(_baseline(frame[kept], stars["baseline"][kept]))
@@ -47,12 +47,16 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     return figure
 
 
-def _numbers(view: Mapping[str, Any], key: str) -> FloatArray:
-    return np.array([frame[key] for frame in view["frames"]], dtype=np.float64)
+def _answer(frame: ShadowFrame, side: str) -> ShadowAnswer:
+    return frame.baseline if side == "baseline" else frame.candidate
 
 
-def _stars(view: Mapping[str, Any], side: str) -> FloatArray:
-    return np.array([frame[side]["matched"] for frame in view["frames"]], dtype=np.float64)
+def _frames(view: ShadowOfSet) -> FloatArray:
+    return np.array([frame.frame for frame in view.frames], dtype=np.float64)
+
+
+def _stars(view: ShadowOfSet, side: str) -> FloatArray:
+    return np.array([_answer(frame, side).matched for frame in view.frames], dtype=np.float64)
 
 
 def _baseline(frame: FloatArray, stars: FloatArray) -> go.Scatter:
@@ -67,15 +71,17 @@ def _baseline(frame: FloatArray, stars: FloatArray) -> go.Scatter:
     )
 
 
-def _alone(style: theme.RunStyle, view: Mapping[str, Any], side: str, limit: int, *, single: bool) -> go.Scatter:
+def _alone(style: theme.RunStyle, view: ShadowOfSet, side: str, limit: int, *, single: bool) -> go.Scatter:
     """Mark the frames that one side alone solves, by a shape at its number of stars."""
     words, symbol = ALONE[side]
     other = SIDES[1 - SIDES.index(side)]
-    places = [k for k, frame in enumerate(view["frames"]) if frame[side]["valid"] and not frame[other]["valid"]]
+    places = [
+        k for k, frame in enumerate(view.frames) if _answer(frame, side).valid and not _answer(frame, other).valid
+    ]
     places = places[:: max(1, -(-len(places) // limit))]
     lost = side == "baseline"
     return go.Scatter(
-        x=theme.short(_numbers(view, "frame")[places]),
+        x=theme.short(_frames(view)[places]),
         y=theme.short(_stars(view, side)[places]),
         mode="markers",
         name=f"{words} ({len(places)})" if single else f"{style.label}: lost" if lost else style.label,
@@ -91,26 +97,25 @@ def _alone(style: theme.RunStyle, view: Mapping[str, Any], side: str, limit: int
     )
 
 
-def _headline(drawn: Sequence[Part]) -> str:
+def _headline(drawn: Sequence[Part[tuple[str, ShadowOfSet]]]) -> str:
     if len(drawn) > 1:
         return f"Stars matched by frame, {len(drawn)} runs"
     name, view = drawn[0][2]
-    summary = view["summary"]
-    return f"{name.capitalize()} set: {summary['candidate_only']:,} frames gained, {summary['baseline_only']:,} lost"
+    summary = view.summary
+    return f"{name.capitalize()} set: {summary.candidate_only:,} frames gained, {summary.baseline_only:,} lost"
 
 
-def table(found: tuple[str, Mapping[str, Any]]) -> Table:
+def table(found: tuple[str, ShadowOfSet]) -> Table:
     """List one kept frame a row: valid or not and stars of both sides, why not, and the stars lost and gained."""
-    frames = found[1]["frames"]
-    columns: Table = {
-        "frame": [frame["frame"] for frame in frames],
-        "time_utc": [frame["time_utc"] for frame in frames],
-    }
+    frames = found[1].frames
+    columns: Table = {"frame": [frame.frame for frame in frames], "time_utc": [frame.time_utc for frame in frames]}
     for side in SIDES:
-        for key in ("valid", "matched", "reason"):
-            columns[f"{side}_{key}"] = [frame[side][key] for frame in frames]
-    for key in ("lost", "gained"):
-        columns[key] = [" ".join(str(star) for star in frame[key]) for frame in frames]
+        answers = [_answer(frame, side) for frame in frames]
+        columns[f"{side}_valid"] = [answer.valid for answer in answers]
+        columns[f"{side}_matched"] = [answer.matched for answer in answers]
+        columns[f"{side}_reason"] = [answer.reason for answer in answers]
+    columns["lost"] = [" ".join(map(str, frame.lost)) for frame in frames]
+    columns["gained"] = [" ".join(map(str, frame.gained)) for frame in frames]
     return columns
 
 

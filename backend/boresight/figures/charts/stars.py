@@ -7,11 +7,11 @@ mean residual leaves zero while its neighbours' stay. z is that mean over its si
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
+from boresight.calibration.calibration import StarTrust, Trust
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
@@ -19,7 +19,7 @@ from boresight.figures.style import theme
 LONGEST = 200
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[list[StarTrust]]]) -> go.Figure:
     """Draw one mark a star, a suspect as a diamond with its number."""
     figure = go.Figure([_points(one, labelled=len(drawn) == 1) for one in drawn])
     theme.dress(figure, title=_headline(drawn), height_px=400, legend=len(drawn) > 1, hovermode="closest")
@@ -28,16 +28,16 @@ def draw(drawn: Sequence[Part]) -> go.Figure:
     return figure
 
 
-def _points(one: Part, *, labelled: bool) -> go.Scatter:
+def _points(one: Part[list[StarTrust]], *, labelled: bool) -> go.Scatter:
     _, style, part = one
     rows = part[:LONGEST]
-    suspect = np.array([bool(row.get("suspect")) for row in rows])
-    residual = column([[row.get("mean_residual_px"), row.get("rms_px")] for row in rows])
-    ids = [str(row["star_id"]) for row in rows]
+    suspect = np.array([row.suspect for row in rows])
+    residual = column([[row.mean_residual_px, row.rms_px] for row in rows])
+    ids = [str(row.star_id) for row in rows]
     words = [name if out and labelled else "" for name, out in zip(ids, suspect, strict=True)]
     return go.Scatter(
-        x=theme.short(column([row.get("sightings") for row in rows])),
-        y=theme.short(np.abs(column([row.get("z") for row in rows]))),
+        x=theme.short(column([row.sightings for row in rows])),
+        y=theme.short(np.abs(column([row.z for row in rows]))),
         mode="markers+text" if any(words) else "markers",
         text=words,
         textposition="top center",
@@ -57,21 +57,21 @@ def _points(one: Part, *, labelled: bool) -> go.Scatter:
     )
 
 
-def _headline(drawn: Sequence[Part]) -> str:
+def _headline(drawn: Sequence[Part[list[StarTrust]]]) -> str:
     if len(drawn) > 1:
         return f"Mean residual of each star, {len(drawn)} runs; a diamond is a suspect"
     trace, _, part = drawn[0]
-    suspects = (trace.result.get("trust") or {}).get("suspects") or []
-    in_all = (trace.result.get("trust") or {}).get("stars_in_all") or len(part)
+    trust = trace.result.trust or Trust()
+    suspects, in_all = trust.suspects, trust.stars_in_all or len(part)
     word = "no star is suspect" if not suspects else f"{len(suspects):,} of {in_all:,} stars are suspect (diamonds)"
     return word[0].upper() + word[1:]
 
 
-def table(part: Any) -> Table:
+def table(part: list[StarTrust]) -> Table:
     """List one star a row, the worst first: sightings, mean residual and RMS in px, z, and what it is suspected of."""
     keys = ("star_id", "sightings", "mean_residual_px", "rms_px", "z", "suspect")
-    columns: dict[str, list[Any]] = {key: [row.get(key) for row in part] for key in keys}
-    return columns | {"flags": [" ".join(map(str, row.get("flags") or ())) for row in part]}
+    columns: Table = {key: [getattr(row, key) for row in part] for key in keys}
+    return columns | {"flags": [" ".join(row.flags) for row in part]}
 
 
 STARS = part_figure(

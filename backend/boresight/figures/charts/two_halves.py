@@ -7,64 +7,60 @@ chi-square distribution if the model and the noise are what was assumed. A small
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from boresight.calibration.calibration import TwoHalves
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.figures.style.axes import cells, detector_map, frame_maps
 from boresight.verdicts.numbers import quantity
 
-PART, KEY = "two_halves", "difference_arcsec"
 LIMIT_SIGMA = 3.0
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[TwoHalves]]) -> go.Figure:
     """Draw the first run's map, and the bars of every run."""
-    first = next((one for one in drawn if one[2].get("map")), None)
-    n_maps = 1 if first else 0
-    titles = [f"over the detector ({first[1].label})", "by parameter"] if first and len(drawn) > 1 else None
-    figure = make_subplots(
-        1, 1 + n_maps, column_widths=[0.5, 0.5][: 1 + n_maps], horizontal_spacing=0.2, subplot_titles=titles
-    )
-    if first:
-        figure.add_trace(_map(first), row=1, col=1)
+    first = drawn[0]
+    titles = [f"over the detector ({first[1].label})", "by parameter"] if len(drawn) > 1 else None
+    figure = make_subplots(1, 2, column_widths=[0.5, 0.5], horizontal_spacing=0.2, subplot_titles=titles)
+    figure.add_trace(_map(first), row=1, col=1)
     for one in drawn:
-        figure.add_trace(_bars(one, labelled=len(drawn) == 1), row=1, col=1 + n_maps)
-    _dress(figure, drawn, n_maps)
+        figure.add_trace(_bars(one, labelled=len(drawn) == 1), row=1, col=2)
+    _dress(figure, drawn)
     return figure
 
 
-def _map(one: Part) -> go.Heatmap:
-    part = one[2]["map"]
-    reach = float(np.nanmax(np.abs(column(part[KEY])))) or 1.0
-    drawing = detector_map(part, KEY, one[1].label, zmin=-reach, zmax=reach, colorscale=theme.DIVERGING)
+def _map(one: Part[TwoHalves]) -> go.Heatmap:
+    part = one[2].map
+    reach = float(np.nanmax(np.abs(column(part.difference_arcsec)))) or 1.0
+    drawing = detector_map(
+        part, part.difference_arcsec, one[1].label, zmin=-reach, zmax=reach, colorscale=theme.DIVERGING
+    )
     drawing.update(colorbar={"x": 0.41, "xanchor": "left"})
     return drawing
 
 
-def _bars(one: Part, *, labelled: bool) -> go.Bar:
+def _bars(one: Part[TwoHalves], *, labelled: bool) -> go.Bar:
     trace, style, part = one
-    values = column(part["difference_in_sigma"])
-    names = [quantity(name, trace.result).markup for name in part["names"]]
+    values = column(part.difference_in_sigma)
+    names = [quantity(name, trace.result).markup for name in part.names]
     text = [theme.signed(value, 2) if np.isfinite(value) else "" for value in values] if labelled else None
     return theme.bars(style, names, values, "%{x}: %{y:+.2f} σ", text=text, constraintext="none")
 
 
-def _dress(figure: go.Figure, drawn: Sequence[Part], n_maps: int) -> None:
+def _dress(figure: go.Figure, drawn: Sequence[Part[TwoHalves]]) -> None:
     many = len(drawn) > 1
     theme.dress(figure, title=_headline(drawn), height_px=440, legend=many, hovermode="closest", barmode="group")
-    if many and n_maps:
+    if many:
         figure.update_layout(margin={"t": 96})
-    if n_maps:
-        frame_maps(figure, 1)
+    frame_maps(figure, 1)
     figure.update_traces(showlegend=many, selector={"type": "bar"})
-    where = {"row": 1, "col": 1 + n_maps}
-    seen = [float(np.nanmax(np.abs(column(part["difference_in_sigma"])), initial=0.0)) for _, _, part in drawn]
+    where = {"row": 1, "col": 2}
+    seen = [float(np.nanmax(np.abs(column(part.difference_in_sigma)), initial=0.0)) for _, _, part in drawn]
     reach = 1.15 * max(LIMIT_SIGMA, *seen)
     figure.update_yaxes(title_text="difference (σ of the difference)", range=[-reach, reach], **where)
     figure.update_xaxes(showgrid=False, **where)
@@ -72,19 +68,19 @@ def _dress(figure: go.Figure, drawn: Sequence[Part], n_maps: int) -> None:
         figure.add_hline(y=level, line=theme.LEVEL, **where)
 
 
-def _headline(drawn: Sequence[Part]) -> str:
-    chi2 = drawn[0][2].get("chi2") or {}
-    if len(drawn) > 1 or chi2.get("value") is None:
-        return f"Two halves of the data, {len(drawn)} runs" if len(drawn) > 1 else "Two halves of the data"
-    differ = not chi2.get("consistent") and chi2["value"] > (chi2.get("upper") or 0.0)
+def _headline(drawn: Sequence[Part[TwoHalves]]) -> str:
+    chi2 = drawn[0][2].chi2
+    if len(drawn) > 1:
+        return f"Two halves of the data, {len(drawn)} runs"
+    differ = not chi2.consistent and chi2.value > chi2.upper
     word = "differ by more than their noise" if differ else "agree"
-    return f"The halves {word}: χ² {chi2['value']:.3g} for {chi2.get('dof')} degrees of freedom"
+    return f"The halves {word}: χ² {chi2.value:.3g} for {chi2.dof} degrees of freedom"
 
 
-def table(part: Any) -> Table:
+def table(part: TwoHalves) -> Table:
     """List the parameters with their differences in sigmas, and beside them the cells of the map in arcsec."""
-    bars = {"parameter": list(part["names"]), "difference_in_sigma": theme.plain(column(part["difference_in_sigma"]))}
-    columns: Table = bars | (cells(part["map"], KEY) if part.get("map") else {})
+    bars: Table = {"parameter": list(part.names), "difference_in_sigma": theme.plain(column(part.difference_in_sigma))}
+    columns = bars | cells(part.map, "difference_arcsec", part.map.difference_arcsec)
     length = max(len(values) for values in columns.values())
     return {name: values + [None] * (length - len(values)) for name, values in columns.items()}
 
@@ -92,7 +88,7 @@ def table(part: Any) -> Table:
 TWO_HALVES = part_figure(
     draw,
     table,
-    PART,
+    "two_halves",
     name="two-halves",
     title="Two halves",
     guide=(

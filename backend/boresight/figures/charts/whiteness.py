@@ -8,51 +8,49 @@ Ljung and Box add them up to one chi-square.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import plotly.graph_objects as go
 
+from boresight.calibration.calibration import Whiteness
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.verdicts.numbers import quantity
 
 
-def draw(drawn: Sequence[Part]) -> go.Figure:
+def draw(drawn: Sequence[Part[Whiteness]]) -> go.Figure:
     """Draw one bar a lag and run, with the bounds of the first run."""
     figure = go.Figure([_bars(one) for one in drawn])
     many = len(drawn) > 1
     theme.dress(figure, title=_headline(drawn), height_px=520, legend=many, hovermode="closest", barmode="group")
-    bound = drawn[0][2].get("bound")
-    for level in (-bound, bound) if bound is not None else ():
+    bound = drawn[0][2].bound
+    for level in (-bound, bound):
         figure.add_hline(y=level, line=theme.LEVEL)
     figure.update_xaxes(title_text="lag (frames)", showgrid=False)
     figure.update_yaxes(title_text="autocorrelation")
     return figure
 
 
-def _bars(one: Part) -> go.Bar:
+def _bars(one: Part[Whiteness]) -> go.Bar:
     _, style, part = one
-    return theme.bars(style, list(part["lags"]), column(part["autocorrelation"]), "lag %{x}: %{y:+.3f}")
+    return theme.bars(style, list(part.lags), column(part.autocorrelation), "lag %{x}: %{y:+.3f}")
 
 
-def _headline(drawn: Sequence[Part]) -> str:
+def _headline(drawn: Sequence[Part[Whiteness]]) -> str:
     part = drawn[0][2]
-    p = (part.get("ljung_box") or {}).get("p")
-    if len(drawn) > 1 or p is None:
+    if len(drawn) > 1:
         return "Autocorrelation of the residuals"
-    word = "white" if part.get("white") else "not white"
-    name = part.get("name")
-    by = f", seen by {quantity(name, drawn[0][0].result).markup}" if name else ""
-    return f"The residuals are {word}{by} (Ljung-Box p = {p:.2g})"
+    word = "white" if part.white else "not white"
+    name = quantity(part.name, drawn[0][0].result).markup
+    return f"The residuals are {word}, seen by {name} (Ljung-Box p = {part.ljung_box.p:.2g})"
 
 
-def table(part: Any) -> Table:
+def table(part: Whiteness) -> Table:
     """List one lag a row: the autocorrelation and its bound."""
     return {
-        "lag": list(part["lags"]),
-        "autocorrelation": theme.plain(column(part["autocorrelation"])),
-        "bound": [part.get("bound")] * len(part["lags"]),
+        "lag": list(part.lags),
+        "autocorrelation": theme.plain(column(part.autocorrelation)),
+        "bound": [part.bound] * len(part.lags),
     }
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from boresight.arrays import FloatArray
+from boresight.calibration.calibration import ArcSigmaMap, HalvesMap, Matrix
 from boresight.figures.chart import Table, Trace
-from boresight.figures.factory import Part, column
+from boresight.figures.factory import P, Part, column
 from boresight.figures.style import theme
 
 #: What the axis of frames is called under each alignment.
@@ -82,12 +82,12 @@ def frame_grid(figure: go.Figure, n_panels: int, columns: int, title: str) -> No
             figure.update_xaxes(title_text=title, **where)
 
 
-def detector_map(part: Any, key: str, label: str, **scale: Any) -> go.Heatmap:
-    """Draw `part[key]` (n_rows, n_columns) in arcsec over the centres of its cells."""
+def detector_map(part: ArcSigmaMap | HalvesMap, values: Matrix, label: str, **scale: Any) -> go.Heatmap:
+    """Draw values (n_rows, n_columns) in arcsec over the centres of a map's cells."""
     return go.Heatmap(
-        x=list(part["col_px"]),
-        y=list(part["row_px"]),
-        z=theme.short(column(part[key])),
+        x=list(part.col_px),
+        y=list(part.row_px),
+        z=theme.short(column(values)),
         colorbar={"title": {"text": "arcsec"}, "thickness": 10},
         hovertemplate=f"%{{z:.3g}} arcsec<br>column %{{x:.0f}}, row %{{y:.0f}}<extra>{label}</extra>",
         hoverongaps=False,
@@ -95,7 +95,7 @@ def detector_map(part: Any, key: str, label: str, **scale: Any) -> go.Heatmap:
     )
 
 
-def lay_maps(drawn: Sequence[Part], spacing: float | None = None) -> go.Figure:
+def lay_maps(drawn: Sequence[Part[P]], spacing: float | None = None) -> go.Figure:
     """Make room for the maps of several runs in one row, each under its run's name."""
     titles = [style.short for _, style, _ in drawn] if len(drawn) > 1 else None
     space = 0.4 / max(4, len(drawn)) if spacing is None else spacing
@@ -103,7 +103,7 @@ def lay_maps(drawn: Sequence[Part], spacing: float | None = None) -> go.Figure:
 
 
 def draw_maps(
-    drawn: Sequence[Part], draw: Callable[[Part, bool], go.Heatmap], *, title: str, height_px: int
+    drawn: Sequence[Part[P]], draw: Callable[[Part[P], bool], go.Heatmap], *, title: str, height_px: int
 ) -> go.Figure:
     """Draw one map a run, of which only the last shows the scale that all have."""
     figure = lay_maps(drawn)
@@ -124,12 +124,11 @@ def frame_maps(figure: go.Figure, n_maps: int) -> None:
     figure.update_yaxes(title_text="row (px)", row=1, col=1)
 
 
-def cells(part: Any, key: str) -> Table:
-    """List one cell a row: its centre in px and its value."""
-    values: FloatArray = column(part[key])
-    places = [(row, col) for row in part["row_px"] for col in part["col_px"]]
+def cells(part: ArcSigmaMap | HalvesMap, name: str, values: Matrix) -> Table:
+    """List one cell of a map a row: its centre in px and its value, in a column of this name."""
+    places = [(row, col) for row in part.row_px for col in part.col_px]
     return {
         "row_px": [row for row, _ in places],
         "col_px": [col for _, col in places],
-        key: theme.plain(values.ravel()),
+        name: theme.plain(column(values).ravel()),
     }

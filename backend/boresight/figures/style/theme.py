@@ -12,7 +12,7 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -174,16 +174,20 @@ def escape(text: str) -> str:
 
 
 def run_styles(traces: Sequence[Trace]) -> list[RunStyle]:
-    """Give each run its colour and dash, by its place in the comparison; colours that come again have another dash."""
+    """Give each run its colour and dash, by its place in the comparison."""
+    styles = label_styles([trace.label for trace in traces])
+    shorts = [escape(shorten(trace.short or trace.label)) for trace in traces]
+    return [replace(style, short=short) for style, short in zip(styles, shorts, strict=True)]
+
+
+def label_styles(labels: Sequence[str]) -> list[RunStyle]:
+    """Give each label its colour and dash, by its place; colours that come again have another dash."""
     colours, dashes = len(RUN_COLOURS), len(RUN_DASHES)
     return [
         RunStyle(
-            escape(trace.label),
-            RUN_COLOURS[i % colours],
-            RUN_DASHES[(i + i // colours) % dashes],
-            escape(shorten(trace.short or trace.label)),
+            escape(label), RUN_COLOURS[i % colours], RUN_DASHES[(i + i // colours) % dashes], escape(shorten(label))
         )
-        for i, trace in enumerate(traces)
+        for i, label in enumerate(labels)
     ]
 
 

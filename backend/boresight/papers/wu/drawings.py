@@ -14,7 +14,6 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
-from boresight.figures.chart import Trace
 from boresight.figures.style import theme
 from boresight.papers.documents import Conclusion, Drawing, drawing, styled_curves
 from boresight.papers.wu.estimators import Record
@@ -169,7 +168,7 @@ def draw_parameters(drawing: Mapping[str, Any]) -> go.Figure:
     curves = drawing["curves"]
     names = [f"{curve['label']} ({curve['unit']})" for curve in curves]
     figure = make_subplots(rows=-(-len(curves) // COLUMNS), cols=COLUMNS, subplot_titles=names, horizontal_spacing=0.09)
-    style = theme.run_styles([Trace("SVD", {})])[0]
+    style = theme.label_styles(["SVD"])[0]
     for place, curve in enumerate(curves):
         row, column = place // COLUMNS + 1, place % COLUMNS + 1
         x, y, reach = (np.array(curve[key], dtype=np.float64) for key in ("frame", "value", "three_sigma"))

@@ -14,6 +14,7 @@ from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
+from boresight.calibration.calibration import parse_calibration
 from boresight.console.access.dependencies import Reading, Who, csrf, get_client, get_server
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import PasswordProof
@@ -153,7 +154,7 @@ def request_page(
         rows=rows,
         change_figure=FIGURES[CHANGE_FIGURE] if has_figures else None,
         panel=make_gates_panel(session, actor, row, report_sha256=approval.bound.get("gate_report_sha256")),
-        marks=make_verdict_marks(result) if result else [],
+        marks=make_verdict_marks(parse_calibration(result)) if result else [],
         warnings=list_warnings(result, rows, is_ground=row.run_id is None),
         evidence=list_evidence(session, approval, row, incumbent),
         figures=[FIGURES[name] for name in EVIDENCE_FIGURES if has_figures],

@@ -191,7 +191,7 @@ def _unlike(compared: Sequence[ComparedRun]) -> list[str]:
 
 
 def _lines(compared: Sequence[ComparedRun]) -> list[MethodLine]:
-    scores = [method_scores(one.result) for one in compared]
+    scores = [method_scores(one.calibration) for one in compared]
     lines = [
         MethodLine(
             "Method",

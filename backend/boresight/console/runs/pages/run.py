@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -19,8 +19,8 @@ from fastapi.responses import HTMLResponse, Response
 from markupsafe import Markup
 from starlette.datastructures import QueryParams
 
+from boresight.calibration.calibration import Calibration, Inputs, parse_calibration
 from boresight.calibration.options import get_method_title
-from boresight.calibration.result import Result
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.approvals import gates
 from boresight.console.approvals import queries as approval_queries
@@ -74,14 +74,14 @@ from boresight.verdicts.verdict import (
 )
 
 
-def list_provenance(run: Run, result: Mapping[str, Any] | None) -> list[tuple[str, Any]]:
+def list_provenance(run: Run, result: Calibration | None) -> list[tuple[str, Any]]:
     """Lay out the addresses and versions that make the run again what it was."""
-    inputs = (result or {}).get("inputs") or {}
-    hashes = [(f"{name} SHA-256", _hash(value)) for name, value in _flat(inputs.get("sha256s") or {})]
-    versions = ", ".join(f"{name} {value}" for name, value in (inputs.get("versions") or {}).items())
+    inputs = result.inputs if result else Inputs()
+    hashes = [(f"{name} SHA-256", _hash(value)) for name, value in inputs.sha256s.items()]
+    versions = ", ".join(f"{name} {value}" for name, value in inputs.versions.items())
     timing = ", ".join(f"{name.replace('_', ' ')} {duration(value)}" for name, value in _timing(result))
     left_out = ", ".join(
-        f"{count(part['count'])} {part['what']}: {part['reason']}" for part in (result or {}).get("left_out") or ()
+        f"{count(part.count)} {part.what}: {part.reason}" for part in (result.left_out if result else ())
     )
     return [
         *hashes,
@@ -92,12 +92,8 @@ def list_provenance(run: Run, result: Mapping[str, Any] | None) -> list[tuple[st
     ]
 
 
-def _timing(result: Mapping[str, Any] | None) -> list[tuple[str, float]]:
-    return [(name, value) for name, value in ((result or {}).get("timing_s") or {}).items() if value is not None]
-
-
-def _flat(hashes: Mapping[str, Any] | Sequence[str]) -> list[tuple[str, Any]]:
-    return list(hashes.items()) if isinstance(hashes, Mapping) else [("input", value) for value in hashes]
+def _timing(result: Calibration | None) -> list[tuple[str, float]]:
+    return [(name, value) for name, value in (result.timing_s if result else {}).items() if value is not None]
 
 
 def _hash(value: Any) -> Markup | str:
@@ -135,10 +131,10 @@ class RunView:
         )
 
 
-def read_run_view(query: QueryParams, result: Result | None) -> RunView:
+def read_run_view(query: QueryParams, result: Calibration | None) -> RunView:
     """Read the view; what cannot be had falls back to the usual one."""
-    history = (result or {}).get("history") or {}
-    aligns = {name: words for name, words in ALIGNS.items() if history and (name != "time" or history.get("time_utc"))}
+    history = result.history if result else None
+    aligns = {name: words for name, words in ALIGNS.items() if history and (name != "time" or history.time_utc)}
     align, scale = query.get("align", "frame"), query.get("scale", "log")
     return RunView(
         align=align if align in aligns else "frame",
@@ -156,34 +152,34 @@ def _number(text: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def list_history_facts(result: Result | None) -> Rows:
+def list_history_facts(result: Calibration | None) -> Rows:
     """Say when a run settled, what its cost came to, and how far it still stepped: term, value, meaning."""
-    history = read_history(result or {})
+    history = read_history(result) if result else None
     if result is None or history is None:
         return []
     first, steps = settled_step(result), f"{count(len(history.x))} {history.axis}s on record"
-    running = result.get("status") == "running"
+    running = result.status == "running"
     settled = (
         f"{history.axis} {history.x[first]:.6g}" if first is not None else ("not yet" if running else "not settled")
     )
     rows = [("Settled at", settled, f"Within three final sigmas of the end from there on; {steps}.")]
     if history.axis == "iteration":
-        cost = history.series("cost")
+        cost = history.cost
         rows.append(
             ("Cost", f"{number(cost[0])} → {number(cost[-1])}", "Half of chi-square, at the start and at the end.")
         )
     return rows
 
 
-def tail_facts(result: Result | None, view: RunView) -> tuple[RmsTail | None, Rows]:
+def tail_facts(result: Calibration | None, view: RunView) -> tuple[RmsTail | None, Rows]:
     """Set the errors of a run beside each other, each with its 3-sigma: on the data fitted and, apart, on the validation set."""
-    if not result:
+    if result is None:
         return None, []
-    tail = summarise_tail({**result, "tail_from": view.tail_from})
-    rms, arcs = result.get("rms_arc_rad") or {}, result.get("pairs")
+    tail = summarise_tail(result, view.tail_from)
+    rms, arcs = result.rms_arc_rad, result.pairs
     rows = [
-        ("Fitted data, old parameters", _with_reach(rms.get("initial"), arcs), "The sensor's parameters at launch."),
-        ("Fitted data, new parameters", _with_reach(rms.get("final"), arcs), f"{count(arcs)} arcs."),
+        ("Fitted data, old parameters", _with_reach(rms.initial, arcs), "The sensor's parameters at launch."),
+        ("Fitted data, new parameters", _with_reach(rms.final, arcs), f"{count(arcs)} arcs."),
     ]
     if tail is not None:
         window = f"{tail.axis} {tail.start:.6g} to {tail.end:.6g}, {count(tail.points)} updates on record"
@@ -194,22 +190,21 @@ def tail_facts(result: Result | None, view: RunView) -> tuple[RmsTail | None, Ro
     return tail, rows + _list_validation_facts(result)
 
 
-def _list_validation_facts(result: Result) -> Rows:
-    validation = result.get("validation") or {}
-    rms = validation.get("rms_arc_rad") or {}
-    if not rms:
+def _list_validation_facts(result: Calibration) -> Rows:
+    validation = result.validation
+    if validation is None:
         return [("Validation data", MISSING, "No validation set was given: launch with one to have this answer.")]
-    arcs, share = validation.get("common_pairs"), percent((validation.get("availability") or {}).get("final"))
+    rms, arcs, share = validation.rms_arc_rad, validation.common_pairs, percent(validation.availability.final)
     kept = f" {count(arcs)} arcs." if arcs is not None else " σ not kept."
     return [
         (
             "Validation data, old parameters",
-            _with_reach(rms.get("initial"), arcs),
-            f"{count(validation.get('frames'))} frames never fitted.{kept}",
+            _with_reach(rms.initial, arcs),
+            f"{count(validation.frames)} frames never fitted.{kept}",
         ),
         (
             "Validation data, new parameters",
-            _with_reach(rms.get("final"), arcs),
+            _with_reach(rms.final, arcs),
             f"{share} of these frames available.{kept}",
         ),
     ]
@@ -221,16 +216,16 @@ def _with_reach(rms_rad: float | None, arcs: float | None) -> str:
     return urad(rms_rad) if sigma is None else f"{urad(rms_rad)} ± {urad(3 * sigma, 2)}"
 
 
-def sight_facts(result: Result | None) -> tuple[Rows, list[str]]:
+def sight_facts(result: Calibration | None) -> tuple[Rows, list[str]]:
     """Say what the data see least of, and what would help."""
-    seen = (result or {}).get("observability") or {}
-    if not result or not seen.get("singular_values"):
+    seen = result.observability if result else None
+    if result is None or seen is None or not seen.singular_values:
         return [], []
-    spread = seen.get("sigma_of_direction") or [None]
+    spread = seen.sigma_of_direction or [None]
     known = f"{number(spread[-1], 3)} typical σ" if spread[-1] is not None else "not determined"
-    condition = number(seen.get("condition_number")) if seen.get("condition_number") is not None else "infinite"
+    condition = number(seen.condition_number) if seen.condition_number is not None else "infinite"
     rows = [
-        ("Weakest direction", weakest_words(result) or MISSING, str((seen.get("weakest") or {}).get("sentence") or "")),
+        ("Weakest direction", weakest_words(result) or MISSING, seen.weakest.sentence),
         (
             "Known to",
             known,
@@ -252,7 +247,7 @@ class RunReview:
     sensor: Sensor
     data: TelemetrySet
     validation: TelemetrySet | None
-    result: Result | None
+    result: Calibration | None
 
     @property
     def is_void(self) -> bool:
@@ -271,9 +266,8 @@ class RunReview:
 def make_summary_part(desk: RunReview) -> dict[str, Any]:
     """Gather old and new values; while the run computes its history stands beside them."""
     live = () if desk.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
-    has_estimate = bool(desk.result and desk.result.get("parameters"))
     return {
-        "rows": parameter_rows(desk.result) if desk.result and has_estimate else [],
+        "rows": parameter_rows(desk.result) if desk.result and desk.result.parameters else [],
         "figures": () if desk.is_void else (*live, *CHAPTERS["summary"]),
     }
 
@@ -313,42 +307,42 @@ def make_provenance_part(desk: RunReview) -> dict[str, Any]:
     }
 
 
-def make_trust_part(result: Result | None, why_nothing: str) -> dict[str, Any]:
+def make_trust_part(result: Calibration | None, why_nothing: str) -> dict[str, Any]:
     """Gather what the trust part shows; `why_nothing` is said where the run has no result."""
-    if not result:
+    if result is None:
         return {"marks": [], "said": f"No examination: {why_nothing}", "figures": ()}
-    examined = bool(result.get("trust"))
     return {
         "marks": trust_marks(result),
         "said": why_absent(result, ""),
         "prospects": prospects(result),
-        "figures": CHAPTERS["trust"] if examined else (),
+        "figures": CHAPTERS["trust"] if result.trust else (),
         "stars": star_rows(result),
         "to_flag": to_flag(result),
         "why_no_stars": why_absent(result, "stars"),
-        "stars_in_all": count((result.get("trust") or {}).get("stars_in_all")),
+        "stars_in_all": count(result.trust.stars_in_all if result.trust else None),
     }
 
 
-def make_matching_part(result: Result | None, why_nothing: str) -> dict[str, Any]:
+def make_matching_part(result: Calibration | None, why_nothing: str) -> dict[str, Any]:
     """Gather what the matching part shows."""
-    matching = (result or {}).get("matching") or {}
+    found = result or Calibration(status="running")
+    matching = found.matching
     return {
         "counts": match_counts(matching) if matching else [],
-        "said": why_no_matching(result) if result else f"No matching: {why_nothing}",
-        "facts": match_facts(matching),
-        "reasons": reason_tables(matching),
-        "flight": flight_rows(result or {}),
-        "tolerance": flight_tolerance(result or {}),
-        "side_by_side": side_by_side(result or {}),
+        "said": why_no_matching(found) if result else f"No matching: {why_nothing}",
+        "facts": match_facts(matching) if matching else [],
+        "reasons": reason_tables(matching) if matching else [],
+        "flight": flight_rows(found),
+        "tolerance": flight_tolerance(found),
+        "side_by_side": side_by_side(found),
         "cycles": MATCHING if matching else None,
-        "shadow": SHADOW if shown(result or {}) else None,
+        "shadow": SHADOW if shown(found) else None,
     }
 
 
-def list_verdict_marks(result: Result | None) -> list[Any]:
+def list_verdict_marks(result: Calibration | None) -> list[Any]:
     """Answer the verdict strip's questions, none where nothing was estimated."""
-    return make_verdict_marks(result) if result and result.get("parameters") else []
+    return make_verdict_marks(result) if result and result.parameters else []
 
 
 Standing = tuple[str, str]
@@ -369,11 +363,11 @@ class RunTab:
     word: str = ""
 
 
-def list_tabs(run_id: int, chosen: str, result: Result | None, notes: int = 0) -> list[RunTab]:
+def list_tabs(run_id: int, chosen: str, result: Calibration | None, notes: int = 0) -> list[RunTab]:
     """Lay out the tabs of a run; `notes` is how many there are."""
     tabs = []
     for name, part in PARTS.items():
-        standing = part.judge(result) if result and result.get("parameters") else NOTHING
+        standing = part.judge(result) if result and result.parameters else NOTHING
         if name == "notes" and notes:
             standing = "standby", count(notes)
         address = f"/runs/{run_id}" if name == "summary" else f"/runs/{run_id}?part={name}"
@@ -381,49 +375,49 @@ def list_tabs(run_id: int, chosen: str, result: Result | None, notes: int = 0) -
     return tabs
 
 
-def _fit(result: Result) -> Standing:
+def _fit(result: Calibration) -> Standing:
     level = make_verdict(result).level
     return level, {"normal": "no reservation", "standby": "partial"}.get(level, "reservations")
 
 
-def _judge_history(result: Result) -> Standing:
-    if result.get("status") == "running":
+def _judge_history(result: Calibration) -> Standing:
+    if result.status == "running":
         return "standby", "moving"
     at = settled_step(result)
     return ("normal", "settled") if at is not None else ("caution", "not settled")
 
 
-def _rms(result: Result) -> Standing:
-    rms = (result.get("validation") or {}).get("rms_arc_rad") or result.get("rms_arc_rad") or {}
-    before, after = rms.get("initial"), rms.get("final")
+def _rms(result: Calibration) -> Standing:
+    rms = result.validation.rms_arc_rad if result.validation else result.rms_arc_rad
+    before, after = rms.initial, rms.final
     if before is None or after is None:
         return NOTHING
     return ("normal" if after < before else "serious"), f"{urad(after, 3)} µrad"
 
 
-def _observability(result: Result) -> Standing:
+def _observability(result: Calibration) -> Standing:
     mark = next(mark for mark in make_verdict_marks(result) if mark.question == "Weakest direction")
     return (mark.level, mark.word) if mark.word != "NO DATA" else NOTHING
 
 
-def _residuals(result: Result) -> Standing:
-    chi2, per_dof = result.get("chi2") or {}, result.get("chi2_per_dof")
-    if per_dof is None or chi2.get("consistent") is None:
+def _residuals(result: Calibration) -> Standing:
+    chi2, per_dof = result.chi2, result.chi2_per_dof
+    if per_dof is None or chi2 is None:
         return NOTHING
-    return ("normal" if chi2["consistent"] else "caution"), f"χ² {number(per_dof, 3)}"
+    return ("normal" if chi2.consistent else "caution"), f"χ² {number(per_dof, 3)}"
 
 
-def _trust(result: Result) -> Standing:
-    if not result.get("trust"):
+def _trust(result: Calibration) -> Standing:
+    if result.trust is None:
         return NOTHING
     doubts = len(trust_doubts(result))
     return trust_level(result), f"{doubts} doubt{'s' * (doubts != 1)}" if doubts else "no doubt"
 
 
-def _matching(result: Result) -> Standing:
-    if not result.get("matching"):
+def _matching(result: Calibration) -> Standing:
+    if result.matching is None:
         return NOTHING
-    return ("normal", "rested") if result["matching"].get("rested") else ("caution", "not at rest")
+    return ("normal", "rested") if result.matching.rested else ("caution", "not at rest")
 
 
 class RunPart(NamedTuple):
@@ -431,7 +425,7 @@ class RunPart(NamedTuple):
 
     title: str
     gather: Callable[[RunReview], dict[str, Any]]
-    judge: Callable[[Result], Standing] = lambda _: NOTHING
+    judge: Callable[[Calibration], Standing] = lambda _: NOTHING
 
 
 PARTS = {
@@ -523,7 +517,7 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         judged=make_verdict(result) if list_verdict_marks(result) and result else None,
         part=part,
         tabs=list_tabs(run_id, part, result, note_queries.count_notes(session, "runs", run_id)),
-        advice=list((result or {}).get("advice") or ()),
+        advice=result.advice if result else [],
         no_result=desk.why_nothing,
         wide=WIDE,
         **PARTS[part].gather(desk),
@@ -535,6 +529,7 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
     run = runs.get_run(session, run_id)
     validation = run.validation_set_id
     is_void = run.state in TERMINAL_RUN_STATES and run.result_sha256 is None  # what was computed does not count
+    found = None if is_void else runs.find_result(session, get_server(request).blobs, run_id)
     return RunReview(
         request=request,
         session=session,
@@ -543,7 +538,7 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
         sensor=session.get_known(Sensor, run.sensor_id),
         data=session.get_known(TelemetrySet, run.telemetry_set_id),
         validation=None if validation is None else session.get_known(TelemetrySet, validation),
-        result=None if is_void else runs.find_result(session, get_server(request).blobs, run_id),
+        result=None if found is None else parse_calibration(found),
     )
 
 
