@@ -9,16 +9,18 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from boresight.errors import RefusedInputError
 from boresight.platform.actors import Policy, SessionLimits
 from boresight.platform.audit.external_head import refuse_place
 from boresight.platform.blobs.locations import BlobLocation, parse_address
-from boresight.platform.db.secret_box import SecretBox
 from boresight.platform.web.targets import WebhookTargets, read_hosts
 from boresight.telemetry.read.limits import Limits
+
+if TYPE_CHECKING:
+    from boresight.platform.db.secret_box import SecretBox
 
 log = logging.getLogger(__name__)
 
@@ -155,6 +157,8 @@ class Settings:
     @property
     def secret_box(self) -> SecretBox:
         """What encrypts the secrets that the database keeps for later use."""
+        from boresight.platform.db.secret_box import SecretBox  # noqa: PLC0415 - cryptography is for servers
+
         return SecretBox(Path(self.webhook_key or self.data_folder / "webhooks.key").expanduser())
 
     @property

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from benchmarks.stars import star_frames
@@ -29,6 +30,7 @@ from boresight.sky.guide_stars import (
     UNRELIABLE,
     GuideStars,
     ObserverMotion,
+    close_pairs,
     guide_stars,
     observer_motion,
     phrases,
@@ -509,6 +511,16 @@ def test_only_the_brighter_of_two_stars_in_one_image_can_be_matched_and_none_too
     assert found == [[1, 3, 4], [1, 4], [1, 2, 3, 4]]
     faint = made([0.0, 1e-4], [0.0, 0.0], [5.0, 7.0])
     assert [guide_stars(faint, limit, 1e-3).hip.tolist() for limit in (6.0, 4.0)] == [[1], []]
+
+
+@pytest.mark.parametrize(("n", "reach"), [(0, 0.1), (1, 0.1), (2, 3.0), (300, 0.2), (3000, 0.01), (3000, 0.0)])
+def test_close_pairs_are_those_of_a_tree_of_neighbours(n, reach):
+    place = np.random.default_rng(n).normal(size=(n, 3))
+    place /= np.linalg.norm(place, axis=1, keepdims=True)
+    place = np.concatenate([place, place[:2]])  # some in one place, and at the same height
+    a, b = close_pairs(place, reach)
+    expected = KDTree(place).query_pairs(reach) if len(place) else set()
+    assert sorted(zip(a.tolist(), b.tolist(), strict=True)) == sorted(expected)
 
 
 def test_guide_stars_ascend_in_declination_and_their_motion_is_across_the_line_of_sight(catalogue):

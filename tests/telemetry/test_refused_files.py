@@ -7,6 +7,8 @@ import io
 import json
 import lzma
 import sqlite3
+import subprocess
+import sys
 import tarfile
 import time
 import zipfile
@@ -20,6 +22,7 @@ from pyarrow import feather
 
 from boresight.calibration.parameter_file import read_document
 from boresight.errors import RefusedInputError
+from boresight.telemetry.read.checks import fill_absent
 from boresight.telemetry.read.formats import parse_json, read_text
 from boresight.telemetry.read.readers import read_telemetry, write_csv, write_parquet
 from boresight.telemetry.schema import Telemetry
@@ -509,3 +512,30 @@ def test_the_real_star_fields_are_read(real_sky):
     assert np.unique(telemetry.frame).tolist() == [0, 1, 2, 3, 4]
     assert int((telemetry.star_id > 0).sum()) == int(np.isfinite(telemetry.ra_rad).sum()) == 596
     assert set(telemetry.time_utc) == {np.datetime64("2019-07-29T20:47:26", "us")}
+
+
+@pytest.mark.parametrize("kind", [pa.int64(), pa.int32()])
+@pytest.mark.parametrize(
+    "cells", [[], [None], [None, None, None], [1, None, -3, None], [4, 5, 6], [None, 2**31 - 1, -(2**31)]], ids=str
+)
+@pytest.mark.parametrize("cut", [slice(None), slice(1, None), slice(1, 3), slice(0, 0)], ids=str)
+def test_absent_whole_numbers_are_filled_as_arrow_fills_them(cells, kind, cut):
+    part = pa.array(cells, kind)[cut]
+    filled = fill_absent(part, 7)
+    assert filled.dtype == kind.to_pandas_dtype()
+    assert filled.tolist() == part.fill_null(7).to_pylist()
+    filled[:] = 0  # a copy that may be written to
+    assert part.to_pylist() == cells[cut]
+
+
+@pytest.mark.parametrize("n", [0, 3])
+def test_absent_whole_numbers_may_have_nothing_behind_them(n):
+    nothing = pa.Array.from_buffers(pa.int64(), 0, [None, None]) if n == 0 else pa.nulls(n, pa.int64())
+    assert fill_absent(nothing, 7).tolist() == [7] * n
+
+
+def test_a_table_is_read_without_pandas(tmp_path):
+    (tmp_path / "set.csv").write_text(GOOD)
+    code = "import sys, boresight; boresight.read_telemetry('set.csv'); print('pandas' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

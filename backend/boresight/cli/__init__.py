@@ -6,6 +6,8 @@ everything else to standard error. Heavy libraries are imported inside the comma
 
 from __future__ import annotations
 
+import os
+
 import click
 
 import boresight
@@ -28,11 +30,13 @@ from boresight.cli.worker import scheduler, warm, worker
 @click.group(cls=RefusingGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(boresight.__version__, prog_name="boresight")
 @click.option("--debug", is_flag=True, help="Show the traceback of an unexpected error.")
-def main(*, debug: bool) -> None:
+def main(*, debug: bool) -> None:  # noqa: ARG001 - the group asks for it itself
     """Recalibrate star trackers on orbit from downlinked star centroids.
 
     Every setting is an environment variable BORESIGHT_<NAME>; the README lists them.
     """
+    # threads of our own share the work out; OpenBLAS's beside them wait for one another, and round by how many they are
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 for command in (

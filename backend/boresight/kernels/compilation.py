@@ -33,6 +33,7 @@ import numba
 from numba.core import types
 from numba.core.caching import FunctionCache
 from numba.core.registry import cpu_target
+from numba.core.runtime import rtsys
 from numba.extending import register_jitable
 
 #: Reordering of sums and fused products are allowed; NaN and infinity keep their meaning.
@@ -40,7 +41,7 @@ FAST = {"contract", "reassoc", "arcp", "nsz", "afn"}
 UNUSED_S = 30 * 86_400.0
 
 #: Of parts: no references are counted, and nothing makes them callable from outside.
-PART = {"error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
+PART = {"error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True, "forceinline": False}
 _SCALARS = {"f": types.float64, "i": types.int64, "b": types.boolean}
 
 #: Whether this process compiles what is missing: it was started for that.
@@ -126,13 +127,21 @@ class _Kept(FunctionCache):  # type: ignore[misc]  # Numba ships no types
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load a form, after it was made where it was missing; None where nobody could make it."""
-        found = super().load_overload(sig, target_context)
-        if found is None and not compiles_itself:
+        if compiles_itself:
+            return super().load_overload(sig, target_context)
+        found = self._loaded(sig, target_context)
+        if found is None:
             from boresight.kernels import workshop  # noqa: PLC0415 - it needs this module
 
             workshop.make((self._py_func.__module__, self._py_func.__name__), sig)
-            found = super().load_overload(sig, target_context)
+            found = self._loaded(sig, target_context)
         return found
+
+    def _loaded(self, sig: Any, target_context: Any) -> Any:
+        """Load a form without the tables of functions that only a compiler asks, which take a quarter of a second to fill."""
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
 
     def has(self, sig: Any) -> bool:
         """Whether a form is there, without loading it."""

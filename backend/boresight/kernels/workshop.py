@@ -2,9 +2,6 @@
 
 The loops that take longest are handed out first, and each process gets the next when it is done with one, so that both end at about
 the same time. A process is handed (module, name, types) on standard input, pickled, and answers each with a line.
-
-In what a process makes, the parts of a loop are its own: Numba leaves them visible to other loops (`linkonce_odr`), and then a
-process would run whichever copy it had loaded first, rounded a little differently.
 """
 
 from __future__ import annotations
@@ -22,18 +19,17 @@ from pkgutil import iter_modules
 from typing import Any
 
 import numba
-from numba.core.codegen import JITCodeLibrary
-from numba.core.registry import cpu_target
 
 import boresight.kernels
 from boresight.kernels.compilation import LOOPS, one_at_a_time, state_type
+from boresight.kernels.lean import make_lean
 from boresight.waiting import tell
 
 PROCESSES = 2
 #: Loops that take longest to compile, in that order; the others take about as long as each other.
 LONGEST = (
-    "match_frames", "unscented_filter", "square_root_filter", "factor_values", "order_stars", "normal_equations", "value_rows",
-    "whitened_rows", "factor_pairs",
+    "match_frames", "unscented_filter", "square_root_filter", "factor_values", "order_stars", "normal_equations", "attitudes",
+    "factor_pairs", "spline_sums", "value_rows", "whiten_pairs",
 )  # fmt: skip
 
 Task = tuple[str, str, tuple[Any, ...]]  # module, name, types
@@ -119,23 +115,11 @@ def _environment() -> dict[str, str]:
     }
 
 
-class _Library(JITCodeLibrary):  # type: ignore[misc]  # Numba ships no types
-    """Machine code in which the parts of a loop are its own."""
-
-    def _optimize_final_module(self) -> None:
-        functions = [one for one in self._final_module.functions if not one.is_declaration]
-        if any(one.name.startswith("_ZN7cpython") for one in functions):  # a loop and not a part
-            for one in functions:
-                if one.linkage.name == "linkonce_odr":
-                    one.linkage = "internal"
-        super()._optimize_final_module()
-
-
 def serve() -> None:
     """Compile what standard input names, until it ends."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print is no answer
-    cpu_target.target_context.codegen()._library_class = _Library  # noqa: SLF001 - there is no other way to choose it
+    make_lean()
     while True:
         try:
             module, name, types = pickle.load(sys.stdin.buffer)  # noqa: S301 - of the process that started this one

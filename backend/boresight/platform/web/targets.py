@@ -23,8 +23,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
-import psutil
-
 from boresight.errors import RefusedInputError
 
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
@@ -61,6 +59,8 @@ GLOBAL_UNICAST = ipaddress.IPv6Network("2000::/3")
 
 def addresses_of_this_machine() -> frozenset[Address]:
     """Return every address that an interface of this machine has now."""
+    import psutil  # noqa: PLC0415 - settings are read by every command, and few ask this
+
     families = {socket.AF_INET, socket.AF_INET6}
     return frozenset(
         ipaddress.ip_address(one.address.partition("%")[0])
