@@ -32,10 +32,10 @@ def make_lean() -> None:
     """Let this process leave out what only interactive use needs."""
     gc.disable()  # it lives for seconds, and everything is reachable from everything
     codegen = cpu_target.target_context.codegen()
-    codegen._library_class = _Library  # noqa: SLF001 - there is no other way to choose it
+    codegen._library_class = _Library
     set_env = codegen.set_env
-    codegen.set_env = lambda name, env: set_env(name, env) if codegen._engine.is_symbol_defined(name) else None  # noqa: SLF001
-    _OverloadFunctionTemplate._get_impl = _find_implementation  # noqa: SLF001
+    codegen.set_env = lambda name, env: set_env(name, env) if codegen._engine.is_symbol_defined(name) else None
+    _OverloadFunctionTemplate._get_impl = _find_implementation
     postproc.PostProcessor.run = _post_process
 
 
@@ -45,7 +45,7 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]  # Numba ships no types
     _is_part = False
 
     def _optimize_functions(self, module: Any) -> None:
-        module.data_layout = self._codegen._data_layout  # noqa: SLF001 - the rest is done for the loop as a whole
+        module.data_layout = self._codegen._data_layout
 
     def finalize(self) -> None:
         """Put a loop together and turn it into machine code; leave a part as it is."""
@@ -59,15 +59,15 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]  # Numba ships no types
             self._finalized = True
             return
         for library in self._callers_first():
-            self._reload_init.update(library._reload_init)  # noqa: SLF001
-            whole = library._final_module if library._is_part else library._get_module_for_linking()  # noqa: SLF001
+            self._reload_init.update(library._reload_init)
+            whole = library._final_module if library._is_part else library._get_module_for_linking()
             module.link_in(whole, preserve=True)
         for function in module.functions:
             if not function.is_declaration and function.linkage.name == "linkonce_odr":
                 function.linkage = "internal"
                 if not _is_forced(function) and _is_long(function):
                     function.add_function_attribute("noinline")
-        passes, builder = self._codegen._module_pass_manager()  # noqa: SLF001
+        passes, builder = self._codegen._module_pass_manager()
         passes.run(module, builder)
         module.verify()
         self._finalize_final_module()
