@@ -719,7 +719,7 @@ def shown(document: dict[str, Any], sensor: Sensor) -> None:
         orjson.dumps(figure.draw([Trace("edited", found)]).to_plotly_json(), option=orjson.OPT_SERIALIZE_NUMPY)
         figure.table(found)
     if result["status"] not in {"diverged", "too_few_stars"} and result["camera_model"] in CAMERA_MODELS:
-        assess(result, sensor, ground_set(sensor), parse_profile({}))
+        assess(found, sensor, ground_set(sensor), parse_profile({}))
 
 
 @click.command(help=__doc__)

@@ -170,20 +170,20 @@ def chart(ada: httpx.Client) -> dict[str, Any]:
 
 
 def gate(ada: httpx.Client, sensor_id: int, folder: Path) -> dict[str, Any]:
-    result = get_example_calibrations()["batch"].to_dict()
+    result = get_example_calibrations()["batch"]
     limited = parse_profile({"gates": [{"name": "dummy-gate", "limit": 2.0, "marginal": 1.0}]})
     (found, strict) = (assess(result, SENSOR, ground_set(SENSOR), profile) for profile in (parse_profile({}), limited))
-    answer, refused = ({one["name"]: one for one in report["gates"]}["dummy-gate"] for report in (found, strict))
-    (folder / "result.json").write_bytes(orjson.dumps(result))
+    answer, refused = ({one.name: one for one in report.gates}["dummy-gate"] for report in (found, strict))
+    (folder / "result.json").write_bytes(orjson.dumps(result.to_dict()))
     (folder / "sensor.json").write_bytes(orjson.dumps(sensor_document(SENSOR)))
     printed = command("assess", folder / "result.json", "--sensor", folder / "sensor.json").output
     return {
-        "answer": {key: answer[key] for key in ("status", "value", "limit")},
-        "limited": {"status": refused["status"]},
-        "nothing": judge(parse_profile({}), {})["verdict"],
+        "answer": {"status": answer.status, "value": answer.value, "limit": answer.limit},
+        "limited": {"status": refused.status},
+        "nothing": judge(parse_profile({}), {}).verdict,
         "on": {
             "editor": "dummy-gate" in ada.get(f"/sensors/{sensor_id}/gates").text,
-            "panel": "Dummy gate" in {one.title for one in gate_rows(found)},
+            "panel": "Dummy gate" in {one.title for one in gate_rows(found.gates, found.blocking)},
             "command": "Dummy gate" in printed,
         },
     }

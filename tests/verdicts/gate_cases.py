@@ -1,9 +1,19 @@
 """Gate inputs made by hand: a sound set of a sensor, and anything that a test wants otherwise."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from boresight.calibration.calibration import (
+    Calibration,
+    ChiSquareTest,
+    Coverage,
+    InnovationTest,
+    Observability,
+    Values,
+    WeakestDirection,
+)
 from boresight.simulation.sensors import st16_sensor
 from boresight.verdicts.gates import GateInputs
 from boresight.verdicts.gates.assessment import ground_set
@@ -27,21 +37,25 @@ def a_set(**changed: Any) -> dict[str, Any]:
     } | changed
 
 
-def a_result(**changed: Any) -> dict[str, Any]:
-    test = {"dof": 1000, "lower": 0.91, "upper": 1.09, "consistent": True}
-    return {
-        "method": "batch",
-        "chi2_per_dof": 1.02,
-        "chi2": {"value": 1020.0, **test},
-        "nis": {"mean": 1.02, **test},
-        "observability": {
-            "singular_values": [100.0, 10.0],
-            "sigma_of_direction": [0.01, 0.1],
-            "condition_number": 10.0,
-            "weakest": {"sentence": "n0 and a1 move together."},
-        },
-        "coverage": {"counts": np.ones((12, 16), int).tolist()},
-    } | changed
+def a_result(**changed: Any) -> Calibration:
+    test: dict[str, Any] = {"dof": 1000, "lower": 0.91, "upper": 1.09, "consistent": True}
+    sound = Calibration(
+        status="converged",
+        method="batch",
+        chi2_per_dof=1.02,
+        chi2=ChiSquareTest(value=1020.0, **test),
+        nis=InnovationTest(mean=1.02, **test),
+        observability=Observability(
+            parameter_names=["n0_px", "a1_rad"],
+            singular_values=[100.0, 10.0],
+            condition_number=10.0,
+            right_singular_vectors=[[1.0, 0.0], [0.0, 1.0]],
+            sigma_of_direction=[0.01, 0.1],
+            weakest=WeakestDirection(direction=Values(), sentence="n0 and a1 move together."),
+        ),
+        coverage=Coverage(row_edges_px=[], col_edges_px=[], counts=np.ones((12, 16), int).tolist()),
+    )
+    return replace(sound, **changed)
 
 
 def gate_inputs(**changed: Any) -> GateInputs:

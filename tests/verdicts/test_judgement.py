@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.calibration.calibration import to_plain
 from boresight.errors import RefusedInputError
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.verdicts.gates import (
@@ -17,6 +18,7 @@ from boresight.verdicts.gates import (
     Measurement,
     judge,
     parse_profile,
+    parse_report,
     read_measurements,
     summarise,
     words,
@@ -29,7 +31,7 @@ NUMBERS = st.floats(0.0, 1.0)
 
 def answer(name, measured, **entry):
     report = judge(parse_profile({"gates": [{"name": name, **entry}]}), {name: measured})
-    return next(one for one in report["gates"] if one["name"] == name)
+    return next(one for one in report.gates if one.name == name)
 
 
 def sound(**changed):
@@ -58,7 +60,7 @@ def sound(**changed):
     ],
 )
 def test_a_gate_that_wants_little_fails_only_what_is_surely_too_much(value, interval, status):
-    assert answer("validation-rms", Measurement(value, "", interval=interval))["status"] == status
+    assert answer("validation-rms", Measurement(value, "", interval=interval)).status == status
 
 
 @given(NUMBERS, NUMBERS, NUMBERS, NUMBERS)
@@ -68,7 +70,7 @@ def test_wanting_much_is_wanting_little_of_the_negative(value, a, b, limit):
     mirrored = Measurement(1 - value, "", interval=(1 - interval[1], 1 - interval[0]))
     below = answer("quantisation", mirrored, limit=1 - limit, marginal=0.0)
     near = min(abs(end - limit) for end in (*interval, value)) < 1e-12
-    assert near or above["status"] == below["status"]
+    assert near or above.status == below.status
 
 
 @pytest.mark.parametrize(
@@ -85,14 +87,14 @@ def test_wanting_much_is_wanting_little_of_the_negative(value, a, b, limit):
     ],
 )
 def test_a_ratio_passes_inside_its_statistical_bounds_or_the_factor_that_is_allowed(value, bounds, status):
-    assert answer("chi-square", Measurement(value, "", bounds=bounds))["status"] == status
+    assert answer("chi-square", Measurement(value, "", bounds=bounds)).status == status
 
 
 @pytest.mark.parametrize("name", [gate.name for gate in GATES.values() if gate.direction != "met"])
 def test_thresholds_of_none_are_never_crossed(name):
     for value in (-1e9, 1e-9, 1e9):
         found = answer(name, Measurement(value, "", interval=(value, value)), limit=None, marginal=None)
-        assert (found["status"], found["margin"]) == ("PASS", None)
+        assert (found.status, found.margin) == ("PASS", None)
 
 
 @given(st.floats(0.2, 30.0))
@@ -103,7 +105,7 @@ def test_the_margin_is_negative_where_and_only_where_the_limit_is_crossed(value)
         ("chi-square", Measurement(value, "", bounds=(0.9, 1.1))),
     ):
         found = answer(name, measured)
-        assert (found["margin"] < 0) == (found["status"] == "FAIL")
+        assert (found.margin < 0) == (found.status == "FAIL")
 
 
 @given(st.lists(st.sampled_from(("PASS", "MARGINAL", "NO-DATA", "FAIL")), min_size=1))
@@ -113,7 +115,7 @@ def test_the_worst_answer_is_the_verdict_in_this_order_however_many_are_good(sta
     changes = [{}, {"coverage": 0.5}, {"coverage": None}, {"nis": 50.0}]
     for changed, verdict in zip(changes, STATUSES, strict=True):
         measured = sound(**{name: Measurement(value, "") for name, value in changed.items()})
-        assert judge(parse_profile({}), measured)["verdict"] == verdict
+        assert judge(parse_profile({}), measured).verdict == verdict
 
 
 def test_only_failing_and_missing_data_block_and_what_is_only_observed_counts_for_nothing():
@@ -121,30 +123,30 @@ def test_only_failing_and_missing_data_block_and_what_is_only_observed_counts_fo
     measured = sound(nis=Measurement(50.0, ""), coverage=Measurement(None, ""), availability=Measurement(None, ""))
     measured["condition-number"] = Measurement(1e9, "")
     report = judge(profile, measured)
-    assert report["blocking"] == ["availability", "nis"]
-    assert judge(parse_profile({}), {})["blocking"] == [name for name, gate in GATES.items() if gate.critical]
+    assert report.blocking == ["availability", "nis"]
+    assert judge(parse_profile({}), {}).blocking == [name for name, gate in GATES.items() if gate.critical]
     profile = parse_profile({"gates": [{"name": "nis", "observe_only": True}]})
     report = judge(profile, sound(nis=Measurement(50.0, "")))
-    assert (report["verdict"], report["blocking"]) == ("PASS", [])
-    assert next(one for one in report["gates"] if one["name"] == "nis")["status"] == "FAIL"
+    assert (report.verdict, report.blocking) == ("PASS", [])
+    assert next(one for one in report.gates if one.name == "nis").status == "FAIL"
 
 
 def test_a_waiver_lets_pass_and_stays_in_the_words_when_it_has_expired_or_the_gate_passes_by_now():
     report = judge(parse_profile({}), sound(nis=Measurement(50.0, ""), validation_rms=Measurement(9.0, "")))
-    assert summarise(report, {"nis"}, {"nis"})["blocking"] == ["validation-rms"]
+    assert summarise(report, {"nis"}, {"nis"}).blocking == ["validation-rms"]
     both = summarise(report, {"nis", "validation-rms"}, {"nis", "validation-rms"})
-    assert (both["words"], both["blocking"]) == ("PASS (2 gates waived)", [])
+    assert (both.words, both.blocking) == ("PASS (2 gates waived)", [])
     expired = summarise(report, set(), {"nis"})
-    assert (expired["words"], expired["blocking"]) == ("FAIL (1 gate waived)", ["validation-rms", "nis"])
+    assert (expired.words, expired.blocking) == ("FAIL (1 gate waived)", ["validation-rms", "nis"])
     assert words("PASS", 0) == "PASS"
-    assert summarise(judge(parse_profile({}), sound()), {"nis"}, {"nis"})["words"] == "PASS (1 gate waived)"
+    assert summarise(judge(parse_profile({}), sound()), {"nis"}, {"nis"}).words == "PASS (1 gate waived)"
 
 
 @pytest.mark.parametrize("name", [name for name, gate in GATES.items() if gate.critical])
 def test_no_waiver_lifts_a_critical_gate(name):
     report = judge(parse_profile({}), sound(**{name: Measurement(None, "No.", met="FAIL")}))
     waived = summarise(report, {name}, {name})
-    assert (waived["verdict"], waived["blocking"]) == ("FAIL", [name])
+    assert (waived.verdict, waived.blocking) == ("FAIL", [name])
 
 
 def test_a_report_judged_again_by_its_own_profile_is_the_same():
@@ -153,12 +155,13 @@ def test_a_report_judged_again_by_its_own_profile_is_the_same():
     report = judge(parse_profile({}), measured)
     assert read_measurements(report) == measured
     assert judge(parse_profile({}), read_measurements(report)) == report
-    assert all(math.isfinite(one["margin"]) for one in report["gates"] if one["margin"] is not None)
+    assert parse_report({**to_plain(report), "held_out": None}) == report
+    assert all(math.isfinite(one.margin) for one in report.gates if one.margin is not None)
 
 
 def of_residuals(value, dof):
     fit = chi_square(float(value), dof)
-    return answer("chi-square", Measurement(fit.mean, "", bounds=(fit.lower, fit.upper)))["status"]
+    return answer("chi-square", Measurement(fit.mean, "", bounds=(fit.lower, fit.upper))).status
 
 
 @pytest.mark.parametrize("dof", [5, 50, 500, 50_000])

@@ -236,7 +236,7 @@ class EvaluationIntervals:
     availability: IntervalChange
     matched_star_ratio: Numbers
     rms_arc_rad: IntervalChange
-    rms_ratio: Numbers
+    rms_ratio: Numbers = field(default_factory=list)
 
 
 @dataclass(frozen=True, kw_only=True)

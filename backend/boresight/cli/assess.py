@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -12,6 +12,9 @@ from boresight.cli.output import check_writable, json_option, write_json
 from boresight.library import functions as library
 from boresight.library.progress import progress
 from boresight.library.text import aligned
+
+if TYPE_CHECKING:
+    from boresight.library.results import Assessment
 
 FILE = click.Path(path_type=Path)
 
@@ -38,19 +41,19 @@ def assess(
     """
     check_writable(json_file)
     with progress("reading the calibration") as report:
-        document = library.assess(
+        found = library.assess(
             calibration, sensor_file, validate=telemetry, against=against, profile=profile_file, progress=report
-        ).to_dict()
-    write_json(document, json_file)
+        )
+    write_json(found.to_dict(), json_file)
     if json_file != "-":
-        click.echo("\n".join(_lines(document)))
+        click.echo("\n".join(_lines(found)))
 
 
-def _lines(document: dict[str, Any]) -> Iterator[str]:
+def _lines(found: Assessment) -> Iterator[str]:
     """Lay a report out for a terminal: the table, then a sentence for every gate that does not pass."""
     from boresight.verdicts.gates.judgement import gate_rows
 
-    rows = gate_rows(document)
+    rows = gate_rows(found.gates, found.blocking)
     head = ("gate", "answer", "measured", "95 %", "limit", "marginal from", "incumbent", "unit")
     table = [
         (row.title, row.status, row.value, row.interval, row.limit, row.marginal, row.incumbent, row.unit)
@@ -63,5 +66,5 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
         named = [f"{row.title} {row.status}" for row in failing if row.sentence == sentence]
         yield f"{'; '.join(named)}: {sentence}"
     yield ""
-    blocking = f"; it would be blocked by {', '.join(document['blocking'])}" if document["blocking"] else ""
-    yield f"{document['sensor']}: {document['words']}{blocking}"
+    blocking = f"; it would be blocked by {', '.join(found.blocking)}" if found.blocking else ""
+    yield f"{found.sensor}: {found.words}{blocking}"

@@ -343,9 +343,10 @@ def assess(
     profile
         Gate profile, as file or what one says; the default limits where left out.
     """
+    from boresight.calibration.calibration import to_plain
     from boresight.calibration.parameter_file import read_document
     from boresight.library.inputs import read_any_calibration, read_any_sensor, read_parameter_document
-    from boresight.library.results import Assessment, GateAnswer, parse_report
+    from boresight.library.results import Assessment
 
     with _prepared(progress, "reading the calibration") as prepared:
         from boresight.verdicts.gates import assessment as gates
@@ -359,7 +360,7 @@ def assess(
             if isinstance(profile, Mapping)
             else read_document(Path(profile), "a gate profile")
         )
-        candidate = read_any_calibration(calibration).to_dict()
+        candidate = read_any_calibration(calibration)
         incumbent = (
             gates.ground_set(described)
             if against is None
@@ -370,11 +371,15 @@ def assess(
             stars, _, catalogue = read_set(validate, described, prepared)
             frames = stars, catalogue
         prepared.report("measuring and judging", None)
-        document = {**gates.assess(candidate, described, incumbent, limits, frames), "sensor": described.name}
-    names = {item.name for item in fields(GateAnswer)}
-    answers = [GateAnswer(**{name: one[name] for name in names}) for one in document["gates"]]
-    found: Assessment = parse_report(Assessment, document)
-    return replace(found, gates=answers)
+        report = gates.assess(candidate, described, incumbent, limits, frames)
+    return Assessment(
+        sensor=described.name,
+        verdict=report.verdict,
+        words=report.words,
+        blocking=report.blocking,
+        gates=report.gates,
+        document={**to_plain(report), "sensor": described.name},
+    )
 
 
 @_on_kernels

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
+    from boresight.verdicts.gates import GateAnswer
 
 #: What makes a table of numbers by column.
 FrameKind = Literal["pandas", "polars", "pyarrow"]
@@ -232,21 +233,11 @@ class Simulation:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GateAnswer:
-    """One gate's answer: PASS, MARGINAL, NO-DATA or FAIL, what was measured, its limit, and a sentence."""
-
-    name: str
-    title: str
-    status: str
-    value: float | None
-    limit: float | None
-    unit: str
-    sentence: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class Assessment:
-    """A calibration held against gates: the worst answer, in words, what would block it, and every gate."""
+    """A calibration held against gates: the worst answer, in words, what would block it, and what every gate answered.
+
+    A gate's `status` is PASS, MARGINAL, NO-DATA or FAIL, beside what was measured, its limit, and a sentence.
+    """
 
     sensor: str
     verdict: str

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from boresight.calibration.calibration import parse_calibration
 from boresight.console.approvals import proposals, staleness
 from boresight.console.approvals import queries as rows
 from boresight.console.approvals.tables import ChangeProposal, GateProfile
@@ -173,9 +174,9 @@ def dry_run(session: Session, blobs: BlobStore, sensor_id: int, document: Mappin
         row = set_rows.find_set_of_run(session, run.id)
         report = None if row is None else rows.find_newest_report(session, row.id)
         basis = "the set's gate report" if report else "the run's own result"
-        measured = gates.read_measurements(report.document) if report else _measure(blobs, run)
+        measured = gates.read_measurements(gates.parse_report(report.document)) if report else _measure(blobs, run)
         new, now = gates.judge(tried, measured), gates.judge(current, measured)
-        judged = (new["verdict"], new["blocking"], now["verdict"], now["blocking"])
+        judged = (new.verdict, new.blocking, now.verdict, now.blocking)
         found.append(TriedProfile(run, row.name if row else None, *judged, basis))
     return found
 
@@ -184,13 +185,14 @@ def _measure(blobs: BlobStore, run: Run) -> dict[str, Measurement]:
     try:
         result = read_result(blobs, str(run.result_sha256), run.id)
         sensor = parse_sensor(run.sensor_document)
+        found = parse_calibration(result)
         inputs = gates.GateInputs(
             sensor=sensor,
             candidate={**result, "sensor": sensor.name},  # as a set that was made of it would say
             incumbent=ground_set(sensor),
-            result=result,
+            result=found,
             made_with=run.sensor_document,
-            validation=of_result(result),
+            validation=of_result(found),
             no_validation=NO_VALIDATION,
         )
     except (BoresightError, ValueError):

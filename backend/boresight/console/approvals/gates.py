@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from boresight.calibration.calibration import Calibration, parse_calibration, to_plain
 from boresight.calibration.options import CalibrationSettings
 from boresight.console import list_queries as lists
 from boresight.console.access import users
@@ -158,7 +159,7 @@ def examine(
 ) -> GateAssessment:
     """Measure and judge a case."""
     sensor = parse_sensor(stored.sensor_document)
-    result = None if stored.result_sha256 is None else read_result(blobs, stored.result_sha256)
+    result = None if stored.result_sha256 is None else parse_calibration(read_result(blobs, stored.result_sha256))
     validation, why = _seen(stored, blobs, sensor, result, catalogue, cache_folder)
     inputs = gates.GateInputs(
         sensor=sensor,
@@ -176,17 +177,17 @@ def examine(
         if validation is None or stored.validation is None
         else {"name": stored.validation[0], "sha256": stored.validation[1]}
     )
-    return GateAssessment(stored.parameter_set_id, {**report, "held_out": seen, "bound": stored.bound})
+    return GateAssessment(stored.parameter_set_id, {**to_plain(report), "held_out": seen, "bound": stored.bound})
 
 
 def _seen(
     stored: StoredGateInputs,
     blobs: BlobStore,
     sensor: Sensor,
-    result: Mapping[str, Any] | None,
+    result: Calibration | None,
     catalogue: Catalogue | None,
     cache_folder: Path | None,
-) -> tuple[Mapping[str, Any] | None, str]:
+) -> tuple[gates.ValidationScores | None, str]:
     """Return the scores on validation frames, or None with the reason; what the run compared already is not seen again."""
     if stored.incumbent is not None and result is not None and started_from(result, stored.incumbent):
         own = of_result(result)
@@ -287,22 +288,29 @@ def choose_report_for_submission(
 
 
 def read_with_waivers(session: Session, report: GateReport, bound: Collection[int] | None = None) -> dict[str, Any]:
-    """Return a report with the waivers laid over it: who waived what, what blocks, and the verdict in words."""
+    """Return a report's document with the waivers laid over it."""
+    return {**report.document, **to_plain(lay_waivers(session, report, bound))}
+
+
+def lay_waivers(session: Session, report: GateReport, bound: Collection[int] | None = None) -> gates.GateReport:
+    """Return a report with the waivers laid over it: what is waived, what blocks, and the verdict in words."""
     return _laid_over(report, rows.list_waivers(session, [report.parameter_set_id]), bound)
 
 
-def _laid_over(report: GateReport, waivers: Collection[Waiver], bound: Collection[int] | None = None) -> dict[str, Any]:
+def _laid_over(
+    report: GateReport, waivers: Collection[Waiver], bound: Collection[int] | None = None
+) -> gates.GateReport:
     now = utc_now()
     holding = [waiver for waiver in waivers if (waiver.expires_utc > now if bound is None else waiver.id in bound)]
     waived = {waiver.gate for waiver in holding}
-    return gates.summarise(report.document, waived, {waiver.gate for waiver in waivers})
+    return gates.summarise(gates.parse_report(report.document), waived, {waiver.gate for waiver in waivers})
 
 
 def read_verdicts(session: Session, parameter_set_ids: Collection[int]) -> dict[int, str]:
     """Return the verdict, in words, of each of some sets that was ever assessed; waivers stay in it for ever."""
     given = rows.list_waivers(session, parameter_set_ids)
     return {
-        number: _laid_over(report, [waiver for waiver in given if waiver.parameter_set_id == number])["words"]
+        number: _laid_over(report, [waiver for waiver in given if waiver.parameter_set_id == number]).words
         for number, report in rows.list_newest_reports(session, parameter_set_ids).items()
     }
 

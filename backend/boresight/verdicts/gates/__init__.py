@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
-from boresight.verdicts.gates.judgement import judge, read_measurements, summarise, words
-from boresight.verdicts.gates.measurements import GATES, Gate, GateInputs, Measurement, measure
+from boresight.verdicts.gates.judgement import (
+    GateAnswer,
+    GateReport,
+    judge,
+    parse_report,
+    read_measurements,
+    summarise,
+    words,
+)
+from boresight.verdicts.gates.measurements import GATES, Gate, GateInputs, Measurement, ValidationScores, measure
 from boresight.verdicts.gates.profile import DEFAULT_PROFILE, Profile, Threshold, parse_profile
 
 __all__ = [
     "DEFAULT_PROFILE",
     "GATES",
     "Gate",
+    "GateAnswer",
     "GateInputs",
+    "GateReport",
     "Measurement",
     "Profile",
     "Threshold",
+    "ValidationScores",
     "judge",
     "measure",
     "parse_profile",
+    "parse_report",
     "read_measurements",
     "summarise",
     "words",

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.calibration.calibration import to_plain
+from boresight.calibration.calibration import Calibration, Evaluation
 from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.evaluation.evaluate import evaluate_matched_frames
 from boresight.calibration.matching.matched_frames import match_under_states
@@ -39,11 +39,16 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
-from boresight.verdicts.gates.judgement import judge
-from boresight.verdicts.gates.measurements import Document, GateInputs, ends, measure
+from boresight.verdicts.gates.judgement import GateReport, judge
+from boresight.verdicts.gates.measurements import (
+    Document,
+    GateInputs,
+    Score,
+    ValidationScores,
+    ends,
+    measure,
+)
 from boresight.verdicts.gates.profile import Profile
-
-Score = dict[str, Any]  # value, interval, and of the incumbent where it has one
 
 
 def compute_validation_scores(
@@ -54,7 +59,7 @@ def compute_validation_scores(
     candidate: Document,
     settings: CalibrationSettings,
     cache_folder: Path | None = None,
-) -> dict[str, Score | int]:
+) -> ValidationScores:
     """See validation frames under both sets and score them."""
     states = [
         parse_parameters(incumbent, sensor, "The incumbent"),
@@ -64,24 +69,23 @@ def compute_validation_scores(
     evaluation = evaluate_matched_frames(telemetry, sensor, before, after, settings, _rng())
     valid = np.stack([before.view.valid_frames, after.view.valid_frames])
     matched = np.stack([before.view.matched_in_frame, after.view.matched_in_frame])
-    return _scores(to_plain(evaluation), valid, matched)
+    return _scores(evaluation, valid, matched)
 
 
-def of_result(result: Document) -> dict[str, Score | int] | None:
+def of_result(result: Calibration) -> ValidationScores | None:
     """Take the scores of a run's own validation, against what it started from.
 
     None where it had none, where an older version wrote less of it, or where it kept some of many frames: those that differ first,
     from which nothing of all frames follows.
     """
-    validation, shadow = result.get("validation"), (result.get("shadow") or {}).get("validation")
-    if not validation or not shadow or len(shadow["frames"]) != validation["frames"]:
+    validation, shadow = result.validation, result.shadow.validation
+    if validation is None or shadow is None or len(shadow.frames) != validation.frames:
         return None
-    if "rms_ratio" not in (validation.get("intervals") or {}):
+    if validation.intervals is None or not validation.intervals.rms_ratio:
         return None
-    frames = shadow["frames"]
-    sides = ("baseline", "candidate")
-    valid = np.array([[frame[side]["valid"] for frame in frames] for side in sides], np.bool_)
-    matched = np.array([[frame[side]["matched"] for frame in frames] for side in sides], np.int64)
+    sides = [frame.baseline for frame in shadow.frames], [frame.candidate for frame in shadow.frames]
+    valid = np.array([[answer.valid for answer in side] for side in sides], np.bool_)
+    matched = np.array([[answer.matched for answer in side] for side in sides], np.int64)
     return _scores(validation, valid, matched)
 
 
@@ -90,23 +94,20 @@ def _rng() -> np.random.Generator:
     return np.random.default_rng(bootstrap.SEED)
 
 
-def _scores(evaluation: Document, valid: NDArray[np.bool_], matched: NDArray[np.int64]) -> dict[str, Score | int]:
+def _scores(evaluation: Evaluation, valid: NDArray[np.bool_], matched: NDArray[np.int64]) -> ValidationScores:
     """Put the scores under their gates' names; `valid` and `matched` are (2, n_frames), the incumbent's first."""
-    rms, available, intervals = evaluation["rms_arc_rad"], evaluation["availability"], evaluation["intervals"]
-    return {
-        "frames": int(evaluation["frames"]),
-        "validation-rms": _score(rms["final"], intervals["rms_arc_rad"]["final"], rms["initial"]),
-        "validation-rms-incumbent": _score(evaluation["rms_ratio"], intervals["rms_ratio"]),
-        "availability": _score(available["final"], intervals["availability"]["final"], available["initial"]),
+    rms, available, intervals = evaluation.rms_arc_rad, evaluation.availability, evaluation.intervals
+    rms_reach = intervals.rms_arc_rad.final if intervals else None
+    available_reach = intervals.availability.final if intervals else None
+    scores = {
+        "validation-rms": Score(rms.final, ends(rms_reach), rms.initial),
+        "validation-rms-incumbent": Score(evaluation.rms_ratio, ends(intervals.rms_ratio if intervals else None)),
+        "availability": Score(available.final, ends(available_reach), available.initial),
         "availability-incumbent": change_of_share(valid[0], valid[1], _rng()),
         "matched-stars": _mean(matched[1], float(matched[0].mean())),
         "matched-stars-incumbent": _mean(matched[1] - matched[0]),
     }
-
-
-def _score(value: float | None, interval: Any, incumbent: float | None = None) -> Score:
-    known = ends(interval)
-    return {"value": value, "interval": None if known is None else list(known), "incumbent": incumbent}
+    return ValidationScores(evaluation.frames, scores)
 
 
 def _mean(counts: NDArray[np.int64], incumbent: float | None = None) -> Score:
@@ -115,7 +116,8 @@ def _mean(counts: NDArray[np.int64], incumbent: float | None = None) -> Score:
     length = bootstrap.block_length(values)
     sums = bootstrap.resampled_sums(np.column_stack([values, np.ones(len(values))]), length, _rng())
     mean = float(values.mean())
-    return _score(mean, bootstrap.interval(mean, sums[:, 0] / sums[:, 1], len(values) / length), incumbent)
+    interval = bootstrap.interval(mean, sums[:, 0] / sums[:, 1], len(values) / length)
+    return Score(mean, ends(interval), incumbent)
 
 
 def change_of_share(before: NDArray[np.bool_], after: NDArray[np.bool_], rng: np.random.Generator) -> Score:
@@ -129,8 +131,7 @@ def change_of_share(before: NDArray[np.bool_], after: NDArray[np.bool_], rng: np
     change, n_blocks = float(steps.mean()), len(steps) / length
     low, high = bootstrap.interval(change, sums[:, 0] / sums[:, 1], n_blocks)
     below, above = _mover(float(np.mean(steps > 0)), float(np.mean(steps < 0)), n_blocks)
-    interval = [max(-1.0, min(low or 0.0, change - below)), min(1.0, max(high or 0.0, change + above))]
-    return {"value": change, "interval": interval, "incumbent": None}
+    return Score(change, (max(-1.0, min(low or 0.0, change - below)), min(1.0, max(high or 0.0, change + above))))
 
 
 def _mover(gained: float, lost: float, n_blocks: float) -> tuple[float, float]:
@@ -168,31 +169,30 @@ def as_set(document: Document, sensor: Sensor) -> dict[str, Any]:
     }
 
 
-def started_from(result: Document, incumbent: Document) -> bool:
+def started_from(result: Calibration, incumbent: Document) -> bool:
     """Whether a run started from the incumbent, so that its own validation already compares with it."""
-    initial, values = result.get("initial") or {}, incumbent["parameters"]
-    return set(initial) == set(values) and all(
-        math.isclose(initial[name], values[name], rel_tol=1e-12) for name in values
-    )
+    values = incumbent["parameters"]
+    known = {name: value for name, value in result.initial.items() if value is not None}
+    return set(known) == set(values) and all(math.isclose(known[name], values[name], rel_tol=1e-12) for name in values)
 
 
 def assess(
-    result: Document,
+    result: Calibration,
     sensor: Sensor,
     incumbent: Document,
     profile: Profile,
     frames: tuple[Telemetry, Catalogue] | None = None,
-) -> dict[str, Any]:
-    """Judge a calibration JSON."""
-    validation, why = None, NO_FRAMES
+) -> GateReport:
+    """Judge a calibration."""
+    validation, why, candidate = None, NO_FRAMES, result.to_dict()
     if frames is not None:
-        settings = CalibrationSettings.parse((result.get("inputs") or {}).get("settings") or {})
-        validation = compute_validation_scores(frames[0], sensor, frames[1], incumbent, result, settings)
+        settings = CalibrationSettings.parse(result.inputs.settings)
+        validation = compute_validation_scores(frames[0], sensor, frames[1], incumbent, candidate, settings)
     elif started_from(result, incumbent):
         validation = of_result(result)
     inputs = GateInputs(
         sensor=sensor,
-        candidate=result,
+        candidate=candidate,
         incumbent=incumbent,
         result=result,
         validation=validation,

@@ -24,10 +24,12 @@ A gate report as people read it, on pages and in terminals: one row of words a g
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
+from boresight.calibration.calibration import parse_part
+from boresight.errors import RefusedInputError
 from boresight.verdicts.gates.measurements import GATES, Ends, Measurement
 from boresight.verdicts.gates.profile import Profile, Threshold
 from boresight.verdicts.numbers import MINUS, MISSING, NARROW_SPACE, number, percent
@@ -36,27 +38,74 @@ SCHEMA = "boresight.gate-report/1"
 STATUSES = ("PASS", "MARGINAL", "NO-DATA", "FAIL")  # the worst last
 
 
-def judge(profile: Profile, measurements: Mapping[str, Measurement]) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class GateAnswer:
+    """What one gate answers: what was measured, what it was held against, and how it came out.
+
+    `interval`: of 95 %; None stands for an end that is not known. `bounds`: within which a sound set's value falls. `met`: the
+    answer of a gate that has no number. `margin`: how far the value is from the limit on its good side.
+    """
+
+    name: str
+    title: str
+    status: str
+    value: float | None
+    unit: str
+    direction: str
+    limit: float | None
+    marginal: float | None
+    incumbent: float | None
+    interval: list[float | None] | None
+    bounds: list[float | None] | None
+    met: str | None
+    margin: float | None
+    sentence: str
+    critical: bool
+    waivable: bool
+    observe_only: bool
+    must_have_data: bool
+    waived: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class GateReport:
+    """The answers of all gates, `boresight.gate-report/1`, with the verdict, in words too, and the gates that block."""
+
+    schema: str = SCHEMA
+    gates: list[GateAnswer]
+    verdict: str
+    words: str
+    blocking: list[str]
+    waived: list[str]
+
+
+def parse_report(document: Mapping[str, Any]) -> GateReport:
+    """Read a report from its JSON; whatever else stands in it is left out."""
+    return parse_part(GateReport, document, RefusedInputError)
+
+
+def judge(profile: Profile, measurements: Mapping[str, Measurement]) -> GateReport:
     """Answer every gate of a profile."""
     nothing = Measurement(None, "This was not measured.")
-    answers = [_answer(threshold, measurements.get(threshold.name, nothing)) for threshold in profile.thresholds]
-    return summarise({"schema": SCHEMA, "gates": answers}, (), ())
+    return _sum_up([_answer(one, measurements.get(one.name, nothing)) for one in profile.thresholds], 0)
 
 
-def summarise(report: Mapping[str, Any], waived: Collection[str], ever_waived: Collection[str]) -> dict[str, Any]:
+def summarise(report: GateReport, waived: Collection[str], ever_waived: Collection[str]) -> GateReport:
     """Return a report as it stands with waivers."""
-    answers = [{**answer, "waived": answer["name"] in waived} for answer in report["gates"]]
-    counted = [answer for answer in answers if not answer["observe_only"]]
-    blocking = [answer["name"] for answer in counted if _blocks(answer)]
-    verdict = find_worst(answer["status"] for answer in counted if not (_stands(answer) and _passed_by(answer)))
-    return {
-        **report,
-        "verdict": verdict,
-        "words": words(verdict, len(set(ever_waived) | set(waived))),
-        "blocking": blocking,
-        "waived": [answer["name"] for answer in answers if answer["waived"]],
-        "gates": answers,
-    }
+    answers = [replace(answer, waived=answer.name in waived) for answer in report.gates]
+    return _sum_up(answers, len(set(ever_waived) | set(waived)))
+
+
+def _sum_up(answers: list[GateAnswer], ever_waived: int) -> GateReport:
+    counted = [answer for answer in answers if not answer.observe_only]
+    verdict = find_worst(answer.status for answer in counted if not (_stands(answer) and _passed_by(answer)))
+    return GateReport(
+        gates=answers,
+        verdict=verdict,
+        words=words(verdict, ever_waived),
+        blocking=[answer.name for answer in counted if _blocks(answer)],
+        waived=[answer.name for answer in answers if answer.waived],
+    )
 
 
 def find_worst(statuses: Iterable[str]) -> str:
@@ -69,63 +118,62 @@ def words(verdict: str, waived: int) -> str:
     return f"{verdict} ({waived} gate{'s' * (waived != 1)} waived)" if waived else verdict
 
 
-def _stands(answer: Mapping[str, Any]) -> bool:
+def _stands(answer: GateAnswer) -> bool:
     """Whether an answer stands in the way of a set, waived or not."""
-    return bool(answer["status"] == "FAIL" or (answer["status"] == "NO-DATA" and answer["must_have_data"]))
+    return answer.status == "FAIL" or (answer.status == "NO-DATA" and answer.must_have_data)
 
 
-def _blocks(answer: Mapping[str, Any]) -> bool:
+def _blocks(answer: GateAnswer) -> bool:
     """Whether an answer stands in the way of a set and nobody lets it pass."""
     return _stands(answer) and not _passed_by(answer)
 
 
-def _passed_by(answer: Mapping[str, Any]) -> bool:
+def _passed_by(answer: GateAnswer) -> bool:
     """Whether a person lets a set pass by this answer."""
-    return bool(answer["waived"] and answer["waivable"])
+    return answer.waived and answer.waivable
 
 
-def _answer(threshold: Threshold, measured: Measurement) -> dict[str, Any]:
+def _answer(threshold: Threshold, measured: Measurement) -> GateAnswer:
     gate = GATES[threshold.name]
     status = _status(threshold, measured)
-    return {
-        "name": gate.name,
-        "title": gate.title,
-        "status": status,
-        "value": measured.value,
-        "unit": gate.unit,
-        "direction": gate.direction,
-        "limit": threshold.limit,
-        "marginal": threshold.marginal,
-        "incumbent": measured.incumbent,
-        "interval": None if measured.interval is None else list(measured.interval),
-        "bounds": None if measured.bounds is None else list(measured.bounds),
-        "met": measured.met,
-        "margin": _margin(threshold, measured),
-        "sentence": measured.sentence,
-        "critical": threshold.critical,
-        "waivable": threshold.waivable,
-        "observe_only": threshold.observe_only,
-        "must_have_data": threshold.must_have_data,
-        "waived": False,
-    }
+    return GateAnswer(
+        name=gate.name,
+        title=gate.title,
+        status=status,
+        value=measured.value,
+        unit=gate.unit,
+        direction=gate.direction,
+        limit=threshold.limit,
+        marginal=threshold.marginal,
+        incumbent=measured.incumbent,
+        interval=None if measured.interval is None else list(measured.interval),
+        bounds=None if measured.bounds is None else list(measured.bounds),
+        met=measured.met,
+        margin=_margin(threshold, measured),
+        sentence=measured.sentence,
+        critical=threshold.critical,
+        waivable=threshold.waivable,
+        observe_only=threshold.observe_only,
+        must_have_data=threshold.must_have_data,
+    )
 
 
-def read_measurements(report: Mapping[str, Any]) -> dict[str, Measurement]:
+def read_measurements(report: GateReport) -> dict[str, Measurement]:
     """Return what was measured, from a report, to be judged by another profile."""
     return {
-        answer["name"]: Measurement(
-            value=answer["value"],
-            sentence=answer["sentence"],
-            interval=_pair(answer["interval"]),
-            bounds=_pair(answer["bounds"]),
-            incumbent=answer["incumbent"],
-            met=answer["met"],
+        answer.name: Measurement(
+            value=answer.value,
+            sentence=answer.sentence,
+            interval=_pair(answer.interval),
+            bounds=_pair(answer.bounds),
+            incumbent=answer.incumbent,
+            met=answer.met,
         )
-        for answer in report["gates"]
+        for answer in report.gates
     }
 
 
-def _pair(values: Any) -> Ends | None:
+def _pair(values: Sequence[float | None] | None) -> Ends | None:
     return None if values is None else (values[0], values[1])
 
 
@@ -203,40 +251,42 @@ class GateRow:
     waivable: bool
 
 
-def gate_rows(report: Mapping[str, Any]) -> list[GateRow]:
-    """Lay a report out, a row a gate."""
-    return [_row(answer, answer["name"] in report["blocking"]) for answer in report["gates"]]
+def gate_rows(answers: Sequence[GateAnswer], blocking: Collection[str]) -> list[GateRow]:
+    """Lay the answers of a report out, a row a gate."""
+    return [_row(answer, answer.name in blocking) for answer in answers]
 
 
-def _row(answer: Mapping[str, Any], blocking: bool) -> GateRow:
-    name = answer["name"]
-    met = {"PASS": "met", "MARGINAL": "nearly met", "FAIL": "not met"}.get(str(answer["met"]), MISSING)
+MET = {"PASS": "met", "MARGINAL": "nearly met", "FAIL": "not met"}
+
+
+def _row(answer: GateAnswer, blocking: bool) -> GateRow:
+    name = answer.name
     return GateRow(
         name=name,
-        title=answer["title"],
-        status=answer["status"],
-        value=met if answer["met"] else in_unit(name, answer["value"]),
-        interval=_between(name, answer["interval"] or answer["bounds"]),
-        limit=threshold_text(name, answer["limit"]),
-        marginal=threshold_text(name, answer["marginal"]),
-        incumbent=in_unit(name, answer["incumbent"]),
-        margin=in_unit(name, answer["margin"]),
+        title=answer.title,
+        status=answer.status,
+        value=in_unit(name, answer.value) if answer.met is None else MET[answer.met],
+        interval=_between(name, answer.interval or answer.bounds),
+        limit=threshold_text(name, answer.limit),
+        marginal=threshold_text(name, answer.marginal),
+        incumbent=in_unit(name, answer.incumbent),
+        margin=in_unit(name, answer.margin),
         unit="" if GATES[name].unit in SHARES else GATES[name].unit,
-        sentence=answer["sentence"],
+        sentence=answer.sentence,
         notes=tuple(_notes(answer)),
         blocking=blocking,
-        waivable=answer["waivable"] and not answer["critical"],
+        waivable=answer.waivable and not answer.critical,
     )
 
 
-def _notes(answer: Mapping[str, Any]) -> list[str]:
+def _notes(answer: GateAnswer) -> list[str]:
     return [
         word
         for word, holds in (
-            ("waived", answer["waived"]),
-            ("critical", answer["critical"]),
-            ("only observed", answer["observe_only"]),
-            ("must have data", answer["must_have_data"] and not answer["critical"]),
+            ("waived", answer.waived),
+            ("critical", answer.critical),
+            ("only observed", answer.observe_only),
+            ("must have data", answer.must_have_data and not answer.critical),
         )
         if holds
     ]
@@ -249,7 +299,7 @@ def in_unit(name: str, value: float | None) -> str:
     return percent(value) if GATES[name].unit in SHARES else number(value, 3)
 
 
-def _between(name: str, interval: Any) -> str:
+def _between(name: str, interval: Sequence[float | None] | None) -> str:
     """Write an interval; an unknown end is unbounded."""
     if interval is None:
         return MISSING

@@ -43,6 +43,7 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.calibration import Calibration, ChiSquareTest, InnovationTest
 from boresight.calibration.parameter_file import parse_parameters
 from boresight.calibration.trust.efficiency import field_arc_sigma
 from boresight.cameras import CAMERA_MODELS, CameraModel
@@ -52,18 +53,39 @@ from boresight.telemetry.sensors import Sensor
 from boresight.uplink import table_definition
 
 Document = Mapping[str, Any]
+Ends = tuple[float | None, float | None]
+
+
+@dataclass(frozen=True)
+class Score:
+    """One score of validation frames with its 95 % interval, and the incumbent's."""
+
+    value: float | None
+    interval: Ends | None = None
+    incumbent: float | None = None
+
+
+@dataclass(frozen=True)
+class ValidationScores:
+    """Scores of validation frames under both sets, by the name of the gate that asks for it, and of how many frames."""
+
+    frames: int
+    of_gate: Mapping[str, Score]
 
 
 @dataclass(frozen=True)
 class GateInputs:
-    """Everything a verdict rests on."""
+    """Everything a verdict rests on.
+
+    `candidate`, `incumbent`: parameter sets as they were written, for whether they are sound is what the gates ask.
+    """
 
     sensor: Sensor
     candidate: Document
     incumbent: Document | None
-    result: Document | None = None
+    result: Calibration | None = None
     made_with: Document | None = None
-    validation: Document | None = None
+    validation: ValidationScores | None = None
     no_validation: str = ""
     definition: Document | None = None
 
@@ -101,7 +123,6 @@ class GateInputs:
         return 1.0 / self.camera.focal_px(self.sensor.initial, self.sensor.pixel_pitch_m)
 
 
-Ends = tuple[float | None, float | None]
 IS_INCUMBENT = "There is no other set to compare with: this one is the baseline, or the sensor has none."
 #: Share of the typical spread from unit to unit below which no difference of parameters counts in sigmas.
 FLOOR = 0.1
@@ -115,6 +136,7 @@ ENDED = {
     "ground calibration": ("PASS", "A ground calibration is declared; there was nothing to come to rest."),
 }
 ARCSEC = float(np.degrees(1.0) * 3600)
+INCOMPLETE = "The numbers of this set are not complete enough to tell: calibrate again."
 NO_DEFINITION = "There is no table definition: an administrator or analyst adds it under the sensor's table on board."
 
 
@@ -149,14 +171,11 @@ def ends(pair: Sequence[float | None] | None) -> Ends | None:
 def _score(name: str, inputs: GateInputs) -> Measurement:
     if inputs.validation is None:
         return absent(inputs.no_validation)
-    score, frames = inputs.validation[name], inputs.validation["frames"]
-    if score["value"] is None:
+    score, frames = inputs.validation.of_gate[name], inputs.validation.frames
+    if score.value is None:
         return absent(f"None of the {frames:,} held-out frames gives this number: choose frames with more stars.")
     return Measurement(
-        float(score["value"]),
-        f"On {frames:,} held-out frames.",
-        interval=ends(score["interval"]),
-        incumbent=score["incumbent"],
+        score.value, f"On {frames:,} held-out frames.", interval=score.interval, incumbent=score.incumbent
     )
 
 
@@ -281,30 +300,30 @@ def convergence(inputs: GateInputs) -> Measurement:
 
 def chi_square(inputs: GateInputs) -> Measurement:
     """Measure the residuals against the stated noise."""
-    result = inputs.result or {}
-    value, test = result.get("chi2_per_dof"), result.get("chi2")
-    if value is None or not test:
-        return absent(NO_RUN if inputs.result is None else "The run kept no chi-square: run it again.")
-    return _around_one(value, test, "Residuals")
+    result = inputs.result
+    if result is None or result.chi2_per_dof is None or result.chi2 is None:
+        return absent(NO_RUN if result is None else "The run kept no chi-square: run it again.")
+    return _around_one(result.chi2_per_dof, result.chi2, "Residuals")
 
 
 def nis(inputs: GateInputs) -> Measurement:
     """Measure a filter's innovations against what it expected; a batch has residuals in their place."""
-    result = inputs.result or {}
-    test = result.get("nis")
-    if not test or test.get("mean") is None:
-        return absent(NO_RUN if inputs.result is None else "The run kept no innovations: run it again.")
-    what = "Innovations" if result.get("method") in FILTERS else "A batch has no innovations; its residuals"
-    return _around_one(test["mean"], test, what)
+    result = inputs.result
+    if result is None or result.nis is None or result.nis.mean is None:
+        return absent(NO_RUN if result is None else "The run kept no innovations: run it again.")
+    what = "Innovations" if result.method in FILTERS else "A batch has no innovations; its residuals"
+    return _around_one(result.nis.mean, result.nis, what)
 
 
-def _around_one(value: float, test: Document, what: str) -> Measurement:
+def _around_one(value: float, test: ChiSquareTest | InnovationTest, what: str) -> Measurement:
     """Describe a mean square beside its 95 % bounds."""
-    inside = "inside" if test["lower"] <= value <= test["upper"] else "outside"
+    if test.lower is None or test.upper is None:
+        return absent(INCOMPLETE)
+    inside = "inside" if test.lower <= value <= test.upper else "outside"
     return Measurement(
         float(value),
         f"{what} are {np.sqrt(value):.3g} times as large as expected, {inside} the 95 % bounds of sound sets.",
-        bounds=ends((test["lower"], test["upper"])),
+        bounds=(test.lower, test.upper),
     )
 
 
@@ -329,30 +348,29 @@ def _worst_arc(inputs: GateInputs, document: Document, x: Any) -> tuple[float, f
 
 def condition_number(inputs: GateInputs) -> Measurement:
     """Measure how unevenly the data see the parameters."""
-    seen = (inputs.result or {}).get("observability")
-    if not seen or seen.get("condition_number") is None:
+    seen = inputs.result.observability if inputs.result else None
+    if seen is None or seen.condition_number is None:
         return absent(NO_RUN if inputs.result is None else "The data leave a direction open: free fewer parameters.")
-    free = len(seen["singular_values"])
-    return Measurement(float(seen["condition_number"]), f"Largest over smallest of {free} singular values.")
+    return Measurement(seen.condition_number, f"Largest over smallest of {len(seen.singular_values)} singular values.")
 
 
 def weak_directions(inputs: GateInputs) -> Measurement:
     """Measure how well the weakest direction is known, and name it."""
-    seen = (inputs.result or {}).get("observability")
-    if not seen or not seen.get("sigma_of_direction"):
+    seen = inputs.result.observability if inputs.result else None
+    if seen is None or not seen.sigma_of_direction:
         return absent(NO_RUN if inputs.result is None else "The run kept no observability: run it again.")
-    spread = seen["sigma_of_direction"]
-    if any(sigma is None for sigma in spread):
+    spread = [sigma for sigma in seen.sigma_of_direction if sigma is not None]
+    if len(spread) < len(seen.sigma_of_direction):
         return absent("The data leave a direction open: free fewer parameters.")
-    return Measurement(float(max(spread)), str(seen["weakest"]["sentence"]))
+    return Measurement(max(spread), seen.weakest.sentence)
 
 
 def coverage(inputs: GateInputs) -> Measurement:
     """Measure in how many regions of the detector there were stars."""
-    seen = (inputs.result or {}).get("coverage")
-    if not seen:
+    seen = inputs.result.coverage if inputs.result else None
+    if seen is None:
         return absent(NO_RUN if inputs.result is None else "The run kept no coverage: run it again.")
-    counts = np.array(seen["counts"])
+    counts = np.array(seen.counts)
     regions = counts.reshape(ROWS, counts.shape[0] // ROWS, COLUMNS, counts.shape[1] // COLUMNS).sum(axis=(1, 3))
     held = int((regions > 0).sum())
     return Measurement(
@@ -571,7 +589,7 @@ def _measured(function: Callable[[GateInputs], Measurement], inputs: GateInputs)
     except RefusedInputError as refusal:
         return absent(str(refusal))
     except (AttributeError, LookupError, TypeError, ValueError, np.linalg.LinAlgError):
-        return absent("The numbers of this set are not complete enough to tell: calibrate again.")
+        return absent(INCOMPLETE)
 
 
 def _finite(measured: Measurement) -> Measurement:

@@ -98,15 +98,15 @@ def make_gates_panel(
     """Fill the panel of a set, as an actor sees it."""
     report = approval_queries.find_newest_report(session, row.id, report_sha256)
     moved = [] if report is None else gates.list_moved_since(session, report)
-    document = None if report is None else gates.read_with_waivers(session, report)
-    rows = [] if document is None else gate_rows(document)
+    found = None if report is None else gates.lay_waivers(session, report)
+    rows = [] if found is None else gate_rows(found.gates, found.blocking)
     now = utc_now()
     return GatesPanel(
         set=row,
         report=report,
         moved=moved,
-        words="" if document is None else document["words"],
-        verdict="" if document is None else document["verdict"],
+        words="" if found is None else found.words,
+        verdict="" if found is None else found.verdict,
         rows=rows,
         assessed_by=_name(session, report),
         profile_number=gate_profiles.get_profile_in_force(session, row.sensor_id).number,

@@ -563,8 +563,8 @@ def list_run_gates(session: Session, made: ParameterSet | None) -> dict[str, Any
     report = approval_queries.find_newest_report(session, made.id)
     if report is None:
         return {"words": "", "rows": []}
-    document = gates.read_with_waivers(session, report)
-    return {"words": document["words"], "rows": gate_rows(document)}
+    found = gates.lay_waivers(session, report)
+    return {"words": found.words, "rows": gate_rows(found.gates, found.blocking)}
 
 
 def find_parameter_set(session: Session, run: Run) -> ParameterSet | None:
