@@ -45,6 +45,14 @@ def test_a_run_is_claimed_by_one_owner_only(store, make_rows):
     assert take_one(make_rows(), run_id) == []
 
 
+def test_an_end_that_no_row_can_hold_fails_its_own_run_and_no_other(store, make_rows):
+    rows = make_rows()
+    good, bad = (take_one(rows, run_id)[0] for run_id in store.launch("quick", 2))
+    rows.settle([replace(success(bad), summary={"rms": float("nan")}), success(good)])
+    assert store.states([good[0], bad[0]]) == ["SUCCEEDED", "FAILED"]
+    assert store.ends(bad[0]) == ["FAILED"]
+
+
 def test_a_lapsed_lease_gives_the_run_back_and_the_late_result_writes_nothing(store, make_rows):
     (run_id,) = store.launch("quick")
     gone, next_owner = make_rows(lease_s=-1.0), make_rows()

@@ -10,6 +10,7 @@ pydantic.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache, partial
@@ -973,14 +974,16 @@ def _members(kind: type[Any]) -> tuple[tuple[str, Any], ...]:
 
 
 def to_plain(value: Any) -> Any:
-    """Return dataclasses and what they hold as dicts, lists, numbers and None, as in JSON.
+    """Return dataclasses and what they hold as dicts, lists, numbers and None, as in JSON, which has no NaN and no infinity.
 
     Lists of numbers and of lists of numbers are not copied.
     """
     if is_dataclass(value) and not isinstance(value, type):
         return {name: to_plain(member(value)) for name, member in _members(type(value))}
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
     if isinstance(value, Values):
-        return value.to_dict()
+        return to_plain(value.to_dict())
     if isinstance(value, dict):
         return {key: to_plain(one) for key, one in value.items()}
     if isinstance(value, list | tuple) and any(map(is_dataclass, value[:1])):

@@ -43,6 +43,7 @@ from boresight.console.runs.queries import (
     write_event,
 )
 from boresight.platform.db.data_version import DataVersionReader, VersionedCache
+from boresight.platform.db.documents import canonical
 from boresight.platform.db.sessions import Engine as Database
 from boresight.platform.db.sessions import Session, open_reading, open_writing, utc_now
 from boresight.settings import Settings
@@ -142,6 +143,17 @@ def _first_group(
 log = logging.getLogger(__name__)
 
 
+def _recordable(end: RunEnd) -> RunEnd:
+    """Return an end that a row can hold: one that cannot be written would hold up the ends of all other runs, turn after turn."""
+    try:
+        canonical([end.summary, [line.numbers for line in end.log]])
+    except (TypeError, ValueError) as error:
+        log.exception("Run %d: the end of attempt %d is no JSON", end.run_id, end.attempt)
+        reason = f"The result could not be recorded, {type(error).__name__}: {error}"
+        return RunEnd(end.run_id, end.attempt, "FAILED", reason)
+    return end
+
+
 @dataclass(frozen=True)
 class Reconciler:
     """The database as one owner of runs sees it."""
@@ -172,7 +184,7 @@ class Reconciler:
     def settle(self, ends: Sequence[RunEnd]) -> None:
         """Write how attempts ended, unless they no longer hold their runs."""
         with open_writing(self.database) as session:
-            written = runs.finish_all(session, ends)
+            written = runs.finish_all(session, [_recordable(end) for end in ends])
         for held in {(end.run_id, end.attempt) for end in ends} - written.keys():
             log.info("Run %d: a late end of attempt %d writes nothing", *held)
 
