@@ -50,3 +50,10 @@ def test_so_does_a_command(command, tmp_path):
 
 def test_numba_may_be_loaded_before(tmp_path):
     assert len(folder_after("import numba; bs.read_sensor({})", tmp_path)) == 1
+
+
+def test_without_a_folder_compiling_leaves_nothing_where_it_is_called(tmp_path):
+    code = "from boresight.kernels.compilation import one_at_a_time\nwith one_at_a_time(): pass"
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    subprocess.run([sys.executable, "-c", code], env=environment, cwd=tmp_path, check=True)
+    assert list(tmp_path.iterdir()) == []

@@ -150,7 +150,10 @@ class _Kept(FunctionCache):  # type: ignore[misc]  # Numba ships no types
 
 @contextmanager
 def one_at_a_time() -> Iterator[None]:
-    """Let one process at a time compile; where files cannot be locked, several may compile the same."""
+    """Let one process at a time compile; where there is no folder, or its files cannot be locked, several may compile the same."""
+    if not numba.config.CACHE_DIR:
+        yield
+        return
     try:
         import fcntl  # noqa: PLC0415 - not on every system
 
