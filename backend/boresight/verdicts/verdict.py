@@ -11,6 +11,7 @@ from typing import Any
 
 from boresight.calibration.calibration import Calibration, ChiSquareTest, InnovationTest, Trust
 from boresight.calibration.result import TrendEntry, trend_entry
+from boresight.calibration.trust.advice import TOO_SMALL
 from boresight.estimation.filters import FILTERS
 from boresight.estimation.statistics.observability import WEAK
 from boresight.verdicts.history import settled_step, sigma_of_rms
@@ -37,7 +38,7 @@ WHY = {
     "too_few_stars": "No exposure has enough stars: nothing was estimated.",
 }
 UNSEEN_TYPICAL_SIGMAS = 1.0  # a direction known no better than unit-to-unit spread was not calibrated
-AT_THE_BOUND = (0.97, 1.15)  # claimed sigma over bound: below it is too good to be true, above it data are wasted
+AT_THE_BOUND = (TOO_SMALL, 1.15)  # claimed sigma over bound: below it is too good to be true, above it data are wasted
 NOT_YET = "Trust is examined when the run ends; it is not there yet."
 NEVER = "This result was made without an examination of trust: clone its run and start it again to have one."
 NO_REASON = "This part of the examination could not be made for this run."
