@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -109,3 +110,16 @@ def test_only_queries_and_tables_speak_sql_and_only_pages_and_routes_with_their_
 def test_no_exception_is_kept_that_nothing_needs() -> None:
     roots = {name: {one.split(".")[0] for one in _imports(path)} for name, path in MODULES.items()}
     assert {name for name in HTTP if not roots[name] & {"fastapi", "starlette"}} == set()
+
+
+def test_nothing_of_the_console_takes_a_threshold_from_the_drawings() -> None:
+    """Import contracts see modules, not names: what a number means is declared in `verdicts` or below."""
+    taken = [
+        f"{name}: {alias.name} of {node.module}"
+        for name, path in MODULES.items()
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("boresight.figures")
+        for alias in node.names
+        if isinstance(getattr(import_module(node.module or ""), alias.name, None), int | float)
+    ]
+    assert taken == []

@@ -261,7 +261,11 @@ def test_the_newest_result_with_a_validation_set_is_found_behind_many_without(si
         session.add_all(like(session.get_one(Run, 1), validation_set_id=None) for _ in range(MANY))
         audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
     with open_reading(site.engine) as session:
-        assert run_queries.list_newest_finished(session, 1, 1)[0].id == 2
+        found = list(run_queries.iterate_newest_finished(session, 1))
+        assert found[0].id == 2
+        assert len(found) == len({run.id for run in found}) > MANY
+        order = [(run.validation_set_id is None, -run.id) for run in found]
+        assert order == sorted(order)
 
 
 def test_a_long_log_is_given_whole(site):

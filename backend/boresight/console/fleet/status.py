@@ -20,7 +20,7 @@ from boresight.console.fleet.trend import GROUND_SHIFTED, document, judge_drift,
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.verdicts.verdict import LEVEL_OF_STATUS, LEVELS
+from boresight.verdicts.verdict import judge_result
 
 TOGETHER = 16  # sensors whose runs are held in memory at once
 
@@ -262,11 +262,3 @@ def _result_finding(run_id: int, summary: Mapping[str, Any]) -> tuple[str, str]:
         return level, f"Run {run_id} converged, with reservations: {advice}"
     verb = "stopped at" if status == "max_iterations" else "ended"
     return "caution" if level == "caution" else "serious", f"Run {run_id} {verb} {status.replace('_', ' ')}: {advice}"
-
-
-def judge_result(summary: Mapping[str, Any]) -> str:
-    """Judge a finished run by its summary: the verdict of its page, and no better than caution where it gave advice."""
-    status = str(summary.get("status") or "converged")
-    level = str(summary.get("level") or LEVEL_OF_STATUS.get(status, "serious"))
-    doubted = summary.get("advice") or summary.get("weak_directions") or summary.get("chi2_consistent") is False
-    return max(level, "caution" if doubted else "normal", key=LEVELS.index)

@@ -23,8 +23,8 @@ from boresight.console.runs.service import find_result
 from boresight.console.runs.tables import Run
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import FIGURES, Figure, Table, Trace, figure_json
+from boresight.figures.chart import tailed
 from boresight.figures.charts import radial as radial_contrast
-from boresight.figures.history import tailed
 from boresight.figures.style.thinning import thinning
 from boresight.figures.views import aligned, as_band, focus
 from boresight.platform.blobs.store import BlobStore

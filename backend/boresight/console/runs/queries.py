@@ -15,7 +15,7 @@ attempt matches no row, and a terminal state is written once, with its audit rec
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, cast
 
@@ -413,10 +413,16 @@ def list_runs_of_set(session: Session, telemetry_set_id: int, limit: int) -> tup
     return newest, session.scalar(sa.select(sa.func.count()).select_from(Run).where(uses)) or 0
 
 
-def list_newest_finished(session: Session, sensor_id: int, limit: int) -> list[Run]:
-    """Return a sensor's newest runs that succeeded, those with a validation set before all others."""
-    query = sa.select(Run).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED")
-    return list(session.scalars(query.order_by(Run.validation_set_id.is_(None), Run.id.desc()).limit(limit)))
+def iterate_newest_finished(session: Session, sensor_id: int) -> Iterator[Run]:
+    """Yield a sensor's runs that succeeded, the newest first, those with a validation set before all others; a read a run."""
+    finished = (
+        sa.select(Run).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED").order_by(Run.id.desc()).limit(1)
+    )
+    for which in (Run.validation_set_id.is_not(None), Run.validation_set_id.is_(None)):
+        run = session.scalar(finished.where(which))
+        while run is not None:
+            yield run
+            run = session.scalar(finished.where(which, Run.id < run.id))
 
 
 def count_queued_before(session: Session, run_id: int) -> int:

@@ -15,6 +15,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.calibration.calibration import parse_calibration
+from boresight.cameras.model import FAR_TYPICAL_SIGMAS
 from boresight.console.access.dependencies import Reading, Who, csrf, get_client, get_server
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import PasswordProof
@@ -43,7 +44,7 @@ from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import read_names
 from boresight.errors import NotFoundError
 from boresight.figures import FIGURES, WIDE
-from boresight.figures.tables import UNEXPECTED_TYPICAL_SIGMAS, ParameterRow, set_rows
+from boresight.figures.tables import ParameterRow, set_rows
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
@@ -113,7 +114,7 @@ def list_warnings(result: Mapping[str, Any] | None, rows: Sequence[ParameterRow]
     said = [str(sentence) for sentence in (result or {}).get("advice") or ()]
     said += [
         f"{row.name} moves by {abs(row.delta_over_typical or 0.0):.1f} typical sigmas, more than"
-        f" {UNEXPECTED_TYPICAL_SIGMAS:g}: look at the matches before believing it."
+        f" {FAR_TYPICAL_SIGMAS:g}: look at the matches before believing it."
         for row in rows
         if row.unexpected and row.estimated
     ]

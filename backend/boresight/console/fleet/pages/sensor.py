@@ -48,9 +48,6 @@ from boresight.platform.db.sessions import Session, open_reading, utc_now
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, fixed, is_number, urad
 
-#: How many of the newest finished runs are looked at for one with a validation set.
-LOOKED_AT = 20
-
 
 @dataclass(frozen=True)
 class ScoreRow:
@@ -76,7 +73,7 @@ class BeforeAfter:
 
 def before_after(session: Session, blobs: BlobStore, sensor_id: int) -> BeforeAfter | None:
     """Return what the newest finished run of a sensor would change, one with a validation set first; None without a run."""
-    for run in run_queries.list_newest_finished(session, sensor_id, LOOKED_AT):
+    for run in run_queries.iterate_newest_finished(session, sensor_id):
         try:
             result = runs.find_result(session, blobs, run.id)
         except (ConflictError, NotFoundError):  # its file is gone or no calibration; an older run may still have one

@@ -28,9 +28,9 @@ from boresight.estimation.filters import FILTERS
 from boresight.figures import FIGURES, WIDE
 from boresight.figures.charts import radial as radial_contrast
 from boresight.figures.charts.methods import MethodScores, method_scores
-from boresight.figures.history import SETTLED_SIGMAS
 from boresight.figures.style.axes import ALIGNMENTS
 from boresight.platform.web.paging import parse_row_id
+from boresight.verdicts.history import SETTLED_SIGMAS
 from boresight.verdicts.numbers import MISSING, count, fixed, number, parameter, plus_minus, sigmas, urad
 
 #: From here on a difference is marked: one of 370 is so large by chance.

@@ -16,7 +16,6 @@ from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, same_for_roles
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet.pages.sensors import list_sensor_choices
-from boresight.console.fleet.status import judge_result
 from boresight.console.operation import Beside
 from boresight.console.pages.formats import instant, seconds_since
 from boresight.console.pages.rendering import make_change, render
@@ -37,7 +36,7 @@ from boresight.console.runs.tables import RUN_STATES, Run
 from boresight.console.telemetry import queries as telemetry_rows
 from boresight.platform.db.sessions import Session
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, number, urad
-from boresight.verdicts.verdict import WORD_OF_LEVEL
+from boresight.verdicts.verdict import WORD_OF_LEVEL, judge_result
 
 RUNS = Table(
     "runs",

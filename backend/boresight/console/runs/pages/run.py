@@ -44,7 +44,6 @@ from boresight.figures import CHAPTERS, WIDE
 from boresight.figures.charts.matching import MATCHING, why_no_matching
 from boresight.figures.charts.observability import helpful_data, weakest_words
 from boresight.figures.charts.shadow import SHADOW
-from boresight.figures.history import RmsTail, read_history, settled_step, summarise_tail
 from boresight.figures.report import calibrate_command
 from boresight.figures.tables import (
     flight_rows,
@@ -61,14 +60,14 @@ from boresight.figures.tables import (
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
 from boresight.verdicts.gates.judgement import gate_rows
+from boresight.verdicts.history import RmsTail, read_history, settled_step, sigma_of_rms, summarise_tail
 from boresight.verdicts.numbers import MISSING, count, duration, number, percent, urad
 from boresight.verdicts.verdict import (
+    PartVerdict,
+    judge_parts,
     make_verdict,
     make_verdict_marks,
     prospects,
-    sigma_of_rms,
-    trust_doubts,
-    trust_level,
     trust_marks,
     why_absent,
 )
@@ -345,100 +344,49 @@ def list_verdict_marks(result: Calibration | None) -> list[Any]:
     return make_verdict_marks(result) if result and result.parameters else []
 
 
-Standing = tuple[str, str]
-
 FORMER = {"estimate": "summary"}  # what a part was called in older links
-NOTHING: Standing = ("off", "")
 
 
 @dataclass(frozen=True)
 class RunTab:
-    """A part's name, title and address, and in a word how things stand there; no word where there is nothing to judge."""
+    """A part's name, title and address, and the level and word of its verdict; no word where there is nothing to judge."""
 
     part: str
     title: str
     href: str
     current: bool
-    level: str = "off"
-    word: str = ""
+    level: str
+    word: str
 
 
 def list_tabs(run_id: int, chosen: str, result: Calibration | None, notes: int = 0) -> list[RunTab]:
     """Lay out the tabs of a run; `notes` is how many there are."""
-    tabs = []
+    tabs, judged = [], judge_parts(result)
+    if notes:
+        judged["notes"] = PartVerdict("standby", count(notes))
     for name, part in PARTS.items():
-        standing = part.judge(result) if result and result.parameters else NOTHING
-        if name == "notes" and notes:
-            standing = "standby", count(notes)
+        verdict = judged.get(name, PartVerdict())
         address = f"/runs/{run_id}" if name == "summary" else f"/runs/{run_id}?part={name}"
-        tabs.append(RunTab(name, part.title, address, name == chosen, *standing))
+        tabs.append(RunTab(name, part.title, address, name == chosen, verdict.level, verdict.word))
     return tabs
 
 
-def _fit(result: Calibration) -> Standing:
-    level = make_verdict(result).level
-    return level, {"normal": "no reservation", "standby": "partial"}.get(level, "reservations")
-
-
-def _judge_history(result: Calibration) -> Standing:
-    if result.status == "running":
-        return "standby", "moving"
-    at = settled_step(result)
-    return ("normal", "settled") if at is not None else ("caution", "not settled")
-
-
-def _rms(result: Calibration) -> Standing:
-    rms = result.validation.rms_arc_rad if result.validation else result.rms_arc_rad
-    before, after = rms.initial, rms.final
-    if before is None or after is None:
-        return NOTHING
-    return ("normal" if after < before else "serious"), f"{urad(after, 3)} µrad"
-
-
-def _observability(result: Calibration) -> Standing:
-    mark = next(mark for mark in make_verdict_marks(result) if mark.question == "Weakest direction")
-    return (mark.level, mark.word) if mark.word != "NO DATA" else NOTHING
-
-
-def _residuals(result: Calibration) -> Standing:
-    chi2, per_dof = result.chi2, result.chi2_per_dof
-    if per_dof is None or chi2 is None:
-        return NOTHING
-    return ("normal" if chi2.consistent else "caution"), f"χ² {number(per_dof, 3)}"
-
-
-def _trust(result: Calibration) -> Standing:
-    if result.trust is None:
-        return NOTHING
-    doubts = len(trust_doubts(result))
-    return trust_level(result), f"{doubts} doubt{'s' * (doubts != 1)}" if doubts else "no doubt"
-
-
-def _matching(result: Calibration) -> Standing:
-    if result.matching is None:
-        return NOTHING
-    return ("normal", "rested") if result.matching.rested else ("caution", "not at rest")
-
-
 class RunPart(NamedTuple):
-    """A part of the page: its tab, what gathers what its template names, and what judges how things stand there."""
+    """A part of the page: its tab, and what gathers what its template names."""
 
     title: str
     gather: Callable[[RunReview], dict[str, Any]]
-    judge: Callable[[Calibration], Standing] = lambda _: NOTHING
 
 
 PARTS = {
-    "summary": RunPart("Summary", make_summary_part, _fit),
-    "convergence": RunPart("Convergence", make_convergence_part, _judge_history),
-    "rms": RunPart("RMS", make_rms_part, _rms),
+    "summary": RunPart("Summary", make_summary_part),
+    "convergence": RunPart("Convergence", make_convergence_part),
+    "rms": RunPart("RMS", make_rms_part),
     "distortion": RunPart("Distortion", partial(make_charts_part, name="distortion")),
-    "observability": RunPart("Observability", make_observability_part, _observability),
-    "residuals": RunPart("Residuals", partial(make_charts_part, name="residuals"), _residuals),
-    "trust": RunPart("Trust", lambda desk: {"trust": make_trust_part(desk.result, desk.why_nothing)}, _trust),
-    "matching": RunPart(
-        "Matching", lambda desk: {"matching": make_matching_part(desk.result, desk.why_nothing)}, _matching
-    ),
+    "observability": RunPart("Observability", make_observability_part),
+    "residuals": RunPart("Residuals", partial(make_charts_part, name="residuals")),
+    "trust": RunPart("Trust", lambda desk: {"trust": make_trust_part(desk.result, desk.why_nothing)}),
+    "matching": RunPart("Matching", lambda desk: {"matching": make_matching_part(desk.result, desk.why_nothing)}),
     "frames": RunPart("Frames", lambda desk: make_frames_part(desk.session, desk.request, desk.run)),
     "log": RunPart("Log", lambda desk: make_log_part(desk.request, desk.session, desk.run)),
     "provenance": RunPart("Provenance", make_provenance_part),
