@@ -22,8 +22,9 @@ from sqlalchemy.orm import defer
 from boresight.console.access.tables import LoginSession, User
 from boresight.console.alarms.queries import in_state
 from boresight.console.alarms.tables import Alarm
-from boresight.console.approvals.tables import Approval, ChangeProposal, Signature
+from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.campaigns.tables import Campaign, CampaignRun
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Preset, Run
