@@ -4,6 +4,7 @@ from boresight.console.access import tables as access_tables
 from boresight.console.alarms import tables as alarm_tables
 from boresight.console.approvals import tables as approval_tables
 from boresight.console.campaigns import tables as campaign_tables
+from boresight.console.change_proposals import tables as change_proposal_tables
 from boresight.console.fleet import tables as fleet_tables
 from boresight.console.notes import tables as note_tables
 from boresight.console.parameter_sets import tables as parameter_set_tables
@@ -21,6 +22,7 @@ TABLES = (
     audit_tables,
     blob_tables,
     campaign_tables,
+    change_proposal_tables,
     fleet_tables,
     note_tables,
     parameter_set_tables,

@@ -20,14 +20,17 @@ import sqlalchemy as sa
 from sqlalchemy.orm import defer
 
 from boresight.console.access.tables import LoginSession, User
-from boresight.console.alarms.queries import in_state
-from boresight.console.alarms.tables import Alarm
-from boresight.console.approvals.tables import Approval, ChangeProposal, Signature
+from boresight.console.alarms.queries import in_state, needs_nobody
+from boresight.console.alarms.tables import ALARM_LEVELS, Alarm
+from boresight.console.approvals.tables import Approval, Signature
+from boresight.console.campaigns.queries import select_newest_members
 from boresight.console.campaigns.tables import Campaign, CampaignRun
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Preset, Run
 from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.uplinks.queries import BOARD_WORDS, find_board_place
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.console.webhooks.tables import WebhookDelivery
 from boresight.errors import RefusedInputError
@@ -35,6 +38,7 @@ from boresight.platform.audit.queries import RECORDS
 from boresight.platform.db.documents import among, number_in, text_in
 from boresight.platform.db.lists import Condition, List, equals, list_newest_rows
 from boresight.platform.db.sessions import Session
+from boresight.verdicts.verdict import LEVELS
 
 ROWS_A_READ = 500
 T = TypeVar("T")
@@ -91,6 +95,12 @@ def _sets_in_use() -> Any:
     return sa.select(sa.func.count()).select_from(TelemetrySet).where(in_use).correlate(Sensor).scalar_subquery()
 
 
+def _worst_board_first() -> Any:
+    """Return the expression that sorts sensors by what is known of their boards, the worst first, and then by name."""
+    ranks = {place: str(LEVELS[::-1].index(level)) for place, level in enumerate(BOARD_WORDS.values())}
+    return sa.case(ranks, value=find_board_place()) + Sensor.name
+
+
 def _open_to(who: Signatory) -> sa.ColumnElement[bool]:
     """Keep to the open requests that somebody may sign: as `console.approvals.signers` says of one, for many at once."""
     signed = sa.select(Signature.id).where(Signature.approval_id == Approval.id, Signature.user_id == who.user_id)
@@ -121,9 +131,11 @@ LISTS = {
             ),
             "baseline": sa.func.lower(_baseline(ParameterSet.name)),
             "sets": _sets_in_use(),
+            "board": _worst_board_first(),
         },
         {
             "q": _holds(Sensor.name),
+            "board": lambda word: find_board_place() == list(BOARD_WORDS).index(word),
             "among": partial(among, Sensor.id),
         },
     ),
@@ -214,7 +226,14 @@ LISTS = {
     "audit": RECORDS,
     "alarms": List(
         Alarm,
-        {},
+        {
+            "attention": needs_nobody(),
+            "alarm": Alarm.id,
+            "severity": sa.case({level: rank for rank, level in enumerate(ALARM_LEVELS)}, value=Alarm.level),
+            "sensor": _name_expression(Sensor, Alarm.sensor_id),
+            "raised": Alarm.raised_utc,
+            "assigned": _name_expression(User, Alarm.assigned_to),
+        },
         {
             "state": in_state,
             "sensor": equals(Alarm.sensor_id),
@@ -222,11 +241,35 @@ LISTS = {
             "kind": equals(Alarm.kind),
         },
     ),
-    "campaigns": List(Campaign, {}, {}),
+    "campaigns": List(
+        Campaign,
+        {
+            "campaign": Campaign.id,
+            "label": sa.func.lower(Campaign.label),
+            "preset": Campaign.preset,
+            "by": _name_expression(User, Campaign.launched_by),
+            "launched": Campaign.launched_utc,
+        },
+        {},
+    ),
+    "campaign-sensors": List(
+        CampaignRun,
+        {"launched": CampaignRun.id},
+        {
+            "campaign": equals(CampaignRun.campaign_id),
+            "newest": lambda _: CampaignRun.id.in_(select_newest_members()),
+        },
+    ),
     "presets": List(Preset, {}, {"in_use": lambda _: Preset.archived_utc.is_(None)}),
     "change-proposals": List(
         ChangeProposal,
-        {},
+        {
+            "proposal": ChangeProposal.id,
+            "kind": ChangeProposal.kind,
+            "state": ChangeProposal.state,
+            "by": _name_expression(User, ChangeProposal.proposed_by),
+            "expires": ChangeProposal.expires_utc,
+        },
         {
             "sensor": equals(ChangeProposal.sensor_id),
             "kind": equals(ChangeProposal.kind),

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.console.alarms.tables import Alarm
-from boresight.console.approvals.tables import Approval, ChangeProposal
+from boresight.console.approvals.tables import Approval
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as rows
 from boresight.console.parameter_sets.tables import ParameterSet

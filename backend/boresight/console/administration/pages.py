@@ -17,7 +17,7 @@ from boresight.console.access import api_keys, users
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy, ServerSettings, Who, Workers
 from boresight.console.access.tables import ROLES, ApiKey, User
-from boresight.console.jobs.maintenance import ServerMaintenance
+from boresight.console.jobs.dependencies import ServerMaintenance
 from boresight.console.pages.formats import LEVEL_OF_STATE
 from boresight.console.pages.rendering import render
 from boresight.console.runs import service as runs

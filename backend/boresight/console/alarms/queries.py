@@ -12,7 +12,13 @@ from boresight.platform.db.sessions import Session, utc_now
 
 
 def _is_shelved() -> sa.ColumnElement[bool]:
-    return sa.and_(Alarm.shelved_until_utc.is_not(None), Alarm.shelved_until_utc > utc_now())
+    now = sa.bindparam(None, callable_=utc_now, type_=sa.Text)  # read when the query is sent: a list keeps its keys
+    return sa.and_(Alarm.shelved_until_utc.is_not(None), Alarm.shelved_until_utc > now)
+
+
+def needs_nobody() -> sa.ColumnElement[int]:
+    """Return the expression that sorts alarms: 0 for one that waits for somebody, 1 for one acknowledged or shelved."""
+    return sa.case((sa.or_(Alarm.acknowledged == 1, _is_shelved()), 1), else_=0)
 
 
 def in_state(state: str) -> sa.ColumnElement[bool]:

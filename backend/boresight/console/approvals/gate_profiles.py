@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.calibration.calibration import parse_calibration
-from boresight.console.approvals import proposals, staleness
 from boresight.console.approvals import queries as rows
-from boresight.console.approvals.tables import ChangeProposal, GateProfile
+from boresight.console.approvals import staleness
+from boresight.console.approvals.tables import GateProfile
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.runs.results import read_result
@@ -134,7 +135,6 @@ def put_into_force(
         created_by=actor.user_id if proposal is None else proposal.proposed_by,
     )
     _add(session, actor, row, current, proposal)
-    proposals.make_stale(session, actor, sensor_id, "gate-profile", row.number)
     staleness.make_stale_of_sensor(session, actor, sensor_id, f"the gate profile became version {row.number}")
     return row
 

@@ -1,4 +1,4 @@
-"""Queries on requests for approval and the evidence that they bind, on gates and their waivers, on proposed changes."""
+"""Queries on requests for approval and the evidence that they bind, on gates and their waivers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import sqlalchemy as sa
 
 from boresight.console.approvals.tables import (
     Approval,
-    ChangeProposal,
     GateProfile,
     GateReport,
     Opening,
@@ -135,14 +134,3 @@ def list_runs_with_results(session: Session, sensor_id: int, limit: int) -> Sequ
     """Return a sensor's newest runs that ended with a result, newest first."""
     query = sa.select(Run).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED", Run.result_sha256.is_not(None))
     return session.scalars(query.order_by(Run.id.desc()).limit(limit)).all()
-
-
-def list_due_proposals(session: Session, now_utc: str) -> Sequence[ChangeProposal]:
-    """Return the open proposals whose time is over, oldest first."""
-    is_due = (ChangeProposal.state == "OPEN", ChangeProposal.expires_utc <= now_utc)
-    return session.scalars(sa.select(ChangeProposal).where(*is_due).order_by(ChangeProposal.id)).all()
-
-
-def count_open_proposals(session: Session) -> int:
-    """Count the proposals that wait."""
-    return session.scalar(sa.select(sa.func.count()).where(ChangeProposal.state == "OPEN")) or 0

@@ -30,7 +30,7 @@ from boresight.console.approvals import service as approvals
 from boresight.console.approvals.gates import read_gate_inputs
 from boresight.console.approvals.service import Decision
 from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Opening, Remark, Waiver
-from boresight.console.change_proposals import service as second_person
+from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
 from boresight.console.operation import Answer, Beside, operations
 from boresight.console.schemas import Shape
@@ -87,9 +87,7 @@ def set_gate_profile(
     administrator confirms it.
     """
     document = {"gates": profile.gates}
-    made = second_person.change(
-        session, actor, "gate-profile", sensor_id, document, profile.reason, seen, policy=policy
-    )
+    made = proposals.change(session, actor, "gate-profile", sensor_id, document, profile.reason, seen, policy=policy)
     return in_force_or_proposed(session, made)
 
 

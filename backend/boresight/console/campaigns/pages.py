@@ -34,7 +34,7 @@ from boresight.console.pages.rendering import (
     redirect,
     render,
 )
-from boresight.console.pages.tables import csv_file
+from boresight.console.pages.tables import Table, TableColumn, csv_file, read_all, read_page, read_view
 from boresight.console.runs import presets
 from boresight.console.runs.pages.launch import LONGEST_NUMBER, LaunchOrigin, TypedForm, read_origin, typed_form
 from boresight.console.runs.pages.list import read_names
@@ -42,37 +42,54 @@ from boresight.console.telemetry import queries as telemetry_rows
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.verdict import LEVELS
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
-CAMPAIGNS_A_PAGE = 50
+CAMPAIGNS = Table(
+    "campaigns",
+    "Campaigns",
+    (
+        TableColumn("state", "State", "", "tight"),
+        TableColumn("campaign", "Campaign", "-campaign", "named", head=True),
+        TableColumn("progress", "Progress"),
+        TableColumn("ended", "Ended", "", "num"),
+        TableColumn("failed", "Failed", "", "num"),
+        TableColumn("sensors", "Sensors", "", "num"),
+        TableColumn("preset", "Preset", "preset", "words"),
+        TableColumn("by", "By", "by"),
+        TableColumn("launched", "Launched", "-launched"),
+    ),
+    {},
+    "-campaign",
+    kind="campaigns",
+)
 CSV_FIELDS = (
     "campaign", "label", "sensors", "ended", "failed", "preset", "launched_by", "launched_utc", "cancelled_utc",
 )  # fmt: skip
 
 
 @router.get("/campaigns", response_class=HTMLResponse, dependencies=[KNOWN])
-def campaigns_page(request: Request, session: Reading, before: str = "") -> HTMLResponse:
+def campaigns_page(request: Request, session: Reading) -> HTMLResponse:
     """List campaigns with how far each is, newest first."""
-    before_id = parse_row_id(before)
-    found = campaigns.list_campaigns(session, before_id=before_id, limit=CAMPAIGNS_A_PAGE + 1)
-    shown = found[:CAMPAIGNS_A_PAGE]
+    view = read_view(request, CAMPAIGNS)
+    found = read_page(session, view)
     return render(
         request,
         "campaigns/campaigns.html",
-        campaigns=shown,
+        view=view,
+        campaigns=campaigns.make_campaign_views(session, found.rows),
+        last=found.last,
         people=read_names(session).people,
-        next_before=shown[-1].id if len(found) > CAMPAIGNS_A_PAGE else None,
     )
 
 
 @router.get("/campaigns.csv", dependencies=[KNOWN])
-def campaigns_csv(session: Reading) -> Response:
-    """Give every campaign as CSV, newest first."""
-    people, found = read_names(session).people, campaigns.list_campaigns(session)
-    return csv_file("campaigns", CSV_FIELDS, (_csv_row(view, people) for view in found))
+def campaigns_csv(request: Request, session: Reading) -> Response:
+    """Give every campaign as CSV, in the order of the view."""
+    view, people = read_view(request, CAMPAIGNS), read_names(session).people
+    found = campaigns.make_campaign_views(session, list(read_all(session, view)))
+    return csv_file("campaigns", CSV_FIELDS, (_csv_row(one, people) for one in found))
 
 
 def _csv_row(view: CampaignView, people: Mapping[int, str]) -> dict[str, Any]:

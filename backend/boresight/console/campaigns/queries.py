@@ -43,7 +43,7 @@ class Counted:
     newest_id: int
 
 
-def _newest() -> sa.Select[Any]:
+def select_newest_members() -> sa.Select[Any]:
     """Select the row that counts of each sensor of each campaign."""
     return sa.select(sa.func.max(CampaignRun.id)).group_by(CampaignRun.campaign_id, CampaignRun.sensor_id)
 
@@ -84,7 +84,7 @@ def count_members(session: Session, campaign_ids: Collection[int]) -> dict[int, 
     counted = session.execute(
         sa.select(CampaignRun.campaign_id, Run.state, sa.func.count(), sa.func.max(CampaignRun.id))
         .outerjoin(Run, Run.id == CampaignRun.run_id)
-        .where(CampaignRun.campaign_id.in_(campaign_ids), CampaignRun.id.in_(_newest()))
+        .where(CampaignRun.campaign_id.in_(campaign_ids), CampaignRun.id.in_(select_newest_members()))
         .group_by(CampaignRun.campaign_id, Run.state)
     )
     found = {campaign_id: Counted({}, 0) for campaign_id in campaign_ids}
@@ -94,10 +94,9 @@ def count_members(session: Session, campaign_ids: Collection[int]) -> dict[int, 
     return found
 
 
-def list_member_statuses(
-    session: Session, campaign_id: int, *, after_id: int = 0, limit: int | None = None
-) -> list[MemberStatus]:
-    """Return where the sensors of a campaign stand, in the order of their rows."""
+def list_member_statuses(session: Session, campaign_id: int, ids: Collection[int] | None = None) -> list[MemberStatus]:
+    """Return where the sensors of a campaign stand, or those of some rows, in the order of their rows."""
+    some = sa.true() if ids is None else among(CampaignRun.id, ids)
     query = (
         sa.select(
             CampaignRun.id, CampaignRun.sensor_id, Sensor.name, CampaignRun.run_id, CampaignRun.refusal,
@@ -105,9 +104,8 @@ def list_member_statuses(
         )
         .join(Sensor, Sensor.id == CampaignRun.sensor_id)
         .outerjoin(Run, Run.id == CampaignRun.run_id)
-        .where(CampaignRun.campaign_id == campaign_id, CampaignRun.id > after_id, CampaignRun.id.in_(_newest()))
+        .where(CampaignRun.campaign_id == campaign_id, some, CampaignRun.id.in_(select_newest_members()))
         .order_by(CampaignRun.id)
-        .limit(limit)
     )  # fmt: skip
     return [MemberStatus(*row) for row in session.execute(query)]
 

@@ -174,7 +174,7 @@ def get_campaign(campaign_id: Id, session: Reading) -> Beside:
 @router.get("/{campaign_id}/results", summary="List what the sensors came to", response_model=Page[CampaignResult])
 def list_campaign_results(campaign_id: Id, session: Reading, page: Paged) -> Listing[MemberStatus]:
     """List the newest run of every sensor with its cause or its figures, in the order of launch."""
-    found = campaigns.list_results(session, campaign_id, after_id=page.last_id or 0, limit=page.limit + 1)
+    found = campaigns.list_results(session, campaign_id, **page.rows)
     return page.cut(found, make_result_line)
 
 

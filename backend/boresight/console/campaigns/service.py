@@ -309,17 +309,25 @@ def read_campaign(session: Session, campaign_id: int) -> CampaignView:
 
 def list_campaigns(session: Session, *, before_id: int | None = None, limit: int | None = None) -> list[CampaignView]:
     """Return a page of campaigns with their counts, newest first; the next starts before the last one's id."""
-    found = lists.list_newest(session, Campaign, before_id=before_id, limit=limit)
+    return make_campaign_views(session, lists.list_newest(session, Campaign, before_id=before_id, limit=limit))
+
+
+def make_campaign_views(session: Session, found: Sequence[Campaign]) -> list[CampaignView]:
+    """Return campaigns with their counts."""
     counted = rows.count_members(session, [row.id for row in found])
     return [make_campaign_view(row, counted[row.id]) for row in found]
 
 
 def list_results(
-    session: Session, campaign_id: int, *, after_id: int = 0, limit: int | None = None
+    session: Session, campaign_id: int, *, before_id: int | None = None, limit: int | None = None
 ) -> list[MemberStatus]:
-    """Return where every sensor of a campaign stands, in the order of launch."""
+    """Return where every sensor of a campaign stands, or those of a page, in the order of launch."""
     get_campaign(session, campaign_id)
-    return rows.list_member_statuses(session, campaign_id, after_id=after_id, limit=limit)
+    if limit is None:
+        return rows.list_member_statuses(session, campaign_id)
+    of_campaign = {"campaign": campaign_id, "newest": True}
+    found = lists.read_page(session, "campaign-sensors", of_campaign, "launched", before_id=before_id, limit=limit)
+    return rows.list_member_statuses(session, campaign_id, [row.id for row in found])
 
 
 def _subject(row: Campaign) -> str:

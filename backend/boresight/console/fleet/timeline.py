@@ -239,27 +239,6 @@ def get_state_at(session: Session, sensor_id: int, time: str | None = None) -> A
     )
 
 
-@dataclass(frozen=True)
-class SensorSituation:
-    """Ground and board of one sensor as numbers and states: what orders a fleet, without what each line says."""
-
-    sensor_id: int
-    name: str
-    baseline_id: int | None
-    on_board: Sequence[tuple[int, str]]
-
-
-def read_situations(session: Session) -> list[SensorSituation]:
-    """Return ground and board of every sensor now, by name, in three queries for the whole fleet."""
-    baselines, recorded = sensor_rows.list_baseline_heads(session), uplink_rows.read_newest_states(session)
-    return [
-        SensorSituation(
-            head.id, head.name, baselines[head.id].id if head.id in baselines else None, recorded.get(head.id, ())
-        )
-        for head in sensor_rows.list_sensor_heads(session)
-    ]
-
-
 def _list_learned_later(session: Session, sensor_id: int, time_utc: str) -> Records:
     return [
         (row, record)

@@ -17,12 +17,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Any
 
 import orjson
 
 from boresight.console.access import queries as login_sessions
-from boresight.console.access.dependencies import of_server
 from boresight.console.runs import queries as run_events
 from boresight.console.runs.tables import RunEvent
 from boresight.platform.actors import Actor
@@ -359,6 +358,3 @@ class Broadcast:
         self._tell()
         for listener in self._listeners:
             listener.put(None)
-
-
-Feed = Annotated[Broadcast, of_server("broadcast")]

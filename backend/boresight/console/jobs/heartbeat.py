@@ -7,7 +7,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from boresight.console.alarms import rules as alarm_rules
-from boresight.console.approvals import proposals, staleness
+from boresight.console.approvals import staleness
+from boresight.console.change_proposals import service as proposals
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from boresight.platform.jobs.periodic_thread import PeriodicThread
 

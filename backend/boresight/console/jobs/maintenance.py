@@ -12,10 +12,8 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 from boresight.console.access import api_keys, sessions
-from boresight.console.access.dependencies import of_server
 from boresight.console.alarms import rules
 from boresight.console.alarms.rules import (
     CHAIN,
@@ -280,6 +278,3 @@ class Maintenance:
         """Walk the chain at first, and again after the pause that the last walk earned."""
         if self._found is NOT_YET or time.monotonic() - self._looked_s >= self._pause_s:
             self.verify()
-
-
-ServerMaintenance = Annotated[Maintenance, of_server("maintenance")]

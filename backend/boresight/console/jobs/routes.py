@@ -20,10 +20,10 @@ from boresight.console.jobs.broadcast import (
     Event,
     EventBatch,
     EventCursor,
-    Feed,
     Listener,
     list_events_after,
 )
+from boresight.console.jobs.dependencies import Feed
 from boresight.console.operation import operations
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Engine, open_reading

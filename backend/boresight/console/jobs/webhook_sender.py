@@ -10,13 +10,11 @@ import asyncio
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Annotated
 from urllib.parse import urlsplit, urlunsplit
 
 import httpx
 
 import boresight
-from boresight.console.access.dependencies import of_server
 from boresight.console.webhooks import service as webhook_messages
 from boresight.console.webhooks.service import WebhookMessage
 from boresight.errors import RefusedInputError
@@ -129,6 +127,3 @@ class WebhookSender:
                 if len(heard) >= HEARD:
                     break
             return answer.status_code, heard[:HEARD].decode("utf-8", "replace")
-
-
-ServerWebhookSender = Annotated[WebhookSender, of_server("webhook_sender")]

@@ -6,9 +6,22 @@ from collections.abc import Sequence
 
 import sqlalchemy as sa
 
-from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets.tables import ONBOARD_STATES, ParameterSet, Promotion
 from boresight.console.uplinks.tables import TableDefinition, Uplink
 from boresight.platform.db.sessions import Session
+
+# What is said of a sensor's board, with its level: of all that its sets tell, the first of these.
+BOARD_WORDS = {
+    "MISMATCH": "critical",
+    "DIFFERS": "caution",  # a set is active that is not the baseline
+    "VERIFIED": "standby",
+    "LOADED": "standby",
+    "SENT": "standby",
+    "THE SAME": "normal",
+    "UNKNOWN": "caution",
+    "NOT SENT": "off",
+}
 
 
 def list_records_until(session: Session, sensor_id: int, time_utc: str) -> Sequence[tuple[ParameterSet, Uplink]]:
@@ -24,15 +37,15 @@ def list_records_until(session: Session, sensor_id: int, time_utc: str) -> Seque
     return [(parameter_set, uplink) for parameter_set, uplink in rows]
 
 
-def read_newest_states(session: Session) -> dict[int, list[tuple[int, str]]]:
-    """Return of every sensor with records its sets and what was recorded last of each, by sensor, in the order of recording."""
-    newest = sa.select(sa.func.max(Uplink.id)).group_by(Uplink.parameter_set_id)
-    columns = (ParameterSet.sensor_id, ParameterSet.id, Uplink.onboard_state)
-    query = sa.select(*columns).join(Uplink, Uplink.parameter_set_id == ParameterSet.id)
-    found: dict[int, list[tuple[int, str]]] = {}
-    for sensor_id, set_id, state in session.execute(query.where(Uplink.id.in_(newest)).order_by(Uplink.id)):
-        found.setdefault(sensor_id, []).append((set_id, state))
-    return found
+def find_board_place() -> sa.ScalarSelect[int]:
+    """Return the expression of the place in `BOARD_WORDS` of what is known of a sensor's board."""
+    places = {word: place for place, word in enumerate(BOARD_WORDS)}
+    is_baseline = ParameterSet.ground_state == "BASELINE"
+    active = sa.case((is_baseline, places["THE SAME"]), else_=places["DIFFERS"])
+    recorded = [(ParameterSet.onboard_state == state, places[state]) for state in ONBOARD_STATES if state in places]
+    place = sa.case((ParameterSet.onboard_state == "ACTIVE", active), *recorded)
+    query = sa.select(sa.func.coalesce(sa.func.min(place), places["NOT SENT"]))
+    return query.where(ParameterSet.sensor_id == Sensor.id).correlate(Sensor).scalar_subquery()
 
 
 def find_newest_record(session: Session, parameter_set_id: int, onboard_state: str | None = None) -> Uplink | None:

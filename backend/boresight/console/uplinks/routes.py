@@ -24,7 +24,7 @@ from boresight.console.access.dependencies import (
 )
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals.tables import GateProfile
-from boresight.console.change_proposals import service as second_person
+from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
 from boresight.console.operation import FORM_CONTENT, Answer, operations
 from boresight.console.schemas import Shape
@@ -331,7 +331,7 @@ def set_table_definition(
     Where the setting `second_person` is on, the change is proposed, answered with 202, and moves nothing until another
     analyst or administrator confirms it.
     """
-    made = second_person.change(
+    made = proposals.change(
         session,
         actor,
         "table-definition",

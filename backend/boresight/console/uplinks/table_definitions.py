@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from boresight.cameras import CAMERA_MODELS
-from boresight.console.approvals import proposals, staleness
-from boresight.console.approvals.tables import ChangeProposal
+from boresight.console.approvals import staleness
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.transitions import DocumentInForce, require_change, require_seen_document
@@ -145,6 +145,5 @@ def put_into_force(
     after = {"sensor": sensor.name, "number": row.number, "sha256": row.sha256, "document": row.document}
     after |= {} if proposal is None else {"proposal": proposal.id}
     audit.append(session, actor, "defined", f"table-definitions/{row.id}", before, after, row.reason)
-    proposals.make_stale(session, actor, sensor_id, "table-definition", row.number)
     staleness.make_stale_of_sensor(session, actor, sensor_id, f"the table definition became version {row.number}")
     return row

@@ -12,7 +12,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import Reading, SecretKeeper, Who, csrf
-from boresight.console.jobs.webhook_sender import ServerWebhookSender
+from boresight.console.jobs.dependencies import ServerWebhookSender
 from boresight.console.pages.rendering import RefusalContext, attempt, make_change, read_again, redirect_refused, render
 from boresight.console.webhooks import service as webhooks
 from boresight.console.webhooks.secrets import get_state

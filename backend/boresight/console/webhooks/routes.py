@@ -8,7 +8,7 @@ from fastapi import Depends
 from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.console.access.dependencies import Reading, SecretKeeper, Who, Writing
-from boresight.console.jobs.webhook_sender import ServerWebhookSender
+from boresight.console.jobs.dependencies import ServerWebhookSender
 from boresight.console.operation import Answer, Beside, operations
 from boresight.console.schemas import Shape
 from boresight.console.webhooks import schemas

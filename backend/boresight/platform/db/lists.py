@@ -1,4 +1,4 @@
-"""What a list in the database is made of, and its newest rows; the lists themselves stand with their nouns."""
+"""What a list in the database is made of, and its newest rows; the lists themselves are `LISTS` of `console.list_queries`."""
 
 from __future__ import annotations
 

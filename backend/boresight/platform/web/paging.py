@@ -74,7 +74,11 @@ class Paging:
         return Listing([show(row) for row in kept], cursor)
 
     def cut_whole(self, rows: Sequence[T], show: Callable[[T], Any] = lambda row: row) -> Listing[Any]:
-        """Make a page of a list that is read whole, which only short lists are."""
+        """Make a page of a list that is read whole.
+
+        Only lists that people alone make longer are: users, their keys, webhooks, and one sensor's versions of its gate
+        profile and of its table definition.
+        """
         ids = [row.id for row in rows]  # type: ignore[attr-defined]  # every row has a number
         begin = ids.index(self.last_id) + 1 if self.last_id is not None and self.last_id in ids else 0
         return self.cut(rows[begin : begin + self.limit + 1], show)

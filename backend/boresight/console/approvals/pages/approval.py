@@ -19,11 +19,12 @@ from boresight.cameras.model import FAR_TYPICAL_SIGMAS
 from boresight.console.access.dependencies import Reading, Who, csrf, get_client, get_server
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import PasswordProof
-from boresight.console.approvals import gates, proposals
+from boresight.console.approvals import gates
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.pages.gates import make_gates_panel
 from boresight.console.approvals.tables import Approval, Opening, Signature
+from boresight.console.change_proposals import service as proposals
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
 from boresight.console.pages.rendering import RefusalContext, attempt, read_texts, redirect, render, seen_version

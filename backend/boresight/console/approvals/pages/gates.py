@@ -18,12 +18,13 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.console.access.dependencies import Who, csrf, get_server
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.access.tables import User
-from boresight.console.approvals import gate_profiles, gates, proposals
+from boresight.console.approvals import gate_profiles, gates
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals.gate_profiles import TriedProfile
 from boresight.console.approvals.gates import read_gate_inputs
-from boresight.console.approvals.tables import ChangeProposal, GateProfile, GateReport, Waiver
-from boresight.console.change_proposals import service as second_person
+from boresight.console.approvals.tables import GateProfile, GateReport, Waiver
+from boresight.console.change_proposals import service as proposals
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import (
     RefusalContext,
@@ -361,7 +362,7 @@ def _set(
 ) -> GateProfile | TableDefinition | ChangeProposal:
     seen = parse_row_id(typed.get("number", ""))
     asked = ("gate-profile", sensor_id, read_profile_form(typed), typed.get("reason", ""), seen)
-    return second_person.change(session, actor, *asked, policy=policy)
+    return proposals.change(session, actor, *asked, policy=policy)
 
 
 def _try(request: Request, actor: Actor, sensor_id: int, typed: Mapping[str, str]) -> HTMLResponse:

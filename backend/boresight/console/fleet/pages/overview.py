@@ -15,11 +15,11 @@ from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import Reading, ServerPolicy, Who, Workers, of_server, same_for_one
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
-from boresight.console.approvals import proposals
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.audit.pages import make_audit_line
-from boresight.console.change_proposals import service as second_person
+from boresight.console.change_proposals import queries as proposal_queries
+from boresight.console.change_proposals import service as proposals
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import status as fleet
 from boresight.console.fleet.status import SensorStatus, SensorTile
@@ -87,7 +87,7 @@ def _proposals(session: Session, actor: Actor) -> WaitingItems:
     able = [
         row
         for row in proposals.list_open_proposals(session)
-        if second_person.explain_why_not_decide(session, actor, row) is None
+        if proposals.explain_why_not_decide(session, actor, row) is None
     ]
     first = [
         WaitingAction(
@@ -269,7 +269,7 @@ def _fleet(session: Session) -> FleetView:
         runs.count_by_state(session),
         _events(session, standings),
         lists.count(session, "approvals", {"state": "OPEN"}),
-        approval_queries.count_open_proposals(session),
+        proposal_queries.count_open_proposals(session),
         approval_queries.list_submitter_ids(session, CAME_BACK),
     )
 

@@ -13,9 +13,9 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.access.dependencies import Reading, ServerPolicy, Who, csrf
-from boresight.console.approvals import proposals
-from boresight.console.approvals.tables import ChangeProposal, GateProfile
-from boresight.console.change_proposals import service as second_person
+from boresight.console.approvals.tables import GateProfile
+from boresight.console.change_proposals import service as proposals
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.pages.sensors import read_document, typed_document
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import RefusalContext, attempt, read_again, redirect, render
@@ -186,4 +186,4 @@ def _set(
     if not text.strip():
         raise RefusedInputError("There is no table definition: type its JSON, or begin with the example.")
     asked = ("table-definition", sensor_id, read_document(text), reason, seen)
-    return second_person.change(session, actor, *asked, policy=policy)
+    return proposals.change(session, actor, *asked, policy=policy)
