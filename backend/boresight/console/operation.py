@@ -99,12 +99,12 @@ class Written:
 
 @dataclass(frozen=True)
 class Idempotency:
-    """Who asks, under which key if there is one, the digest of the request, and whether it only asks."""
+    """Who asks, under which key if there is one, the digest of the request, and whether it is a dry run."""
 
     actor: Actor
     key: str | None
     request_sha256: str
-    tried: bool
+    is_dry_run: bool
 
     def answer(self, session: Session, act: Callable[[], Written | Response]) -> Response:
         """Act and remember the answer, or give the answer that was remembered."""
@@ -116,7 +116,7 @@ class Idempotency:
         made = act()
         if isinstance(made, Response):
             return made
-        if self.tried or made.is_trial:
+        if self.is_dry_run or made.is_trial:
             return json_response(made.kept, headers={"X-Validate-Only": "true"})
         if self.key is not None:
             session.add(
@@ -157,15 +157,15 @@ async def get_idempotency(
     if idempotency_key is None or asked:
         return Idempotency(actor, None, "", asked)
     form = getattr(request.state, FORM_CONTENT, None)
-    content, only_asks = (await run_in_threadpool(form), False) if form is not None else _read(await request.body())
-    if only_asks:
-        return Idempotency(actor, None, "", tried=True)
+    content, is_dry_run = (await run_in_threadpool(form), False) if form is not None else _read(await request.body())
+    if is_dry_run:
+        return Idempotency(actor, None, "", is_dry_run=True)
     address = f"{request.method} {request.url.path}?{request.url.query}\n"
     return Idempotency(actor, idempotency_key, hashlib.sha256(address.encode() + content).hexdigest(), asked)
 
 
 def _read(content: bytes) -> tuple[bytes, bool]:
-    """Return a JSON body without its passwords, for what is kept must not help to guess one, and whether it only asks."""
+    """Return a JSON body without its passwords, for what is kept must not help to guess one, and whether it is a dry run."""
     try:
         body = orjson.loads(content)
     except orjson.JSONDecodeError:
@@ -243,7 +243,7 @@ def _answered(
 
     @functools.wraps(endpoint)
     def answered(**given: Any) -> Response:
-        asked: Idempotency | None = given.pop("once", None)
+        asked: Idempotency | None = given.pop("idempotency", None)
 
         def act() -> Written | Response:
             made = endpoint(**given)
@@ -257,7 +257,7 @@ def _answered(
     parameters = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in signature.parameters.values()]
     if transaction is not None:  # solved last: whatever is checked before a transaction is checked before this too
         key = inspect.Parameter(
-            "once", inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[Idempotency, Depends(get_idempotency)]
+            "idempotency", inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[Idempotency, Depends(get_idempotency)]
         )
         parameters.append(key)
     answered.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]  # what the framework reads
