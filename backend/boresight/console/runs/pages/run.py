@@ -345,15 +345,15 @@ def list_verdict_marks(result: Calibration | None) -> list[Any]:
     return make_verdict_marks(result) if result and result.parameters else []
 
 
-Standing = tuple[str, str]
+TabStatus = tuple[str, str]
 
 FORMER = {"estimate": "summary"}  # what a part was called in older links
-NOTHING: Standing = ("off", "")
+NOTHING: TabStatus = ("off", "")
 
 
 @dataclass(frozen=True)
 class RunTab:
-    """A part's name, title and address, and in a word how things stand there; no word where there is nothing to judge."""
+    """A part's name, title and address, and in a word its status; no word where there is nothing to judge."""
 
     part: str
     title: str
@@ -367,27 +367,27 @@ def list_tabs(run_id: int, chosen: str, result: Calibration | None, notes: int =
     """Lay out the tabs of a run; `notes` is how many there are."""
     tabs = []
     for name, part in PARTS.items():
-        standing = part.judge(result) if result and result.parameters else NOTHING
+        status = part.judge(result) if result and result.parameters else NOTHING
         if name == "notes" and notes:
-            standing = "standby", count(notes)
+            status = "standby", count(notes)
         address = f"/runs/{run_id}" if name == "summary" else f"/runs/{run_id}?part={name}"
-        tabs.append(RunTab(name, part.title, address, name == chosen, *standing))
+        tabs.append(RunTab(name, part.title, address, name == chosen, *status))
     return tabs
 
 
-def _fit(result: Calibration) -> Standing:
+def _fit(result: Calibration) -> TabStatus:
     level = make_verdict(result).level
     return level, {"normal": "no reservation", "standby": "partial"}.get(level, "reservations")
 
 
-def _judge_history(result: Calibration) -> Standing:
+def _judge_history(result: Calibration) -> TabStatus:
     if result.status == "running":
         return "standby", "moving"
     at = settled_step(result)
     return ("normal", "settled") if at is not None else ("caution", "not settled")
 
 
-def _rms(result: Calibration) -> Standing:
+def _rms(result: Calibration) -> TabStatus:
     rms = result.validation.rms_arc_rad if result.validation else result.rms_arc_rad
     before, after = rms.initial, rms.final
     if before is None or after is None:
@@ -395,37 +395,37 @@ def _rms(result: Calibration) -> Standing:
     return ("normal" if after < before else "serious"), f"{urad(after, 3)} µrad"
 
 
-def _observability(result: Calibration) -> Standing:
+def _observability(result: Calibration) -> TabStatus:
     mark = next(mark for mark in make_verdict_marks(result) if mark.question == "Weakest direction")
     return (mark.level, mark.word) if mark.word != "NO DATA" else NOTHING
 
 
-def _residuals(result: Calibration) -> Standing:
+def _residuals(result: Calibration) -> TabStatus:
     chi2, per_dof = result.chi2, result.chi2_per_dof
     if per_dof is None or chi2 is None:
         return NOTHING
     return ("normal" if chi2.consistent else "caution"), f"χ² {number(per_dof, 3)}"
 
 
-def _trust(result: Calibration) -> Standing:
+def _trust(result: Calibration) -> TabStatus:
     if result.trust is None:
         return NOTHING
     doubts = len(trust_doubts(result))
     return trust_level(result), f"{doubts} doubt{'s' * (doubts != 1)}" if doubts else "no doubt"
 
 
-def _matching(result: Calibration) -> Standing:
+def _matching(result: Calibration) -> TabStatus:
     if result.matching is None:
         return NOTHING
     return ("normal", "rested") if result.matching.rested else ("caution", "not at rest")
 
 
 class RunPart(NamedTuple):
-    """A part of the page: its tab, what gathers what its template names, and what judges how things stand there."""
+    """A part of the page: its tab, what gathers what its template names, and what judges its status."""
 
     title: str
     gather: Callable[[RunReview], dict[str, Any]]
-    judge: Callable[[Calibration], Standing] = lambda _: NOTHING
+    judge: Callable[[Calibration], TabStatus] = lambda _: NOTHING
 
 
 PARTS = {
