@@ -274,22 +274,22 @@ def _fleet(session: Session) -> FleetView:
     )
 
 
-def _ours(session: Session, actor: Actor, desk: FleetView) -> tuple[WaitingItems, Sequence[WaitingItems]]:
+def _ours(session: Session, actor: Actor, overview: FleetView) -> tuple[WaitingItems, Sequence[WaitingItems]]:
     """Gather what waits for everybody of the same roles: alarms, and promotions with the calibrations."""
-    found = desk.by_roles.get(actor.roles)
+    found = overview.by_roles.get(actor.roles)
     if found is None:
-        rest = (*_promotions(session, actor), _calibrations(session, desk.standings, actor))
-        names = {one.sensor_id: one.name for one in desk.standings}
-        found = desk.by_roles[actor.roles] = (_alarms(session, actor, names), rest)
+        rest = (*_promotions(session, actor), _calibrations(session, overview.standings, actor))
+        names = {one.sensor_id: one.name for one in overview.standings}
+        found = overview.by_roles[actor.roles] = (_alarms(session, actor, names), rest)
     return found
 
 
-def _mine(session: Session, actor: Actor, policy: Policy, desk: FleetView) -> tuple[WaitingItems, WaitingItems]:
+def _mine(session: Session, actor: Actor, policy: Policy, overview: FleetView) -> tuple[WaitingItems, WaitingItems]:
     """Gather what waits for a person: requests to sign, and everything; what cannot be there is not asked for."""
-    signatures = _signatures(session, actor, policy) if desk.open_requests else NOTHING
-    own = _own_requests(session, actor) if actor.user_id in desk.submitters else ()
-    decisions = _proposals(session, actor) if desk.open_proposals else NOTHING
-    alarming, (*promotions, calibrations) = _ours(session, actor, desk)
+    signatures = _signatures(session, actor, policy) if overview.open_requests else NOTHING
+    own = _own_requests(session, actor) if actor.user_id in overview.submitters else ()
+    decisions = _proposals(session, actor) if overview.open_proposals else NOTHING
+    alarming, (*promotions, calibrations) = _ours(session, actor, overview)
     kinds = [alarming, signatures, decisions, *promotions, *own, calibrations]
     first = [action for kind in kinds for action in kind.first][:MOST_ACTIONS]
     return signatures, WaitingItems(sum(kind.count for kind in kinds), first)
@@ -309,23 +309,23 @@ def overview_page(
 ) -> HTMLResponse:
     """Show the fleet."""
     ages = time.monotonic() // HELD_S  # what the rows say of time is read anew with these
-    desk, is_older = cache.answer_to(
+    overview, is_older = cache.answer_to(
         ages, partial(_fleet, session), request.state.came_s
     )  # before anything else is read
     if is_older:
         mark_outdated(request)
-    signatures, actions = _mine(session, actor, policy, desk)
+    signatures, actions = _mine(session, actor, policy, overview)
     workers = dispatcher.state() if dispatcher else None
     return render(
         request,
         "fleet/overview.html",
-        follows_from=(desk, signatures.count, actions.count, tuple(actions.first), tuple((workers or {}).items())),
-        desk=desk,
-        counts=_counts(desk.standings),
+        follows_from=(overview, signatures.count, actions.count, tuple(actions.first), tuple((workers or {}).items())),
+        overview=overview,
+        counts=_counts(overview.standings),
         actions=actions.first,
         more_actions=actions.count - len(actions.first),
         waiting_for_me=signatures.count,
-        events=desk.events,
+        events=overview.events,
         workers=workers,
         may_register=bool({"analyst", "administrator"} & actor.roles),
     )

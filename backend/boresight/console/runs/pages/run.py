@@ -263,47 +263,47 @@ class RunReview:
         }.get(self.run.state, f"the run ended as {self.run.state} before it had a result.")
 
 
-def make_summary_part(desk: RunReview) -> dict[str, Any]:
+def make_summary_part(review: RunReview) -> dict[str, Any]:
     """Gather old and new values; while the run computes its history stands beside them."""
-    live = () if desk.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
+    live = () if review.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
     return {
-        "rows": parameter_rows(desk.result) if desk.result and desk.result.parameters else [],
-        "figures": () if desk.is_void else (*live, *CHAPTERS["summary"]),
+        "rows": parameter_rows(review.result) if review.result and review.result.parameters else [],
+        "figures": () if review.is_void else (*live, *CHAPTERS["summary"]),
     }
 
 
-def make_charts_part(desk: RunReview, name: str) -> dict[str, Any]:
+def make_charts_part(review: RunReview, name: str) -> dict[str, Any]:
     """Gather the figures of a chapter."""
-    return {"figures": () if desk.is_void else CHAPTERS[name]}
+    return {"figures": () if review.is_void else CHAPTERS[name]}
 
 
-def make_convergence_part(desk: RunReview) -> dict[str, Any]:
+def make_convergence_part(review: RunReview) -> dict[str, Any]:
     """Gather the history of the estimate."""
-    view = read_run_view(desk.request.query_params, desk.result)
-    return {**make_charts_part(desk, "convergence"), "view": view, "facts": list_history_facts(desk.result)}
+    view = read_run_view(review.request.query_params, review.result)
+    return {**make_charts_part(review, "convergence"), "view": view, "facts": list_history_facts(review.result)}
 
 
-def make_rms_part(desk: RunReview) -> dict[str, Any]:
+def make_rms_part(review: RunReview) -> dict[str, Any]:
     """Gather tail, aggregate and validation errors."""
-    view = read_run_view(desk.request.query_params, desk.result)
-    tail, facts = tail_facts(desk.result, view)
-    return {**make_charts_part(desk, "rms"), "view": view, "facts": facts, "tail": tail}
+    view = read_run_view(review.request.query_params, review.result)
+    tail, facts = tail_facts(review.result, view)
+    return {**make_charts_part(review, "rms"), "view": view, "facts": facts, "tail": tail}
 
 
-def make_observability_part(desk: RunReview) -> dict[str, Any]:
+def make_observability_part(review: RunReview) -> dict[str, Any]:
     """Gather what the data see, and which would help."""
-    facts, helpful = sight_facts(desk.result)
-    return {**make_charts_part(desk, "observability"), "facts": facts, "helpful": helpful}
+    facts, helpful = sight_facts(review.result)
+    return {**make_charts_part(review, "observability"), "facts": facts, "helpful": helpful}
 
 
-def make_provenance_part(desk: RunReview) -> dict[str, Any]:
+def make_provenance_part(review: RunReview) -> dict[str, Any]:
     """Gather where the numbers come from, and the command that makes them again."""
     return {
-        "provenance": list_provenance(desk.run, desk.result),
-        "validation": desk.validation,
-        "data": desk.data,
-        "command": write_command(desk.run, desk.data, desk.validation),
-        "settings_json": json.dumps(desk.run.settings, indent=2, sort_keys=True),
+        "provenance": list_provenance(review.run, review.result),
+        "validation": review.validation,
+        "data": review.data,
+        "command": write_command(review.run, review.data, review.validation),
+        "settings_json": json.dumps(review.run.settings, indent=2, sort_keys=True),
     }
 
 
@@ -435,14 +435,14 @@ PARTS = {
     "distortion": RunPart("Distortion", partial(make_charts_part, name="distortion")),
     "observability": RunPart("Observability", make_observability_part, _observability),
     "residuals": RunPart("Residuals", partial(make_charts_part, name="residuals"), _residuals),
-    "trust": RunPart("Trust", lambda desk: {"trust": make_trust_part(desk.result, desk.why_nothing)}, _trust),
+    "trust": RunPart("Trust", lambda review: {"trust": make_trust_part(review.result, review.why_nothing)}, _trust),
     "matching": RunPart(
-        "Matching", lambda desk: {"matching": make_matching_part(desk.result, desk.why_nothing)}, _matching
+        "Matching", lambda review: {"matching": make_matching_part(review.result, review.why_nothing)}, _matching
     ),
-    "frames": RunPart("Frames", lambda desk: make_frames_part(desk.session, desk.request, desk.run)),
-    "log": RunPart("Log", lambda desk: make_log_part(desk.request, desk.session, desk.run)),
+    "frames": RunPart("Frames", lambda review: make_frames_part(review.session, review.request, review.run)),
+    "log": RunPart("Log", lambda review: make_log_part(review.request, review.session, review.run)),
     "provenance": RunPart("Provenance", make_provenance_part),
-    "notes": RunPart("Notes", lambda desk: {"notes": notes.list_notes(desk.session, "runs", desk.run.id)}),
+    "notes": RunPart("Notes", lambda review: {"notes": notes.list_notes(review.session, "runs", review.run.id)}),
 }
 
 
@@ -500,16 +500,16 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
     part = FORMER.get(part, part)
     if part not in PARTS:
         raise NotFoundError(f"A run has no part {part[:40]}; choose from {', '.join(PARTS)}.")
-    desk = get_run_review(request, session, actor, run_id)
-    run, result = desk.run, desk.result
+    review = get_run_review(request, session, actor, run_id)
+    run, result = review.run, review.result
     return render(
         request,
         "runs/run.html",
         run=run,
         terminal=run.state in TERMINAL_RUN_STATES,
-        sensor=desk.sensor,
+        sensor=review.sensor,
         method=get_method_title(run.method),
-        **make_run_head(desk),
+        **make_run_head(review),
         **make_live_part(request, session, run),
         result=result,
         partial=run.result_sha256 is None,
@@ -518,9 +518,9 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         part=part,
         tabs=list_tabs(run_id, part, result, note_queries.count_notes(session, "runs", run_id)),
         advice=result.advice if result else [],
-        no_result=desk.why_nothing,
+        no_result=review.why_nothing,
         wide=WIDE,
-        **PARTS[part].gather(desk),
+        **PARTS[part].gather(review),
     )
 
 
@@ -542,17 +542,17 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
     )
 
 
-def make_run_head(desk: RunReview) -> dict[str, Any]:
+def make_run_head(review: RunReview) -> dict[str, Any]:
     """Gather what stands above the tabs: who ran what, what may be done with it, and the runs beside it."""
-    actions, made = list_run_actions(desk.run, desk.actor), find_parameter_set(desk.session, desk.run)
-    by = read_names(desk.session).person(desk.run.launched_by)
+    actions, made = list_run_actions(review.run, review.actor), find_parameter_set(review.session, review.run)
+    by = read_names(review.session).person(review.run.launched_by)
     return {
         "actions": actions,
         "blocked": sorted({action.blocked for action in actions.values() if action.offered and action.blocked}),
         "parameter_set": made,
-        "gates": list_run_gates(desk.session, made),
-        "header": make_run_header(desk.run, by, desk.data, desk.validation),
-        "neighbours": run_queries.read_neighbours(desk.session, desk.run.id),
+        "gates": list_run_gates(review.session, made),
+        "header": make_run_header(review.run, by, review.data, review.validation),
+        "neighbours": run_queries.read_neighbours(review.session, review.run.id),
     }
 
 
