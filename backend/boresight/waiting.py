@@ -14,7 +14,7 @@ _told: list[Report] = []
 
 
 @contextmanager
-def telling(report: Report) -> Iterator[None]:
+def report_waits_to(report: Report) -> Iterator[None]:
     """Let `report` be told of what this process waits for within; of several the innermost is."""
     _told.append(report)
     try:

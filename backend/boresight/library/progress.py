@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 
-from boresight.waiting import telling
+from boresight.waiting import report_waits_to
 
 PATIENCE_S = 1.0
 #: Told a message, and the share that is done where one is known.
@@ -94,7 +94,7 @@ def progress(message: str) -> Iterator[Progress]:
     """Show progress while the block runs."""
     shown = Progress(message)
     try:
-        with telling(shown):
+        with report_waits_to(shown):
             yield shown
     finally:
         shown.close()
@@ -104,7 +104,7 @@ def progress(message: str) -> Iterator[Progress]:
 def reporting(wanted: Wanted, message: str) -> Iterator[Report]:
     """Tell progress as a caller of the library wants it; where nobody watches, the log is told when kernels are compiled."""
     if callable(wanted):
-        with telling(wanted):
+        with report_waits_to(wanted):
             yield wanted
     elif wanted or (wanted is None and is_watched()):
         with progress(message) as shown:

@@ -179,7 +179,7 @@ RECORDS = Table(
 VERIFIED_AT_EVERY_VISIT = 1000
 READ_AT_EVERY_VISIT = 100_000_000  # bytes of stored files
 IN_GIST = 3
-TELLING = (
+GIST_MEMBERS = (
     "name",
     "label",
     "sensor",
@@ -215,8 +215,8 @@ class AuditLine:
     @property
     def gist(self) -> str:
         """What matters of the change, in one short line."""
-        telling = [it for it in self.changes if it.name.rpartition(".")[2] in TELLING] or self.changes
-        return " · ".join(f"{it.before} → {it.after}" if it.before != "–" else it.after for it in telling[:IN_GIST])
+        members = [it for it in self.changes if it.name.rpartition(".")[2] in GIST_MEMBERS] or self.changes
+        return " · ".join(f"{it.before} → {it.after}" if it.before != "–" else it.after for it in members[:IN_GIST])
 
 
 def _sought(view: TableView) -> dict[str, Any]:

@@ -52,7 +52,7 @@ def list_notices(
     session: Session, run: Run, log: Sequence[RunEvent], workers: Mapping[str, Any] | None = None
 ) -> list[StateNotice]:
     """Say what a run's state means."""
-    telling = {
+    notices_by_state = {
         "QUEUED": lambda: [StateNotice("standby", _queue_sentence(session, run, workers)), *_of_attempts(log)],
         "RUNNING": lambda: [*_of_attempts(log), *_of_silence(run)],
         "CANCELLING": lambda: [StateNotice("caution", _stopping_sentence(run, log))],
@@ -60,7 +60,7 @@ def list_notices(
         "LOST": lambda: [StateNotice("serious", _lost_sentence(run), links=_again(run)), *_of_partial(run)],
         "CANCELLED": lambda: [StateNotice("off", _reason(run) or "This run was cancelled."), *_of_partial(run)],
     }
-    return telling.get(run.state, list)()
+    return notices_by_state.get(run.state, list)()
 
 
 def heard_s(run: Run, log: Sequence[RunEvent]) -> float | None:
