@@ -55,7 +55,7 @@ R = TypeVar("R", bound=Base)
 
 MIGRATION_WAIT_S = 600  # for another server that starts at the same time and migrates
 KEPT = "kept despite refusal"
-DRY_RUN = "only tried"
+DRY_RUN = "dry run"
 FIRST_WITH_SEALS = "0003"
 _ONE_MIGRATION = (
     threading.Lock()
@@ -126,7 +126,7 @@ def open_writing(engine: Engine) -> Iterator[Session]:
 
 
 def _end(session: Session) -> None:
-    """Commit what was written; what was only tried is checked against the schema and rolled back."""
+    """Commit what was written; a dry run is checked against the schema and rolled back."""
     if session.info.get(DRY_RUN):
         seal(session)
         session.rollback()
