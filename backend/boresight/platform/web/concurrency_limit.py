@@ -5,9 +5,9 @@ patience is over before their turn comes, and the server would work for people w
 within seconds, and the rest know it within a millisecond: 503 and `Retry-After`. Cached answers, files of the pages, event
 streams and the routes by which the server is watched need no thread of the few, and are always let in.
 
-There are three kinds of places, and no kind takes another's. Requests of somebody known; requests of nobody known, of which each
-address has a share; and large bodies, of which each person has a share, for these are read while their place is held. Every other
-body is read before a place is taken, so that whoever sends half of one holds none. A credential that is forged or has ended is
+There are three kinds of slots, and no kind takes another's. Requests of somebody known; requests of nobody known, of which each
+address has a share; and large bodies, of which each person has a share, for these are read while their slot is held. Every other
+body is read before a slot is taken, so that whoever sends half of one holds none. A credential that is forged or has ended is
 none. Who is not known sends no more than a form.
 
 Of those let in few run at once, writers apart from readers (`RequestQueue`).
@@ -129,7 +129,7 @@ class Slots:
         self._by_key: Counter[str] = Counter()
 
     def take(self, key: str) -> bool:
-        """Take a place, if there is one."""
+        """Take a slot, if there is one."""
         if self.taken >= self.most or self._by_key[key] >= self.most_each:
             return False
         self.taken += 1
@@ -137,7 +137,7 @@ class Slots:
         return True
 
     def give_back(self, key: str) -> None:
-        """Free a place that was taken."""
+        """Free a slot that was taken."""
         self.taken -= 1
         self._by_key[key] -= 1
         if not self._by_key[key]:
@@ -168,17 +168,17 @@ class ConcurrencyLimit:
             _mark_connection(scope, known=person is not None)
             body = _AnnouncedBody.of(scope)
             if person is None:
-                places, key = self.unknown, _address(scope)
+                slots, key = self.unknown, _address(scope)
                 buffered = await self._small(body, receive) if body.comes else receive
             elif body.is_large:
-                places, key, buffered = self.large, str(person), receive
+                slots, key, buffered = self.large, str(person), receive
             else:
-                places, key = self.known, ""
+                slots, key = self.known, ""
                 buffered = await read_body(receive) if body.comes else receive
             if buffered is None:
                 return  # who asked has left
-            if not places.take(key):
-                raise _make_refusal(places)
+            if not slots.take(key):
+                raise _make_refusal(slots)
         except (BoresightError, HTTPException) as error:
             await self._refuse(Request(scope), error)(scope, receive, send)
             return
@@ -187,7 +187,7 @@ class ConcurrencyLimit:
                 await self._begin(scope)
                 await self.app(scope, buffered, send)
         finally:
-            places.give_back(key)
+            slots.give_back(key)
 
     async def _small(self, body: _AnnouncedBody, receive: Receive) -> Receive | None:
         if body.is_large:
@@ -232,8 +232,8 @@ def _address(scope: Scope) -> str:
     return get_network(client[0]) if client else ""
 
 
-def _make_refusal(places: Slots) -> OverloadedError:
-    said = f"{places.most} requests of its kind are under way, as many as this server takes"
-    if places.taken < places.most:
-        said = f"{places.most_each} requests of yours are under way, as many as one address or person may have"
+def _make_refusal(slots: Slots) -> OverloadedError:
+    said = f"{slots.most} requests of its kind are under way, as many as this server takes"
+    if slots.taken < slots.most:
+        said = f"{slots.most_each} requests of yours are under way, as many as one address or person may have"
     return OverloadedError(f"{said}; ask again in {COME_BACK_S} s.", COME_BACK_S)
