@@ -1,4 +1,4 @@
-"""Alarms: the list, unacknowledged first, and one alarm with its figures, its life and what can be done about it.
+"""Alarms: the list, unacknowledged first, and one alarm with its figures, its history and its actions.
 
 The address holds the filters: `/alarms?state=shelved&sensor=3&kind=DRIFT`.
 """
@@ -67,7 +67,7 @@ Seeking = Annotated[alarms.AlarmFilter, Depends(_sought)]
 
 @router.get("/alarms", response_class=HTMLResponse)
 def alarms_page(request: Request, session: Reading, actor: Who, sought: Seeking, before: str = "") -> HTMLResponse:
-    """Show the alarms that are open, those to be acknowledged first; or those sought."""
+    """Show the open alarms, unacknowledged ones first, or those that the filters select."""
     before_id = parse_row_id(before)
     found = alarms.list_alarms(session, sought, before_id=before_id, limit=A_PAGE + 1)
     return render(
@@ -166,7 +166,7 @@ def _handle(actor: Actor, alarm_id: int, step: str, typed: Mapping[str, str], se
 
 
 def _person(number: str) -> int | None:
-    """Read who is asked; nothing is nobody in particular."""
+    """Read the assignee's number from the form; an empty field means nobody."""
     if not number:
         return None
     person = parse_row_id(number)

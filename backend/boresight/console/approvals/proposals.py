@@ -77,7 +77,7 @@ def explain_closed(session: Session, row: ChangeProposal) -> str | None:
 
 
 def require_open(session: Session, row: ChangeProposal) -> None:
-    """Refuse to decide on what is decided; one whose time is over is EXPIRED from now on."""
+    """Refuse to decide on a proposal that is decided; one whose time is over becomes EXPIRED."""
     why = explain_closed(session, row)
     if why is None:
         return
@@ -114,7 +114,7 @@ def make_stale(session: Session, actor: Actor, sensor_id: int, kind: str, number
 
 
 def is_any_due(session: Session) -> bool:
-    """Whether there are proposals whose time is over and that still stand open."""
+    """Whether any open proposal has expired."""
     return bool(rows.list_due_proposals(session, utc_now())) and not alarm_rules.is_held(session)
 
 

@@ -21,7 +21,7 @@ from boresight.platform.db.sessions import Session, utc_now
 
 @dataclass(frozen=True)
 class MemberStatus:
-    """Where a sensor of a campaign stands; what its run has not, or it without a run, is None."""
+    """The status of a sensor in a campaign; values that its run lacks, or all without a run, are None."""
 
     id: int
     sensor_id: int
@@ -44,7 +44,7 @@ class Counted:
 
 
 def _newest() -> sa.Select[Any]:
-    """Select the row that counts of each sensor of each campaign."""
+    """Select the newest row of each sensor of each campaign."""
     return sa.select(sa.func.max(CampaignRun.id)).group_by(CampaignRun.campaign_id, CampaignRun.sensor_id)
 
 
@@ -97,7 +97,7 @@ def count_members(session: Session, campaign_ids: Collection[int]) -> dict[int, 
 def list_member_statuses(
     session: Session, campaign_id: int, *, after_id: int = 0, limit: int | None = None
 ) -> list[MemberStatus]:
-    """Return where the sensors of a campaign stand, in the order of their rows."""
+    """Return the status of the sensors of a campaign, in the order of their rows."""
     query = (
         sa.select(
             CampaignRun.id, CampaignRun.sensor_id, Sensor.name, CampaignRun.run_id, CampaignRun.refusal,
@@ -119,7 +119,7 @@ def cancel_all(session: Session, campaign_id: int, reason: str) -> list[tuple[in
 
 
 def list_sets(session: Session, set_ids: Collection[int]) -> list[TelemetrySet]:
-    """Return telemetry sets; while they are held, the session finds them without a statement each."""
+    """Return telemetry sets; while the caller holds them, the session finds each without a query."""
     return list(session.scalars(sa.select(TelemetrySet).where(among(TelemetrySet.id, set_ids))))
 
 

@@ -36,7 +36,7 @@ EFFECTS = {
 def change_proposals_page(
     request: Request, session: Reading, actor: Who, show: str = "open", before: str = ""
 ) -> HTMLResponse:
-    """Show what waits for a second person, or every proposal there was."""
+    """Show the open proposals, or all of them."""
     state, before_id = (None if show == "all" else "OPEN"), parse_row_id(before)
     found = proposals.list_proposals(session, state=state, before_id=before_id, limit=ROWS_A_PAGE + 1)
     return render(
