@@ -101,7 +101,8 @@ class LoginLimiter:
     def ended(self, tried: LoginAttempt, *, failed: bool | None) -> None:
         """Record the outcome of an attempt; `failed` is None where it was not made.
 
-        A right password clears the failures of its name there. What counts no failure is not kept: only passwords that were really checked can push out older counts.
+        A right password clears the failures of its name there. Counts without failures are not kept, so that only passwords that
+        were really checked can push out older counts.
         """
         for key in self._limits(tried):
             count = self._counts.get(key)

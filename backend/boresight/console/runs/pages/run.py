@@ -1,4 +1,4 @@
-"""The run page, the review desk: head and verdict always, below them one of its parts, of which only that is loaded.
+"""The run page: head and verdict, and below them one of its parts, the only one that is loaded.
 
 While a run computes the page is marked PARTIAL and follows the event stream. It never shows a parameter without its
 sigma. The word of a tab is the worst that its part shows; the keys 1 to 9 open the first nine.
@@ -75,7 +75,7 @@ from boresight.verdicts.verdict import (
 
 
 def list_provenance(run: Run, result: Calibration | None) -> list[tuple[str, Any]]:
-    """Lay out the addresses and versions that make the run again what it was."""
+    """List the content addresses and versions that reproduce the run."""
     inputs = result.inputs if result else Inputs()
     hashes = [(f"{name} SHA-256", _hash(value)) for name, value in inputs.sha256s.items()]
     versions = ", ".join(f"{name} {value}" for name, value in inputs.versions.items())
@@ -115,7 +115,7 @@ SCALES = ("log", "linear")
 
 @dataclass(frozen=True)
 class RunView:
-    """What the address asks for, as far as it can be had."""
+    """The view that the address asks for, as far as it exists."""
 
     align: str
     aligns: Mapping[str, str]
@@ -124,7 +124,7 @@ class RunView:
 
     @property
     def query(self) -> str:
-        """Return what a figure's address needs of it."""
+        """Return the part of the view for a figure's address."""
         asked = {"align": self.align if self.align != "frame" else None, "tail_from": self.tail_from}
         return urlencode(
             {name: f"{value:g}" if isinstance(value, float) else value for name, value in asked.items() if value}
@@ -132,7 +132,7 @@ class RunView:
 
 
 def read_run_view(query: QueryParams, result: Calibration | None) -> RunView:
-    """Read the view; what cannot be had falls back to the usual one."""
+    """Read the view; invalid values fall back to the defaults."""
     history = result.history if result else None
     aligns = {name: words for name, words in ALIGNS.items() if history and (name != "time" or history.time_utc)}
     align, scale = query.get("align", "frame"), query.get("scale", "log")
@@ -217,7 +217,7 @@ def _with_reach(rms_rad: float | None, arcs: float | None) -> str:
 
 
 def sight_facts(result: Calibration | None) -> tuple[Rows, list[str]]:
-    """Say what the data see least of, and what would help."""
+    """Describe what the data determine worst, and what would help."""
     seen = result.observability if result else None
     if result is None or seen is None or not seen.singular_values:
         return [], []
@@ -238,7 +238,7 @@ def sight_facts(result: Calibration | None) -> tuple[Rows, list[str]]:
 
 @dataclass(frozen=True)
 class RunReview:
-    """What a part is gathered from: who looks at which run, and what it has found so far."""
+    """The inputs of a part: the request, the actor, the run and its result so far."""
 
     request: Request
     session: Session
@@ -251,7 +251,7 @@ class RunReview:
 
     @property
     def is_void(self) -> bool:
-        """Tell whether what was computed does not count."""
+        """Whether the partial result of the run is void."""
         return self.run.state in TERMINAL_RUN_STATES and self.run.result_sha256 is None
 
     @property
@@ -264,7 +264,7 @@ class RunReview:
 
 
 def make_summary_part(review: RunReview) -> dict[str, Any]:
-    """Gather old and new values; while the run computes its history stands beside them."""
+    """Gather old and new values, and the history while the run computes."""
     live = () if review.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
     return {
         "rows": parameter_rows(review.result) if review.result and review.result.parameters else [],
@@ -291,7 +291,7 @@ def make_rms_part(review: RunReview) -> dict[str, Any]:
 
 
 def make_observability_part(review: RunReview) -> dict[str, Any]:
-    """Gather what the data see, and which would help."""
+    """Gather what the data determine, and which data would help."""
     facts, helpful = sight_facts(review.result)
     return {**make_charts_part(review, "observability"), "facts": facts, "helpful": helpful}
 
@@ -341,7 +341,7 @@ def make_matching_part(result: Calibration | None, why_nothing: str) -> dict[str
 
 
 def list_verdict_marks(result: Calibration | None) -> list[Any]:
-    """Answer the verdict strip's questions, none where nothing was estimated."""
+    """Return the marks of the verdict strip; none where nothing was estimated."""
     return make_verdict_marks(result) if result and result.parameters else []
 
 
@@ -458,7 +458,7 @@ class RunAction:
 
 
 def list_run_actions(run: Run, actor: Actor) -> dict[str, RunAction]:
-    """Say what may be done with a run, and by whom."""
+    """List the actions on a run, each with why the actor may not take it."""
     lacking = None if "analyst" in actor.roles else "Only an analyst may {}; ask an administrator for the role."
     create = lacking.format("create parameter sets") if lacking else _why_no_set(run)
     return {
@@ -468,7 +468,7 @@ def list_run_actions(run: Run, actor: Actor) -> dict[str, RunAction]:
 
 
 def _why_no_set(run: Run) -> str | None:
-    """Say why no parameter set can be made of a run that ended, or None where one can."""
+    """Return why no parameter set can be made from a finished run, or None where one can."""
     status = (run.summary or {}).get("status")
     if status is None or status in parameter_sets.USABLE_STATUSES:
         return None
@@ -528,7 +528,7 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
     """Fetch a run with its sensor, its data and what it has found so far."""
     run = runs.get_run(session, run_id)
     validation = run.validation_set_id
-    is_void = run.state in TERMINAL_RUN_STATES and run.result_sha256 is None  # what was computed does not count
+    is_void = run.state in TERMINAL_RUN_STATES and run.result_sha256 is None  # the partial result is void
     found = None if is_void else runs.find_result(session, get_server(request).blobs, run_id)
     return RunReview(
         request=request,
@@ -543,7 +543,7 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
 
 
 def make_run_head(review: RunReview) -> dict[str, Any]:
-    """Gather what stands above the tabs: who ran what, what may be done with it, and the runs beside it."""
+    """Gather what is above the tabs: the run's header, its actions, and its neighbours."""
     actions, made = list_run_actions(review.run, review.actor), find_parameter_set(review.session, review.run)
     by = read_names(review.session).person(review.run.launched_by)
     return {

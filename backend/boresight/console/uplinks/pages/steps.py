@@ -68,7 +68,7 @@ class UplinkLine:
 
 
 def make_uplink_line(known: AsOf) -> UplinkLine:
-    """Lay out a sensor by what is known of it."""
+    """Lay out a sensor's ground and on-board state."""
     by_state = {record.onboard_state: (row, record) for row, record in known.on_board}
     newest = known.on_board[-1] if known.on_board else None
     shown = by_state.get("MISMATCH") or known.active or newest
@@ -78,7 +78,7 @@ def make_uplink_line(known: AsOf) -> UplinkLine:
 
 
 def find_worst_known(baseline_id: int | None, on_board: Sequence[tuple[int, str]]) -> tuple[str, str]:
-    """Return the worst of what is known, as a level and a word."""
+    """Return the worst finding, as a level and a word."""
     states = {state for _, state in on_board}
     active = next((set_id for set_id, state in on_board if state == "ACTIVE"), None)
     if "MISMATCH" in states:
@@ -94,21 +94,21 @@ def find_worst_known(baseline_id: int | None, on_board: Sequence[tuple[int, str]
 
 @dataclass(frozen=True)
 class UplinkContext:
-    """Which sensors are looked at: those whose name holds `q` and that stand as `word` says, and which page of them."""
+    """A view of the sensors: those whose name contains `q` and whose status is `word`, and the page."""
 
     q: str
     word: str
     page: int
 
     def address(self, **changes: Any) -> str:
-        """Return the address of this view, with changes; what is as on a first visit is left out."""
+        """Return the address of this view, with changes; defaults are left out."""
         held = {"q": self.q, "status": self.word, "page": self.page if self.page > 1 else ""} | changes
         query = urlencode({name: value for name, value in held.items() if value})
         return f"/uplink?{query}" if query else "/uplink"
 
 
 def read_context(request: Request) -> UplinkContext:
-    """Read the address; nonsense is left out."""
+    """Read the view from the address; invalid values are ignored."""
     asked = request.query_params
     word, page = asked.get("status", ""), asked.get("page", "")
     number = int(page) if page.isdecimal() and len(page) < LONGEST_NUMBER else 1
@@ -154,7 +154,7 @@ LADDER = ("SENT", "LOADED", "VERIFIED", "ACTIVE")
 
 @dataclass(frozen=True)
 class UplinkStep:
-    """One rung of the ladder."""
+    """A step of a set's way to the spacecraft."""
 
     name: str
     level: str
@@ -166,7 +166,7 @@ class UplinkStep:
 
 
 def list_steps(exported: Package | None, records: Sequence[Uplink], names: RunNames) -> list[UplinkStep]:
-    """Lay out how far the set has come since it was last sent."""
+    """Return the steps of a set since it was last sent."""
     progress = find_uplink_progress(records)
     taken = [_exported(exported, names), *(_taken(progress, state, names) for state in LADDER)]
     following = next((place for place, step in enumerate(taken) if step is None), len(taken))
@@ -187,7 +187,7 @@ def find_uplink_progress(records: Sequence[Uplink]) -> Sequence[Uplink]:
 
 
 def find_exported_package(packages: Sequence[Package], records: Sequence[Uplink]) -> Package | None:
-    """Return the package that was sent, before that the newest; None where none is."""
+    """Return the package that was sent, else the newest; None where there is none."""
     named = [
         (row.evidence or {}).get("package") for row in find_uplink_progress(records) if row.onboard_state == "SENT"
     ]
@@ -243,7 +243,7 @@ NO_ROLE = (
 
 @dataclass(frozen=True)
 class UplinkStepsContext:
-    """What a form left behind: which one, what was typed, and why it was refused."""
+    """The state of a refused form: which one, what was typed, and why it was refused."""
 
     form: str = ""
     typed: dict[str, str] = field(default_factory=dict)
@@ -306,7 +306,7 @@ def _members(session: Session, blobs: BlobStore, exported: Package | None) -> li
 
 
 def _reference(session: Session, blobs: BlobStore, row: ParameterSet) -> tuple[read_backs.SentTable | None, str | None]:
-    """Return what a read-back would be held against, or why there is nothing."""
+    """Return the reference of a read-back, or why there is none."""
     try:
         return read_backs.get_sent_table(session, blobs, row), None
     except BoresightError as refusal:
@@ -332,14 +332,14 @@ async def _taken_step(
     said: str,
     prepare: Callable[[], Awaitable[Sequence[object]]] | None = None,
 ) -> Response:
-    """Take a step and show where the set is now, or show why it was refused with what was typed."""
+    """Record a step and redirect to the page, or show why it was refused with what was typed."""
     set_id = request.path_params["set_id"]
     outcome = await attempt(request, change, prepare)
     if outcome.value is None:
         kept = {name: value for name, value in typed.items() if name != "password"}
         shown = UplinkStepsContext(form, kept, outcome.refusal)
         return await read_again(request, partial(_page, request, actor, blobs, set_id, shown))
-    matched = getattr(outcome.value, "onboard_state", "") != "MISMATCH"  # the page itself says of a mismatch what it is
+    matched = getattr(outcome.value, "onboard_state", "") != "MISMATCH"  # the page itself explains a mismatch
     return redirect(f"/parameter-sets/{set_id}/uplink", flash=said if matched else "")
 
 
