@@ -140,8 +140,8 @@ def repeated_fields(frames: int, sensor: Sensor, catalogue: Catalogue, seed: int
 class Views:
     """One set of views of equally many stars, in arc order; a view is an exposure, what a camera calibrator calls an image.
 
-    `arcs` are not yet whitened, `magnitude` (n_views, n) is for peers that ask for brightness, `sensor` is where every peer starts, and
-    `truth` (n_parameters,), SI, made the centroids.
+    `arcs` are not yet whitened, `magnitude` (n_views, n) is for peers that ask for brightness, `sensor` is where every peer starts,
+    and `truth` (n_parameters,), SI, made the centroids.
     """
 
     arcs: ArcSet

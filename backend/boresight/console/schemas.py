@@ -19,7 +19,9 @@ class Row(BaseModel):
 
     model_config = ConfigDict(from_attributes=True)
 
-    versioned_by: ClassVar[tuple[str, ...]] = ()  # the attributes that its transitions change; without any it has no ETag
+    versioned_by: ClassVar[
+        tuple[str, ...]
+    ] = ()  # the attributes that its transitions change; without any it has no ETag
     moves_beneath: ClassVar[bool] = False  # whether more may change than the tag tells of (RFC 9110, 8.8.1)
     location: ClassVar[str] = ""  # its address, with attributes in braces
 

@@ -114,7 +114,7 @@ class LogInCookie:
             raise SessionEndedError("expired") from error
         except (BadData, ValueError, TypeError) as error:
             raise UnauthenticatedError("This log-in is not known here; log in again.") from error
-        if not isinstance(token, str) or not isinstance(csrf_token, str):  # a cookie from before log-ins were stored as rows
+        if not isinstance(token, str) or not isinstance(csrf_token, str):  # an old version's cookie
             raise UnauthenticatedError("This log-in is not known here; log in again.")
         return CookieContent(token, csrf_token, signed.timestamp() + self._max_age_s)
 

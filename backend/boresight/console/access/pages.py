@@ -122,7 +122,7 @@ async def create(
     chosen = roles or []
 
     async def prepare() -> tuple[NewPassword]:
-        require_role(actor, "administrator")  # checked before the password is hashed, which is slow; the service checks again
+        require_role(actor, "administrator")  # before the slow hashing; the service checks again
         return (await checks.prepare(password, name, printed_name),)
 
     def change(session: Session, prepared: NewPassword) -> User:

@@ -48,7 +48,7 @@ def list_due_approvals(session: Session, now_utc: str) -> Sequence[Approval]:
 def _undecided() -> sa.Select[Approval]:
     """Select the requests that are not decided, with those approved and not yet promoted, and their sets."""
     live = ParameterSet.ground_state.in_(("SUBMITTED", "APPROVED"))
-    newest = sa.select(sa.func.max(Approval.id)).group_by(Approval.parameter_set_id)  # older approvals have been promoted already
+    newest = sa.select(sa.func.max(Approval.id)).group_by(Approval.parameter_set_id)  # older ones have been promoted
     query = sa.select(Approval).join(ParameterSet).where(Approval.state.in_(UNDECIDED), live, Approval.id.in_(newest))
     return query.order_by(Approval.id)
 

@@ -92,7 +92,7 @@ def find_signatory(session: Session, actor: Actor, *, policy: Policy = POLICY) -
         user_id = refuse_who_never_signs(session, actor)
     except ForbiddenError:
         return None
-    now_utc = "" if alarm_rules.is_held(session) else utc_now()  # earlier than any time, so that nothing counts as expired
+    now_utc = "" if alarm_rules.is_held(session) else utc_now()  # earlier than any time: nothing has expired
     return Signatory(user_id, now_utc, policy.four_eyes)
 
 

@@ -195,7 +195,9 @@ def _offer(session: Session, given: FormData | QueryParams) -> OfferedSensors:
 def _chosen(form: FormData | QueryParams) -> list[MemberRequest]:
     texts = map(str, form.getlist("sensors"))
     numbers = [int(text) for text in texts if text.isdecimal() and len(text) <= LONGEST_NUMBER]
-    return [_member(form, number) for number in numbers[: MOST_SENSORS + 1]]  # one more than allowed, so that it is refused
+    return [
+        _member(form, number) for number in numbers[: MOST_SENSORS + 1]
+    ]  # one more than allowed, so that it is refused
 
 
 def _member(form: FormData | QueryParams, number: int) -> MemberRequest:

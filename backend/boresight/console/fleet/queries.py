@@ -161,7 +161,7 @@ def list_finished_runs(session: Session, sensor_ids: Collection[int]) -> dict[in
 
 def read_trend_stamps(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, tuple[int, str | None]]:
     """Return for each sensor how many of its runs succeeded and when the last one ended, which changes when its trend does."""
-    every = sa.select(Sensor.id)  # sensors are named, otherwise SQLite reads all succeeded runs instead of an index by sensor
+    every = sa.select(Sensor.id)  # makes SQLite use an index by sensor
     counted = sa.select(Run.sensor_id, sa.func.count(Run.id), sa.func.max(Run.ended_utc)).group_by(Run.sensor_id)
     of_them = Run.sensor_id.in_(every) if sensor_ids is None else among(Run.sensor_id, sensor_ids)
     rows = session.execute(counted.where(of_them, Run.state == "SUCCEEDED"))

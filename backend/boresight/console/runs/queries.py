@@ -313,7 +313,7 @@ def finish_all(session: Session, ends: Sequence[RunEnd]) -> dict[HeldRun, str]:
 
 
 def _read_held(session: Session, run_ids: Collection[int]) -> dict[HeldRun, tuple[str, str | None]]:
-    """Return state and reason of those runs that an attempt holds. It stays so until the commit: there is one writer at a time."""
+    """Return state and reason of the runs that these attempts still hold, which cannot change before the commit."""
     query = sa.select(Run.id, Run.attempt, Run.state, Run.reason).where(
         Run.id.in_(run_ids), Run.state.in_(HOLDING_STATES)
     )

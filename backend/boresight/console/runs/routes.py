@@ -115,7 +115,7 @@ def launch_run(
 def get_run(run_id: Id, session: Reading, request: Request) -> Run:
     """Read a run: its state, its progress, and when it has ended its summary."""
     row = runs.get_run(session, run_id)
-    cover_with_tag(request, holds=row.state in TERMINAL_RUN_STATES)  # while it runs its progress changes without its tag
+    cover_with_tag(request, holds=row.state in TERMINAL_RUN_STATES)  # its progress changes without its tag
     return row
 
 

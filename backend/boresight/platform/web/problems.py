@@ -21,7 +21,7 @@ MEDIA_TYPE = "application/problem+json"
 
 @dataclass(frozen=True)
 class Kind:
-    """How one kind of error is told over HTTP."""
+    """How one kind of error is reported over HTTP."""
 
     status: int
     title: str
@@ -36,7 +36,7 @@ KINDS: Mapping[type[Exception], Kind] = {
     errors.RefusedInputError: Kind(422, "Refused input"),
     errors.NotFoundError: Kind(404, "Not found"),
     errors.ConflictError: Kind(409, "Conflict"),
-    errors.CorruptFileError: Kind(409, "Corrupt file"),  # no 5xx: to ask again helps nobody before it is restored
+    errors.CorruptFileError: Kind(409, "Corrupt file"),  # not a 5xx: a retry does not help
     errors.StaleError: Kind(412, "Stale"),
     errors.PreconditionRequiredError: Kind(428, "Precondition required"),
     errors.ForbiddenError: Kind(403, "Forbidden"),
@@ -55,7 +55,7 @@ UNFORESEEN = Kind(500, "Unforeseen error")
 
 @dataclass(frozen=True)
 class Problem:
-    """One refusal, ready to be told as JSON or as a page."""
+    """A refusal, to be sent as JSON or as a page."""
 
     kind: Kind
     detail: str
@@ -69,7 +69,7 @@ class Problem:
 
 
 def make_problem(error: Exception) -> Problem:
-    """Tell any exception as a problem; one that is not a refusal keeps its words to the server's log."""
+    """Make the problem of an exception; the message of one that is not a refusal goes to the server's log only."""
     if isinstance(error, RequestValidationError):
         return _malformed(error)
     if isinstance(error, HTTPException):
@@ -83,12 +83,12 @@ def make_problem(error: Exception) -> Problem:
 
 
 def _find_kind(status: int) -> Kind:
-    """Name a status that the framework chose: no such address, no such method, an unreadable body."""
+    """Return the kind for a status of the framework: unknown address, wrong method, unreadable body."""
     return next((kind for kind in KINDS.values() if kind.status == status), Kind(status, HTTPStatus(status).phrase))
 
 
 def _malformed(error: RequestValidationError) -> Problem:
-    """Say which members of the request are wrong, each by its JSON pointer."""
+    """Make the problem of an invalid request, with a JSON pointer to each wrong member."""
     places = [
         {
             "pointer": "".join(f"/{part}" for part in found["loc"][1:]),
@@ -110,7 +110,7 @@ def _faults(error: Exception) -> list[dict[str, Any]]:
 
 
 def _headers(error: Exception) -> dict[str, str] | None:
-    """Say how to authenticate where that is what is missing, and how long to wait where that helps."""
+    """Return `WWW-Authenticate` and `Retry-After` where they apply."""
     if isinstance(error, errors.TooManyAttemptsError | errors.OverloadedError | errors.StorageError):
         return {"Retry-After": str(error.wait_s)}
     return {"WWW-Authenticate": "Bearer"} if isinstance(error, errors.UnauthenticatedError) else None
