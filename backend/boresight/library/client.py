@@ -23,7 +23,6 @@ from boresight.errors import RefusedInputError, UnavailableError
 from boresight.library import remote
 from boresight.library.progress import Wanted, reporting
 from boresight.library.remote import (
-    Answer,
     Approval,
     GateReport,
     Operation,
@@ -31,6 +30,7 @@ from boresight.library.remote import (
     Pause,
     Request,
     Run,
+    ServerAnswer,
     ServerSensor,
     T,
     TelemetrySet,
@@ -86,9 +86,9 @@ class _Connection:
             arguments["json"] = request.body
         return arguments
 
-    def _judge(self, response: httpx.Response) -> Answer:
+    def _judge(self, response: httpx.Response) -> ServerAnswer:
         """Return an answer, or raise the exception of a refusal."""
-        answer = Answer(status=response.status_code, headers=response.headers, content=response.content)
+        answer = ServerAnswer(status=response.status_code, headers=response.headers, content=response.content)
         raise_problem(answer, self.url)
         return answer
 
@@ -261,7 +261,7 @@ class Client(_Connection):
             result: T = ended.value
             return result
 
-    def _ask(self, request: Request) -> Answer:
+    def _ask(self, request: Request) -> ServerAnswer:
         """Send a request, again where that may help."""
         attempt = 0
         while True:
@@ -426,7 +426,7 @@ class AsyncClient(_Connection):
             result: T = ended.value
             return result
 
-    async def _ask(self, request: Request) -> Answer:
+    async def _ask(self, request: Request) -> ServerAnswer:
         """Send a request, again where that may help."""
         attempt = 0
         while True:

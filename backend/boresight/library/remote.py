@@ -1,6 +1,6 @@
 """The operations of a server's client without the network: every operation is a generator of requests.
 
-An operation yields a `Request` and is sent the `Answer`; it yields a `Pause` to wait. `library.client` drives the same operations
+An operation yields a `Request` and is sent the `ServerAnswer`; it yields a `Pause` to wait. `library.client` drives the same operations
 with and without `async`. Answers are read into frozen dataclasses; what a newer server says besides is dropped.
 """
 
@@ -75,7 +75,7 @@ class Request:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
+class ServerAnswer:
     """A server's answer."""
 
     status: int
@@ -95,7 +95,7 @@ class Pause:
 
 
 #: An operation: it yields requests, is sent answers, and returns its result.
-Operation = Generator[Request | Pause, Answer, T]
+Operation = Generator[Request | Pause, ServerAnswer, T]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,7 +212,7 @@ def parse_run(document: Mapping[str, Any]) -> Run:
     return parse_record(Run, {**document, "progress": said})
 
 
-def raise_problem(answer: Answer, address: str) -> None:
+def raise_problem(answer: ServerAnswer, address: str) -> None:
     """Raise a server's refusal with its sentence, or for any other failure an exception with the status."""
     if answer.status < FIRST_ERROR:
         return
