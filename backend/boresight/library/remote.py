@@ -1,7 +1,7 @@
 """The operations of a server's client without the network: every operation is a generator of requests.
 
-An operation yields a `Request` and is sent the `ServerAnswer`; it yields a `Pause` to wait. `library.client` drives the same operations
-with and without `async`. Answers are read into frozen dataclasses; what a newer server says besides is dropped.
+An operation yields a `Request` and is sent the `ServerAnswer`; it yields a `Pause` to wait. `library.client` drives the same
+operations with and without `async`. Answers are read into frozen dataclasses; what a newer server says besides is dropped.
 """
 
 from __future__ import annotations
