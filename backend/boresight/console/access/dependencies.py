@@ -218,7 +218,7 @@ def get_server(request: Request) -> Server:
     return cast("Server", request.app.state)
 
 
-def of_server(name: str) -> Any:
+def depend_on_server(name: str) -> Any:
     """Return a dependency on a part of the server, by its name in the state of the application."""
 
     async def part(request: Request) -> Any:
@@ -272,14 +272,14 @@ LoggingIn = Annotated[Session, Depends(open_write_session, scope="function")]
 SeenVersion = Annotated[int, Depends(seen_version)]
 SeenTag = Annotated[Seen, Depends(seen)]
 MaybeSeenTag = Annotated[Seen, Depends(maybe_seen)]
-Blobs = Annotated[BlobStore, of_server("blobs")]
-Database = Annotated[Engine, of_server("engine")]
-ServerFigureCache = Annotated[FigureCache, of_server("figure_cache")]
-SecretKeeper = Annotated[SecretBox, of_server("secret_box")]
-ServerPolicy = Annotated[Policy, of_server("policy")]
-PasswordChecks = Annotated[PasswordWorker, of_server("passwords")]
-ServerSettings = Annotated[Settings, of_server("settings")]
-DryRunSources = Annotated[ForecastSources, of_server("forecast_sources")]
-Stars = Annotated[Callable[[], Catalogue], of_server("catalogue")]
-Cookie = Annotated[LogInCookie, of_server("log_in_cookie")]
-Workers = Annotated[WorkerControl | None, of_server("workers")]
+Blobs = Annotated[BlobStore, depend_on_server("blobs")]
+Database = Annotated[Engine, depend_on_server("engine")]
+ServerFigureCache = Annotated[FigureCache, depend_on_server("figure_cache")]
+SecretKeeper = Annotated[SecretBox, depend_on_server("secret_box")]
+ServerPolicy = Annotated[Policy, depend_on_server("policy")]
+PasswordChecks = Annotated[PasswordWorker, depend_on_server("passwords")]
+ServerSettings = Annotated[Settings, depend_on_server("settings")]
+DryRunSources = Annotated[ForecastSources, depend_on_server("forecast_sources")]
+Stars = Annotated[Callable[[], Catalogue], depend_on_server("catalogue")]
+Cookie = Annotated[LogInCookie, depend_on_server("log_in_cookie")]
+Workers = Annotated[WorkerControl | None, depend_on_server("workers")]

@@ -20,7 +20,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from boresight.console.access.credentials import current_actor
-from boresight.console.access.dependencies import Database, ServerSettings, WorkerControl, Workers, of_server
+from boresight.console.access.dependencies import Database, ServerSettings, WorkerControl, Workers, depend_on_server
 from boresight.console.operation import json_response
 from boresight.console.schemas import Shape
 from boresight.errors import BoresightError
@@ -33,7 +33,7 @@ from boresight.platform.web.origins import is_local
 from boresight.resources import folder
 from boresight.settings import Settings
 
-FilesCheck = Annotated[CachedCheck, of_server("blob_check")]
+FilesCheck = Annotated[CachedCheck, depend_on_server("blob_check")]
 
 
 class Health(Shape):
@@ -159,7 +159,7 @@ def _workers(settings: Settings, workers: WorkerControl | None) -> dict[str, Any
     response_class=PrometheusText,
     responses=refusals(401, 403),
 )
-async def metrics(request: Request, counted: Annotated[Metrics, of_server("metrics")]) -> Response:
+async def metrics(request: Request, counted: Annotated[Metrics, depend_on_server("metrics")]) -> Response:
     """Return the series of this server in the Prometheus exposition format.
 
     Any API key will do, also one without scopes; on the server's own machine none is needed where it listens to nobody else.

@@ -22,7 +22,7 @@ from typing import Annotated, Any
 import orjson
 
 from boresight.console.access import queries as login_sessions
-from boresight.console.access.dependencies import of_server
+from boresight.console.access.dependencies import depend_on_server
 from boresight.console.runs import queries as run_events
 from boresight.console.runs.tables import RunEvent
 from boresight.platform.actors import Actor
@@ -361,4 +361,4 @@ class Broadcast:
             listener.put(None)
 
 
-Feed = Annotated[Broadcast, of_server("broadcast")]
+Feed = Annotated[Broadcast, depend_on_server("broadcast")]

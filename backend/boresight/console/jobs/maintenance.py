@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated
 
 from boresight.console.access import api_keys, sessions
-from boresight.console.access.dependencies import of_server
+from boresight.console.access.dependencies import depend_on_server
 from boresight.console.alarms import rules
 from boresight.console.alarms.rules import (
     CHAIN,
@@ -282,4 +282,4 @@ class Maintenance:
             self.verify()
 
 
-ServerMaintenance = Annotated[Maintenance, of_server("maintenance")]
+ServerMaintenance = Annotated[Maintenance, depend_on_server("maintenance")]

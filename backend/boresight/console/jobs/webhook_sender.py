@@ -16,7 +16,7 @@ from urllib.parse import urlsplit, urlunsplit
 import httpx
 
 import boresight
-from boresight.console.access.dependencies import of_server
+from boresight.console.access.dependencies import depend_on_server
 from boresight.console.webhooks import service as webhook_messages
 from boresight.console.webhooks.service import WebhookMessage
 from boresight.errors import RefusedInputError
@@ -131,4 +131,4 @@ class WebhookSender:
             return answer.status_code, heard[:HEARD].decode("utf-8", "replace")
 
 
-ServerWebhookSender = Annotated[WebhookSender, of_server("webhook_sender")]
+ServerWebhookSender = Annotated[WebhookSender, depend_on_server("webhook_sender")]

@@ -12,7 +12,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse
 
 from boresight.console import list_queries as lists
-from boresight.console.access.dependencies import Reading, ServerPolicy, Who, Workers, of_server, same_for_one
+from boresight.console.access.dependencies import Reading, ServerPolicy, Who, Workers, depend_on_server, same_for_one
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
 from boresight.console.approvals import proposals
@@ -300,7 +300,7 @@ def _counts(standings: Sequence[SensorStatus]) -> dict[str, int]:
     return {level: sum(one.status == level for one in standings) for level in reversed(LEVELS)}
 
 
-OverviewCache = Annotated[VersionedCache[FleetView], of_server("overview")]
+OverviewCache = Annotated[VersionedCache[FleetView], depend_on_server("overview")]
 
 
 @router.get("/", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
