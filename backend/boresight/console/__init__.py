@@ -1,4 +1,4 @@
-"""The console: one folder a noun. Every table is declared here, for seals, migrations and foreign keys are about all of them."""
+"""The console: one folder per noun. Every table is declared here, because seals, migrations and foreign keys need all of them."""
 
 from boresight.console.access import tables as access_tables
 from boresight.console.alarms import tables as alarm_tables

@@ -46,7 +46,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Signatory:
-    """Who would sign now, and whether who had a part in a set may not."""
+    """The person who would sign, and whether having a part in a set excludes them."""
 
     user_id: int
     now_utc: str
@@ -55,7 +55,7 @@ class Signatory:
 
 @dataclass(frozen=True)
 class ListQuery:
-    """What of a list is wanted: filters by name, and the name of a key, `-` before it for the greatest first."""
+    """A query on a list: filters by name, and the sort key, with `-` before it for descending order."""
 
     where: Mapping[str, Any]
     sort: str
@@ -63,7 +63,7 @@ class ListQuery:
 
 
 def _name_expression(table: Any, number: Any) -> Any:
-    """Return the expression of the name that a number of another table stands for."""
+    """Return the expression for the name of a row of another table, by its id."""
     name = table.printed_name if table is User else table.name
     return sa.func.lower(sa.select(name).where(table.id == number).correlate_except(table).scalar_subquery())
 
@@ -84,13 +84,13 @@ def _baseline(column: Any) -> Any:
 
 
 def _of_set_of(column: Any) -> Condition:
-    """Keep to the rows about sets of a sensor."""
+    """Filter rows by the sensor of their set."""
     of_sensor = equals(ParameterSet.sensor_id)
     return lambda sensor_id: column.in_(sa.select(ParameterSet.id).where(of_sensor(sensor_id)))
 
 
 def _sets_in_use() -> Any:
-    """Return the expression of how many of a sensor's telemetry sets are not archived."""
+    """Return the expression for the number of a sensor's telemetry sets that are not archived."""
     in_use = sa.and_(TelemetrySet.sensor_id == Sensor.id, TelemetrySet.archived_utc.is_(None))
     return sa.select(sa.func.count()).select_from(TelemetrySet).where(in_use).correlate(Sensor).scalar_subquery()
 
@@ -102,7 +102,7 @@ def _worst_board_first() -> Any:
 
 
 def _open_to(who: Signatory) -> sa.ColumnElement[bool]:
-    """Keep to the open requests that somebody may sign: as `console.approvals.signers` says of one, for many at once."""
+    """Filter the open requests that a person may sign, by the rules of `console.approvals.signers`."""
     signed = sa.select(Signature.id).where(Signature.approval_id == Approval.id, Signature.user_id == who.user_id)
     unexpired = sa.or_(Approval.expires_utc.is_(None), Approval.expires_utc > who.now_utc)
     signable = sa.and_(Approval.state == "OPEN", unexpired, ~signed.exists())
@@ -315,7 +315,7 @@ def list_rows(session: Session, name: str, asked: ListQuery, limit: int) -> list
 
 
 def count(session: Session, name: str, where: Mapping[str, Any]) -> int:
-    """Return how many rows of a list fit its filters."""
+    """Return the number of rows of a list that match its filters."""
     known = LISTS[name]
     narrowed = sa.select(sa.func.count()).select_from(known.table)
     fitting = (known.filters[key](value) for key, value in _checked(name, where).items())
@@ -332,7 +332,7 @@ def walk(session: Session, name: str, asked: ListQuery) -> Iterator[Any]:
 
 
 def _ids(session: Session, known: List, asked: ListQuery) -> Any:
-    """Select the ids of a list in its order, those of the rows before the page left out."""
+    """Select the ids of a list in its order, from the page on."""
     identity, key = known.table.id, known.keys[asked.sort.removeprefix("-")]
     query = sa.select(identity).where(*(known.filters[name](value) for name, value in asked.where.items()))
     descends = asked.sort.startswith("-")
@@ -344,7 +344,7 @@ def _ids(session: Session, known: List, asked: ListQuery) -> Any:
 
 
 def _after(session: Session, known: List, key: Any, descends: bool, before_id: int) -> sa.ColumnElement[bool]:
-    """Say in SQL which rows come after one."""
+    """Return the SQL condition for the rows after one."""
     identity = known.table.id
     if key is identity:
         return identity < before_id if descends else identity > before_id  # type: ignore[no-any-return]  # columns are Any here
@@ -356,7 +356,7 @@ def _after(session: Session, known: List, key: Any, descends: bool, before_id: i
 
 
 def _read_rows(session: Session, known: List, ids: Sequence[int]) -> list[Any]:
-    """Read rows by their ids, in the order of these."""
+    """Read rows by their ids, in the order of the ids."""
     left_out = [defer(getattr(known.table, name)) for name in (*known.unread, *known.large)]
     found = session.scalars(sa.select(known.table).where(among(known.table.id, ids)).options(*left_out))
     by_id = {row.id: row for row in found}
@@ -376,7 +376,7 @@ def read_all(session: Session, name: str, where: Mapping[str, Any], sort: str) -
 
 
 def _asked(name: str, where: Mapping[str, Any], sort: str, before_id: int | None) -> ListQuery:
-    """Check the names."""
+    """Check the names of filters and sort key, and return the query."""
     known = LISTS[name]
     if sort.removeprefix("-") not in known.keys:
         raise RefusedInputError(f"The list is not sorted by {sort!r}; choose from {', '.join(known.keys)}.")

@@ -1,4 +1,4 @@
-"""Alarms: the list, unacknowledged first, and one alarm with its figures, its life and what can be done about it.
+"""Alarms: the list, unacknowledged first, and one alarm with its figures, its history and its actions.
 
 The address holds the view: `/alarms?state=shelved&sensor=3&kind=DRIFT`.
 """
@@ -178,7 +178,7 @@ def _handle(actor: Actor, alarm_id: int, step: str, typed: Mapping[str, str], se
 
 
 def _person(number: str) -> int | None:
-    """Read who is asked; nothing is nobody in particular."""
+    """Read the assignee's number from the form; an empty field means nobody."""
     if not number:
         return None
     person = parse_row_id(number)

@@ -40,7 +40,7 @@ NO_VALIDATION = "The run had no validation set: nothing outside the fitted frame
 
 @dataclass(frozen=True)
 class TriedProfile:
-    """What a profile would have said of a past run."""
+    """How a profile would have judged a past run."""
 
     run: Run
     parameter_set: str | None
@@ -122,7 +122,7 @@ def put_into_force(
     reason: str,
     proposal: ChangeProposal | None = None,
 ) -> GateProfile:
-    """Make a complete profile the one in force, of whoever proposed it where somebody did."""
+    """Put a complete profile into force, in the name of its proposer where there is one."""
     complete = gates.parse_profile(complete).document()
     current = ensure_profile(session, actor, sensor_id)
     row = GateProfile(
@@ -188,7 +188,7 @@ def _measure(blobs: BlobStore, run: Run) -> dict[str, Measurement]:
         found = parse_calibration(result)
         inputs = gates.GateInputs(
             sensor=sensor,
-            candidate={**result, "sensor": sensor.name},  # as a set that was made of it would say
+            candidate={**result, "sensor": sensor.name},  # as for a set made from that run
             incumbent=ground_set(sensor),
             result=found,
             made_with=run.sensor_document,

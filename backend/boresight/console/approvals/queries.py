@@ -47,7 +47,7 @@ def list_due_approvals(session: Session, now_utc: str) -> Sequence[Approval]:
 def _undecided() -> sa.Select[Approval]:
     """Select the requests that are not decided, with those approved and not yet promoted, and their sets."""
     live = ParameterSet.ground_state.in_(("SUBMITTED", "APPROVED"))
-    newest = sa.select(sa.func.max(Approval.id)).group_by(Approval.parameter_set_id)  # an older one had its promotion
+    newest = sa.select(sa.func.max(Approval.id)).group_by(Approval.parameter_set_id)  # older ones have been promoted
     query = sa.select(Approval).join(ParameterSet).where(Approval.state.in_(UNDECIDED), live, Approval.id.in_(newest))
     return query.order_by(Approval.id)
 
@@ -99,12 +99,12 @@ def list_profiles(
 
 
 def find_newest_profile(session: Session, sensor_id: int) -> GateProfile | None:
-    """Return the profile in force; None where the default holds and nobody needed it yet."""
+    """Return the profile in force; None where the default is in force and not stored yet."""
     return next(iter(list_profiles(session, sensor_id, limit=1)), None)
 
 
 def find_newest_report(session: Session, parameter_set_id: int, sha256: str | None = None) -> GateReport | None:
-    """Return a set's newest gate report, of all or of those with a hash, whether or not what it judged has moved since."""
+    """Return a set's newest gate report, of all or of those with a hash, valid or not."""
     query = sa.select(GateReport).where(GateReport.parameter_set_id == parameter_set_id)
     if sha256 is not None:
         query = query.where(GateReport.sha256 == sha256)

@@ -21,7 +21,7 @@ from boresight.platform.db.sessions import Session, utc_now
 
 @dataclass(frozen=True)
 class MemberStatus:
-    """Where a sensor of a campaign stands; what its run has not, or it without a run, is None."""
+    """The status of a sensor in a campaign; values that its run lacks, or all without a run, are None."""
 
     id: int
     sensor_id: int
@@ -117,7 +117,7 @@ def cancel_all(session: Session, campaign_id: int, reason: str) -> list[tuple[in
 
 
 def list_sets(session: Session, set_ids: Collection[int]) -> list[TelemetrySet]:
-    """Return telemetry sets; while they are held, the session finds them without a statement each."""
+    """Return telemetry sets; while the caller holds them, the session finds each without a query."""
     return list(session.scalars(sa.select(TelemetrySet).where(among(TelemetrySet.id, set_ids))))
 
 

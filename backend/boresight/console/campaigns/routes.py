@@ -21,7 +21,7 @@ class Campaign(Row):
     """One setting over many sensors."""
 
     versioned_by = ("id", "cancelled_utc", "newest_id")
-    moves_beneath = True  # its counts move under one tag
+    moves_beneath = True  # its counts change without its tag
     location = "/campaigns/{row.id}"
 
     id: int
@@ -41,7 +41,7 @@ class Campaign(Row):
 
 
 class CampaignResult(Row):
-    """What one sensor of a campaign came to; null is what its run has not."""
+    """The result of one sensor of a campaign; values that its run lacks are null."""
 
     id: int
     sensor_id: int

@@ -29,7 +29,7 @@ PROPOSED: dict[int | str, dict[str, Any]] = {
 
 
 class ProposalComment(Shape):
-    """A word to who proposed the change."""
+    """A comment for the proposer."""
 
     comment: str = Field("", max_length=4000, description="Needed to refuse.")
 

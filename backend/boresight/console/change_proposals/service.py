@@ -302,7 +302,7 @@ def _read_base(session: Session, row: ChangeProposal) -> Mapping[str, Any]:
 
 
 def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Scalar]]:
-    """Yield every entry of a document with its place; the items of a list by their names, where they have some."""
+    """Yield every entry of a document with its path; list items are addressed by name where they have one."""
     if isinstance(value, Mapping) and value:
         for key, inner in value.items():
             yield from _leaves(inner, f"{place}.{key}" if place else str(key))

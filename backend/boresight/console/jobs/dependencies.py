@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from boresight.console.access.dependencies import of_server
+from boresight.console.access.dependencies import depend_on_server
 from boresight.console.jobs.broadcast import Broadcast
 from boresight.console.jobs.maintenance import Maintenance
 from boresight.console.jobs.webhook_sender import WebhookSender
 
-Feed = Annotated[Broadcast, of_server("broadcast")]
-ServerMaintenance = Annotated[Maintenance, of_server("maintenance")]
-ServerWebhookSender = Annotated[WebhookSender, of_server("webhook_sender")]
+Feed = Annotated[Broadcast, depend_on_server("broadcast")]
+ServerMaintenance = Annotated[Maintenance, depend_on_server("maintenance")]
+ServerWebhookSender = Annotated[WebhookSender, depend_on_server("webhook_sender")]

@@ -40,7 +40,7 @@ class WebhookSender:
         self._thread = PeriodicThread("delivery", [self.deliver], lambda: LOOK_EVERY_S, LOOK_AFTER_S)
 
     def start(self) -> None:
-        """Begin to look for messages."""
+        """Start the thread that looks for messages."""
         self._thread.start()
 
     def close(self) -> None:
@@ -48,11 +48,11 @@ class WebhookSender:
         self._thread.close(TIMEOUT_S + 1.0)
 
     def nudge(self) -> None:
-        """Look now."""
+        """Look for messages now."""
         self._thread.nudge()
 
     def deliver(self) -> None:
-        """Send everything that is due now."""
+        """Send all messages that are due."""
         with open_reading(self._database) as session:
             if not webhook_messages.is_any_due(session, self._box):
                 return

@@ -1,4 +1,4 @@
-"""Queries on what was recorded about the sets on board, on uplink packages and on table definitions."""
+"""Queries on uplink records, packages and table definitions."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def find_board_place() -> sa.ScalarSelect[int]:
 
 
 def find_newest_record(session: Session, parameter_set_id: int, onboard_state: str | None = None) -> Uplink | None:
-    """Return what was recorded last of a set, or last in a state."""
+    """Return the newest record of a set, of all or of one state."""
     query = sa.select(Uplink).where(Uplink.parameter_set_id == parameter_set_id).order_by(Uplink.id.desc()).limit(1)
     return session.scalar(query if onboard_state is None else query.where(Uplink.onboard_state == onboard_state))
 
@@ -61,7 +61,7 @@ def find_newest_compared(session: Session, parameter_set_id: int, method: str, a
 
 
 def list_other_sets(session: Session, row: ParameterSet) -> Sequence[ParameterSet]:
-    """Return the other sets of a set's sensor that were ever baseline, newest first: what may be on board instead."""
+    """Return the other sets of a set's sensor that were ever baseline and so may be on board, newest first."""
     query = sa.select(ParameterSet).where(ParameterSet.sensor_id == row.sensor_id, ParameterSet.id != row.id)
     return session.scalars(
         query.where(ParameterSet.baseline_from_utc.is_not(None)).order_by(ParameterSet.id.desc())

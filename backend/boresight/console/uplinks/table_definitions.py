@@ -41,7 +41,7 @@ def list_definitions(session: Session, sensor_id: int) -> Sequence[TableDefiniti
 
 
 def parse_stored(session: Session, row: TableDefinition) -> table_definition.TableDefinition:
-    """Return what a stored definition says."""
+    """Return a stored definition, parsed."""
     sensor = session.get_one(Sensor, row.sensor_id)
     return table_definition.parse_definition(row.document, parse_sensor(sensor.document))
 
@@ -128,7 +128,7 @@ def put_into_force(
     reason: str,
     proposal: ChangeProposal | None = None,
 ) -> TableDefinition:
-    """Make a definition the one in force, of whoever proposed it where somebody did."""
+    """Put a definition into force, in the name of its proposer where there is one."""
     parse_for(session, sensor_id, document)
     sensor, current = session.get_known(Sensor, sensor_id), rows.find_definition_in_force(session, sensor_id)
     row = TableDefinition(

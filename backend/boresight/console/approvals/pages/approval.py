@@ -61,7 +61,7 @@ MEANINGS = {
 
 @dataclass(frozen=True)
 class EvidenceItem:
-    """A piece of evidence: its name in the store, what it is called, where it is, and who opened it first when."""
+    """A piece of evidence: its name in the store, its title, its address, and who first opened it when."""
 
     name: str
     title: str
@@ -72,7 +72,7 @@ class EvidenceItem:
 def list_evidence(
     session: Session, approval: Approval, row: ParameterSet, incumbent: ParameterSet | None
 ) -> list[EvidenceItem]:
-    """Return what an approver can open, with who has."""
+    """Return the evidence that an approver can open, with who has opened it."""
     opened = approvals.list_openings(session, approval.id)
     return [
         EvidenceItem(name, title, address, [one for one in opened if one.evidence == name])
@@ -111,7 +111,7 @@ class TypedText:
 
 
 def list_warnings(result: Mapping[str, Any] | None, rows: Sequence[ParameterRow], *, is_ground: bool) -> list[str]:
-    """Gather what an approver should have read before signing."""
+    """List the warnings that an approver should read before signing."""
     said = [str(sentence) for sentence in (result or {}).get("advice") or ()]
     said += [
         f"{row.name} moves by {abs(row.delta_over_typical or 0.0):.1f} typical sigmas, more than"
@@ -255,7 +255,7 @@ def approvals_csv(request: Request, session: Reading, actor: Who) -> Response:
 
 
 def _narrowed(show: str, actor: Actor) -> dict[str, Any]:
-    """Say what an inbox holds, as the list takes it; what one may sign is found among what waits."""
+    """Return the filters of an inbox view; requests that the actor may sign are chosen among the open ones."""
     return {
         "show": None,
         "state": "OPEN" if show in {"waiting", "mine"} else None,
@@ -358,7 +358,7 @@ async def open_evidence(
     opening = partial(approvals.record_opening, actor=actor, approval_id=approval_id, evidence=evidence)
     outcome = await attempt(request, opening)
     if outcome.refusal is not None and outcome.refusal.is_ours:
-        raise outcome.refusal.error  # what was not kept would not count as opened
+        raise outcome.refusal.error  # an opening that was not stored would not count
     return redirect(known[evidence][1])
 
 

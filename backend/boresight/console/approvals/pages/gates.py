@@ -64,7 +64,7 @@ class TypedWaiver:
 
 @dataclass(frozen=True)
 class GatesPanel:
-    """Everything that the panel shows."""
+    """The contents of the gates panel."""
 
     set: ParameterSet
     report: GateReport | None
@@ -152,7 +152,7 @@ def _page(
 
 @router.post("/parameter-sets/{set_id:int}/assess", response_class=HTMLResponse)
 async def assess(request: Request, actor: Who, set_id: int) -> Response:
-    """Hold a set against its gates and show what was found."""
+    """Assess a set's gates and show the report."""
     examined = await run_in_threadpool(ask, partial(_examine, request, actor, set_id))
     if examined.value is None:
         return await run_in_threadpool(_page, request, actor, set_id, examined.refusal)
@@ -192,7 +192,7 @@ def _waived(
         raise RefusedInputError(
             f"{typed.days.strip()[:20]!r} is not a number of days up to {gates.LONGEST_DAYS}; type one, such as 7."
         )
-    expires_utc = utc_after(days * gates.DAY_S - 1.0)  # a waiver of the longest time is within it
+    expires_utc = utc_after(days * gates.DAY_S - 1.0)  # so that a waiver of the longest allowed time is accepted
     version = seen_version(given)
     return gates.waive(session, actor, set_id, typed.gate, typed.code, typed.reason, expires_utc, proof, version)
 
@@ -307,7 +307,7 @@ def _number(gate: Gate, key: str, text: str) -> float | None:
 
 
 def describe_changes(row: GateProfile, earlier: GateProfile | None) -> list[str]:
-    """Say what a version changed."""
+    """Describe what a version changed."""
     if earlier is None:
         return []
     changes = []

@@ -76,7 +76,7 @@ def before_after(session: Session, blobs: BlobStore, sensor_id: int) -> BeforeAf
     for run in run_queries.iterate_newest_finished(session, sensor_id):
         try:
             result = runs.find_result(session, blobs, run.id)
-        except (ConflictError, NotFoundError):  # its file is gone or no calibration; an older run may still have one
+        except (ConflictError, NotFoundError):  # its result is missing or unreadable; an older run may have one
             continue
         if result is not None and (judged := judged_on(result)) is not None:
             whose, evaluation = judged
@@ -85,7 +85,7 @@ def before_after(session: Session, blobs: BlobStore, sensor_id: int) -> BeforeAf
 
 
 def judged_on(result: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]] | None:
-    """Return the set that a result is judged on and its scores, in the shape of an evaluation; None where nothing is."""
+    """Return the purpose of the set that a result is judged on, and its scores; None where there are none."""
     for key, whose in (("validation", "validation"), ("evaluation", "calibration")):
         if result.get(key):
             return whose, result[key]
@@ -95,7 +95,7 @@ def judged_on(result: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]] | None
 
 
 def scores(evaluation: Mapping[str, Any]) -> list[ScoreRow]:
-    """Print the scores of an evaluation, those that it has."""
+    """Print the scores that an evaluation has."""
     intervals = evaluation.get("intervals") or {}
     available, rms = evaluation.get("availability") or {}, evaluation.get("rms_arc_rad") or {}
     reach_available, reach_rms = intervals.get("availability") or {}, intervals.get("rms_arc_rad") or {}
@@ -124,7 +124,7 @@ def _number(value: Any, factor: float, decimals: int) -> str:
 
 
 def _interval(ends: Sequence[Any] | None, factor: float, decimals: int) -> str:
-    """Print an interval; nothing where none is known, one end where the other is not."""
+    """Print an interval, or the end of it that is known; empty where neither is."""
     if not ends or not is_number(ends[0]):
         return ""
     if not is_number(ends[1]):
@@ -249,7 +249,7 @@ def baseline_values(sensor: Sensor, baseline: ParameterSet | None) -> list[Basel
 
 @dataclass(frozen=True)
 class AsOf:
-    """What was baseline and what was on board at a time, or why that cannot be said."""
+    """The baseline and the set on board at a time, or why they are not known."""
 
     time: str
     baseline: ParameterSet | None
@@ -269,7 +269,7 @@ def _read_as_of(session: Session, sensor_id: int, time: str) -> AsOf | None:
 
 @dataclass(frozen=True)
 class SensorContext:
-    """What the edit form left behind."""
+    """The state of the edit form."""
 
     text: str = ""
     refusal: RefusalContext | None = None
@@ -354,7 +354,7 @@ EVENTS_A_PAGE = 50
 def timeline_page(
     request: Request, session: Reading, actor: Who, sensor_id: int, at: str = "", before: str = ""
 ) -> HTMLResponse:
-    """Show what held at a time, now where none is asked for, and the events."""
+    """Show the state of a sensor at a time, by default now, and its events."""
     sensor = session.get_known(Sensor, sensor_id)
     answer, refusal = _answer(session, sensor_id, at.strip())
     before_id = parse_row_id(before)

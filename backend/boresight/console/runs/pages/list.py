@@ -105,14 +105,14 @@ router = APIRouter(dependencies=[Depends(get_actor)])
 
 @dataclass(frozen=True)
 class RunNames:
-    """What the numbers in a run's row are called."""
+    """The names behind the ids in a run's row."""
 
     sensors: Mapping[int, str]
     sets: Mapping[int, str]
     people: Mapping[int, str]
 
     def person(self, user_id: int | None) -> str:
-        """Return a person's printed name; what nobody in person launched was launched by the system."""
+        """Return a person's printed name, or the system's for a run that no person launched."""
         return self.people.get(user_id, f"user {user_id}") if user_id is not None else "system"
 
 
@@ -156,7 +156,7 @@ class RunLine:
 
 
 def make_run_line(run: Run, names: RunNames) -> RunLine:
-    """Lay out a run; what it has not computed is a dash."""
+    """Lay out a run; missing values are a dash."""
     summary = run.summary or {}
     before, after = (summary.get(f"rms_{when}_arc_rad") for when in ("initial", "final"))
     level = judge_result(summary)
@@ -180,7 +180,7 @@ def make_run_line(run: Run, names: RunNames) -> RunLine:
 
 
 def _fit(status: str | None, level: str) -> str | None:
-    """Say how a fit ended; of one that converged, in the words of its page, what its level shows."""
+    """Describe how a fit ended, a converged one by the verdict of its page."""
     return WORD_OF_LEVEL.get(level, status) if status == "converged" else status
 
 
@@ -263,7 +263,7 @@ def presets_page(request: Request, session: Reading, actor: Who) -> HTMLResponse
 
 @preset_router.post("/presets/{preset_id:int}/archive", response_class=HTMLResponse)
 async def archive(request: Request, actor: Who, preset_id: int) -> Response:
-    """Take a version out of the choice."""
+    """Archive a version."""
     change = partial(presets.archive_preset, actor=actor, preset_id=preset_id)
     said = "Archived: it is not offered any more. Runs that used it still name it."
     return await make_change(request, change, "/presets", said)

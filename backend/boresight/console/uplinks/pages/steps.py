@@ -80,7 +80,7 @@ class UplinkLine:
 
 
 def make_uplink_line(known: AsOf) -> UplinkLine:
-    """Lay out a sensor by what is known of it."""
+    """Lay out a sensor's ground and on-board state."""
     by_state = {record.onboard_state: (row, record) for row, record in known.on_board}
     newest = known.on_board[-1] if known.on_board else None
     shown = by_state.get("MISMATCH") or known.active or newest
@@ -123,7 +123,7 @@ LADDER = ("SENT", "LOADED", "VERIFIED", "ACTIVE")
 
 @dataclass(frozen=True)
 class UplinkStep:
-    """One rung of the ladder."""
+    """A step of a set's way to the spacecraft."""
 
     name: str
     level: str
@@ -135,7 +135,7 @@ class UplinkStep:
 
 
 def list_steps(exported: Package | None, records: Sequence[Uplink], names: RunNames) -> list[UplinkStep]:
-    """Lay out how far the set has come since it was last sent."""
+    """Return the steps of a set since it was last sent."""
     progress = find_uplink_progress(records)
     taken = [_exported(exported, names), *(_taken(progress, state, names) for state in LADDER)]
     following = next((place for place, step in enumerate(taken) if step is None), len(taken))
@@ -156,7 +156,7 @@ def find_uplink_progress(records: Sequence[Uplink]) -> Sequence[Uplink]:
 
 
 def find_exported_package(packages: Sequence[Package], records: Sequence[Uplink]) -> Package | None:
-    """Return the package that was sent, before that the newest; None where none is."""
+    """Return the package that was sent, else the newest; None where there is none."""
     named = [
         (row.evidence or {}).get("package") for row in find_uplink_progress(records) if row.onboard_state == "SENT"
     ]
@@ -212,7 +212,7 @@ NO_ROLE = (
 
 @dataclass(frozen=True)
 class UplinkStepsContext:
-    """What a form left behind: which one, what was typed, and why it was refused."""
+    """The state of a refused form: which one, what was typed, and why it was refused."""
 
     form: str = ""
     typed: dict[str, str] = field(default_factory=dict)
@@ -275,7 +275,7 @@ def _members(session: Session, blobs: BlobStore, exported: Package | None) -> li
 
 
 def _reference(session: Session, blobs: BlobStore, row: ParameterSet) -> tuple[read_backs.SentTable | None, str | None]:
-    """Return what a read-back would be held against, or why there is nothing."""
+    """Return the reference of a read-back, or why there is none."""
     try:
         return read_backs.get_sent_table(session, blobs, row), None
     except BoresightError as refusal:
@@ -301,14 +301,14 @@ async def _taken_step(
     said: str,
     prepare: Callable[[], Awaitable[Sequence[object]]] | None = None,
 ) -> Response:
-    """Take a step and show where the set is now, or show why it was refused with what was typed."""
+    """Record a step and redirect to the page, or show why it was refused with what was typed."""
     set_id = request.path_params["set_id"]
     outcome = await attempt(request, change, prepare)
     if outcome.value is None:
         kept = {name: value for name, value in typed.items() if name != "password"}
         shown = UplinkStepsContext(form, kept, outcome.refusal)
         return await read_again(request, partial(_page, request, actor, blobs, set_id, shown))
-    matched = getattr(outcome.value, "onboard_state", "") != "MISMATCH"  # the page itself says of a mismatch what it is
+    matched = getattr(outcome.value, "onboard_state", "") != "MISMATCH"  # the page itself explains a mismatch
     return redirect(f"/parameter-sets/{set_id}/uplink", flash=said if matched else "")
 
 

@@ -65,7 +65,7 @@ class LayoutLine:
 
 @dataclass(frozen=True)
 class TableDefinitionContext:
-    """What a form left behind on the page."""
+    """The state of the form after a refusal or a trial."""
 
     text: str = ""
     reason: str = ""
@@ -74,7 +74,7 @@ class TableDefinitionContext:
 
 
 def written_as_text(document: Mapping[str, Any]) -> str:
-    """Write a definition for people: a line a field."""
+    """Write a definition for people, one line per field."""
     lines = [f'  "{key}": {json.dumps(value)}' for key, value in document.items() if key != "fields"]
     fields = ",\n".join(f"    {json.dumps(entry)}" for entry in document.get("fields", ()))
     at = list(document).index("fields") if "fields" in document else len(lines)
@@ -148,7 +148,7 @@ def _page(
 
 
 def _laid_out(session: Session, sensor_id: int, text: str) -> tuple[Layout | None, RefusalContext | None]:
-    """Lay the baseline out by what the text says, or say why that cannot be."""
+    """Lay out the baseline by the typed definition, or return why that is not possible."""
     try:
         return table_definitions.lay_out(session, sensor_id, read_document(text)), None
     except NotFoundError:
