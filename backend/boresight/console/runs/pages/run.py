@@ -34,6 +34,7 @@ from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
+from boresight.console.runs.pages.choice import make_choice_part
 from boresight.console.runs.pages.frames import make_frames_part
 from boresight.console.runs.pages.list import compute_run_seconds, read_names
 from boresight.console.runs.pages.live import make_live_part, make_log_part
@@ -440,6 +441,7 @@ PARTS = {
         "Matching", lambda desk: {"matching": make_matching_part(desk.result, desk.why_nothing)}, _matching
     ),
     "frames": RunPart("Frames", lambda desk: make_frames_part(desk.session, desk.request, desk.run)),
+    "choice": RunPart("Choice", lambda desk: make_choice_part(desk.request, desk.session, desk.actor, desk.run)),
     "log": RunPart("Log", lambda desk: make_log_part(desk.request, desk.session, desk.run)),
     "provenance": RunPart("Provenance", make_provenance_part),
     "notes": RunPart("Notes", lambda desk: {"notes": notes.list_notes(desk.session, "runs", desk.run.id)}),
@@ -495,11 +497,13 @@ def _set_link(data: TelemetrySet) -> Markup:
 
 
 @router.get("/runs/{run_id:int}", response_class=HTMLResponse)
-def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: str = "summary") -> HTMLResponse:
-    """Show a run: its head and verdict, and one of its parts."""
+def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: str = "summary") -> Response:
+    """Show a run: its head and verdict, and one of its parts; a choice of a camera is a part of the run it is for."""
     part = FORMER.get(part, part)
     if part not in PARTS:
         raise NotFoundError(f"A run has no part {part[:40]}; choose from {', '.join(PARTS)}.")
+    if (choice_of := runs.get_run(session, run_id).choice_of) is not None:
+        return redirect(f"/runs/{choice_of}?part=choice")
     desk = get_run_review(request, session, actor, run_id)
     run, result = desk.run, desk.result
     return render(
