@@ -12,7 +12,7 @@ from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError
-from boresight.figures import held_out
+from boresight.figures import held_out_error
 from boresight.platform.db.sessions import open_reading, open_writing
 from boresight.telemetry.sensors import parse_sensor
 from tests.choices import candidate, made_choice
@@ -119,6 +119,8 @@ def test_asked_on_the_page_it_is_followed_there_until_it_ends(site, read):
     assert "queue" in read(page)
     with open_writing(site.engine) as session:
         run_queries.claim(session, "a server", 60.0, 1, [asked_id])
+    assert f'<live-run run="{asked_id}" state="RUNNING">' in ada.get("/runs/1?part=choice")  # not heard of yet
+    with open_writing(site.engine) as session:
         run_queries.record_progress(session, asked_id, 1, {"fraction": 0.3, "message": "fitting every camera"})
     page = ada.get("/runs/1?part=choice")
     assert "fitting every camera" in read(page)
@@ -141,7 +143,7 @@ def test_the_choice_stands_on_the_tab_sentence_first_with_every_number(site, rea
     for words in (
         "31.00 (27.90 to 34.10)",
         "812.4",
-        "0.12 ± 0.03",
+        "0.120 ± 0.030",
         "< 1e-6",
         "undetermined",
         "not needed",
@@ -214,12 +216,12 @@ def test_a_launch_that_is_on_its_way_has_no_choice_over_rest(house):
     assert "QUEUED" in refused.json()["detail"]
 
 
-def test_the_figure_has_a_line_a_camera_and_a_ring_about_the_chosen_one():
-    figure = held_out.draw(made_choice())
+def test_the_figure_has_a_colour_a_camera_and_a_ring_about_the_chosen_one():
+    figure = held_out_error.draw(made_choice())
     assert [trace.name for trace in figure.data] == ["inverted_wang", "brown_conrady", "kannala_brandt", "chosen"]
     assert list(figure.data[0].y) == [39.0, 31.0]
     assert (figure.data[-1].x[0], figure.data[-1].y[0]) == (2, pytest.approx(31.0))
-    table = held_out.table(made_choice())
+    table = held_out_error.table(made_choice())
     assert table["chosen"] == ["no", "yes", "no", "no"]
     assert table["held_out_rms_arc_rad"][-1] is None
 
@@ -227,4 +229,4 @@ def test_the_figure_has_a_line_a_camera_and_a_ring_about_the_chosen_one():
 def test_without_anything_held_out_the_figure_says_so():
     made = made_choice()
     bare = parse_choice({**made.to_dict(), "models": [candidate(held_out=None).__dict__] * 2, "held_out_by": None})
-    assert "validation set" in held_out.draw(bare).layout.annotations[0].text
+    assert "validation set" in held_out_error.draw(bare).layout.annotations[0].text

@@ -33,7 +33,7 @@ from boresight.console.runs.frames import FrameLine
 from boresight.console.runs.presets import BUILT_IN, OfferedPreset
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Preset, Run, RunEvent
 from boresight.console.schemas import Shape
-from boresight.figures import figure_json, held_out
+from boresight.figures import figure_json, held_out_error
 from boresight.figures.report import render_report
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
@@ -156,14 +156,14 @@ def get_run_choice(run_id: Id, session: Reading, blobs: Blobs) -> Response:
 @router.get("/{run_id}/choice/figure", summary="Read its figure", response_model=schemas.PlotlyFigure)
 def get_run_choice_figure(run_id: Id, session: Reading, blobs: Blobs) -> Response:
     """Read the error of every candidate on held-out frames as Plotly JSON."""
-    figure = held_out.draw(choices.get_choice(session, blobs, run_id))
+    figure = held_out_error.draw(choices.get_choice(session, blobs, run_id))
     return Response(figure_json(figure), media_type="application/json")
 
 
 @router.get("/{run_id}/choice/data", summary="Read its numbers", response_class=CsvFile, responses=IN_CSV)
 def get_run_choice_data(run_id: Id, session: Reading, blobs: Blobs) -> Response:
     """Read the numbers behind the figure as CSV."""
-    return csv_response(held_out.table(choices.get_choice(session, blobs, run_id)), f"run-{run_id}-held-out.csv")
+    return csv_response(held_out_error.table(choices.get_choice(session, blobs, run_id)), f"run-{run_id}-held-out.csv")
 
 
 @router.get("/{run_id}/log", summary="Read the log", response_model=Page[schemas.LogLine], dependencies=[SAME_FOR_ALL])

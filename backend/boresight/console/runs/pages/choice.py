@@ -20,11 +20,11 @@ from boresight.console.runs import service as runs
 from boresight.console.runs.pages.live import StateNotice, describe_progress, heard_s, list_notices
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.errors import ConflictError
-from boresight.figures import held_out
+from boresight.figures import held_out_error
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
 from boresight.telemetry.sensors import parse_sensor, sensor_document
-from boresight.verdicts.numbers import MISSING, count, fixed, number, urad
+from boresight.verdicts.numbers import MISSING, count, fixed, urad
 
 VERDICTS = {
     Sufficiency.SUFFICES: ("normal", "suffices"),
@@ -70,6 +70,8 @@ class ChoiceView:
     why_not: str | None
     notices: Sequence[StateNotice] = ()
     heard_s: float | None = None
+    fraction: float = 0.0
+    message: str = ""
     pace: str = ""
     found: Choice | None = None
     level: str = "off"
@@ -98,7 +100,7 @@ def make_choice_part(request: Request, session: Session, actor: Actor, run: Run)
         found = choices.get_choice(session, get_server(request).blobs, run.id)
     except ConflictError as error:
         return {"choice": replace(view, notices=[StateNotice("serious", str(error))])}
-    return {"choice": _of_answer(session, view, found, run), "held_out": held_out}
+    return {"choice": _of_answer(session, view, found, run), "held_out": held_out_error}
 
 
 def _why_not(run: Run, actor: Actor) -> str | None:
@@ -116,7 +118,15 @@ def _of_state(request: Request, session: Session, view: ChoiceView, asked: Run) 
         return replace(view, notices=[StateNotice(level, cause)])
     workers = get_server(request).workers
     notices = list_notices(session, asked, log, workers.state() if workers else None)
-    return replace(view, notices=notices, heard_s=heard_s(asked, log), pace=describe_progress(session, asked))
+    progress = asked.progress or {}
+    return replace(
+        view,
+        notices=notices,
+        heard_s=heard_s(asked, log),
+        fraction=float(progress.get("fraction") or 0.0),
+        message=progress.get("message") or "",
+        pace=describe_progress(session, asked),
+    )
 
 
 def _of_answer(session: Session, view: ChoiceView, found: Choice, run: Run) -> ChoiceView:
@@ -173,7 +183,7 @@ def _row(found: Choice, one: Candidate, test: TermTest | None) -> CandidateRow:
             urad(one.rms_arc_rad),
             _with_interval(one),
             MISSING if test is None else _p(test),
-            _with_three_sigma(one),
+            MISSING if one is found.model else _with_three_sigma(one),
         ),
     )
 
@@ -210,7 +220,7 @@ def _with_interval(one: Candidate) -> str:
 def _with_three_sigma(one: Candidate | TermTest) -> str:
     if one.change_px is None or one.change_3_sigma_px is None:
         return MISSING
-    return f"{number(one.change_px, 2)} ± {number(one.change_3_sigma_px, 2)}"
+    return f"{fixed(one.change_px, 3)} ± {fixed(one.change_3_sigma_px, 3)}"
 
 
 def _find_launch_href(session: Session, found: Choice, run: Run) -> str | None:

@@ -12,20 +12,20 @@ NAME = "held-out"
 TITLE = "Error on held-out frames"
 GUIDE = (
     "Each mark is a candidate's RMS arc error on frames that it was not fitted to, with its 95 % interval, by how many parameters "
-    "it frees; the ring is the chosen one. A term that the lens has brings its camera down, beyond the last one the line is level. "
+    "it frees; the ring is the chosen one. A term that the lens has brings its camera down; beyond the last, marks are level. "
     "Candidates share their frames, so a step is surer than the intervals look; it is shown, and does not decide."
 )
 
 
 def draw(choice: Choice) -> go.Figure:
-    """Draw the held-out error of every candidate, a line a camera."""
+    """Draw the held-out error of every candidate, a colour a camera."""
     title = f"RMS arc error on held-out frames; {choice.chosen.camera_model} is chosen"
     if not any(one.held_out_rms_arc_rad for one in choice.models):
         return theme.missing(TITLE, "One frame alone leaves nothing to hold out: give a validation set.")
     figure = go.Figure()
     names = list(dict.fromkeys(one.camera_model for one in (*choice.list_cameras(), *choice.models)))
     for style in theme.label_styles(names):
-        _line(figure, [one for one in choice.models if one.camera_model == style.label], style)
+        _marks(figure, [one for one in choice.models if one.camera_model == style.label], style)
     chosen = choice.model
     if chosen.held_out_rms_arc_rad is not None:
         ring = {"symbol": "circle-open", "size": 16, "color": theme.REFERENCE_COLOUR, "line": {"width": 2}}
@@ -35,11 +35,11 @@ def draw(choice: Choice) -> go.Figure:
         )  # fmt: skip
     theme.dress(figure, title=title, height_px=380, hovermode="closest")
     figure.update_xaxes(title_text="free parameters", dtick=1)
-    figure.update_yaxes(title_text="held-out RMS (µrad)")
+    figure.update_yaxes(title_text="held-out RMS (µrad)", type="log")
     return figure
 
 
-def _line(figure: go.Figure, candidates: list[Candidate], style: theme.RunStyle) -> None:
+def _marks(figure: go.Figure, candidates: list[Candidate], style: theme.RunStyle) -> None:
     """Draw a camera's candidates that have a score, fewer parameters first."""
     scored = [
         (len(one.free), one.held_out_rms_arc_rad, one.held_out_interval_rad or [None, None], ", ".join(one.terms))
@@ -53,8 +53,7 @@ def _line(figure: go.Figure, candidates: list[Candidate], style: theme.RunStyle)
         y=[1e6 * value for _, value, _, _ in scored],
         error_y={**theme.error_bars(above, style.colour), "arrayminus": below, "symmetric": False},
         text=[terms or "focal length alone" for *_, terms in scored],
-        mode="lines+markers",
-        line={"color": style.colour, "dash": style.dash, "width": 1.2},
+        mode="markers",
         marker={"color": style.colour, "size": 7},
         name=style.label,
         hovertemplate="%{text}<br>%{y:.4g} µrad<extra>" + theme.escape(style.label) + "</extra>",
