@@ -145,6 +145,7 @@ class Site:
             validation_sha256=None,
             sensor_document=sensor_document(st16_sensor(1)),
             settings={"method": self._method, "match": "given"},
+            chooses=False,
         )
         key = f"run-{RUN_ID}-{self._runs}"
         work = [(RUN_ID, self._runs, inputs)]

@@ -34,6 +34,7 @@ from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.read.readers import write_csv
 from boresight.telemetry.sensors import sensor_document
+from tests.choices import made_choice
 from tests.passwords import add_person
 from tests.stores import environment_in, open_migrated
 
@@ -154,9 +155,10 @@ class House:
     def end(self, run_id: int, state: str = "SUCCEEDED") -> None:
         blobs = self.app.state.blobs
         with open_writing(self.app.state.engine) as session:
-            sha256 = blobs.put(orjson.dumps(self.result))
-            register_blob(session, blobs, sha256, "application/json")
             run = session.get_one(Run, run_id)
+            result = self.result if run.choice_of is None else made_choice().to_dict()
+            sha256 = blobs.put(orjson.dumps(result))
+            register_blob(session, blobs, sha256, "application/json")
             run.state, run.result_sha256 = state, sha256
             write_event(session, run_id, 1, Line.moved(state, "ended by the test"))
             audit.append(session, SYSTEM, "ended", f"runs/{run_id}", None, {"state": state})
@@ -165,6 +167,12 @@ class House:
         run = self.launched(launcher)
         self.end(run["id"])
         return run["id"]
+
+    def chosen(self) -> int:
+        run_id = self.finished()
+        asked = self.person("ada").post(f"/api/v1/runs/{run_id}/choice").json()
+        self.end(asked["id"])
+        return run_id
 
     def candidate(self, launcher: str = "ada") -> dict[str, Any]:
         run_id = self.finished(launcher)

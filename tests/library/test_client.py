@@ -10,6 +10,7 @@ import boresight as bs
 from boresight.library import client as client_module
 from boresight.library import remote
 from boresight.platform.web.problems import KINDS
+from tests.choices import made_choice
 from tests.library.conftest import key_of
 from tests.library.servers import answering
 from tests.served import PASSWORD
@@ -50,6 +51,26 @@ def test_each_step_is_a_call_with_a_typed_answer(client, house):
     assert "convergence" in client.figures(run)
     assert isinstance(client.figure(run, "convergence"), go.Figure)
     assert "</html>" in client.report(run)
+
+
+@pytest.mark.usefixtures("computing")
+def test_a_camera_is_chosen_for_a_run_or_for_telemetry(client, house, tmp_path):
+    run = house.finished()
+    with pytest.raises(bs.NotFoundError):
+        client.choice(run)
+    chosen = client.choose(run)
+    assert isinstance(chosen, bs.Choice)
+    assert client.choice(run) == chosen == client.choose(client.run(run)) == made_choice()
+    (tmp_path / "telemetry.csv").write_bytes(house.telemetry_csv)
+    assert client.choose(tmp_path / "telemetry.csv", house.sensor_file(), match="given") == chosen
+    with pytest.raises(bs.RefusedInputError, match="give the run alone"):
+        client.choose(run, match="given")
+
+    async def choose():
+        async with bs.AsyncClient(house.address, client._key) as other:
+            return await other.choose(run), await other.choice(run)
+
+    assert asyncio.run(choose()) == (chosen, chosen)
 
 
 def test_a_result_goes_to_approval_and_is_exported_once_people_signed(client, house):

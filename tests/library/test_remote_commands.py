@@ -8,6 +8,7 @@ from click.testing import CliRunner
 import boresight as bs
 from boresight.cli import main
 from boresight.cli.remote import API_KEY
+from tests.choices import made_choice
 
 
 @pytest.fixture
@@ -34,6 +35,17 @@ def test_a_calibration_on_a_server_prints_and_writes_what_it_would_here(run, fil
     assert done.stdout == repr(bs.load(house.result)) + "\n"
     name = json.loads((files / "sensor.json").read_text())["name"]
     assert run("calibrate", files / "telemetry.csv", "--sensor", name).exit_code == 0
+
+
+@pytest.mark.usefixtures("computing")
+def test_a_camera_is_chosen_on_a_server(run, files):
+    out, sensor = files / "choice.json", files / "chosen.json"
+    words = ("choose", files / "telemetry.csv", "--sensor", files / "sensor.json", "--json", out, "--out", sensor)
+    done = run(*words)
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(out.read_text()) == made_choice().to_dict()
+    assert made_choice().sentence in done.stdout
+    assert bs.read_sensor(sensor).free == tuple(made_choice().chosen.free)
 
 
 def test_a_report_and_a_package_come_from_the_server(run, files, house):

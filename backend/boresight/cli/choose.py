@@ -10,6 +10,7 @@ import click
 
 from boresight.cli.calibrate import chosen, parse_settings, setting_option
 from boresight.cli.output import STANDARD_OUTPUT, check_one_stream, check_writable, json_option, write_json
+from boresight.cli.remote import open_client, server_option
 from boresight.errors import RefusedInputError
 from boresight.library import functions as library
 from boresight.library.progress import progress
@@ -33,18 +34,23 @@ if TYPE_CHECKING:
 @click.option(
     "--out", "out_file", metavar="FILE", help="Write the sensor file with the chosen camera and what it found."
 )
+@server_option
 @json_option
 def choose(
     telemetry: Path,
     sensor_file: Path,
     validate: Path | None,
     out_file: str | None,
+    server_url: str | None,
     json_file: str | None,
     **choices: Any,
 ) -> None:
     """Choose the least camera model that suffices for TELEMETRY: every model and its terms, tested on the same stars.
 
     Prints the choice in a sentence, each camera's least sufficient candidate, and the test of every term.
+
+    With --server the files are uploaded and calibrated there, the choice is made for that run, and its JSON comes back; --sensor
+    may be the name of a sensor of that server.
     """
     check_one_stream(out_file, json_file)
     for place in (out_file, json_file):
@@ -54,8 +60,14 @@ def choose(
     settings = chosen(choices)
     parse_settings(settings)
     with progress("reading the telemetry") as report:
-        sensor = library.read_sensor(sensor_file)
-        found = library.choose(telemetry, sensor, validate=validate, progress=report, **settings)
+        if server_url is None:
+            sensor = library.read_sensor(sensor_file)
+            found = library.choose(telemetry, sensor, validate=validate, progress=report, **settings)
+        else:
+            with open_client(server_url) as server:
+                known = server.sensor(str(sensor_file))
+                sensor = library.read_sensor(known.document)
+                found = server.choose(telemetry, known, validate=validate, progress=report, **settings)
     write_json(found.to_dict(), json_file)
     if out_file is not None:
         from boresight.telemetry.sensors import sensor_document

@@ -28,7 +28,7 @@ from boresight.console.campaigns.tables import Campaign, CampaignRun
 from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.runs.tables import Preset, Run
+from boresight.console.runs.tables import CALIBRATIONS, Preset, Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.uplinks.queries import BOARD_WORDS, find_board_place
 from boresight.console.uplinks.tables import Package, Uplink
@@ -167,6 +167,7 @@ LISTS = {
         },
         unread=("settings", "progress"),
         large=("sensor_document",),
+        only=CALIBRATIONS,
     ),
     "telemetry": List(
         TelemetrySet,
@@ -319,7 +320,7 @@ def count(session: Session, name: str, where: Mapping[str, Any]) -> int:
     known = LISTS[name]
     narrowed = sa.select(sa.func.count()).select_from(known.table)
     fitting = (known.filters[key](value) for key, value in _checked(name, where).items())
-    return session.scalar(narrowed.where(*fitting)) or 0
+    return session.scalar(narrowed.where(known.only, *fitting)) or 0
 
 
 def walk(session: Session, name: str, asked: ListQuery) -> Iterator[Any]:
@@ -334,7 +335,7 @@ def walk(session: Session, name: str, asked: ListQuery) -> Iterator[Any]:
 def _ids(session: Session, known: List, asked: ListQuery) -> Any:
     """Select the ids of a list in its order, from the page on."""
     identity, key = known.table.id, known.keys[asked.sort.removeprefix("-")]
-    query = sa.select(identity).where(*(known.filters[name](value) for name, value in asked.where.items()))
+    query = sa.select(identity).where(known.only, *(known.filters[name](value) for name, value in asked.where.items()))
     descends = asked.sort.startswith("-")
     if asked.before_id is not None:
         query = query.where(_after(session, known, key, descends, asked.before_id))

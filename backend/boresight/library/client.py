@@ -40,6 +40,7 @@ from boresight.library.remote import (
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
+    from boresight.calibration.choice.result import Choice
     from boresight.library.inputs import SensorSource, TelemetrySource
     from boresight.library.results import Calibration
 
@@ -168,6 +169,10 @@ class Client(_Connection):
         """Read a run's calibration, a partial one while it computes."""
         return self._run(remote.fetch(run))
 
+    def choice(self, run: Run | int) -> Choice:
+        """Read the camera that was chosen for a run's data."""
+        return self._run(remote.fetch_choice(run))
+
     def cancel(self, run: Run | int, reason: str = "") -> Run:
         """Stop a run."""
         return self._run(remote.cancel(run, reason))
@@ -246,6 +251,23 @@ class Client(_Connection):
         """
         with reporting(progress, "asking the server") as report:
             return self._run(remote.calibrate(telemetry, sensor, validate, label, report, settings))
+
+    def choose(
+        self,
+        telemetry: TelemetrySource | TelemetrySet | Run | int,
+        sensor: SensorSource | ServerSensor | int | None = None,
+        *,
+        validate: TelemetrySource | TelemetrySet | int | None = None,
+        label: str = "",
+        progress: Wanted = None,
+        **settings: Any,
+    ) -> Choice:
+        """Choose the least camera model for the data of a run that has ended, or its number; the server's workers compute.
+
+        Telemetry is calibrated first, with the other arguments as `calibrate`; the same run asked again has the same choice.
+        """
+        with reporting(progress, "asking the server") as report:
+            return self._run(remote.choose(telemetry, sensor, validate, label, report, settings))
 
     def _run(self, operation: Operation[T]) -> T:
         """Do what an operation asks until it has its answer."""
@@ -333,6 +355,10 @@ class AsyncClient(_Connection):
         """Read a run's calibration, a partial one while it computes."""
         return await self._run(remote.fetch(run))
 
+    async def choice(self, run: Run | int) -> Choice:
+        """Read the camera that was chosen for a run's data."""
+        return await self._run(remote.fetch_choice(run))
+
     async def cancel(self, run: Run | int, reason: str = "") -> Run:
         """Stop a run."""
         return await self._run(remote.cancel(run, reason))
@@ -411,6 +437,23 @@ class AsyncClient(_Connection):
         """
         with reporting(progress, "asking the server") as report:
             return await self._run(remote.calibrate(telemetry, sensor, validate, label, report, settings))
+
+    async def choose(
+        self,
+        telemetry: TelemetrySource | TelemetrySet | Run | int,
+        sensor: SensorSource | ServerSensor | int | None = None,
+        *,
+        validate: TelemetrySource | TelemetrySet | int | None = None,
+        label: str = "",
+        progress: Wanted = None,
+        **settings: Any,
+    ) -> Choice:
+        """Choose the least camera model for the data of a run that has ended, or its number; the server's workers compute.
+
+        Telemetry is calibrated first, with the other arguments as `calibrate`; the same run asked again has the same choice.
+        """
+        with reporting(progress, "asking the server") as report:
+            return await self._run(remote.choose(telemetry, sensor, validate, label, report, settings))
 
     async def _run(self, operation: Operation[T]) -> T:
         """Do what an operation asks until it has its answer."""

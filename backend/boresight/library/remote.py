@@ -22,6 +22,7 @@ from boresight.library.functions import parse_choices, read_sensor, read_telemet
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
+    from boresight.calibration.choice.result import Choice
     from boresight.library.inputs import SensorSource, TelemetrySource
     from boresight.library.progress import Report
     from boresight.library.results import Calibration
@@ -396,6 +397,35 @@ def fetch(run: Run | int) -> Operation[Calibration]:
     return Calibration.of(parse_calibration(document, f"The result of run {_id(run)}"))
 
 
+def fetch_choice(run: Run | int) -> Operation[Choice]:
+    """Read the camera that was chosen for a run's data."""
+    from boresight.calibration.choice.result import parse_choice
+
+    answer = yield _get(f"/runs/{_id(run)}/choice")
+    return parse_choice(answer.json(), f"The choice of run {_id(run)}")
+
+
+def choose(
+    telemetry: TelemetrySource | TelemetrySet | Run | int,
+    sensor: SensorSource | ServerSensor | int | None,
+    validate: TelemetrySource | TelemetrySet | int | None,
+    label: str,
+    report: Report,
+    settings: Mapping[str, Any],
+) -> Operation[Choice]:
+    """Choose a camera for a run's data; telemetry is calibrated first."""
+    if isinstance(telemetry, Run | int):
+        if sensor is not None or validate is not None or label or settings:
+            raise RefusedInputError("A run has its sensor, validation set and settings: give the run alone.")
+        run = telemetry
+    else:
+        run = yield from launch_files(telemetry, sensor, validate, label, report, settings)
+        run = yield from wait(run, report, None)
+    answer = yield _post(f"/runs/{_id(run)}/choice")
+    yield from wait(parse_run(answer.json()), report, None)
+    return (yield from fetch_choice(run))
+
+
 def calibrate(
     telemetry: TelemetrySource | TelemetrySet | int,
     sensor: SensorSource | ServerSensor | int | None,
@@ -405,6 +435,20 @@ def calibrate(
     settings: Mapping[str, Any],
 ) -> Operation[Calibration]:
     """Upload, launch, wait and fetch."""
+    run = yield from launch_files(telemetry, sensor, validate, label, report, settings)
+    run = yield from wait(run, report, None)
+    return (yield from fetch(run))
+
+
+def launch_files(
+    telemetry: TelemetrySource | TelemetrySet | int,
+    sensor: SensorSource | ServerSensor | int | None,
+    validate: TelemetrySource | TelemetrySet | int | None,
+    label: str,
+    report: Report,
+    settings: Mapping[str, Any],
+) -> Operation[Run]:
+    """Upload what is not there, and launch."""
     if not isinstance(telemetry, TelemetrySet | int):
         if sensor is None:
             raise RefusedInputError("Telemetry is uploaded for a sensor: name it, or give its file.")
@@ -417,9 +461,7 @@ def calibrate(
         if owner is None:
             raise RefusedInputError("A validation set is uploaded for a sensor: name it, or give its file.")
         validate = yield from upload(validate, owner, "validation")
-    run = yield from launch(telemetry, validate, label, settings)
-    run = yield from wait(run, report, None)
-    return (yield from fetch(run))
+    return (yield from launch(telemetry, validate, label, settings))
 
 
 def cancel(run: Run | int, reason: str) -> Operation[Run]:

@@ -128,12 +128,12 @@ def _first_group(
 ) -> RunGroup:
     """Return the oldest runs that may share a task."""
     total_s = seconds_of(waiting[0])
-    if waiting[0].attempt or total_s > GROUP_S:
+    if waiting[0].stands_alone or total_s > GROUP_S:
         return RunGroup([waiting[0].run_id], total_s, short=False)
     chosen = [waiting[0].run_id]
     for run in waiting[1:most]:
         seconds = seconds_of(run)
-        if run.attempt or seconds > GROUP_S or total_s + seconds > longest_s:
+        if run.stands_alone or seconds > GROUP_S or total_s + seconds > longest_s:
             break
         chosen.append(run.run_id)
         total_s += seconds

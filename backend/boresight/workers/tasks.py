@@ -30,8 +30,9 @@ import numpy as np
 import orjson
 from distributed.diagnostics.plugin import WorkerPlugin
 
-from boresight.calibration.calibrate import calibrate
+from boresight.calibration.calibrate import Progress, calibrate
 from boresight.calibration.calibration import Calibration, to_plain
+from boresight.calibration.choice.result import Choice
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.telemetry_pieces import StoredTable
 from boresight.cameras import CAMERA_MODELS
@@ -109,6 +110,7 @@ def _few_stars(sensor: Sensor) -> Telemetry:
 
 CALCULATION = "boresight.calibration.calibrate:calibrate"
 TABLES = 2  # telemetry tables cached in a worker process, without those computed in pieces
+CHOICE = "boresight.calibration.choice.choose:choose"
 
 
 class Inputs(TypedDict):
@@ -120,6 +122,7 @@ class Inputs(TypedDict):
     validation_sha256: str | None
     sensor_document: dict[str, Any]
     settings: dict[str, Any]
+    chooses: bool  # a camera, instead of calibrating
 
 
 Work = tuple[int, int, Inputs]  # run id, attempt, inputs
@@ -135,6 +138,7 @@ def gather_inputs(settings: Settings, run: ClaimedRun) -> Inputs:
         validation_sha256=run.validation_sha256,
         sensor_document=dict(run.sensor_document),
         settings=dict(run.settings),
+        chooses=run.choice_of is not None,
     )
 
 
@@ -187,24 +191,51 @@ def _traceback() -> Line:
 
 
 def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tuple[RunEnd, Future[str] | None]:
-    """Calibrate, begin to store the result, and return the end."""
+    """Calibrate or choose, begin to put the result, and describe it."""
     begun_s, begun_cpu_s = time.perf_counter(), time.thread_time()
     blobs = open_blobs(replace(_own_place(), address=inputs["blob_address"]), make=False)
-    calibration = _calibrated(blobs, inputs, calculation, link)
-    content = orjson.dumps(calibration.to_dict())
+    summary, document, word = (
+        _chosen(blobs, inputs, link) if inputs["chooses"] else _calibrated(blobs, inputs, calculation, link)
+    )
+    content = orjson.dumps(document)
     seconds, cpu_seconds = time.perf_counter() - begun_s, time.thread_time() - begun_cpu_s
     took = {"seconds": round(seconds, 4), "cpu_seconds": round(cpu_seconds, 4)}
-    summary = to_plain(summarise_run(calibration)) | took
-    told = Line.log(f"Computed in {seconds:.2f} s: {summary['status']}.", took)
-    end = RunEnd(link.run_id, link.attempt, "SUCCEEDED", summary=summary, result_bytes=len(content), log=[told])
+    told = Line.log(f"Computed in {seconds:.2f} s: {word}.", took)
+    end = RunEnd(link.run_id, link.attempt, "SUCCEEDED", summary=summary | took, result_bytes=len(content), log=[told])
     return end, keep(lambda: blobs.put(content))
 
 
-def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) -> Calibration:
-    """Read the inputs and call the calculation; a large set is left in its file and shared with idle workers."""
+#: The figures that a list shows, the document that is stored, and in words how it ended.
+Computed = tuple[dict[str, Any], dict[str, Any], str]
+
+
+def _chosen(blobs: BlobStore, inputs: Inputs, link: Link) -> Computed:
+    """Read the inputs and choose a camera."""
+    source, validation = _table(blobs, inputs["table_sha256"]), inputs["validation_sha256"]
+    choice: Choice = _function(CHOICE)(
+        _read_small(source),
+        parse_sensor(inputs["sensor_document"]),
+        _catalogue(inputs["catalogue_folder"]),
+        CalibrationSettings.parse(inputs["settings"]),
+        validation=None if validation is None else _read_small(_table(blobs, validation)),
+        report=lambda message, fraction: link.report(Progress(fraction, message, None)),
+        cancelled=link.cancelled,
+        cache_folder=Path(inputs["catalogue_folder"]),
+    )
+    chosen = choice.chosen
+    summary = {"frames": choice.frames, "stars": choice.stars, "camera_model": chosen.camera_model, "free": chosen.free}
+    return summary | {"sentence": choice.sentence}, choice.to_dict(), f"{chosen.camera_model} was chosen"
+
+
+def _read_small(table: StoredTable) -> Telemetry | StoredTable:
+    """Read a table, or leave a large one in its file."""
+    return table if table.large() else _telemetry(table)
+
+
+def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) -> Computed:
+    """Read the inputs and call the calculation; a large set is left in its file, and computed by whoever is idle."""
     validation = inputs["validation_sha256"]
     source = _table(blobs, inputs["table_sha256"])
-    validation_table = None if validation is None else _table(blobs, validation)
     large = source.large()
     with ExitStack() as stack:
         folders: dict[str, Any] = {}
@@ -213,19 +244,19 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
             folder = stack.enter_context(make_scratch_folder(scratch, link.run_id, link.attempt))
             executor = ClusterExecutor(f"{link.run_id}-{link.attempt}", folder, link.cancelled)
             folders = {"scratch_folder": folder, "executor": executor}
-        return _function(calculation)(
-            source if large else _telemetry(source),
+        calibration: Calibration = _function(calculation)(
+            _read_small(source),
             parse_sensor(inputs["sensor_document"]),
             _catalogue(inputs["catalogue_folder"]),
             CalibrationSettings.parse(inputs["settings"]),
-            validation=validation_table
-            if validation_table is None or validation_table.large()
-            else _telemetry(validation_table),
+            validation=None if validation is None else _read_small(_table(blobs, validation)),
             report=link.report,
             cancelled=link.cancelled,
             cache_folder=Path(inputs["catalogue_folder"]),
             **folders,
         )
+    summary = to_plain(summarise_run(calibration))
+    return summary, calibration.to_dict(), str(summary["status"])
 
 
 def _table(blobs: BlobStore, sha256: str) -> StoredTable:
@@ -240,10 +271,10 @@ def _own_place() -> BlobLocation:
 
 
 @cache
-def _function(dotted: str) -> Callable[..., Calibration]:
+def _function(dotted: str) -> Callable[..., Any]:
     """Import `module:function`."""
     module, _, name = dotted.partition(":")
-    return cast("Callable[..., Calibration]", getattr(import_module(module), name))
+    return cast("Callable[..., Any]", getattr(import_module(module), name))
 
 
 @lru_cache(maxsize=TABLES)

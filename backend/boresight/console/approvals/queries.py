@@ -16,7 +16,7 @@ from boresight.console.approvals.tables import (
     Waiver,
 )
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.runs.tables import Run
+from boresight.console.runs.tables import CALIBRATIONS, Run
 from boresight.platform.db.documents import among
 from boresight.platform.db.sessions import Session
 
@@ -132,5 +132,6 @@ def list_waivers_in_force(session: Session, parameter_set_id: int, now_utc: str)
 
 def list_runs_with_results(session: Session, sensor_id: int, limit: int) -> Sequence[Run]:
     """Return a sensor's newest runs that ended with a result, newest first."""
-    query = sa.select(Run).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED", Run.result_sha256.is_not(None))
+    query = sa.select(Run).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED", CALIBRATIONS)
+    query = query.where(Run.result_sha256.is_not(None))
     return session.scalars(query.order_by(Run.id.desc()).limit(limit)).all()

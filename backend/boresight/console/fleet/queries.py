@@ -14,7 +14,7 @@ from boresight.console.access.tables import User
 from boresight.console.approvals.tables import Approval, GateProfile, Signature, Waiver
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
-from boresight.console.runs.tables import Run
+from boresight.console.runs.tables import CALIBRATIONS, Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
 from boresight.platform.db.documents import among
@@ -99,8 +99,13 @@ def list_last_run_heads(session: Session, sensor_ids: Collection[int] | None = N
 
 
 def _last_runs(sensor_ids: Collection[int] | None, *columns: Any) -> sa.Select[Any]:
-    """Select each sensor's newest run by the end of an index, fast for any number of runs."""
-    newest = sa.select(sa.func.max(Run.id)).where(Run.sensor_id == Sensor.id).correlate(Sensor).scalar_subquery()
+    """Select each sensor's newest calibration by the end of an index, fast for any number of runs."""
+    newest = (
+        sa.select(sa.func.max(Run.id))
+        .where(Run.sensor_id == Sensor.id, CALIBRATIONS)
+        .correlate(Sensor)
+        .scalar_subquery()
+    )
     of_each = sa.select(newest).select_from(Sensor).where(*_filter_sensors(Sensor.id, sensor_ids))
     return sa.select(*columns).where(Run.id.in_(of_each))
 
@@ -155,7 +160,7 @@ def _filter_sensors(column: Any, sensor_ids: Collection[int] | None) -> list[sa.
 def list_finished_runs(session: Session, sensor_ids: Collection[int]) -> dict[int, list[Any]]:
     """Return sensor_id, id, telemetry_set_id, method, label, ended_utc and summary of the runs that succeeded, by sensor."""
     columns = (Run.sensor_id, Run.id, Run.telemetry_set_id, Run.method, Run.label, Run.ended_utc, Run.summary)
-    query = sa.select(*columns).where(Run.sensor_id.in_(sensor_ids), Run.state == "SUCCEEDED")
+    query = sa.select(*columns).where(Run.sensor_id.in_(sensor_ids), Run.state == "SUCCEEDED", CALIBRATIONS)
     return _trend_by_sensor(sensor_ids, session.execute(query.order_by(Run.sensor_id, Run.id)), lambda row: row)
 
 
@@ -164,7 +169,7 @@ def read_trend_stamps(session: Session, sensor_ids: Collection[int] | None = Non
     every = sa.select(Sensor.id)  # makes SQLite use an index by sensor
     counted = sa.select(Run.sensor_id, sa.func.count(Run.id), sa.func.max(Run.ended_utc)).group_by(Run.sensor_id)
     of_them = Run.sensor_id.in_(every) if sensor_ids is None else among(Run.sensor_id, sensor_ids)
-    rows = session.execute(counted.where(of_them, Run.state == "SUCCEEDED"))
+    rows = session.execute(counted.where(of_them, Run.state == "SUCCEEDED", CALIBRATIONS))
     return {sensor_id: (count, ended_utc) for sensor_id, count, ended_utc in rows}
 
 
@@ -208,10 +213,12 @@ def _trend_by_sensor(
 
 def list_recent_summaries(session: Session, sensor_ids: Collection[int], limit: int) -> dict[int, list[dict[str, Any]]]:
     """Return of some sensors the summaries of their newest runs that succeeded, oldest first."""
-    succeeded = sa.select(Run.id).where(Run.sensor_id == Sensor.id, Run.state == "SUCCEEDED").correlate(Sensor)
+    succeeded = sa.select(Run.id).where(Run.sensor_id == Sensor.id, Run.state == "SUCCEEDED", CALIBRATIONS)
+    succeeded = succeeded.correlate(Sensor)
     first = succeeded.order_by(Run.id.desc()).offset(limit - 1).limit(1).scalar_subquery()
     query = sa.select(Run.sensor_id, Run.summary).join(Sensor, Run.sensor_id == Sensor.id)
-    query = query.where(Sensor.id.in_(sensor_ids), Run.state == "SUCCEEDED", Run.id >= sa.func.coalesce(first, 0))
+    query = query.where(Sensor.id.in_(sensor_ids), Run.state == "SUCCEEDED", CALIBRATIONS)
+    query = query.where(Run.id >= sa.func.coalesce(first, 0))
     found: dict[int, list[dict[str, Any]]] = {}
     for sensor_id, summary in session.execute(query.order_by(Run.id)):
         found.setdefault(sensor_id, []).append(summary or {})

@@ -19,7 +19,7 @@ from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as rows
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
-from boresight.console.runs.results import read_result
+from boresight.console.runs.results import read_result, refuse_choice
 from boresight.console.runs.tables import Run
 from boresight.console.transitions import name_subject
 from boresight.errors import ConflictError, RefusedInputError
@@ -106,6 +106,7 @@ def _read_residual_spline(result: Mapping[str, Any]) -> dict[str, Any]:
 
 def _get_succeeded_run(session: Session, run_id: int) -> Run:
     run = session.get_known(Run, run_id)
+    refuse_choice(run)
     if run.state != "SUCCEEDED" or run.result_sha256 is None:
         why = f": {run.reason}" if run.reason else ""
         raise ConflictError(f"Run {run_id} is {run.state}{why}; a parameter set is made of a run that SUCCEEDED.")

@@ -22,7 +22,7 @@ from typing import Any, cast
 import sqlalchemy as sa
 from sqlalchemy.orm import aliased
 
-from boresight.console.runs.tables import TERMINAL_RUN_STATES, Preset, Run, RunEvent
+from boresight.console.runs.tables import CALIBRATIONS, CHOICE, TERMINAL_RUN_STATES, Preset, Run, RunEvent
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit import chain, seals
 from boresight.platform.audit import seals as journals
@@ -113,6 +113,11 @@ class WaitingRun:
     frames: int
     stars: int
 
+    @property
+    def stands_alone(self) -> bool:
+        """Whether it shares no task: it was tried before, or is a choice, which takes seconds."""
+        return self.attempt > 0 or self.method == CHOICE
+
 
 @dataclass(frozen=True)
 class ClaimedRun:
@@ -124,6 +129,7 @@ class ClaimedRun:
     sensor_document: Mapping[str, Any]
     table_sha256: str
     validation_sha256: str | None
+    choice_of: int | None = None
 
 
 def list_waiting_runs(session: Session, limit: int) -> list[WaitingRun]:
@@ -149,6 +155,7 @@ def list_claimed_runs(session: Session, run_ids: Sequence[int]) -> list[ClaimedR
             Run.sensor_document,
             TelemetrySet.table_sha256,
             validation.table_sha256,
+            Run.choice_of,
         )
         .join(TelemetrySet, TelemetrySet.id == Run.telemetry_set_id)
         .outerjoin(validation, validation.id == Run.validation_set_id)
@@ -409,6 +416,7 @@ def _has_matched(session: Session, statement: sa.Update) -> bool:
 def list_runs_of_set(session: Session, telemetry_set_id: int, limit: int) -> tuple[list[Run], int]:
     """Return the newest runs that fitted or validated with a telemetry set, and how many there are."""
     uses = sa.or_(Run.telemetry_set_id == telemetry_set_id, Run.validation_set_id == telemetry_set_id)
+    uses = sa.and_(uses, CALIBRATIONS)
     newest = list(session.scalars(sa.select(Run).where(uses).order_by(Run.id.desc()).limit(limit)))
     return newest, session.scalar(sa.select(sa.func.count()).select_from(Run).where(uses)) or 0
 
@@ -416,13 +424,21 @@ def list_runs_of_set(session: Session, telemetry_set_id: int, limit: int) -> tup
 def iterate_newest_finished(session: Session, sensor_id: int) -> Iterator[Run]:
     """Yield a sensor's runs that succeeded, the newest first, those with a validation set before all others; a read a run."""
     finished = (
-        sa.select(Run).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED").order_by(Run.id.desc()).limit(1)
+        sa.select(Run)
+        .where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED", CALIBRATIONS)
+        .order_by(Run.id.desc())
+        .limit(1)
     )
     for which in (Run.validation_set_id.is_not(None), Run.validation_set_id.is_(None)):
         run = session.scalar(finished.where(which))
         while run is not None:
             yield run
             run = session.scalar(finished.where(which, Run.id < run.id))
+
+
+def find_choice(session: Session, run_id: int) -> Run | None:
+    """Return the newest run that chooses a camera for a run's data, or None."""
+    return session.scalar(sa.select(Run).where(Run.choice_of == run_id).order_by(Run.id.desc()).limit(1))
 
 
 def count_queued_before(session: Session, run_id: int) -> int:
@@ -432,9 +448,9 @@ def count_queued_before(session: Session, run_id: int) -> int:
 
 
 def read_neighbours(session: Session, run_id: int) -> tuple[int | None, int | None]:
-    """Return the numbers of the runs before and after one, None at an end."""
-    before = session.scalar(sa.select(sa.func.max(Run.id)).where(Run.id < run_id))
-    return before, session.scalar(sa.select(sa.func.min(Run.id)).where(Run.id > run_id))
+    """Return the numbers of the calibrations before and after one, None at an end."""
+    before = session.scalar(sa.select(sa.func.max(Run.id)).where(Run.id < run_id, CALIBRATIONS))
+    return before, session.scalar(sa.select(sa.func.min(Run.id)).where(Run.id > run_id, CALIBRATIONS))
 
 
 def count_by_state(session: Session) -> dict[str, int]:

@@ -1,10 +1,12 @@
-"""Stored results of runs, checked for completeness before they are used."""
+"""Stored results of runs, calibrations and choices of a camera, checked for completeness before they are used."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from boresight.calibration.calibration import parse_calibration
+from boresight.calibration.choice.result import Choice, parse_choice
+from boresight.console.runs.tables import Run
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.data_version import SizeLimitedCache
@@ -28,6 +30,26 @@ def read_result(blobs: BlobStore, sha256: str, run_id: int | None = None) -> dic
         f"The stored result {sha256[:12]}{whose} is no calibration that can be read: launch the run again, or restore the "
         "store from a backup."
     )
+
+
+def read_choice(blobs: BlobStore, sha256: str, run_id: int | None = None) -> Choice:
+    """Read the stored choice of a camera for a run's data."""
+    try:
+        return parse_choice(blobs.document(sha256))
+    except (ValueError, RefusedInputError):
+        whose = "" if run_id is None else f" of run {run_id}"
+        raise ConflictError(
+            f"The stored choice {sha256[:12]}{whose} is no choice that can be read: ask for it again, or restore the store from "
+            "a backup."
+        ) from None
+
+
+def refuse_choice(run: Run) -> None:
+    """Refuse a run that chooses a camera where a calibration is wanted."""
+    if run.choice_of is not None:
+        raise ConflictError(
+            f"Run {run.id} chooses a camera and has no calibration: read the choice of run {run.choice_of} instead."
+        )
 
 
 def _is_whole(document: Any) -> bool:

@@ -11,6 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from boresight.calibration.calibration import Calibration, parse_calibration
+from boresight.calibration.choice.result import Choice
 from boresight.console import schemas as console_schemas
 from boresight.console.access.dependencies import (
     SAME_FOR_ALL,
@@ -26,19 +27,22 @@ from boresight.console.access.dependencies import (
     Writing,
 )
 from boresight.console.operation import Answer, Beside, json_response, operations
-from boresight.console.runs import frames, presets, schemas
+from boresight.console.runs import choices, frames, presets, schemas
 from boresight.console.runs import service as runs
 from boresight.console.runs.frames import FrameLine
 from boresight.console.runs.presets import BUILT_IN, OfferedPreset
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Preset, Run, RunEvent
 from boresight.console.schemas import Shape
+from boresight.figures import figure_json, held_out_error
 from boresight.figures.report import render_report
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
+from boresight.platform.web.media import CsvFile, csv_response
 from boresight.platform.web.paging import GREATEST_ID, Id, Listing, Page, Paged
 from boresight.platform.web.response_cache import cover_with_tag
 
 router = operations("/runs", tags=["runs"])
+IN_CSV: dict[int | str, dict[str, Any]] = {200: {"description": "One row a candidate, numbers in SI."}}
 
 
 class Launch(BaseModel):
@@ -132,6 +136,34 @@ def cancel_run(
 def get_run_result(run_id: Id, session: Reading, blobs: Blobs) -> Response:
     """Read the calibration JSON; while the run computes, what there is so far with status `running`."""
     return json_response(result_so_far(session, blobs, run_id))
+
+
+@router.post("/{run_id}/choice", summary="Choose a camera", status_code=202, response_model=schemas.Run)
+def choose_camera(run_id: Id, actor: Who, session: Writing, blobs: Blobs) -> Run:
+    """Queue the choice of the least camera model that suffices for the data of a run that has ended.
+
+    The choice is a run of its own; `Location` is where to follow it. Asked again, it is the one that is there, unless it failed.
+    """
+    return choices.request_choice(session, actor, blobs, run_id)
+
+
+@router.get("/{run_id}/choice", summary="Read the choice of a camera", response_model=Choice)
+def get_run_choice(run_id: Id, session: Reading, blobs: Blobs) -> Response:
+    """Read which camera model, with which free parameters, the data of a run ask for, and why; 404 before anybody has asked."""
+    return json_response(choices.get_choice(session, blobs, run_id).to_dict())
+
+
+@router.get("/{run_id}/choice/figure", summary="Read its figure", response_model=schemas.PlotlyFigure)
+def get_run_choice_figure(run_id: Id, session: Reading, blobs: Blobs) -> Response:
+    """Read the error of every candidate on held-out frames as Plotly JSON."""
+    figure = held_out_error.draw(choices.get_choice(session, blobs, run_id))
+    return Response(figure_json(figure), media_type="application/json")
+
+
+@router.get("/{run_id}/choice/data", summary="Read its numbers", response_class=CsvFile, responses=IN_CSV)
+def get_run_choice_data(run_id: Id, session: Reading, blobs: Blobs) -> Response:
+    """Read the numbers behind the figure as CSV."""
+    return csv_response(held_out_error.table(choices.get_choice(session, blobs, run_id)), f"run-{run_id}-held-out.csv")
 
 
 @router.get("/{run_id}/log", summary="Read the log", response_model=Page[schemas.LogLine], dependencies=[SAME_FOR_ALL])

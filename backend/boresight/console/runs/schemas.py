@@ -22,7 +22,7 @@ class RunProgress(Row):
 
 
 class Run(Row):
-    """A calibration; this is also the job resource to poll."""
+    """A calibration, or a choice of a camera; this is also the job resource to poll."""
 
     versioned_by = ("id", "state", "attempt")
     moves_beneath = True  # so does its progress
@@ -41,6 +41,7 @@ class Run(Row):
     progress: RunProgress | None
     summary: Document | None = Field(description="The figures of a finished run that lists show.")
     result_sha256: str | None
+    choice_of: int | None = Field(description="The run for whose data it chooses a camera; null of a calibration.")
     launched_utc: str
     launched_by: int | None
     started_utc: str | None

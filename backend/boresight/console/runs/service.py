@@ -9,7 +9,7 @@ from boresight.console import list_queries as lists
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries
 from boresight.console.runs.dry_runs import check_run_request, dry_run
-from boresight.console.runs.results import read_result
+from boresight.console.runs.results import read_result, refuse_choice
 from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
@@ -104,6 +104,7 @@ def count_by_state(session: Session) -> dict[str, int]:
 def find_result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | None:
     """Return a run's calibration JSON, complete or partial, or None; with the true parameters of a simulated sensor as `truth`."""
     run = get_run(session, run_id)
+    refuse_choice(run)
     document: dict[str, Any] | None = (run.progress or {}).get("partial")
     if run.result_sha256 is not None:
         document = read_result(blobs, run.result_sha256, run_id)

@@ -1,4 +1,4 @@
-"""Calibration runs, their log, and the settings that were given a name."""
+"""Runs, calibrations and choices of a camera; their log, and the settings that were given a name."""
 
 from __future__ import annotations
 
@@ -12,18 +12,21 @@ from boresight.platform.db.documents import JsonText
 
 RUN_STATES = ("QUEUED", "RUNNING", "CANCELLING", "SUCCEEDED", "FAILED", "CANCELLED", "LOST")
 TERMINAL_RUN_STATES = ("SUCCEEDED", "FAILED", "CANCELLED", "LOST")
+#: The method of a run that chooses a camera.
+CHOICE = "choice"
 
 
 class Run(Base):
-    """A calibration. The row is the truth; workers only compute. Terminal states are written once."""
+    """A calibration, or a choice of a camera. The row is the truth; workers only compute. Terminal states are written once."""
 
     __tablename__ = "runs"
     noun = "run"
     __table_args__ = (
         allow_only("state", RUN_STATES),
-        sa.Index("ix_runs_state_id", "state", "id"),
+        sa.Index("ix_runs_state_id", "state", "id", "choice_of"),
         sa.Index("ix_runs_state_method_id", "state", "method", "id"),
-        sa.Index("ix_runs_sensor_state_id", "sensor_id", "state", "id", "ended_utc"),
+        sa.Index("ix_runs_sensor_id", "sensor_id", "choice_of", "id"),
+        sa.Index("ix_runs_sensor_state_id", "sensor_id", "state", "choice_of", "id", "ended_utc"),
         STRICT,
     )
     sealing = Sealing(  # two promises: what was launched, and once it has ended everything about it
@@ -45,7 +48,7 @@ class Run(Base):
         settled=TERMINAL_RUN_STATES,
     )
     id: Mapped[int] = mapped_column(primary_key=True)
-    sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"), index=True)
+    sensor_id: Mapped[int] = mapped_column(sa.ForeignKey("sensors.id"))
     telemetry_set_id: Mapped[int] = mapped_column(sa.ForeignKey("telemetry_sets.id"))
     validation_set_id: Mapped[int | None] = mapped_column(sa.ForeignKey("telemetry_sets.id"))
     method: Mapped[str] = mapped_column(sa.Text)
@@ -65,6 +68,11 @@ class Run(Base):
     progress: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # fraction, message, partial history
     result_sha256: Mapped[str | None] = mapped_column(sa.ForeignKey("blobs.sha256"))
     summary: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # the figures a list shows
+    choice_of: Mapped[int | None] = mapped_column(index=True)  # the run for whose data it chooses a camera
+
+
+#: Keeps to the runs that calibrate: what a fleet, a trend and a list are made of.
+CALIBRATIONS = Run.choice_of.is_(None)
 
 
 class RunEvent(Base):

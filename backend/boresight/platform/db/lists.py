@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import sqlalchemy as sa
@@ -17,13 +17,14 @@ Condition = Callable[[Any], sa.ColumnElement[bool]]
 
 @dataclass(frozen=True)
 class List:
-    """The definition of a list."""
+    """What a list is made of; `only` keeps rows of a table out of it whatever is asked."""
 
     table: Any
     keys: Mapping[str, Any]
     filters: Mapping[str, Condition]
     unread: tuple[str, ...] = ()
     large: tuple[str, ...] = ()
+    only: sa.ColumnElement[bool] = field(default_factory=sa.true)
 
 
 def equals(column: Any) -> Condition:
@@ -43,7 +44,7 @@ def list_newest_rows(
     session: Session, known: List, *, before_id: int | None = None, limit: int | None = None, **where: Any
 ) -> list[Any]:
     """Return a page of a list, newest first, narrowed by what is not None; the next starts before the last one's id."""
-    query = sa.select(known.table).order_by(known.table.id.desc()).limit(limit)
+    query = sa.select(known.table).where(known.only).order_by(known.table.id.desc()).limit(limit)
     query = query.where(*(known.filters[name](value) for name, value in where.items() if value is not None))
     if before_id is not None:
         query = query.where(known.table.id < before_id)

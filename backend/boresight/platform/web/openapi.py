@@ -64,7 +64,20 @@ NOTHING = {"type": "object", "title": "Nothing", "additionalProperties": False}
 BINARY = {"application/octet-stream", "application/zip"}
 FILES = {*BINARY, "text/csv", "text/html"}
 ROWS = ("run", "runs", "reference", "compare", "history")  # parameters that name rows, besides all that end in _id
-READS_FILES = ("/result", "/report", "}", "/data", "/radial", "/frames", "/compare", "/file", "/dump", "/content")
+READS_FILES = (
+    "/result",
+    "/choice",
+    "/choice/figure",
+    "/report",
+    "}",
+    "/data",
+    "/radial",
+    "/frames",
+    "/compare",
+    "/file",
+    "/dump",
+    "/content",
+)
 
 
 def _header(description: str, kind: str = "string") -> dict[str, Any]:

@@ -34,6 +34,7 @@ from boresight.console.parameter_sets import service as parameter_sets
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
+from boresight.console.runs.pages.choice import make_choice_part
 from boresight.console.runs.pages.frames import make_frames_part
 from boresight.console.runs.pages.list import compute_run_seconds, read_names
 from boresight.console.runs.pages.live import make_live_part, make_log_part
@@ -388,6 +389,7 @@ PARTS = {
     "trust": RunPart("Trust", lambda review: {"trust": make_trust_part(review.result, review.why_nothing)}),
     "matching": RunPart("Matching", lambda review: {"matching": make_matching_part(review.result, review.why_nothing)}),
     "frames": RunPart("Frames", lambda review: make_frames_part(review.session, review.request, review.run)),
+    "choice": RunPart("Choice", lambda review: make_choice_part(review.request, review.session, review.actor, review.run)),
     "log": RunPart("Log", lambda review: make_log_part(review.request, review.session, review.run)),
     "provenance": RunPart("Provenance", make_provenance_part),
     "notes": RunPart("Notes", lambda review: {"notes": notes.list_notes(review.session, "runs", review.run.id)}),
@@ -443,11 +445,13 @@ def _set_link(data: TelemetrySet) -> Markup:
 
 
 @router.get("/runs/{run_id:int}", response_class=HTMLResponse)
-def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: str = "summary") -> HTMLResponse:
-    """Show a run: its head and verdict, and one of its parts."""
+def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: str = "summary") -> Response:
+    """Show a run: its head and verdict, and one of its parts; a choice of a camera is a part of the run it is for."""
     part = FORMER.get(part, part)
     if part not in PARTS:
         raise NotFoundError(f"A run has no part {part[:40]}; choose from {', '.join(PARTS)}.")
+    if (choice_of := runs.get_run(session, run_id).choice_of) is not None:
+        return redirect(f"/runs/{choice_of}?part=choice")
     review = get_run_review(request, session, actor, run_id)
     run, result = review.run, review.result
     return render(

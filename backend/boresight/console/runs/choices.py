@@ -1,0 +1,97 @@
+"""Choosing a camera for a run's data: a run of its own, that workers compute as any other, and its answer.
+
+A run that has ended has at most one choice on its way or done: asked again, it is the same one. One that failed, was lost or
+cancelled, or whose answer cannot be read any more, is made anew.
+"""
+
+from __future__ import annotations
+
+from boresight.calibration.choice.result import Choice
+from boresight.calibration.options import CalibrationSettings
+from boresight.console.fleet.tables import Sensor
+from boresight.console.runs import queries
+from boresight.console.runs.results import read_choice
+from boresight.console.runs.service import get_run
+from boresight.console.runs.tables import CHOICE, TERMINAL_RUN_STATES, Run
+from boresight.console.telemetry.tables import TelemetrySet
+from boresight.errors import ConflictError, NotFoundError
+from boresight.platform.actors import Actor, require_role, require_scope
+from boresight.platform.audit import log as audit
+from boresight.platform.blobs.store import BlobStore
+from boresight.platform.db.sessions import Session
+
+#: The settings of a run that its choice takes over; what is free, and how it was estimated, are the question.
+KEPT_SETTINGS = ("match", "minimum_stars")
+
+
+def request_choice(session: Session, actor: Actor, blobs: BlobStore, run_id: int) -> Run:
+    """Queue the choice of a camera for the data of a run that has ended, with its sensor as it was at launch."""
+    require_role(actor, "analyst")
+    require_scope(actor, "runs")
+    run = get_run(session, run_id)
+    if (why := find_obstacle(run)) is not None:
+        raise ConflictError(why)
+    known = find_choice_run(session, run_id)
+    if known is not None and (known.state not in TERMINAL_RUN_STATES or _is_answered(blobs, known)):
+        return known
+    settings = CalibrationSettings.parse({name: run.settings[name] for name in KEPT_SETTINGS if name in run.settings})
+    asked = queries.add_run(
+        session,
+        sensor_id=run.sensor_id,
+        telemetry_set_id=run.telemetry_set_id,
+        validation_set_id=run.validation_set_id,
+        method=CHOICE,
+        settings=settings.document(),
+        sensor_document=run.sensor_document,
+        label=run.label,
+        launched_by=actor.user_id,
+        choice_of=run.id,
+    )
+    on_record = {
+        "sensor": session.get_known(Sensor, run.sensor_id).name,
+        "telemetry_set": session.get_known(TelemetrySet, run.telemetry_set_id).name,
+        "choice_of": run.id,
+    }
+    audit.append(session, actor, "launched", f"runs/{asked.id}", None, on_record)
+    return asked
+
+
+def find_obstacle(run: Run) -> str | None:
+    """Say why no camera is chosen for a run's data now; None where one can be."""
+    if run.choice_of is not None:
+        return f"Run {run.id} chooses a camera itself, for run {run.choice_of}; ask for a calibration's."
+    if run.state not in TERMINAL_RUN_STATES:
+        return f"Run {run.id} is {run.state}; ask for its camera when it has ended."
+    return None
+
+
+def find_choice_run(session: Session, run_id: int) -> Run | None:
+    """Return the newest run that chooses a camera for a run's data, or None where nobody has asked."""
+    return queries.find_choice(session, run_id)
+
+
+def get_choice(session: Session, blobs: BlobStore, run_id: int) -> Choice:
+    """Return the camera that was chosen for a run's data, with its evidence."""
+    get_run(session, run_id)
+    asked = find_choice_run(session, run_id)
+    if asked is None:
+        raise NotFoundError(
+            f"Nobody has asked for a camera for the data of run {run_id}: ask on its page, under Choice."
+        )
+    if asked.result_sha256 is not None:
+        return read_choice(blobs, asked.result_sha256, run_id)
+    if asked.state in TERMINAL_RUN_STATES:
+        why = f": {asked.reason}" if asked.reason else "."
+        raise ConflictError(f"Run {asked.id}, which chooses a camera for run {run_id}, ended {asked.state}{why}")
+    raise ConflictError(f"Run {asked.id}, which chooses a camera for run {run_id}, is {asked.state}; wait for its end.")
+
+
+def _is_answered(blobs: BlobStore, asked: Run) -> bool:
+    """Whether a choice has an answer that can be read."""
+    if asked.result_sha256 is None:
+        return False
+    try:
+        read_choice(blobs, asked.result_sha256)
+    except ConflictError:
+        return False
+    return True
