@@ -389,7 +389,9 @@ PARTS = {
     "trust": RunPart("Trust", lambda review: {"trust": make_trust_part(review.result, review.why_nothing)}),
     "matching": RunPart("Matching", lambda review: {"matching": make_matching_part(review.result, review.why_nothing)}),
     "frames": RunPart("Frames", lambda review: make_frames_part(review.session, review.request, review.run)),
-    "choice": RunPart("Choice", lambda review: make_choice_part(review.request, review.session, review.actor, review.run)),
+    "choice": RunPart(
+        "Choice", lambda review: make_choice_part(review.request, review.session, review.actor, review.run)
+    ),
     "log": RunPart("Log", lambda review: make_log_part(review.request, review.session, review.run)),
     "provenance": RunPart("Provenance", make_provenance_part),
     "notes": RunPart("Notes", lambda review: {"notes": notes.list_notes(review.session, "runs", review.run.id)}),
