@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from boresight.calibration.calibration import Calibration, parse_calibration
 from boresight.console import list_queries as lists
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries
@@ -111,6 +112,12 @@ def find_result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, An
         return None
     truth = session.get_one(Sensor, run.sensor_id).truth
     return _in_model_order(document if truth is None else {**document, "truth": truth})
+
+
+def find_calibration(session: Session, blobs: BlobStore, run_id: int) -> Calibration | None:
+    """Return a run's calibration, complete or so far, or None."""
+    document = find_result(session, blobs, run_id)
+    return None if document is None else parse_calibration(document)
 
 
 def get_final_result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from fastapi.responses import HTMLResponse, Response
 from markupsafe import Markup
 from starlette.datastructures import QueryParams
 
-from boresight.calibration.calibration import Calibration, Inputs, parse_calibration
+from boresight.calibration.calibration import Calibration, Inputs
 from boresight.calibration.options import get_method_title
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.approvals import gates
@@ -529,7 +529,7 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
     run = runs.get_run(session, run_id)
     validation = run.validation_set_id
     is_void = run.state in TERMINAL_RUN_STATES and run.result_sha256 is None  # what was computed does not count
-    found = None if is_void else runs.find_result(session, get_server(request).blobs, run_id)
+    found = None if is_void else runs.find_calibration(session, get_server(request).blobs, run_id)
     return RunReview(
         request=request,
         session=session,
@@ -538,7 +538,7 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
         sensor=session.get_known(Sensor, run.sensor_id),
         data=session.get_known(TelemetrySet, run.telemetry_set_id),
         validation=None if validation is None else session.get_known(TelemetrySet, validation),
-        result=None if found is None else parse_calibration(found),
+        result=found,
     )
 
 
