@@ -194,9 +194,11 @@ def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tupl
     content = orjson.dumps(calibration.to_dict())
     seconds, cpu_seconds = time.perf_counter() - begun_s, time.thread_time() - begun_cpu_s
     took = {"seconds": round(seconds, 4), "cpu_seconds": round(cpu_seconds, 4)}
-    summary = to_plain(summarise_run(calibration)) | took
-    told = Line.log(f"Computed in {seconds:.2f} s: {summary['status']}.", took)
-    end = RunEnd(link.run_id, link.attempt, "SUCCEEDED", summary=summary, result_bytes=len(content), log=[told])
+    summary = replace(summarise_run(calibration), seconds=took["seconds"], cpu_seconds=took["cpu_seconds"])
+    told = Line.log(f"Computed in {seconds:.2f} s: {summary.status}.", took)
+    end = RunEnd(
+        link.run_id, link.attempt, "SUCCEEDED", summary=to_plain(summary), result_bytes=len(content), log=[told]
+    )
     return end, keep(lambda: blobs.put(content))
 
 

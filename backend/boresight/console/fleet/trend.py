@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.result import TrendEntry
 from boresight.console.fleet import queries as rows
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
@@ -30,6 +31,7 @@ from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import FALSE_ALARM_RATE, Epoch, RegressionLine
 from boresight.platform.db.sessions import Session, utc_text
 from boresight.verdicts.numbers import fixed, number, quantity
+from boresight.verdicts.verdict import RunSummary, parse_run_summary
 
 SAME_VALUE = 1e-6  # of a typical sigma: what was held fixed there and here is the same number
 BEFORE_TRENDS = "its summary has no covariance: it is from an older version; clone it and run it again"
@@ -159,9 +161,9 @@ def _trend(
     baseline = promoted[-1][1] if promoted else None
     model = str((baseline.document if baseline else sensor.document)["camera_model"])
     found = [
-        _point(run, telemetry[run.telemetry_set_id])
+        _point(run, summary, telemetry[run.telemetry_set_id])
         for run in finished
-        if (run.summary or {}).get("status") is not None
+        if (summary := parse_run_summary(run.summary)).status is not None
     ]
     judged = [_comparable(point, sensor, baseline) for point in found if point.camera_model == model]
     return Trend(
@@ -185,9 +187,9 @@ def get_time_span(row: TelemetrySet) -> tuple[str, str, bool]:
     return begins, ends, True
 
 
-def _point(run: Any, data: TelemetrySet) -> TrendPoint:
+def _point(run: Any, summary: RunSummary, data: TelemetrySet) -> TrendPoint:
     begins, ends, timed = get_time_span(data)
-    entry, summary = run.summary.get("trend") or {}, run.summary
+    entry = summary.trend or TrendEntry(left_out=BEFORE_TRENDS)
     warmth = data.quality.get("temperature_c")
     return TrendPoint(
         run_id=run.id,
@@ -200,14 +202,14 @@ def _point(run: Any, data: TelemetrySet) -> TrendPoint:
         ends_utc=ends,
         timed=timed,
         temperature_c=None if not warmth else (warmth["smallest"] + warmth["largest"]) / 2,
-        camera_model=entry.get("camera_model") or "",
-        names=tuple(entry.get("names") or ()),
-        parameters=entry.get("parameters") or {},
-        covariance=np.array(entry.get("covariance") or np.zeros((0, 0)), dtype=np.float64),
-        stars=summary.get("stars") or 0,
-        rms_arc_rad=summary.get("rms_final_arc_rad"),
-        left_out=BEFORE_TRENDS if not entry else entry.get("left_out") or "",
-        said=entry.get("said") or "",
+        camera_model=entry.camera_model,
+        names=tuple(entry.names),
+        parameters=entry.parameters,
+        covariance=np.array(entry.covariance or np.zeros((0, 0)), dtype=np.float64),
+        stars=summary.stars or 0,
+        rms_arc_rad=summary.rms_final_arc_rad,
+        left_out=entry.left_out or "",
+        said=entry.said or "",
     )
 
 

@@ -7,7 +7,7 @@ else a careful guess; a replayed run tells the pace only where there is no other
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median, quantiles
 from typing import Any
 
@@ -126,10 +126,15 @@ class TimedRun:
 def list_timed_runs(session: Session, method: str) -> list[TimedRun]:
     """Return what the newest runs of a method took, newest first: of those that waited for no frames where there are any."""
     timed = [
-        run for run in list_recent_runs(session, method, RUNS_TIMED) if run[1].get("seconds") and run[1].get("stars")
+        (settings, found.frames or 0, TimedRun(found.stars, found.seconds))
+        for settings, found in list_recent_runs(session, method, RUNS_TIMED)
+        if found.seconds and found.stars
     ]
     unthrottled = [run for run in timed if not _downlink_s(run[0], frames=1)]
-    return [TimedRun(summary["stars"], _computed_s(settings, summary)) for settings, summary in unthrottled or timed]
+    return [
+        replace(run, seconds=_computed_s(settings, frames, run.seconds))
+        for settings, frames, run in unthrottled or timed
+    ]
 
 
 def estimate_run_speed(session: Session, method: str) -> RunSpeed:
@@ -160,10 +165,10 @@ def _downlink_s(settings: Mapping[str, Any], frames: int) -> float:
     return frames / replay if replay > 0 else 0.0
 
 
-def _computed_s(settings: Mapping[str, Any], summary: Mapping[str, Any]) -> float:
+def _computed_s(settings: Mapping[str, Any], frames: int, seconds: float) -> float:
     """Return the seconds of a past run without its wait for frames, at least `START_S` where it waited."""
-    waited = _downlink_s(settings, summary.get("frames") or 0)
-    return max(float(summary["seconds"]) - waited, START_S) if waited else float(summary["seconds"])
+    waited = _downlink_s(settings, frames)
+    return max(seconds - waited, START_S) if waited else seconds
 
 
 def count_pairs(stars: int, exposures: int) -> int:

@@ -11,7 +11,7 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries
 from boresight.console.runs.dry_runs import check_run_request, dry_run
 from boresight.console.runs.results import read_result
-from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent
+from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent, parse_progress
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
@@ -105,7 +105,7 @@ def count_by_state(session: Session) -> dict[str, int]:
 def find_result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | None:
     """Return a run's calibration JSON, what there is so far, or None; a simulated sensor's true parameters are `truth`."""
     run = get_run(session, run_id)
-    document: dict[str, Any] | None = (run.progress or {}).get("partial")
+    document = parse_progress(run.progress).partial
     if run.result_sha256 is not None:
         document = read_result(blobs, run.result_sha256, run_id)
     if document is None:

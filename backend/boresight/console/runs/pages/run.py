@@ -65,6 +65,7 @@ from boresight.verdicts.numbers import MISSING, count, duration, number, percent
 from boresight.verdicts.verdict import (
     make_verdict,
     make_verdict_marks,
+    parse_run_summary,
     prospects,
     sigma_of_rms,
     trust_doubts,
@@ -469,7 +470,7 @@ def list_run_actions(run: Run, actor: Actor) -> dict[str, RunAction]:
 
 def _why_no_set(run: Run) -> str | None:
     """Say why no parameter set can be made of a run that ended, or None where one can."""
-    status = (run.summary or {}).get("status")
+    status = parse_run_summary(run.summary).status
     if status is None or status in parameter_sets.USABLE_STATUSES:
         return None
     return f"No parameter set is made of a result that ended as {words(status)}."
