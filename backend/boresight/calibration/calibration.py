@@ -594,7 +594,7 @@ class ResidualDistribution:
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualOutliers:
-    """Single sightings beyond `limit` spreads along either axis, the worst first."""
+    """Single sightings beyond `limit` spreads along either axis, the worst first; `rows`, `columns`: of the detector."""
 
     frame: list[int]
     exposure: list[int]
@@ -604,8 +604,8 @@ class ResidualOutliers:
     d_row_px: Numbers
     d_col_px: Numbers
     normalised: Numbers
-    rows: int
-    columns: int
+    rows: int | None = None
+    columns: int | None = None
     limit: float
     stars_in_all: int
     in_all: int
