@@ -246,7 +246,7 @@ def begin_calibration(
     )
 
 
-def _values(names: Sequence[str], numbers_of: FloatArray) -> Values:
+def _values(names: Sequence[str], numbers_of: FloatArray) -> Values[Any]:
     """Put numbers beside the names of parameters; what is not finite is unknown."""
     return Values(dict(zip(names, numbers(numbers_of), strict=True)))
 
@@ -413,7 +413,7 @@ class TrendEntry:
 
     camera_model: str = ""
     names: list[str] = field(default_factory=list)
-    parameters: Values = field(default_factory=Values)
+    parameters: Values[float | None] = field(default_factory=Values)
     covariance: Matrix = field(default_factory=list)
     variance_factor: float = 1.0
     said: str | None = None

@@ -13,7 +13,7 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self, Unpack
 from urllib.parse import urlsplit
 
 import httpx
@@ -40,6 +40,7 @@ from boresight.library.remote import (
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
+    from boresight.calibration.options import Choices
     from boresight.library.inputs import SensorSource, TelemetrySource
     from boresight.library.results import Calibration
 
@@ -155,7 +156,7 @@ class Client(_Connection):
         *,
         validate: TelemetrySet | int | None = None,
         label: str = "",
-        **settings: Any,
+        **settings: Unpack[Choices],
     ) -> Run:
         """Queue a calibration; settings as `boresight.calibrate` has them."""
         return self._run(remote.launch(telemetry, validate, label, settings))
@@ -238,7 +239,7 @@ class Client(_Connection):
         validate: TelemetrySource | TelemetrySet | int | None = None,
         label: str = "",
         progress: Wanted = None,
-        **settings: Any,
+        **settings: Unpack[Choices],
     ) -> Calibration:
         """Calibrate on the server: upload what is not there, launch, wait, fetch. Arguments as `boresight.calibrate`.
 
@@ -320,7 +321,7 @@ class AsyncClient(_Connection):
         *,
         validate: TelemetrySet | int | None = None,
         label: str = "",
-        **settings: Any,
+        **settings: Unpack[Choices],
     ) -> Run:
         """Queue a calibration; settings as `boresight.calibrate` has them."""
         return await self._run(remote.launch(telemetry, validate, label, settings))
@@ -403,7 +404,7 @@ class AsyncClient(_Connection):
         validate: TelemetrySource | TelemetrySet | int | None = None,
         label: str = "",
         progress: Wanted = None,
-        **settings: Any,
+        **settings: Unpack[Choices],
     ) -> Calibration:
         """Calibrate on the server: upload what is not there, launch, wait, fetch. Arguments as `boresight.calibrate`.
 
