@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.parameter_set import parse_parameter_set
 from boresight.calibration.result import TrendEntry
 from boresight.console.fleet import queries as rows
 from boresight.console.fleet.tables import Sensor
@@ -257,15 +258,15 @@ def _counted_once(points: Sequence[TrendPoint]) -> Iterator[TrendPoint]:
 def _periods(promoted: Sequence[tuple[str, ParameterSet]]) -> Iterator[BaselinePeriod]:
     ends = [*(at_utc for at_utc, _ in promoted[1:]), None] if promoted else []
     for (at_utc, row), to_utc in zip(promoted, ends, strict=True):
-        document = row.document
+        document = parse_parameter_set(row.document)
         yield BaselinePeriod(
             row.id,
             row.name,
             at_utc,
             to_utc,
             row.run_id is not None,
-            document["parameters"],
-            document.get("sigma") or {},
+            document.parameters.to_dict(),
+            document.sigma.to_dict() if document.sigma else {},
         )
 
 

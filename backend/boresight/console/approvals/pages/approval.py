@@ -37,7 +37,7 @@ from boresight.console.pages.tables import (
     write_csv,
 )
 from boresight.console.parameter_sets import queries as set_queries
-from boresight.console.parameter_sets.pages import find_bound_incumbent
+from boresight.console.parameter_sets.pages import find_bound_incumbent, read_set_and_incumbent
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import read_names
@@ -139,7 +139,7 @@ def request_page(
     sensor = session.get_known(Sensor, row.sensor_id)
     incumbent = find_bound_incumbent(session, row, approval)
     result = runs.find_calibration(session, get_server(request).blobs, row.run_id) if row.run_id is not None else None
-    rows = set_rows(row.document, incumbent.document if incumbent else None, sensor.document)
+    rows = set_rows(*read_set_and_incumbent(row, incumbent), sensor.document["typical_sigma"])
     policy = get_server(request).policy
     has_figures = row.run_id is not None
     return render(

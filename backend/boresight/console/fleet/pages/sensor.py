@@ -17,7 +17,8 @@ from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.calibration.calibration import Calibration, Change, Evaluation, IntervalChange
+from boresight.calibration.calibration import Calibration, Change, Evaluation, IntervalChange, Values
+from boresight.calibration.parameter_set import parse_parameter_set
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import KNOWN, Reading, Who, csrf, get_server
@@ -234,10 +235,10 @@ class BaselineValue:
 
 def baseline_values(sensor: Sensor, baseline: ParameterSet | None) -> list[BaselineValue]:
     """Lay out the baseline's parameters in model order; a ground calibration has no measured sigma."""
-    document = sensor.document
-    values = baseline.document["parameters"] if baseline else document["initial"]
+    document, found = sensor.document, parse_parameter_set(baseline.document) if baseline else None
+    values = found.parameters if found else document["initial"]
     measured = baseline is not None and baseline.run_id is not None
-    sigma = (baseline.document.get("sigma") or {}) if baseline and measured else {}
+    sigma = (found.sigma if found and measured else None) or Values()
     return [
         BaselineValue(
             name=name,
