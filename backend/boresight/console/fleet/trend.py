@@ -27,7 +27,7 @@ from boresight.calibration.result import TrendEntry
 from boresight.console.fleet import queries as rows
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
-from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.tables import TelemetrySet, parse_quality
 from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import FALSE_ALARM_RATE, Epoch, RegressionLine
 from boresight.platform.db.sessions import Session, utc_text
@@ -181,17 +181,17 @@ def _trend(
 
 def get_time_span(row: TelemetrySet) -> tuple[str, str, bool]:
     """Return first and last time of a telemetry set, and whether they are its own and not the upload's."""
-    time = row.quality.get("time")
-    if not time:
+    time = parse_quality(row.quality).time
+    if time is None:
         return row.uploaded_utc, row.uploaded_utc, False
-    begins, ends = (utc_text(datetime.fromisoformat(time[key])) for key in ("start_utc", "end_utc"))
+    begins, ends = (utc_text(datetime.fromisoformat(text)) for text in (time.start_utc, time.end_utc))
     return begins, ends, True
 
 
 def _point(run: Any, summary: RunSummary, data: TelemetrySet) -> TrendPoint:
     begins, ends, timed = get_time_span(data)
     entry = summary.trend or TrendEntry(left_out=BEFORE_TRENDS)
-    warmth = data.quality.get("temperature_c")
+    warmth = parse_quality(data.quality).temperature_c
     return TrendPoint(
         run_id=run.id,
         label=run.label,
@@ -202,7 +202,7 @@ def _point(run: Any, summary: RunSummary, data: TelemetrySet) -> TrendPoint:
         at_utc=middle(begins, ends),
         ends_utc=ends,
         timed=timed,
-        temperature_c=None if not warmth else (warmth["smallest"] + warmth["largest"]) / 2,
+        temperature_c=None if warmth is None else (warmth.smallest + warmth.largest) / 2,
         camera_model=entry.camera_model,
         names=tuple(entry.names),
         parameters=entry.parameters,

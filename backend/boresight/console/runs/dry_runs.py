@@ -15,7 +15,7 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs.queries import list_recent_runs
-from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.tables import TelemetrySet, parse_quality
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.db.sessions import Session
 from boresight.platform.jobs.forecasts import ForecastSources
@@ -180,9 +180,9 @@ def dry_run(session: Session, request: RunRequest, forecast_sources: ForecastSou
     """Say what a run would be."""
     telemetry, settings = request.telemetry, request.settings
     free = list(settings.free or parse_sensor(request.sensor.document).free)
-    quality = telemetry.quality
-    exposures = quality.get("usable_exposures", telemetry.frames)
-    pairs = count_pairs(quality.get("usable", telemetry.stars), exposures)
+    quality = parse_quality(telemetry.quality)
+    exposures = telemetry.frames if quality.usable_exposures is None else quality.usable_exposures
+    pairs = count_pairs(telemetry.stars if quality.usable is None else quality.usable, exposures)
     pace = estimate_run_speed(session, settings.method)
     seconds = [
         round(predict_duration_s(settings.document(), telemetry.frames, telemetry.stars, one), 3)
@@ -205,7 +205,7 @@ def dry_run(session: Session, request: RunRequest, forecast_sources: ForecastSou
         "predicted_range_s": seconds[1:],
         "paced_by": pace.runs,
         "forecast": forecast,
-        "warnings": _warnings(request, free, pairs),
+        "warnings": [*quality.warnings, *_warnings(request, free, pairs)],
     }
 
 
@@ -225,7 +225,7 @@ def estimate_s(session: Session, requests: Sequence[RunRequest]) -> float:
 
 
 def _warnings(request: RunRequest, free: Sequence[str], pairs: int) -> list[str]:
-    warnings = [str(sentence) for sentence in request.telemetry.quality.get("warnings") or ()]
+    warnings = []
     if pairs < 10 * len(free):
         warnings.append(f"About {pairs} arcs for {len(free)} parameters is little; free fewer or use a longer set.")
     if request.validation is None:
