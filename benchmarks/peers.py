@@ -101,7 +101,7 @@ class EqualExposures:
 
     @classmethod
     def of(cls, arcs: ArcSet, n: int) -> EqualExposures:
-        """Reshape a weighed set of n-star exposures, and invert its factors."""
+        """Reshape a whitened set of n-star exposures, and invert its factors."""
         m = 2 * n - 3
         band = arcs.band.reshape(-1, m, 5)
         L = np.zeros((len(band), m, m))
@@ -422,7 +422,7 @@ class CPeer:
         return A, b, costs
 
     def square_root_filter(self, arcs: ArcSet, state: FilterState, scale: FloatArray, tuning: Tuning) -> FilterHistory:
-        """Run Carlson's filter without process noise over weighed arcs, all eight parameters free."""
+        """Run Carlson's filter without process noise over whitened arcs, all eight parameters free."""
         _refuse_other_models(arcs)
         n, free = arcs.n_frames, np.arange(len(scale))
         x, z, S = state.x.copy(), padded(state.z, 8), padded(state.S, 8)

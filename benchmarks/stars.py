@@ -51,7 +51,7 @@ CHUNK = 4096
 
 
 def synthetic(frames: int, rng: np.random.Generator) -> ArcSet:
-    """Weighed arcs of uniform star fields; attitudes are left out, for arcs do not see them."""
+    """Whitened arcs of uniform star fields; attitudes are left out, for arcs do not see them."""
     sensor, truth = st16_sensor(SENSOR), st16_truth(SENSOR)
     counts = np.full(frames * EXPOSURES_A_FRAME, STARS)
     size = (sensor.rows, sensor.columns)
@@ -61,7 +61,7 @@ def synthetic(frames: int, rng: np.random.Generator) -> ArcSet:
 
 
 def wu_field(counts: IntArray, rng: np.random.Generator, noise_px: float = WU_IMPLIED_SIGMA_PX) -> ArcSet:
-    """Weighed arcs of exposures of so many stars each over W's detector, one a frame."""
+    """Whitened arcs of exposures of so many stars each over W's detector, one a frame."""
     arcs = uniform_field(PINHOLE_RADIAL, WU_TRUTH, (WU_ROWS, WU_COLUMNS), WU_PIXEL_PITCH_M, counts, noise_px, rng)
     return arcsets.whiten(arcs, arcsets.angular_sigma(PINHOLE_RADIAL, WU_TRUTH, arcs))[0]
 
@@ -140,8 +140,8 @@ def repeated_fields(frames: int, sensor: Sensor, catalogue: Catalogue, seed: int
 class Views:
     """One set of views of equally many stars, in arc order; a view is an exposure, what a camera calibrator calls an image.
 
-    `arcs` are unweighed, `magnitude` (n_views, n) is for peers that ask for brightness, `sensor` is where every peer starts, and
-    `truth` (n_parameters,), SI, made the centroids.
+    `arcs` are not yet whitened, `magnitude` (n_views, n) is for peers that ask for brightness, `sensor` is where every peer starts,
+    and `truth` (n_parameters,), SI, made the centroids.
     """
 
     arcs: ArcSet

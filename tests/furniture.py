@@ -4,8 +4,9 @@ from typing import Any
 
 from boresight.console.access.tables import User
 from boresight.console.alarms.tables import Alarm, AlarmEvent
-from boresight.console.approvals.tables import Approval, ChangeProposal, Signature
+from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.campaigns.tables import Campaign, CampaignRun
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.notes.tables import Note
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion

@@ -3,12 +3,13 @@
 import ast
 import re
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LINES = [line for line in (ROOT / "docs/glossary.md").read_text(encoding="utf-8").splitlines() if line.startswith("- ")]
 TERM = re.compile(r"- \*\*(?P<term>[^*]+)\*\*: .+\.(?P<names>(?: `[\w.]+`)+)")
-#: Words of the project's own that standard ones replaced; none is the name of a class, a function or a module again.
+#: Words of the project's own that standard ones replaced; nothing in the code is named so again.
 REPLACED = set(
     re.findall(
         r"\w+",
@@ -16,9 +17,11 @@ REPLACED = set(
         Flights Insurance InThisProcess Judgement Keeping Kept Loan Lookout Mark Marks MatchedSet Misfit Once OnlyTry Orders
         Paces Place Ready RematchedSet Rounds Shown Sighting Sightings Sought Specimen Spread Standing StreamedSet Telling
         Told Turns Upkeep Watch Workplace climb course dressed fitness held_out judgements lookout only_try orders paces
-        sighting specimen upkeep weigh""",
+        desk sighting specimen upkeep weigh weigh_block weighed wu_weighed""",
     )
 )
+#: A member of the REST API keeps its name.
+PUBLISHED = "backend/boresight/console/approvals/schemas.py: held_out"
 IN_SCRIPTS = re.compile(r"\b(?:class|function|const|let|@typedef \{.*\}) (\w+)")
 DEFINED = re.compile(r"\b(?:def|class) (\w+)|^ *(\w+)(?::| =)|[(,] *(\w+): ", re.MULTILINE)
 
@@ -43,15 +46,24 @@ def test_each_code_name_of_the_glossary_is_a_name_in_the_code():
     assert sorted(named - known) == []
 
 
-def test_no_replaced_word_names_a_class_a_function_or_a_module_again():
+def find_names(tree: ast.Module) -> Iterator[str]:
+    """Yield every name that a module gives to something of its own: definitions, arguments, variables, members, aliases."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.ClassDef(name) | ast.FunctionDef(name) | ast.AsyncFunctionDef(name):
+                yield name
+            case ast.arg(name) | ast.alias(_, str(name)) | ast.keyword(str(name)):
+                yield name
+            case ast.Name(name, ast.Store()) | ast.Attribute(_, name, ast.Store()):
+                yield name
+
+
+def test_nothing_is_named_by_a_replaced_word_again():
     found = []
     for path in (path for top in ("backend", "tests", "benchmarks") for path in (ROOT / top).rglob("*.py")):
-        nodes = ast.walk(ast.parse(path.read_bytes()))
-        defined = [
-            node.name for node in nodes if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
-        ]
-        found += [f"{path.relative_to(ROOT)}: {name}" for name in (path.stem, *defined) if name in REPLACED]
+        names = {path.stem, *find_names(ast.parse(path.read_bytes()))}
+        found += [f"{path.relative_to(ROOT)}: {name}" for name in sorted(names & REPLACED)]
     for path in (ROOT / "frontend/static").rglob("*.js"):
         names = IN_SCRIPTS.findall(path.read_text(encoding="utf-8"))
         found += [f"{path.relative_to(ROOT)}: {name}" for name in (path.stem, *names) if name in REPLACED]
-    assert found == []
+    assert [one for one in found if one != PUBLISHED] == []

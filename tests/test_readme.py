@@ -11,6 +11,7 @@ import pytest
 import boresight
 from boresight.calibration.options import OPTIONS, listed
 from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import FAR_TYPICAL_SIGMAS
 from boresight.cli import main
 from boresight.cli.remote import API_KEY
 from boresight.console.access.tables import ROLES
@@ -52,6 +53,11 @@ def test_the_readme_tells_every_setting_as_the_table_has_it(setting):
 
 def test_the_readme_lists_every_choice_of_a_calibration_as_it_is_declared():
     assert listed() in README
+
+
+def test_the_readme_says_from_where_on_a_change_is_far():
+    (row,) = (line for line in README.splitlines() if line.startswith("| typical sigmas |"))
+    assert f"Beyond {FAR_TYPICAL_SIGMAS:g}:" in row
 
 
 def test_the_readme_names_no_setting_that_does_not_exist():

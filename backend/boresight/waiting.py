@@ -1,4 +1,4 @@
-"""Who is told how far something is that is done once a machine, when somebody has to wait for it: the loops being compiled."""
+"""Reports on the progress of compiling the kernels, which is done once per machine and makes the caller wait."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from contextlib import contextmanager
 
 log = logging.getLogger(__name__)
 
-Report = Callable[[str, float], None]  # message, and the share that is done
+Report = Callable[[str, float], None]  # message, and the fraction that is done
 
-_told: list[Report] = []
+_receivers: list[Report] = []
 
 
 @contextmanager
-def telling(report: Report) -> Iterator[None]:
-    """Let `report` be told of what this process waits for within; of several the innermost is."""
-    _told.append(report)
+def report_waits_to(report: Report) -> Iterator[None]:
+    """Send reports of compiling within the block to `report`; of nested blocks the innermost receives them."""
+    _receivers.append(report)
     try:
         yield
     finally:
-        _told.remove(report)
+        _receivers.remove(report)
 
 
 def tell(message: str, share: float) -> None:
-    """Tell whoever is to be told; where nobody is, the log once."""
-    if _told:
-        _told[-1](message, share)
+    """Report progress to the innermost receiver, or without one log the start once."""
+    if _receivers:
+        _receivers[-1](message, share)
     elif share == 0.0:
         log.warning("Boresight is %s; a few seconds.", message)

@@ -100,7 +100,7 @@ def _kernels(found: Found) -> str:
     peers = table(("peer", "µs a frame", "over ours"), rows)
     unfair = (
         "\nNot the same: the plain NumPy and SciPy peers get R factored for them; `lean` and `ekf` linearise each frame once "
-        "where ours does until it rests; the C peer gets the arcs in order and weighed; the matching peer takes one exposure at "
+        "where ours does until it rests; the C peer gets the arcs in order and whitened; the matching peer takes one exposure at "
         "a time with one fixed tolerance and no doubt between two stars. `c_fast_math` may reorder sums as ours may; `c` may not.\n"
     )
     return f"{all_figures(found, ('peers', 'ratios'))}\n{peers}{unfair}"

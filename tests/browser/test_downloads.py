@@ -58,14 +58,14 @@ class RunPage:
 
 
 @pytest.fixture(scope="module")
-def desk(people, sequential_run):
+def run_page(people, sequential_run):
     with people.seat("analyst") as window:
         yield RunPage(window, sequential_run)
 
 
 @pytest.fixture(scope="module")
-def initial(desk, sequential_run):
-    return desk.window.result(sequential_run)["initial"]
+def initial(run_page, sequential_run):
+    return run_page.window.result(sequential_run)["initial"]
 
 
 def download(window, panel, kind: str) -> Path:
@@ -90,9 +90,9 @@ def close(drawn, expected):
     assert np.array(drawn, float) == pytest.approx(expected, rel=SINGLE, abs=SINGLE * scale, nan_ok=True)
 
 
-def test_the_csv_of_convergence_has_the_curves_and_their_bands(desk, initial):
-    table = desk.csv("convergence")
-    drawn = desk.drawn("convergence")
+def test_the_csv_of_convergence_has_the_curves_and_their_bands(run_page, initial):
+    table = run_page.csv("convergence")
+    drawn = run_page.drawn("convergence")
     for place, (name, start) in enumerate(initial.items()):
         band, line = drawn[2 * place : 2 * place + 2]
         value = (floats(table[name]) - start) * UNITS.get(name, 1.0)
@@ -102,57 +102,57 @@ def test_the_csv_of_convergence_has_the_curves_and_their_bands(desk, initial):
         close(sorted(band["y"]), np.sort(np.concatenate([value - reach, value + reach])))
 
 
-def test_the_csv_of_rms_has_tail_and_aggregate(desk):
-    table = desk.csv("rms")
-    curves = {one["name"].rpartition(" · ")[2]: one for one in reversed(desk.drawn("rms"))}
+def test_the_csv_of_rms_has_tail_and_aggregate(run_page):
+    table = run_page.csv("rms")
+    curves = {one["name"].rpartition(" · ")[2]: one for one in reversed(run_page.drawn("rms"))}
     for word in ("tail", "aggregate"):
         assert curves[word]["x"] == floats(table["frame"]).tolist()
         close(curves[word]["y"], 1e6 * floats(table[f"{word}_rms_rad"]))
 
 
-def test_the_csv_of_the_radial_difference_has_the_curve_and_its_band(desk):
-    table = desk.csv("radial")
-    band, line = desk.drawn("radial")[:2]
+def test_the_csv_of_the_radial_difference_has_the_curve_and_its_band(run_page):
+    table = run_page.csv("radial")
+    band, line = run_page.drawn("radial")[:2]
     value, reach = floats(table["difference_px"]), 3 * floats(table["sigma_px"])
     close(line["x"], floats(table["radius_px"]))
     close(line["y"], value)
     close(sorted(band["y"]), np.sort(np.concatenate([value - reach, value + reach])))
 
 
-def test_the_csv_of_observability_has_the_bars_and_the_directions(desk, initial):
-    table = desk.csv("observability")
-    bars, directions = desk.drawn("observability")
+def test_the_csv_of_observability_has_the_bars_and_the_directions(run_page, initial):
+    table = run_page.csv("observability")
+    bars, directions = run_page.drawn("observability")
     close(bars["y"], floats(table["singular_value"]))
     close(bars["customdata"], floats(table["sigma_of_direction"]))
     close(directions["z"], np.array([floats(table[name]) for name in initial]))
 
 
 @pytest.mark.full
-def test_the_csv_of_coverage_has_every_cell(desk):
-    table = desk.csv("coverage")
-    (cells,) = desk.drawn("coverage")
+def test_the_csv_of_coverage_has_every_cell(run_page):
+    table = run_page.csv("coverage")
+    (cells,) = run_page.drawn("coverage")
     assert [count or 0 for row in cells["z"] for count in row] == floats(table["stars"]).tolist()
 
 
-def test_the_csv_of_parameter_changes_has_bars_and_points(desk, initial):
-    table = desk.csv("parameters")
-    bars, points = desk.drawn("parameters")
+def test_the_csv_of_parameter_changes_has_bars_and_points(run_page, initial):
+    table = run_page.csv("parameters")
+    bars, points = run_page.drawn("parameters")
     assert list(table["parameter"]) == list(initial)
     close(bars["x"], np.maximum(np.abs(floats(table["delta_over_sigma"])), SMALLEST_BAR))
     close(points["x"], floats(table["delta_in_typical_sigma"]))
 
 
-def test_the_csv_of_the_distortion_has_both_curves(desk):
-    table = desk.csv("distortion")
-    _, new, old = desk.drawn("distortion")[:3]
+def test_the_csv_of_the_distortion_has_both_curves(run_page):
+    table = run_page.csv("distortion")
+    _, new, old = run_page.drawn("distortion")[:3]
     close(new["y"], floats(table["new_px"]))
     close(old["y"], floats(table["old_px"]))
 
 
 @pytest.mark.full
-def test_the_csv_of_correlations_has_every_pair_once(desk, initial):
-    table = desk.csv("correlation")
-    (cells,) = desk.drawn("correlation")
+def test_the_csv_of_correlations_has_every_pair_once(run_page, initial):
+    table = run_page.csv("correlation")
+    (cells,) = run_page.drawn("correlation")
     drawn = np.array(cells["z"], float)[np.triu_indices(len(initial), 1)]
     apart = np.array(table["parameter"]) != np.array(table["with"])
     close(drawn, floats(table["correlation"])[apart])
@@ -161,8 +161,8 @@ def test_the_csv_of_correlations_has_every_pair_once(desk, initial):
 @pytest.mark.parametrize(
     "name", [name if name == "convergence" else pytest.param(name, marks=pytest.mark.full) for name in PARTS]
 )
-def test_the_png_of_a_figure_is_the_chart_on_white(desk, name):
-    on_white(desk.window, download(desk.window, desk.figure(name), "PNG"))
+def test_the_png_of_a_figure_is_the_chart_on_white(run_page, name):
+    on_white(run_page.window, download(run_page.window, run_page.figure(name), "PNG"))
 
 
 def test_the_drawings_of_a_telemetry_set_are_saved_alike(people, telemetry):

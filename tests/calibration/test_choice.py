@@ -45,8 +45,8 @@ def test_terms_part_every_parameter_but_the_focal_length(camera):
 
 def test_radial_orders_are_read_off_the_camera_whatever_its_file_s_order():
     camera = CAMERA_MODELS["inverted_wang_decentred"]
-    orders = {camera.parameter_names[place]: order for place, order in radial_orders(camera).items()}
-    assert orders == {"b2_per_m2": 3, "b4_per_m4": 5, "b6_per_m6": 7}
+    order_by_name = {camera.parameter_names[place]: order for place, order in radial_orders(camera).items()}
+    assert order_by_name == {"b2_per_m2": 3, "b4_per_m4": 5, "b6_per_m6": 7}
 
 
 def test_all_candidates_have_the_same_weights_and_a_larger_one_is_never_worse():

@@ -16,7 +16,11 @@ FIRST = {
     "parameter-sets": "-set",
     "approvals": "-request",
     "audit": "-number",
+    "campaigns": "-campaign",
+    "campaign-sensors": "launched",
+    "change-proposals": "-proposal",
 }
+SORTED_BY_THE_CLOCK = {"alarms"}  # one on the shelf comes back by time alone, so that no index knows the order
 
 
 @pytest.fixture
@@ -63,7 +67,7 @@ def test_the_first_view_of_a_list_reads_its_page_and_sorts_nothing(session, name
 
 
 def test_every_list_that_is_sorted_by_keys_has_a_first_view():
-    assert set(FIRST) == {name for name, known in LISTS.items() if known.keys}
+    assert {*FIRST, *SORTED_BY_THE_CLOCK} == {name for name, known in LISTS.items() if known.keys}
 
 
 @pytest.mark.parametrize("before_id", [None, 30])

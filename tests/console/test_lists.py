@@ -27,7 +27,7 @@ from boresight.platform.db.sessions import open_reading, open_writing
 NOW = "2026-11-21T00:00:00.000000Z"
 MANY = 50_000
 QUICK_S = 0.1
-GIVEN = {"state": "open", "among": [1], "open": True, "open_to": Signatory(1, "", four_eyes=True)}
+GIVEN = {"state": "open", "board": "NOT SENT", "among": [1], "open": True, "open_to": Signatory(1, "", four_eyes=True)}
 SUMMARIES = [
     None,
     {"rms_initial_arc_rad": 2e-4, "rms_final_arc_rad": 1e-4, "chi2_per_dof": 1.0},

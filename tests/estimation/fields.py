@@ -63,7 +63,7 @@ def arranged(starts, frame_start, row_px, col_px, s_i, noise_px):
     )
 
 
-def weighed(arcs, x):
+def whitened(arcs, x):
     return arcsets.whiten(arcs, arcsets.angular_sigma(INVERTED_WANG, x, arcs))[0]
 
 
@@ -86,7 +86,7 @@ def wu_field(rng, frames=100, mean_stars=19.0, noise_px=0.2):
     return replace(arranged(starts, np.arange(frames + 1), *stars, noise_px), camera=PINHOLE, pitch=WU_PITCH)
 
 
-def wu_weighed(field, x=WU_TRUTH):
+def wu_whitened(field, x=WU_TRUTH):
     return arcsets.whiten(field, arcsets.angular_sigma(PINHOLE, x, field))[0]
 
 

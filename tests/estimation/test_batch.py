@@ -39,14 +39,14 @@ from tests.estimation.fields import (
     SCALE,
     TRUTH,
     star_field,
-    weighed,
+    whitened,
     whitened_plainly,
     whitened_rows,
 )
 
 
 def test_the_fit_agrees_with_scipy_on_the_same_whitened_residuals():
-    field = weighed(star_field(np.random.default_rng(2), frames=20), GROUND)
+    field = whitened(star_field(np.random.default_rng(2), frames=20), GROUND)
 
     peer = least_squares(
         lambda z: whitened_plainly(field, GROUND + z * SCALE), np.zeros(8), method="lm", xtol=1e-12, ftol=1e-12
@@ -63,11 +63,11 @@ def test_errors_are_spread_as_the_covariance_says_and_residuals_as_R_says():
     total_nees, total_chi2, dof = 0.0, 0.0, 0
     for seed in range(seeds):
         field = star_field(np.random.default_rng(100 + seed), frames=50)
-        first = batch.fit(weighed(field, GROUND), GROUND, FREE, SCALE)
-        fitted = batch.fit(weighed(field, first.x), first.x, FREE, SCALE)
+        first = batch.fit(whitened(field, GROUND), GROUND, FREE, SCALE)
+        fitted = batch.fit(whitened(field, first.x), first.x, FREE, SCALE)
         total_nees += nees((fitted.x - TRUTH) / SCALE, np.linalg.inv(fitted.A))
         total_chi2 += fitted.chi2
-        dof += weighed(field, first.x).n_arcs - 8
+        dof += whitened(field, first.x).n_arcs - 8
     # 95 % bounds; the seeds are fixed, so this passes or fails for ever
     assert chi_square(total_nees, 8 * seeds).consistent
     assert chi_square(total_chi2, dof).consistent
@@ -76,7 +76,7 @@ def test_errors_are_spread_as_the_covariance_says_and_residuals_as_R_says():
 def test_the_principal_point_without_distortion_or_tilt_is_called_rank_deficient():
     pinhole = GROUND.copy()
     pinhole[4] = 0.0
-    field = weighed(star_field(np.random.default_rng(3), frames=10, noise_px=0.0, truth=pinhole), pinhole)
+    field = whitened(star_field(np.random.default_rng(3), frames=10, noise_px=0.0, truth=pinhole), pinhole)
     free = np.array([0, 1, 2, 5, 6])  # f, m0, n0, a1, a2: at b2 = b4 = 0 (m0, a2) and (n0, a1) are pure rotations
     fitted = batch.fit(field, pinhole, free, SCALE[free])
     assert fitted.status == "rank_deficient"
@@ -87,12 +87,12 @@ def test_the_principal_point_without_distortion_or_tilt_is_called_rank_deficient
 
 
 def test_without_noise_the_fit_ends_on_the_truth_and_from_zero_distortion_reaches_it():
-    exact = weighed(star_field(np.random.default_rng(1), frames=20, noise_px=0.0), GROUND)
+    exact = whitened(star_field(np.random.default_rng(1), frames=20, noise_px=0.0), GROUND)
     fitted = batch.fit(exact, GROUND, FREE, SCALE)
     assert fitted.status == "converged"
     np.testing.assert_allclose((fitted.x - TRUTH) / SCALE, 0, atol=1e-5)
     nominal = np.array([0.016, 972.0, 1296.0, 0, 0, 0, 0, 1.0])
-    fitted = batch.fit(weighed(star_field(np.random.default_rng(4), frames=100), nominal), nominal, FREE, SCALE)
+    fitted = batch.fit(whitened(star_field(np.random.default_rng(4), frames=100), nominal), nominal, FREE, SCALE)
     assert fitted.status == "converged"
     assert nees((fitted.x - TRUTH) / SCALE, np.linalg.inv(fitted.A)) < 40
 
@@ -100,7 +100,7 @@ def test_without_noise_the_fit_ends_on_the_truth_and_from_zero_distortion_reache
 def test_costs_never_rise_and_a_fit_says_when_it_diverged_had_too_few_iterations_or_was_stopped():
     absurd = GROUND.copy()
     absurd[3] = np.inf  # rays do not exist
-    field = weighed(star_field(np.random.default_rng(7), frames=30), GROUND)
+    field = whitened(star_field(np.random.default_rng(7), frames=30), GROUND)
     costs = [step.chi2 for step in batch.fit(field, GROUND, FREE, SCALE).steps]
     assert all(after <= before * (1 + 1e-12) for before, after in pairwise(costs))
     assert batch.fit(field, absurd, FREE, SCALE).status == "diverged"
@@ -120,8 +120,8 @@ def _soiled(field, rng, share=0.02):
 
 
 def _fitted_twice(field, threshold):
-    first = batch.fit(weighed(field, GROUND), GROUND, FREE, SCALE, threshold=threshold)
-    return batch.fit(weighed(field, first.x), first.x, FREE, SCALE, threshold=threshold)
+    first = batch.fit(whitened(field, GROUND), GROUND, FREE, SCALE, threshold=threshold)
+    return batch.fit(whitened(field, first.x), first.x, FREE, SCALE, threshold=threshold)
 
 
 def _nees(fitted):
@@ -129,7 +129,7 @@ def _nees(fitted):
 
 
 def test_the_fused_equations_are_hubers_and_the_cost_falls_along_their_gradient():
-    arcs = weighed(star_field(np.random.default_rng(1), frames=5), TRUTH)
+    arcs = whitened(star_field(np.random.default_rng(1), frames=5), TRUTH)
     x = TRUTH + 0.1 * SCALE
     fused = batch.normal_equations(arcs, x, FREE, SCALE, HUBER)
     e, H = whitened_rows(arcs, x, FREE, SCALE)
@@ -139,7 +139,7 @@ def test_the_fused_equations_are_hubers_and_the_cost_falls_along_their_gradient(
     np.testing.assert_allclose(fused.A, H.T @ (w[:, None] * H), rtol=1e-9, atol=1e-9 * np.abs(fused.A).max())
     np.testing.assert_allclose(fused.b, H.T @ np.clip(e, -HUBER, HUBER), rtol=1e-9, atol=1e-9 * np.abs(fused.b).max())
     assert fused.chi2 == pytest.approx(np.where(beyond, 2 * HUBER * np.abs(e) - HUBER**2, e**2).sum())
-    arcs = weighed(star_field(np.random.default_rng(2), frames=5), TRUTH)
+    arcs = whitened(star_field(np.random.default_rng(2), frames=5), TRUTH)
     x, step = TRUTH + 0.1 * SCALE, 1e-5
     slope = 2 * batch.normal_equations(arcs, x, FREE, SCALE, HUBER).b
     for p in range(8):
@@ -149,14 +149,14 @@ def test_the_fused_equations_are_hubers_and_the_cost_falls_along_their_gradient(
 
 
 def test_an_infinite_threshold_is_least_squares_and_one_below_every_arc_leaves_no_information():
-    field = weighed(star_field(np.random.default_rng(3), frames=20), GROUND)
+    field = whitened(star_field(np.random.default_rng(3), frames=20), GROUND)
     plain, wide = batch.fit(field, GROUND, FREE, SCALE), batch.fit(field, GROUND, FREE, SCALE, threshold=1e9)
     np.testing.assert_allclose(wide.x, plain.x, rtol=1e-12)
     assert wide.beyond == 0
     # the noise's size is measured, not taken from the file, so information differs by what chi-square differs from 1
     n = field.n_arcs
     np.testing.assert_allclose(wide.A, plain.A * (n - 8) / plain.chi2, rtol=1e-9)
-    arcs = weighed(star_field(np.random.default_rng(4), frames=2), GROUND)
+    arcs = whitened(star_field(np.random.default_rng(4), frames=2), GROUND)
     far = GROUND.copy()
     far[0] *= 10
     paid = measure_huber_effect(arcs, far, 8, 1e-6)
@@ -170,7 +170,7 @@ def test_under_gaussian_noise_sigmas_stay_honest_and_cost_a_fortieth():
         field = star_field(np.random.default_rng(1000 + seed), frames=50)
         robust, plain = _fitted_twice(field, HUBER), _fitted_twice(field, np.inf)
         total += _nees(robust)
-        beyond += robust.beyond / weighed(field, GROUND).n_arcs / SETS
+        beyond += robust.beyond / whitened(field, GROUND).n_arcs / SETS
         widened.append(batch.sigma_in_scale(robust.A) / batch.sigma_in_scale(plain.A))
     assert chi_square(total, 8 * SETS).consistent
     assert beyond == pytest.approx(0.1786, abs=0.005)  # 2 (1 - Phi(1.345))
@@ -192,12 +192,12 @@ COSINE_SETS = 60
 
 
 def test_the_cosine_cost_is_the_sum_of_squares_to_first_order_and_knows_nothing_better_than_arclengths():
-    arcs = weighed(star_field(np.random.default_rng(1), frames=10), TRUTH)
+    arcs = whitened(star_field(np.random.default_rng(1), frames=10), TRUTH)
     cost = batch.normal_equations(cosine.unweighted(arcs), TRUTH, FREE, SCALE).chi2
     squares = np.sum((np.cos(arcs.phi + arc_errors(arcs, TRUTH)) - np.cos(arcs.phi)) ** 2)
     variance = np.mean(np.sin(arcs.phi) ** 2 * (arcs.band**2).sum(axis=1))
     np.testing.assert_allclose(cost * variance, squares, rtol=5e-3)
-    arcs = weighed(star_field(np.random.default_rng(3), frames=30), TRUTH)
+    arcs = whitened(star_field(np.random.default_rng(3), frames=30), TRUTH)
     worth, best = (
         cosine.compute_information(arcs, TRUTH, FREE, SCALE),
         batch.normal_equations(arcs, TRUTH, FREE, SCALE).A,
@@ -235,8 +235,8 @@ def test_its_errors_are_spread_as_the_sandwich_says_and_a_third_wider_than_those
     held, claimed, errors, errors_of_arcs = 0.0, 0.0, [], []
     for seed in range(COSINE_SETS):
         field = star_field(np.random.default_rng(1000 + seed), frames=50)
-        first = batch.fit(cosine.unweighted(weighed(field, GROUND)), GROUND, FREE, SCALE)
-        arcs = weighed(field, first.x)
+        first = batch.fit(cosine.unweighted(whitened(field, GROUND)), GROUND, FREE, SCALE)
+        arcs = whitened(field, first.x)
         fitted = batch.fit(cosine.unweighted(arcs), first.x, FREE, SCALE)
         worth = cosine.compute_information(arcs, fitted.x, FREE, SCALE)
         error = (fitted.x - TRUTH) / SCALE
@@ -352,7 +352,7 @@ def test_arclength_is_exact_at_every_separation(separation):
 
 
 def test_a_part_of_a_set_has_the_arcs_of_its_frames():
-    field = weighed(star_field(np.random.default_rng(2), frames=9), GROUND)
+    field = whitened(star_field(np.random.default_rng(2), frames=9), GROUND)
     parts = [field.frames(0, 4), field.frames(4, 9)]
     np.testing.assert_array_equal(np.concatenate([part.phi for part in parts]), field.phi)
     np.testing.assert_array_equal(np.concatenate([part.band for part in parts]), field.band)
@@ -378,7 +378,7 @@ PLACES = (np.array([0.0, 100.0, 970.0, 1943.0]), np.array([0.0, 2400.0, 1300.0, 
 
 @pytest.fixture(scope="module")
 def P():
-    field = weighed(star_field(np.random.default_rng(31), frames=30), TRUTH)
+    field = whitened(star_field(np.random.default_rng(31), frames=30), TRUTH)
     return np.linalg.inv(batch.normal_equations(field, TRUTH, FREE, SCALE).A) * np.outer(SCALE, SCALE)
 
 
@@ -469,7 +469,7 @@ def test_information_is_that_of_the_projection_with_attitude_eliminated_and_arcs
     plain = _numeric_information(field)
     root = np.sqrt(np.diag(plain))
     np.testing.assert_allclose(found / np.outer(root, root), plain / np.outer(root, root), atol=2e-5)
-    field = weighed(star_field(np.random.default_rng(2), frames=40), TRUTH)
+    field = whitened(star_field(np.random.default_rng(2), frames=40), TRUTH)
     bound = np.linalg.inv(centroid_rows(INVERTED_WANG, TRUTH, field, FREE, SCALE).information)
     claimed = np.linalg.inv(batch.normal_equations(field, TRUTH, FREE, SCALE).A)
     np.testing.assert_allclose(np.sqrt(np.diag(claimed) / np.diag(bound)), 1, atol=0.02)

@@ -20,11 +20,11 @@ from tests.estimation.fields import (
     WU_START,
     WU_TRUTH,
     star_field,
-    weighed,
+    whitened,
     whitened_plainly,
     whitened_rows,
     wu_field,
-    wu_weighed,
+    wu_whitened,
 )
 
 
@@ -37,7 +37,7 @@ def _filtered(field, method="sqrf", tuning=None, scale=10.0, pooled=True):
 @pytest.mark.parametrize("linearisations", [1, 6])
 @pytest.mark.parametrize("method", ["ekf", "sqrf"])
 def test_every_form_of_the_extended_filter_equals_the_covariance_form(method, linearisations, noise):
-    field = weighed(star_field(np.random.default_rng(11), frames=40), GROUND)
+    field = whitened(star_field(np.random.default_rng(11), frames=40), GROUND)
     tuning = Tuning(linearisations=linearisations, process_noise=noise)
     history, plain = _filtered(field, method, tuning), _filtered(field, "ekf", tuning)
     np.testing.assert_allclose((history.states - plain.states) / SCALE / plain.sigmas, 0, atol=1e-6)
@@ -49,7 +49,7 @@ def test_every_form_of_the_extended_filter_equals_the_covariance_form(method, li
 
 @pytest.mark.parametrize("method", sorted(FILTERS))
 def test_without_process_noise_a_filter_ends_where_the_batch_does(method):
-    field = weighed(star_field(np.random.default_rng(12), frames=60), TRUTH)
+    field = whitened(star_field(np.random.default_rng(12), frames=60), TRUTH)
     history = FILTERS[method](field, start(TRUTH, 8, 100.0), FREE, SCALE, Tuning())
     fitted = batch.fit(field, TRUTH, FREE, SCALE)
     sigma = batch.sigma_in_scale(fitted.A)
@@ -63,7 +63,7 @@ def test_without_process_noise_a_filter_ends_where_the_batch_does(method):
     ("method", "tuning"), [("sqrf", Tuning()), ("ukf", Tuning(6, 0.02, 0.95))], ids=["sqrf", "ukf"]
 )
 def test_frames_in_parts_give_the_history_of_the_whole(method, tuning):
-    field = weighed(star_field(np.random.default_rng(13), frames=12), TRUTH)
+    field = whitened(star_field(np.random.default_rng(13), frames=12), TRUTH)
     run, begin = FILTERS[method], start(TRUTH, 8, 10.0)
     whole = run(field, begin, FREE, SCALE, tuning)
     first = run(field.frames(0, 5), begin, FREE, SCALE, tuning)
@@ -75,7 +75,7 @@ def test_frames_in_parts_give_the_history_of_the_whole(method, tuning):
 def test_relinearised_the_filter_is_consistent_and_as_printed_it_is_far_over_confident():
     relinearised, printed = [], []
     for seed in range(30):
-        field = weighed(star_field(np.random.default_rng(200 + seed), frames=60), GROUND)
+        field = whitened(star_field(np.random.default_rng(200 + seed), frames=60), GROUND)
         for tuning, pooled, errors in ((Tuning(), True, relinearised), (Tuning(linearisations=1), False, printed)):
             last = _filtered(field, tuning=tuning, pooled=pooled).last
             errors.append(nees((last.x - TRUTH) / SCALE, last.P))
@@ -85,12 +85,12 @@ def test_relinearised_the_filter_is_consistent_and_as_printed_it_is_far_over_con
 
 def test_pooling_the_first_frames_keeps_every_star_and_avoids_the_false_minimum_of_a_thin_frame():
     # 23 arcs over eight parameters, from ten sigmas off: this set has a minimum far from the truth
-    fields = [weighed(star_field(np.random.default_rng(seed), frames=60), GROUND) for seed in range(60)]
+    fields = [whitened(star_field(np.random.default_rng(seed), frames=60), GROUND) for seed in range(60)]
     alone = [np.abs((_filtered(field, pooled=False).last.x - TRUTH) / SCALE).max() for field in fields]
     pooled = [np.abs((_filtered(field).last.x - TRUTH) / SCALE).max() for field in fields]
     assert max(alone) > 5
     assert max(pooled) < 1.5
-    field = weighed(star_field(np.random.default_rng(16), frames=20), GROUND)
+    field = whitened(star_field(np.random.default_rng(16), frames=20), GROUND)
     pooled = pool_start(field, 160)
     assert pooled.n_stars == field.n_stars
     assert pooled.frame_start[-1] == field.frame_start[-1]
@@ -101,7 +101,7 @@ def test_pooling_the_first_frames_keeps_every_star_and_avoids_the_false_minimum_
 
 @pytest.mark.parametrize("method", sorted(FILTERS))
 def test_process_noise_keeps_the_sigmas_open(method):
-    field = weighed(star_field(np.random.default_rng(14), frames=80), TRUTH)
+    field = whitened(star_field(np.random.default_rng(14), frames=80), TRUTH)
     quiet, noisy = (
         FILTERS[method](field, start(TRUTH, 8, 1.0), FREE, SCALE, Tuning(process_noise=q)).sigmas for q in (0.0, 0.05)
     )
@@ -111,7 +111,7 @@ def test_process_noise_keeps_the_sigmas_open(method):
 
 @pytest.mark.parametrize("method", sorted(FILTERS))
 def test_a_state_that_runs_away_ends_the_history_there(method):
-    field = weighed(star_field(np.random.default_rng(15), frames=6), GROUND)
+    field = whitened(star_field(np.random.default_rng(15), frames=6), GROUND)
     field.row_px[field.star_start[4]] = np.nan
     history = FILTERS[method](field, start(GROUND, 8, 10.0), FREE, SCALE, Tuning())
     assert not history.finite
@@ -142,7 +142,7 @@ def _textbook(arcs, z, P, free, noise, forgetting=1.0):
 @pytest.mark.parametrize("free", [FREE, np.array([0, 1, 4])], ids=["all", "three"])
 @pytest.mark.parametrize(("noise", "forgetting"), [(0.0, 1.0), (0.05, 1.0), (0.02, 0.9)])
 def test_one_pass_is_the_textbook_filter(free, noise, forgetting):
-    arcs = weighed(star_field(np.random.default_rng(1), frames=6), TRUTH)
+    arcs = whitened(star_field(np.random.default_rng(1), frames=6), TRUTH)
     tuning = Tuning(linearisations=1, process_noise=noise, forgetting=forgetting)
     history = FILTERS["ukf"](arcs, start(GROUND, len(free), 5.0), free, SCALE[free], tuning)
     z, P, total = _textbook(arcs, np.zeros(len(free)), 25.0 * np.eye(len(free)), free, noise, forgetting)
@@ -154,11 +154,11 @@ def test_one_pass_is_the_textbook_filter(free, noise, forgetting):
 
 def test_near_the_truth_it_agrees_with_the_square_root_filter_and_draws_points_of_settled_frames_once():
     for seed in range(5):
-        arcs = weighed(star_field(np.random.default_rng(20 + seed), frames=60), TRUTH)
+        arcs = whitened(star_field(np.random.default_rng(20 + seed), frames=60), TRUTH)
         unscented, extended = (FILTERS[m](arcs, start(TRUTH, 8, 1.0), FREE, SCALE, Tuning()) for m in ("ukf", "sqrf"))
         assert np.abs((unscented.last.x - extended.last.x) / SCALE / extended.sigmas[-1]).max() < 0.1
         np.testing.assert_allclose(unscented.sigmas[-1], extended.sigmas[-1], rtol=0.03)
-    arcs = weighed(star_field(np.random.default_rng(5), frames=80), TRUTH)
+    arcs = whitened(star_field(np.random.default_rng(5), frames=80), TRUTH)
     passes = FILTERS["ukf"](arcs, start(TRUTH, 8, 1.0), FREE, SCALE, Tuning()).linearisations
     assert passes[0] > 1
     assert np.mean(passes[40:]) < 2.5
@@ -167,7 +167,7 @@ def test_near_the_truth_it_agrees_with_the_square_root_filter_and_draws_points_o
 def test_iterated_it_is_consistent_from_a_far_start_and_in_one_pass_it_is_not():
     sets, iterated, single = 30, 0.0, []
     for seed in range(sets):
-        arcs = weighed(star_field(np.random.default_rng(300 + seed), frames=60), TRUTH)
+        arcs = whitened(star_field(np.random.default_rng(300 + seed), frames=60), TRUTH)
         arcs = pool_start(arcs, START_ARCS_PER_PARAMETER * 8)
         for tuning in (Tuning(), SINGLE):
             last = FILTERS["ukf"](arcs, start(GROUND, 8, 10.0), FREE, SCALE, tuning).last
@@ -189,7 +189,7 @@ def _forgotten(arcs, tuning, method="sqrf", free=FOCAL, spread=1.0):
 
 @pytest.mark.parametrize("method", sorted(FILTERS))
 def test_the_information_is_the_geometric_sum_over_frames(method):
-    arcs = weighed(star_field(np.random.default_rng(1), frames=60), TRUTH)
+    arcs = whitened(star_field(np.random.default_rng(1), frames=60), TRUTH)
     share = 0.9
     claimed = np.linalg.inv(_forgotten(arcs, Tuning(forgetting=share), method, FREE, 0.1).last.P)
     held = 100.0 * np.eye(8) * share**60
@@ -202,7 +202,7 @@ def test_the_information_is_the_geometric_sum_over_frames(method):
 
 @pytest.mark.parametrize("method", sorted(FILTERS))
 def test_a_constant_parameter_comes_to_rest_at_the_information_of_that_many_frames(method):
-    arcs = weighed(star_field(np.random.default_rng(2), frames=300), TRUTH)
+    arcs = whitened(star_field(np.random.default_rng(2), frames=300), TRUTH)
     a_frame = batch.normal_equations(arcs, TRUTH, FOCAL, SCALE[FOCAL]).A[0, 0] / 300
     sigmas = _forgotten(arcs, Tuning(forgetting=0.9), method).sigmas[100:, 0]
     assert np.mean(sigmas**-2) == pytest.approx(a_frame * 10, rel=0.05)
@@ -210,7 +210,7 @@ def test_a_constant_parameter_comes_to_rest_at_the_information_of_that_many_fram
 
 @pytest.mark.parametrize("tuning", [Tuning(forgetting=0.97), Tuning(forgetting=0.95, process_noise=0.03)], ids=str)
 def test_the_filters_agree_on_what_they_forget(tuning):
-    arcs = weighed(star_field(np.random.default_rng(3), frames=50), GROUND)
+    arcs = whitened(star_field(np.random.default_rng(3), frames=50), GROUND)
     sqrf, ekf, ukf = (_forgotten(arcs, tuning, method, FREE).last for method in ("sqrf", "ekf", "ukf"))
     np.testing.assert_allclose(sqrf.P, ekf.P, atol=1e-8 * np.abs(ekf.P).max())
     sigma = np.sqrt(np.diag(ekf.P))
@@ -222,7 +222,7 @@ def test_errors_are_spread_as_least_squares_with_fading_weights_has_them():
     # a frame m frames old weighs lambda^m, so the error variance is (1 - lambda) / (1 + lambda) frames and the claim 1 - lambda
     share, squares = 0.8, []
     for seed in range(25):
-        arcs = weighed(star_field(np.random.default_rng(40 + seed), frames=120), TRUTH)
+        arcs = whitened(star_field(np.random.default_rng(40 + seed), frames=120), TRUTH)
         history = _forgotten(arcs, Tuning(forgetting=share))
         errors = (history.states[39::20, 0] - TRUTH[0]) / SCALE[0] / history.sigmas[39::20, 0]
         squares.append(np.mean(errors**2))
@@ -241,7 +241,7 @@ def test_a_drifting_focal_length_is_followed_and_lags_where_nothing_is_forgotten
     for k in range(frames):
         truth = TRUTH.copy()
         truth[0] += k * a_frame
-        parts.append(weighed(star_field(np.random.default_rng([7, k]), frames=1, truth=truth), truth))
+        parts.append(whitened(star_field(np.random.default_rng([7, k]), frames=1, truth=truth), truth))
     arcs = _joined(parts)
     end = TRUTH[0] + (frames - 1) * a_frame
     follows, lags = (_forgotten(arcs, choice, method) for choice in (tuning, Tuning()))
@@ -265,7 +265,7 @@ WU_SCALE = np.array([1e-3, 1e-4, 10.0, 10.0, 0.1, 0.5])
 
 
 def test_the_rows_of_the_arcs_are_the_slopes_of_the_arcs():
-    field = wu_weighed(wu_field(np.random.default_rng(1), frames=3), WU_TRUTH)
+    field = wu_whitened(wu_field(np.random.default_rng(1), frames=3), WU_TRUTH)
     band = np.zeros_like(field.band)
     band[:, 4] = 1.0
     e, H = whitened_rows(field, WU_TRUTH, SIX, WU_SCALE, band)
@@ -281,8 +281,8 @@ def test_errors_of_the_batch_are_spread_as_its_covariance_says_and_residuals_as_
     sets, total_nees, total_chi2, dof = 40, 0.0, 0.0, 0
     for seed in range(sets):
         field = wu_field(np.random.default_rng(500 + seed), frames=40)
-        first = batch.fit(wu_weighed(field, WU_START), WU_START, SIX, WU_SCALE)
-        field = wu_weighed(field, first.x)
+        first = batch.fit(wu_whitened(field, WU_START), WU_START, SIX, WU_SCALE)
+        field = wu_whitened(field, first.x)
         fitted = batch.fit(field, first.x, SIX, WU_SCALE)
         assert fitted.status == "converged"
         total_nees += nees((fitted.x - WU_TRUTH) / WU_SCALE, np.linalg.inv(fitted.A))
@@ -294,7 +294,7 @@ def test_errors_of_the_batch_are_spread_as_its_covariance_says_and_residuals_as_
 
 @pytest.mark.parametrize("method", ["ekf", "sqrf", "ukf"])
 def test_a_filter_ends_where_the_batch_does(method):
-    field = wu_weighed(wu_field(np.random.default_rng(2), frames=60), WU_TRUTH)
+    field = wu_whitened(wu_field(np.random.default_rng(2), frames=60), WU_TRUTH)
     history = FILTERS[method](field, start(WU_TRUTH, 6, 10.0), SIX, WU_SCALE, Tuning())
     fitted = batch.fit(field, WU_TRUTH, SIX, WU_SCALE)
     sigma = batch.sigma_in_scale(fitted.A)
@@ -307,14 +307,14 @@ def test_a_filter_from_the_papers_start_is_as_uncertain_as_it_says(method):
     sets, total = 20, 0.0
     for seed in range(sets):
         field = wu_field(np.random.default_rng(700 + seed), frames=40)
-        pooled = pool_start(wu_weighed(field, WU_TRUTH), START_ARCS_PER_PARAMETER * 6)
+        pooled = pool_start(wu_whitened(field, WU_TRUTH), START_ARCS_PER_PARAMETER * 6)
         last = FILTERS[method](pooled, start(WU_START, 6, 10.0), SIX, WU_SCALE, Tuning()).last
         total += nees((last.x - WU_TRUTH) / WU_SCALE, last.P)
     assert chi_square(total, 6 * sets).consistent
 
 
 def test_a_start_under_which_the_stars_have_no_direction_is_called_diverged():
-    field = wu_weighed(wu_field(np.random.default_rng(3), frames=5), WU_TRUTH)
+    field = wu_whitened(wu_field(np.random.default_rng(3), frames=5), WU_TRUTH)
     blind = WU_TRUTH.copy()
     blind[4] = -50.0
     assert batch.fit(field, blind, SIX, WU_SCALE).status == "diverged"

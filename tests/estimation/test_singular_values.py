@@ -48,9 +48,9 @@ from tests.estimation.fields import (
     directions_by_definition,
     rotation,
     star_field,
-    weighed,
+    whitened,
     wu_field,
-    wu_weighed,
+    wu_whitened,
 )
 
 SIGMA = 1e-4
@@ -184,7 +184,7 @@ def _last(field, method, tuning, x=TRUTH):
 @pytest.mark.parametrize("linearisations", [1, 6])
 @pytest.mark.parametrize("method", EITHER_FORM)
 def test_the_gain_form_equals_the_information_form(method, linearisations, noise):
-    field = weighed(star_field(np.random.default_rng(7), frames=8, mean_stars=7), GROUND)
+    field = whitened(star_field(np.random.default_rng(7), frames=8, mean_stars=7), GROUND)
     forms = [
         FILTERS[method](field, start(GROUND, 8, 3.0), FREE, SCALE, Tuning(linearisations, noise, 0.99, gain_form=form))
         for form in ("information", "gain")
@@ -200,7 +200,7 @@ def test_every_model_is_consistent_over_many_sets(model):
     errors = []
     nis, dof = 0.0, 0
     for seed in range(effort(12, 25)):
-        field = weighed(star_field(np.random.default_rng(700 + seed), frames=60), TRUTH)
+        field = whitened(star_field(np.random.default_rng(700 + seed), frames=60), TRUTH)
         history = _last(field, "svd", Tuning(selection=Selection(model)))
         errors.append(nees((history.last.x - TRUTH) / SCALE, history.last.P))
         nis, dof = nis + history.nis.sum(), dof + int(history.dof.sum())
@@ -215,7 +215,7 @@ SUBSET_SETS = effort(20, 40)
 
 @pytest.fixture(scope="module")
 def ends_of_subsets():
-    fields = [wu_weighed(wu_field(np.random.default_rng(seed), frames=60)) for seed in range(SUBSET_SETS)]
+    fields = [wu_whitened(wu_field(np.random.default_rng(seed), frames=60)) for seed in range(SUBSET_SETS)]
     return {
         values: [
             FILTERS["svd"](field, start(WU_TRUTH, 6, 1.0), SIX, START_SIGMA, Tuning(selection=Selection(4, values)))
@@ -263,7 +263,7 @@ def _in_chunks(field, method):
 
 @pytest.fixture(scope="module")
 def ends():
-    return [_in_chunks(wu_weighed(wu_field(np.random.default_rng(seed))), "svd") for seed in range(effort(20, 40))]
+    return [_in_chunks(wu_whitened(wu_field(np.random.default_rng(seed))), "svd") for seed in range(effort(20, 40))]
 
 
 def test_the_six_parameters_are_found_each_within_four_of_its_sigmas_and_with_an_honest_mean_nees(ends):
@@ -307,7 +307,7 @@ def test_all_pairs_hold_two_numbers_a_star_less_three(seed, n):
 
 
 def test_the_filter_on_all_pairs_ends_where_the_filter_on_arcs_does():
-    field = weighed(star_field(np.random.default_rng(3), frames=40), TRUTH)
+    field = whitened(star_field(np.random.default_rng(3), frames=40), TRUTH)
     field = pool_start(field, START_ARCS_PER_PARAMETER * 8)
     pairs, arcs = (
         FILTERS[method](field, start(TRUTH, 8, 10.0), FREE, SCALE, Tuning()) for method in ("angular", "sqrf")
@@ -323,14 +323,14 @@ def _gain(field, x, form="gain"):
 
 
 def test_the_gain_of_turned_rows_is_that_of_all_pairs_and_runs_on_hundreds_of_stars_an_exposure(monkeypatch):
-    field = weighed(star_field(np.random.default_rng(5), frames=6, mean_stars=12), GROUND)
+    field = whitened(star_field(np.random.default_rng(5), frames=6, mean_stars=12), GROUND)
     printed = _gain(field, GROUND)
     monkeypatch.setattr("boresight.estimation.filters.angular.MOST_PAIRS", 0)
     turned = _gain(field, GROUND)
     assert np.abs((turned.states - printed.states) / SCALE / printed.sigmas).max() < 1e-8
     np.testing.assert_allclose(turned.sigmas, printed.sigmas, rtol=1e-8)
     np.testing.assert_allclose(turned.nis, printed.nis, rtol=1e-7)
-    field = weighed(star_field(np.random.default_rng(4), frames=2, mean_stars=200), TRUTH)
+    field = whitened(star_field(np.random.default_rng(4), frames=2, mean_stars=200), TRUTH)
     gain, information = (_gain(field, TRUTH, form) for form in ("gain", "information"))
     assert np.diff(field.star_start).max() > 200  # 20,000 pairs
     assert np.abs((gain.states - information.states) / SCALE / information.sigmas).max() < 1e-8
@@ -352,13 +352,13 @@ class Content:
 
 def information_content(view, arcs):
     bound = centroid_rows(view.camera, view.x, arcs, view.free, view.scale).information
-    weighed_arcs, _ = whiten(arcs, angular_sigma(view.camera, view.x, arcs))
+    whitened_arcs, _ = whiten(arcs, angular_sigma(view.camera, view.x, arcs))
     models = [Selection(model, CHOSEN.values) for model in STAR_MODELS]
     full = [
-        normal_equations(weighed_arcs, view.x, view.free, view.scale).A,
-        *(whitened_information(view, weighed_arcs, one) for one in (None, *models)),
+        normal_equations(whitened_arcs, view.x, view.free, view.scale).A,
+        *(whitened_information(view, whitened_arcs, one) for one in (None, *models)),
     ]
-    weighted = [weighted_information(view, weighed_arcs, one) for one in (None, *models)]
+    weighted = [weighted_information(view, whitened_arcs, one) for one in (None, *models)]
     unknown = np.full(len(view.free), np.nan)
     return Content(
         ("arcs", "angular", *(f"svd {model}" for model in STAR_MODELS)),
@@ -370,7 +370,7 @@ def information_content(view, arcs):
 
 @pytest.fixture(scope="module")
 def field():
-    return weighed(star_field(np.random.default_rng(1), frames=30), TRUTH)
+    return whitened(star_field(np.random.default_rng(1), frames=30), TRUTH)
 
 
 @pytest.fixture(scope="module")
@@ -416,7 +416,7 @@ def test_observability_is_the_smallest_singular_value_of_the_rows_of_a_frame(fie
 
 
 def test_a_frame_with_fewer_rows_than_parameters_observes_nothing():
-    field = weighed(star_field(np.random.default_rng(2), frames=2, mean_stars=1.0), TRUTH)  # four stars an exposure
+    field = whitened(star_field(np.random.default_rng(2), frames=2, mean_stars=1.0), TRUTH)  # four stars an exposure
     assert (np.diff(field.star_start) == 4).all()
     assert (observability_of_values(VIEW, field) == 0).all()  # two combinations of one value, twice
     assert observability_of_models(VIEW, field).shape == (2, 4)

@@ -19,7 +19,7 @@ from boresight.estimation.statistics.consistency import chi_square, ljung_box, r
 from boresight.estimation.statistics.drift import Epoch, baseline_test, fit_line, mahalanobis, power, slope_test
 from boresight.estimation.statistics.observability import further_covariance, observability
 from boresight.estimation.statistics.uncertainty import radial_difference
-from tests.estimation.fields import FREE, GROUND, PITCH, SCALE, TRUTH, star_field, weighed
+from tests.estimation.fields import FREE, GROUND, PITCH, SCALE, TRUTH, star_field, whitened
 
 NAMES, SYMBOLS = INVERTED_WANG.parameter_names, INVERTED_WANG.symbols
 
@@ -41,7 +41,7 @@ def test_no_degrees_of_freedom_and_more_lags_than_values_are_programming_errors(
 def test_the_principal_point_and_the_tilt_are_named_as_moving_together():
     pinhole = GROUND.copy()
     pinhole[4] = -50.0
-    field = weighed(star_field(np.random.default_rng(21), frames=20, truth=pinhole), pinhole)
+    field = whitened(star_field(np.random.default_rng(21), frames=20, truth=pinhole), pinhole)
     equations = batch.normal_equations(field, pinhole, FREE, SCALE)
     seen = observability(equations.A, NAMES, SYMBOLS)
     pairs = [set(seen.sentence(i).split(" move together")[0].split(" and ")) for i in (7, 6)]
@@ -55,7 +55,7 @@ def test_the_principal_point_and_the_tilt_are_named_as_moving_together():
 
 
 def test_singular_values_rebuild_the_information_and_an_undetermined_direction_is_said_to_be_so():
-    field = weighed(star_field(np.random.default_rng(22), frames=10), TRUTH)
+    field = whitened(star_field(np.random.default_rng(22), frames=10), TRUTH)
     A = batch.normal_equations(field, TRUTH, FREE, SCALE).A
     seen = observability(A, NAMES, SYMBOLS)
     np.testing.assert_allclose(seen.V @ np.diag(seen.singular_values**2) @ seen.V.T, A, rtol=1e-8, atol=1e-10 * A.max())
@@ -67,7 +67,7 @@ def test_singular_values_rebuild_the_information_and_an_undetermined_direction_i
 
 
 def test_tail_and_aggregate_rms_follow_their_definitions():
-    field = weighed(star_field(np.random.default_rng(23), frames=6), GROUND)
+    field = whitened(star_field(np.random.default_rng(23), frames=6), GROUND)
     states = np.linspace(GROUND, TRUTH, 6)
     tail = tail_rms(field, states)
     parts = [field.frames(k, k + 1) for k in range(6)]
@@ -78,7 +78,7 @@ def test_tail_and_aggregate_rms_follow_their_definitions():
 
 
 def test_the_band_of_the_radial_curve_is_the_spread_of_curves_drawn_from_the_covariance():
-    field = weighed(star_field(np.random.default_rng(24), frames=40), TRUTH)
+    field = whitened(star_field(np.random.default_rng(24), frames=40), TRUTH)
     P = np.linalg.inv(batch.normal_equations(field, TRUTH, FREE, SCALE).A) * np.outer(SCALE, SCALE)
     radius = np.array([0.0, 300.0, 900.0, 1500.0])
     curve = radial_difference(INVERTED_WANG, TRUTH, GROUND, P, radius, PITCH)

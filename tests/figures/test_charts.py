@@ -19,12 +19,12 @@ from boresight.calibration.calibration import (
 )  # fmt: skip
 from boresight.calibration.evaluation.contrast import RadialContrast
 from boresight.figures import FIGURES, Trace
+from boresight.figures.chart import tailed
 from boresight.figures.charts import radial as radial_contrast
 from boresight.figures.charts.methods import method_scores
 from boresight.figures.factory import column
-from boresight.figures.history import settled_step, summarise_tail, tailed
 from boresight.figures.style.axes import EXTRAPOLATED
-from boresight.verdicts.verdict import sigma_of_rms
+from boresight.verdicts.history import settled_step, sigma_of_rms, summarise_tail
 
 
 def named(drawn, name):

@@ -26,7 +26,7 @@ from boresight.sky.catalogue import load_catalogue
 from boresight.sky.guide_stars import guide_stars, observer_motion
 from tests.compiled import CompiledParts
 from tests.effort import effort
-from tests.estimation.fields import FREE, GROUND, PITCH, SCALE, TRUTH, star_field, weighed
+from tests.estimation.fields import FREE, GROUND, PITCH, SCALE, TRUTH, star_field, whitened
 from tests.exposures import GATE, SIGMA, Exposure
 
 parts, loops = CompiledParts(arclengths), CompiledParts(matching)
@@ -63,19 +63,19 @@ def test_the_fused_normal_equations_equal_the_plain_weighted_sums(x):
 
 
 def test_a_subset_of_parameters_gives_the_subset_of_the_equations_finite_on_the_principal_point():
-    field = weighed(star_field(np.random.default_rng(6), frames=2), GROUND)
+    field = whitened(star_field(np.random.default_rng(6), frames=2), GROUND)
     some = np.array([0, 4, 7])
     whole, part = normal_equations(field, TRUTH, FREE, SCALE), normal_equations(field, TRUTH, some, SCALE[some])
     np.testing.assert_allclose(part.A, whole.A[np.ix_(some, some)], rtol=1e-12)
     np.testing.assert_allclose(part.b, whole.b[some], rtol=1e-12)
     field = star_field(np.random.default_rng(7), frames=1)
     field.row_px[0], field.col_px[0] = GROUND[1], GROUND[2]
-    equations = normal_equations(weighed(field, GROUND), GROUND, FREE, SCALE)
+    equations = normal_equations(whitened(field, GROUND), GROUND, FREE, SCALE)
     assert equations.finite()
 
 
 def test_arc_errors_and_their_sums_equal_the_plain_form():
-    field = weighed(star_field(np.random.default_rng(9), frames=2), GROUND)
+    field = whitened(star_field(np.random.default_rng(9), frames=2), GROUND)
     sigma = arcsets.angular_sigma(INVERTED_WANG, GROUND, field)
     errors = arc_errors(field, TRUTH)
     plain = np.concatenate([_plain_exposure(field, k, TRUTH, sigma)[0] for k in range(field.n_exposures)])

@@ -182,6 +182,11 @@ def test_the_report_holds_every_table_with_units_figure_finding_and_answer(study
             assert cell_["unit"] or "availability" in cell_["column"] or "star" in cell_["column"]
 
 
+def test_the_cost_by_the_clock_stands_below_the_one_finding_that_asks_for_it(study):
+    assert [finding["title"].startswith("UKF") for finding in study["findings"] if finding.get("is_timed")] == [True]
+    assert report.render(study).count("By the clock of this run") == 1
+
+
 def test_every_finding_quotes_the_text_and_holds_figures_against_it(study):
     assert len({finding["title"] for finding in study["findings"]}) == 11
     assert all(

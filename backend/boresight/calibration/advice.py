@@ -17,14 +17,13 @@ from boresight.arrays import FloatArray
 from boresight.calibration.estimate import Estimate, Parameters, claim
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
+from boresight.cameras.model import FAR_TYPICAL_SIGMAS
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import determined
 from boresight.estimation.filters.angular import MOST_PAIRS
 from boresight.estimation.statistics.consistency import ChiSquare
 from boresight.estimation.statistics.observability import WEAK, Observability
 
-#: Shift from the start, in typical sigmas, beyond which a parameter deserves a second look; E Table III stays within 10.
-FAR = 15.0
 #: Shift beyond which it is another sensor: no launch moves a focal length by a hundred times the spread of its make.
 ANOTHER_SENSOR = 100.0
 #: Claimed over available information beyond which a filter is called over-confident.
@@ -140,7 +139,7 @@ def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate) -> I
         return
     shift = (estimate.x - problem.sensor.initial)[parameters.free] / parameters.scale
     moved = [(problem.camera.parameter_names[p], steps) for p, steps in zip(parameters.free, shift, strict=True)]
-    far = ", ".join(f"{name} {steps:+.0f}" for name, steps in moved if abs(steps) > FAR)
+    far = ", ".join(f"{name} {steps:+.0f}" for name, steps in moved if abs(steps) > FAR_TYPICAL_SIGMAS)
     if not far:
         return
     if np.abs(shift).max() > ANOTHER_SENSOR:

@@ -35,7 +35,7 @@ from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.quality.detector import OffDetector, check_against_sensor
 from boresight.telemetry.schema import Telemetry, joined
 from boresight.telemetry.sensors import Sensor
-from boresight.waiting import telling
+from boresight.waiting import report_waits_to
 
 #: Seconds between two progress reports with a partial result.
 REPORT_EVERY_S = 0.25
@@ -219,7 +219,7 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     clock = _Timer()
     parameters = select_free_parameters(sensor, settings)
     context = CalibrationContext(cancelled or never, report, cache_folder, scratch_folder, executor)
-    told = nullcontext() if report is None else telling(lambda message, _: report(Progress(0.0, message, None)))
+    told = nullcontext() if report is None else report_waits_to(lambda message, _: report(Progress(0.0, message, None)))
     with told, open_dataset(telemetry, sensor, catalogue, parameters, settings, context) as (sets, off):
         found, ended = _calibrated(sets, parameters, sets.settings, sha256s or {}, context, clock)
     found = with_advice(replace(found, stars_off_detector=_describe_off(off)), *off.sentences())

@@ -25,8 +25,9 @@ from boresight.telemetry.quality.detector import matched_rows, on_detector
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
+UNMATCHED_REASON = "not matched to a catalogue star"
 STAR_REASONS = (
-    "not matched to a catalogue star",
+    UNMATCHED_REASON,
     "no direction: number not in the catalogue, or no time",
     "centroid off the detector",
 )
@@ -110,17 +111,11 @@ def make_problem_of_directions(telemetry: Telemetry, sensor: Sensor, s_i: FloatA
 
 
 def added(items: Iterable[LeftOut]) -> tuple[LeftOut, ...]:
-    """Add what was left out for the same reason, and drop what was not."""
+    """Add what was left out for the same reason, in the order of `make_problem`, which names every reason; drop what was not."""
     counts: dict[tuple[str, str], int] = {}
     for item in items:
         counts[item.what, item.reason] = counts.get((item.what, item.reason), 0) + item.count
-    found = (LeftOut(what=what, count=count, reason=reason) for (what, reason), count in counts.items() if count)
-    return tuple(sorted(found, key=_in_order))
-
-
-def _in_order(item: LeftOut) -> tuple[bool, bool, int]:
-    """Stars before exposures, each by its reason in the order in which they are tried."""
-    return item.what == "exposures", item.reason == COLLINEAR_REASON, (*STAR_REASONS, item.reason).index(item.reason)
+    return tuple(LeftOut(what=what, count=count, reason=reason) for (what, reason), count in counts.items() if count)
 
 
 def make_problem(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, minimum_stars: int) -> Problem:

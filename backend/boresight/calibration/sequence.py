@@ -143,7 +143,7 @@ def _of_one_update(problem: Problem, history: RecordedHistory) -> Iterator[str]:
     if history.finite and len(history) == 1 and n_frames > 1:
         yield (
             f"All {n_frames} frames were taken in as one update, because fewer would not settle the parameters: "
-            "add frames to see a course."
+            "add frames to see a history."
         )
 
 

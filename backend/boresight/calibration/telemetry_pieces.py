@@ -301,7 +301,7 @@ def write_pieces(chunks: Iterable[Telemetry], sensor: Sensor, path: Path, begins
 def _piece(
     held: Columns | tuple[WorkingTable, int], telemetry: Telemetry, starts: IntArray, sensor: Sensor, begins: int
 ) -> TelemetryPiece:
-    """Say of rows, kept somewhere, what is asked of them without reading them again."""
+    """Return a piece for stored rows, with the facts about them that are needed without reading them again."""
     off = OffDetector()
     off.look_at(telemetry, sensor)
     epoch = _epoch(telemetry, starts[:-1])

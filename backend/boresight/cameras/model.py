@@ -55,6 +55,8 @@ class Role(Enum):
 
 #: What a parameter is at rest, by its role, for what a symmetric camera has not.
 NEUTRAL = {Role.TILT: 0.0, Role.DECENTRING: 0.0, Role.ASPECT: 1.0}
+#: Change in typical sigmas beyond which a parameter deserves a second look; the six sensors of E Table III moved by up to 9.8.
+FAR_TYPICAL_SIGMAS = 15.0
 
 
 class Parameter(NamedTuple):

@@ -154,7 +154,7 @@ def migrate(revision: str | None, backup: str | None, *, yes: bool) -> None:
 
 
 def _refuse_loss(engine: Engine, revision: str, backup: str | None, *, yes: bool) -> None:
-    """Say what the way back removes, and refuse it unless that was agreed to and there is a backup of just now."""
+    """Print what the downgrade removes, and refuse it without consent and a current backup."""
     from boresight.platform.db import backup as backups
     from boresight.platform.db import sessions
 

@@ -38,7 +38,7 @@ def verify(context: click.Context, head: str | None, *, no_blobs: bool) -> None:
     settings = read_settings()
     engine = open_engine(settings.database_url)
     try:
-        _require_schema(engine)  # and change nothing: a migration may stumble over what is to be named here
+        _require_schema(engine)  # without migrating, which could fail on the very defects to be reported
         with open_reading(engine) as session:
             file = settings.kept_head_file
             kept = None if file is None else read_head(file)
@@ -127,7 +127,7 @@ def backup(file: str, *, keep_going: bool) -> None:
 
     settings = read_settings()
     with open_store(settings.database_url) as engine:
-        encrypt_all(engine, settings.secret_box)  # the archive holds no secret that can be read
+        encrypt_all(engine, settings.secret_box)  # the archive must hold no plain secret
         with open_reading(engine) as session:
             head = audit.head(session)
     blobs = open_blobs(settings.blob_place)
@@ -142,7 +142,7 @@ def backup(file: str, *, keep_going: bool) -> None:
 
 
 def _refuse_absent(taken: BackupSummary, left_out: str, missing: str) -> None:
-    """Name every file that is not in the archive, and end with exit code 1."""
+    """List every file that is not in the archive, and exit with code 1."""
     for sha256 in (*taken.left_out, *taken.missing):
         click.echo(f"  {sha256}", err=True)
     parts = [
@@ -172,9 +172,12 @@ def restore(file: Path) -> None:
     taken = backups.read_backup(file, settings.database_url, blobs)
     with open_store(settings.database_url) as engine:
         with open_reading(engine) as session:
-            known = taken.blobs_at in {None, blobs.kept_at}  # else they are where this installation does not look yet
+            known = taken.blobs_at in {
+                None,
+                blobs.kept_at,
+            }  # otherwise they are not where this installation expects them
             found = audit.verify(session, taken.head, blobs if known else None, again=False)
-        kept = encrypt_all(engine, settings.secret_box)  # a backup of an older version holds them plain
+        kept = encrypt_all(engine, settings.secret_box)  # secrets are plain in a backup of an older version
     click.echo(f"{engine.url.render_as_string()}: restored, with {taken.blobs} files. Everybody logs in anew.")
     if not known:
         click.echo(

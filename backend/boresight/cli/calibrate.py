@@ -24,7 +24,7 @@ _METAVARS = {"names": "NAMES", "wholes": "NUMBERS"}
 
 
 class Choice(click.Option):
-    """An option that is a setting's; absent, it leaves that setting alone."""
+    """An option for a setting; if absent, the setting keeps its default."""
 
     def __init__(self, words: list[str], *, of: Option, **settings: Any) -> None:
         super().__init__(words, **settings)
@@ -46,7 +46,7 @@ class GroupedCommand(click.Command):
 
 
 def _help(option: Option) -> str:
-    """The sentence, the words there are, and what holds without it."""
+    """Return an option's help: its sentence, its choices and its default."""
     words = f" Choose from {option.range}." if option.kind == "word" else ""
     default = "" if option.default in (None, False) else f"  [default: {_shown(option.default)}]"
     return f"{option.sentence}{words}{default}"
@@ -57,7 +57,7 @@ def _shown(default: Any) -> str:
 
 
 def setting_option(name: str) -> Callable[..., Any]:
-    """Give a command one choice of a calibration."""
+    """Add the option of one calibration setting to a command."""
     option = OPTIONS[name]
     ticked = {"is_flag": True, "default": None} if option.kind == "yes or no" else {}
     return click.option(
@@ -67,7 +67,7 @@ def setting_option(name: str) -> Callable[..., Any]:
 
 
 def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command every choice of a calibration."""
+    """Add the options of every calibration setting to a command."""
     for option in reversed(OPTIONS.values()):
         if option.flag is not None:
             command = setting_option(option.name)(command)
@@ -75,11 +75,11 @@ def calibration_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def chosen(choices: dict[str, Any]) -> dict[str, Any]:
-    """Return the choices that were given; the rest keeps its default."""
+    """Return the settings that were given; the others keep their defaults."""
     return {name: value for name, value in choices.items() if value is not None}
 
 
-#: Statuses under which the numbers are no calibration.
+#: Statuses of a failed calibration.
 FAILED = ("diverged", "too_few_stars")
 
 
@@ -125,7 +125,7 @@ def calibrate(
 
 
 def parse_settings(document: dict[str, Any]) -> CalibrationSettings:
-    """Read the choices; one that does not exist is wrong usage."""
+    """Parse the settings; an invalid one is wrong usage."""
     try:
         return parse_choices(document)
     except RefusedInputError as error:

@@ -78,7 +78,7 @@ def _lines(found: Choice) -> Iterator[str]:
 
 
 def _cameras(found: Choice) -> Iterator[tuple[str, ...]]:
-    """Give a row a camera: its least sufficient candidate."""
+    """Return the table of cameras, each with its least sufficient candidate."""
     yield "", "camera and free terms", "free", "chi2/dof", "BIC above", "held-out RMS µrad", "change px", "± 3σ"
     for place, one in enumerate(found.list_cameras()):
         words = ", ".join(one.terms) or "focal length alone"
@@ -95,7 +95,7 @@ def _cameras(found: Choice) -> Iterator[tuple[str, ...]]:
 
 
 def _terms(found: Choice) -> Iterator[tuple[str, ...]]:
-    """Give a row a test: the terms that are needed, then those that are not."""
+    """Return the table of tests: the terms that are needed, then those that are not."""
     yield "", "term of the chosen camera", "chi2 drop", "df", "p, corrected", "held-out RMS", "change px", "± 3σ"
     for word, tests in (("needed", found.needed), ("beyond", found.beyond)):
         for one in tests:
@@ -115,7 +115,7 @@ def _tested(one: TermTest) -> tuple[str, ...]:
 
 
 def _scored(value: float | None, interval: Numbers | None) -> str:
-    """Held-out RMS with its interval."""
+    """Return the held-out RMS with its interval as text."""
     if value is None:
         return "-"
     low, high = interval or (None, None)

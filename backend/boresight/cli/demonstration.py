@@ -60,7 +60,7 @@ LOG_INS = tuple(
 def create_demonstration(
     engine: Engine, blobs: BlobStore, catalogue: Catalogue, report: Callable[[str], None]
 ) -> list[LogIn]:
-    """Fill a store with the demonstration, or with what of it is missing."""
+    """Fill a store with the demonstration, or with the missing parts of it."""
     started_s = time.perf_counter()
     fleet = _Fleet(engine, blobs, catalogue, _make_people(engine))
     report(f"{len(LOG_INS)} people may log in.")
@@ -81,18 +81,16 @@ def create_demonstration(
 
 
 def _of_runs(what: str, verb: str, is_new: bool) -> str:
-    """Say whether runs were queued now or left as they are."""
+    """Return a sentence on whether runs were queued or existed already."""
     return f"{what} {verb} queued" if is_new else f"{what} {verb} there already"
 
 
 def _make_people(engine: Engine) -> Actor:
-    """Make who is missing of the demonstration's people, and return the analyst, who does the rest."""
+    """Create the missing people of the demonstration, and return the analyst, who acts from then on."""
     with open_reading(engine) as session:
         missing = [person for person in LOG_INS if _user_id(session, person.name) is None]
     for person in missing:
-        password = prepare_unjudged(
-            person.password
-        )  # they are printed on the screen, so nothing is lost by their being guessed
+        password = prepare_unjudged(person.password)  # they are printed on the screen anyway
         with open_writing(engine) as session:
             if _user_id(session, person.name) is None:  # another server may have been faster
                 users.create_user(
@@ -110,13 +108,13 @@ def _make_people(engine: Engine) -> Actor:
 
 
 def _user_id(session: Session, name: str) -> int | None:
-    """Return the row of the person with a log-in name."""
+    """Return the id of the person with a log-in name."""
     return next((user.id for user in users.list_users(session) if user.name == name), None)
 
 
 @dataclass(frozen=True)
 class _Fleet:
-    """The store being filled, and the analyst who fills it; each thing that is missing is one transaction."""
+    """Fills the store as the analyst; each missing item is one transaction."""
 
     engine: Engine
     blobs: BlobStore
@@ -124,7 +122,7 @@ class _Fleet:
     analyst: Actor
 
     def sensor_id(self, number: int) -> int:
-        """Return the row of a simulated star tracker, registered now when it is not yet."""
+        """Return the id of a simulated sensor, registered if needed."""
         sensor = st16_sensor(number)
         names = CAMERA_MODELS[sensor.camera_model].parameter_names
         truth = dict(zip(names, st16_truth(number).tolist(), strict=True))
@@ -141,7 +139,7 @@ class _Fleet:
             return sensor_id
 
     def add_sets(self, sensor_id: int, number: int) -> None:
-        """Give a sensor its calibration and its validation set."""
+        """Add the calibration and the validation set of a sensor."""
         for purpose, scenario in (
             ("calibration", calibration_scenario(number)),
             ("validation", validation_scenario(number)),
@@ -161,7 +159,7 @@ class _Fleet:
             )
 
     def launch(self, sensor_id: int, label: str, settings: Mapping[str, Any]) -> bool:
-        """Queue a run with validation, unless the sensor has had one of the same method; tell whether it was queued."""
+        """Queue a run with validation, unless the sensor has one of the same method; return whether it was queued."""
         with open_writing(self.engine) as session:
             calibration = _oldest_set(session, sensor_id, "calibration", archived=False)
             validation = _oldest_set(session, sensor_id, "validation", archived=False)

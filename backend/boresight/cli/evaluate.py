@@ -1,4 +1,4 @@
-"""`boresight check`, `match` and `evaluate`: what a telemetry file is worth, and how parameters do on it, without a run."""
+"""`boresight check`, `match` and `evaluate`: a telemetry file's quality and matches, and how parameters perform on it."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def match(telemetry: Path, sensor_file: Path, parameters: Path | None, out: Path
 
 
 def _check_out(telemetry: Path, out: Path) -> None:
-    """Refuse a place that cannot be written, the input itself, and a suffix that says no format."""
+    """Refuse an output that cannot be written, is the input itself, or has no known suffix."""
     if str(out) == STANDARD_OUTPUT:
         return
     check_writable(out, FORMATS.get(out.suffix.lower(), ""))
@@ -125,7 +125,7 @@ def check(telemetry: Path, sensor_file: Path, json_file: str | None) -> None:
 
 
 def _rows(document: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Walk the report as lines of name and value; long tables of numbers stay in the JSON."""
+    """Yield the report as rows of name and value, without its long tables of numbers."""
     for key, value in document.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
@@ -183,7 +183,7 @@ def evaluate(telemetry: Path, sensor_file: Path, json_file: str | None, *, shado
 
 
 def _parsed(choices: dict[str, Any]) -> dict[str, Any]:
-    """Return the choices that were given; one that does not exist is wrong usage."""
+    """Return the settings that were given; an invalid one is wrong usage."""
     given = chosen(choices)
     parse_settings(given)
     return given
@@ -210,7 +210,7 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
 
 
 def _scores(document: dict[str, Any]) -> Iterator[tuple[str, ...]]:
-    """The table: a score a row, with its interval beside it."""
+    """Return the table of scores with their intervals."""
     intervals, stars = document["intervals"], document["matched_stars"]
     for name, key, scale, digits in (
         ("availability", "availability", 1, 3),
@@ -236,7 +236,7 @@ def _interval(ends: list[float | None], scale: float, digits: int) -> str:
 
 
 def _shadow_lines(shadow: dict[str, Any]) -> Iterator[str]:
-    """The frames that one of the two would lose, and the summary."""
+    """Return the lines on the frames that one of the two would lose, and a summary."""
     differing = [frame for frame in shadow["frames"] if frame["baseline"]["valid"] != frame["candidate"]["valid"]]
     if differing:
         yield ""

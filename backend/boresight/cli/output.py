@@ -21,7 +21,7 @@ json_option = click.option(
 
 #: The name that stands for standard output; a file of that name is written as `./-`.
 STANDARD_OUTPUT = "-"
-#: What a file of this ending is taken for, by people and by programs.
+#: What people and programs expect in a file with this suffix.
 FORMATS = {
     ".csv": "CSV",
     ".docx": "Word",
@@ -56,7 +56,7 @@ FORMATS = {
 
 
 def check_writable(place: str | Path | None, form: str = "JSON") -> None:
-    """Refuse a file that could not be written, or whose name promises another format, before the work begins."""
+    """Refuse, before the work begins, a file that cannot be written or whose suffix means another format."""
     if place is None or str(place) == STANDARD_OUTPUT:
         return
     path = Path(place)
@@ -74,7 +74,7 @@ def check_writable(place: str | Path | None, form: str = "JSON") -> None:
 
 
 def refuse_standard_output(place: str | Path, what: str) -> None:
-    """Refuse `-` where no stream can hold what is written; `what` says what it is."""
+    """Refuse `-` where the result cannot go to a stream; `what` describes the result."""
     if str(place) == STANDARD_OUTPUT:
         raise RefusedInputError(
             f"{what} cannot go to standard output: name a place for it (./- where it is to be called so)."
@@ -82,13 +82,13 @@ def refuse_standard_output(place: str | Path, what: str) -> None:
 
 
 def check_one_stream(*places: str | Path | None) -> None:
-    """Refuse to write two results to standard output, where nobody could tell them apart."""
+    """Refuse to write two results to standard output."""
     if sum(str(place) == STANDARD_OUTPUT for place in places) > 1:
         raise RefusedInputError("Two results cannot share standard output: name a file for one of them.")
 
 
 def write_json(document: Any, json_file: str | None) -> None:
-    """Write a document where `--json` says; nothing without it."""
+    """Write a document to the file of `--json`, if given."""
     if json_file is not None:
         write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE), json_file)
 
@@ -115,7 +115,7 @@ def opened_for_writing(place: str | Path) -> Iterator[IO[bytes]]:
 
 
 def tell(text: str, place: str | Path) -> None:
-    """Say something about a result, on standard error where standard output is the result itself."""
+    """Print a message about a result, to standard error where standard output is the result itself."""
     click.echo(text, err=str(place) == STANDARD_OUTPUT)
 
 
@@ -156,7 +156,7 @@ def _print_refusal(error: BoresightError) -> None:
     """Print the sentence, then the places it speaks of."""
     click.echo(f"boresight: {error}", err=True)
     faults = error.faults if isinstance(error, RefusedInputError) else ()
-    if len(faults) == 1:  # the sentence has said it
+    if len(faults) == 1:  # the sentence contains it already
         return
     for fault in faults[:FAULTS_SHOWN]:
         click.echo(f"  {fault}", err=True)

@@ -1,4 +1,4 @@
-"""Commands on a server: `--server URL`, with an API key from the environment, for others see what stands in a command line."""
+"""Commands on a server: `--server URL`, with an API key from the environment, because other users can see a command line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from boresight.errors import UnauthenticatedError
 if TYPE_CHECKING:
     from boresight.library.client import Client
 
-#: Where the key comes from.
+#: The environment variable with the key.
 API_KEY = "BORESIGHT_API_KEY"
 
 server_option = click.option(

@@ -55,7 +55,7 @@ def demo(host: str | None, port: int | None, data: Path | None) -> None:
 
 
 def read_serve_settings(data: Path | None, host: str | None = None, port: int | None = None) -> Settings:
-    """Read the settings with what the command line says instead."""
+    """Read the settings, overridden by the command line."""
     given = {"HOST": host, "PORT": port, "DATA_FOLDER": data}
     named = {f"BORESIGHT_{name}": str(value) for name, value in given.items() if value is not None}
     return read_settings({**os.environ, **named})
@@ -93,7 +93,7 @@ def _serve(settings: Settings, on_open: Callable[[], None] | None = None) -> Non
     with private_files(settings):
         make_security(settings)  # refuse now what the engine would only log
         with open_store(settings.database_url):
-            pass  # likewise what the server's start would only log
+            pass  # likewise for the server's start
         if settings.blob_place.is_folder:  # an object store may come back while the server waits
             open_blobs(settings.blob_place).refuse_unusable()
         try:

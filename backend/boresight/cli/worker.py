@@ -1,4 +1,4 @@
-"""`boresight worker`, `scheduler` and `warm`: a cluster's machines, and what the first run would wait for."""
+"""`boresight worker`, `scheduler` and `warm`: a cluster's machines, and compiling ahead of the first run."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def scheduler(host: str, port: int) -> None:
 
 
 def _settings(address: str | None, data: Path | None) -> Settings:
-    """Read the settings with what the command line says instead; refuse to work for nobody."""
+    """Read the settings, overridden by the command line; refuse to run without a scheduler's address."""
     given = {name: str(value) for name, value in (("SCHEDULER", address), ("DATA_FOLDER", data)) if value is not None}
     settings = read_settings({**os.environ, **{f"BORESIGHT_{name}": value for name, value in given.items()}})
     if not settings.scheduler:

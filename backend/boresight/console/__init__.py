@@ -1,9 +1,10 @@
-"""The console: one folder a noun. Every table is declared here, for seals, migrations and foreign keys are about all of them."""
+"""The console: one folder per noun. Every table is declared here, because seals, migrations and foreign keys need all of them."""
 
 from boresight.console.access import tables as access_tables
 from boresight.console.alarms import tables as alarm_tables
 from boresight.console.approvals import tables as approval_tables
 from boresight.console.campaigns import tables as campaign_tables
+from boresight.console.change_proposals import tables as change_proposal_tables
 from boresight.console.fleet import tables as fleet_tables
 from boresight.console.notes import tables as note_tables
 from boresight.console.parameter_sets import tables as parameter_set_tables
@@ -21,6 +22,7 @@ TABLES = (
     audit_tables,
     blob_tables,
     campaign_tables,
+    change_proposal_tables,
     fleet_tables,
     note_tables,
     parameter_set_tables,

@@ -20,14 +20,17 @@ import sqlalchemy as sa
 from sqlalchemy.orm import defer
 
 from boresight.console.access.tables import LoginSession, User
-from boresight.console.alarms.queries import in_state
-from boresight.console.alarms.tables import Alarm
-from boresight.console.approvals.tables import Approval, ChangeProposal, Signature
+from boresight.console.alarms.queries import in_state, needs_nobody
+from boresight.console.alarms.tables import ALARM_LEVELS, Alarm
+from boresight.console.approvals.tables import Approval, Signature
+from boresight.console.campaigns.queries import select_newest_members
 from boresight.console.campaigns.tables import Campaign, CampaignRun
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Preset, Run
 from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.uplinks.queries import BOARD_WORDS, find_board_place
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.console.webhooks.tables import WebhookDelivery
 from boresight.errors import RefusedInputError
@@ -35,6 +38,7 @@ from boresight.platform.audit.queries import RECORDS
 from boresight.platform.db.documents import among, number_in, text_in
 from boresight.platform.db.lists import Condition, List, equals, list_newest_rows
 from boresight.platform.db.sessions import Session
+from boresight.verdicts.verdict import LEVELS
 
 ROWS_A_READ = 500
 T = TypeVar("T")
@@ -42,7 +46,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Signatory:
-    """Who would sign now, and whether who had a part in a set may not."""
+    """The person who would sign, and whether having a part in a set excludes them."""
 
     user_id: int
     now_utc: str
@@ -51,7 +55,7 @@ class Signatory:
 
 @dataclass(frozen=True)
 class ListQuery:
-    """What of a list is wanted: filters by name, and the name of a key, `-` before it for the greatest first."""
+    """A query on a list: filters by name, and the sort key, with `-` before it for descending order."""
 
     where: Mapping[str, Any]
     sort: str
@@ -59,7 +63,7 @@ class ListQuery:
 
 
 def _name_expression(table: Any, number: Any) -> Any:
-    """Return the expression of the name that a number of another table stands for."""
+    """Return the expression for the name of a row of another table, by its id."""
     name = table.printed_name if table is User else table.name
     return sa.func.lower(sa.select(name).where(table.id == number).correlate_except(table).scalar_subquery())
 
@@ -80,19 +84,25 @@ def _baseline(column: Any) -> Any:
 
 
 def _of_set_of(column: Any) -> Condition:
-    """Keep to the rows about sets of a sensor."""
+    """Filter rows by the sensor of their set."""
     of_sensor = equals(ParameterSet.sensor_id)
     return lambda sensor_id: column.in_(sa.select(ParameterSet.id).where(of_sensor(sensor_id)))
 
 
 def _sets_in_use() -> Any:
-    """Return the expression of how many of a sensor's telemetry sets are not archived."""
+    """Return the expression for the number of a sensor's telemetry sets that are not archived."""
     in_use = sa.and_(TelemetrySet.sensor_id == Sensor.id, TelemetrySet.archived_utc.is_(None))
     return sa.select(sa.func.count()).select_from(TelemetrySet).where(in_use).correlate(Sensor).scalar_subquery()
 
 
+def _worst_board_first() -> Any:
+    """Return the expression that sorts sensors by what is known of their boards, the worst first, and then by name."""
+    ranks = {place: str(LEVELS[::-1].index(level)) for place, level in enumerate(BOARD_WORDS.values())}
+    return sa.case(ranks, value=find_board_place()) + Sensor.name
+
+
 def _open_to(who: Signatory) -> sa.ColumnElement[bool]:
-    """Keep to the open requests that somebody may sign: as `console.approvals.signers` says of one, for many at once."""
+    """Filter the open requests that a person may sign, by the rules of `console.approvals.signers`."""
     signed = sa.select(Signature.id).where(Signature.approval_id == Approval.id, Signature.user_id == who.user_id)
     unexpired = sa.or_(Approval.expires_utc.is_(None), Approval.expires_utc > who.now_utc)
     signable = sa.and_(Approval.state == "OPEN", unexpired, ~signed.exists())
@@ -121,9 +131,11 @@ LISTS = {
             ),
             "baseline": sa.func.lower(_baseline(ParameterSet.name)),
             "sets": _sets_in_use(),
+            "board": _worst_board_first(),
         },
         {
             "q": _holds(Sensor.name),
+            "board": lambda word: find_board_place() == list(BOARD_WORDS).index(word),
             "among": partial(among, Sensor.id),
         },
     ),
@@ -214,7 +226,14 @@ LISTS = {
     "audit": RECORDS,
     "alarms": List(
         Alarm,
-        {},
+        {
+            "attention": needs_nobody(),
+            "alarm": Alarm.id,
+            "severity": sa.case({level: rank for rank, level in enumerate(ALARM_LEVELS)}, value=Alarm.level),
+            "sensor": _name_expression(Sensor, Alarm.sensor_id),
+            "raised": Alarm.raised_utc,
+            "assigned": _name_expression(User, Alarm.assigned_to),
+        },
         {
             "state": in_state,
             "sensor": equals(Alarm.sensor_id),
@@ -222,11 +241,35 @@ LISTS = {
             "kind": equals(Alarm.kind),
         },
     ),
-    "campaigns": List(Campaign, {}, {}),
+    "campaigns": List(
+        Campaign,
+        {
+            "campaign": Campaign.id,
+            "label": sa.func.lower(Campaign.label),
+            "preset": Campaign.preset,
+            "by": _name_expression(User, Campaign.launched_by),
+            "launched": Campaign.launched_utc,
+        },
+        {},
+    ),
+    "campaign-sensors": List(
+        CampaignRun,
+        {"launched": CampaignRun.id},
+        {
+            "campaign": equals(CampaignRun.campaign_id),
+            "newest": lambda _: CampaignRun.id.in_(select_newest_members()),
+        },
+    ),
     "presets": List(Preset, {}, {"in_use": lambda _: Preset.archived_utc.is_(None)}),
     "change-proposals": List(
         ChangeProposal,
-        {},
+        {
+            "proposal": ChangeProposal.id,
+            "kind": ChangeProposal.kind,
+            "state": ChangeProposal.state,
+            "by": _name_expression(User, ChangeProposal.proposed_by),
+            "expires": ChangeProposal.expires_utc,
+        },
         {
             "sensor": equals(ChangeProposal.sensor_id),
             "kind": equals(ChangeProposal.kind),
@@ -272,7 +315,7 @@ def list_rows(session: Session, name: str, asked: ListQuery, limit: int) -> list
 
 
 def count(session: Session, name: str, where: Mapping[str, Any]) -> int:
-    """Return how many rows of a list fit its filters."""
+    """Return the number of rows of a list that match its filters."""
     known = LISTS[name]
     narrowed = sa.select(sa.func.count()).select_from(known.table)
     fitting = (known.filters[key](value) for key, value in _checked(name, where).items())
@@ -289,7 +332,7 @@ def walk(session: Session, name: str, asked: ListQuery) -> Iterator[Any]:
 
 
 def _ids(session: Session, known: List, asked: ListQuery) -> Any:
-    """Select the ids of a list in its order, those of the rows before the page left out."""
+    """Select the ids of a list in its order, from the page on."""
     identity, key = known.table.id, known.keys[asked.sort.removeprefix("-")]
     query = sa.select(identity).where(*(known.filters[name](value) for name, value in asked.where.items()))
     descends = asked.sort.startswith("-")
@@ -301,7 +344,7 @@ def _ids(session: Session, known: List, asked: ListQuery) -> Any:
 
 
 def _after(session: Session, known: List, key: Any, descends: bool, before_id: int) -> sa.ColumnElement[bool]:
-    """Say in SQL which rows come after one."""
+    """Return the SQL condition for the rows after one."""
     identity = known.table.id
     if key is identity:
         return identity < before_id if descends else identity > before_id  # type: ignore[no-any-return]  # columns are Any here
@@ -313,7 +356,7 @@ def _after(session: Session, known: List, key: Any, descends: bool, before_id: i
 
 
 def _read_rows(session: Session, known: List, ids: Sequence[int]) -> list[Any]:
-    """Read rows by their ids, in the order of these."""
+    """Read rows by their ids, in the order of the ids."""
     left_out = [defer(getattr(known.table, name)) for name in (*known.unread, *known.large)]
     found = session.scalars(sa.select(known.table).where(among(known.table.id, ids)).options(*left_out))
     by_id = {row.id: row for row in found}
@@ -333,7 +376,7 @@ def read_all(session: Session, name: str, where: Mapping[str, Any], sort: str) -
 
 
 def _asked(name: str, where: Mapping[str, Any], sort: str, before_id: int | None) -> ListQuery:
-    """Check the names."""
+    """Check the names of filters and sort key, and return the query."""
     known = LISTS[name]
     if sort.removeprefix("-") not in known.keys:
         raise RefusedInputError(f"The list is not sorted by {sort!r}; choose from {', '.join(known.keys)}.")

@@ -2,7 +2,7 @@
 
 An operation reads its request, calls one service, and returns the row; this class gives
 
-- who acts: nobody unknown gets in, unless the router is `open_to_all`; unsafe requests repeat the CSRF token;
+- who acts: only known actors get in, unless the router is `open_to_all`; unsafe requests repeat the CSRF token;
 - the answer in the shape of `response_model`, with the `ETag` and the `Location` that the shape declares;
 - idempotency of every POST that writes: with `Idempotency-Key` the answer is stored for a day under (key, actor), in
   the transaction of the effect, with the SHA-256 of the request; another request under the same key is refused;
@@ -45,7 +45,7 @@ KEPT_FOR_S = 24 * 3600.0
 LONGEST_KEY = 200
 PASSWORDS = ("password", "current")
 NUMBERS = orjson.OPT_SERIALIZE_NUMPY
-FORM_CONTENT = "form_content"  # in the request's state, of who reads a form: returns what it carries, as bytes
+FORM_CONTENT = "form_content"  # in the request's state: a function that returns the content of its form as bytes
 CREDENTIALS = (
     Security(HTTPBearer(scheme_name="ApiKey", description="`bs_...`, from POST /api/v1/api-keys", auto_error=False)),
     Security(APIKeyCookie(name=SESSION_COOKIE, scheme_name="LogInCookie", auto_error=False)),
@@ -54,7 +54,7 @@ CREDENTIALS = (
 
 @dataclass(frozen=True)
 class Answer:
-    """An answer that a row alone does not make."""
+    """An answer that needs more than a row."""
 
     body: Any
     status: int | None = None  # other than the route's
@@ -65,7 +65,7 @@ class Answer:
 
 
 class Beside:
-    """A row, and what is shown beside its columns."""
+    """A row with values besides its columns."""
 
     def __init__(self, row: Any, **more: Any) -> None:
         self._row = row
@@ -93,21 +93,21 @@ class Written:
 
     @property
     def kept(self) -> dict[str, Any]:
-        """The body without what is shown once."""
+        """The body without the members that are shown only once."""
         return self.body | dict.fromkeys(self.shown_once)
 
 
 @dataclass(frozen=True)
 class Idempotency:
-    """Who asks, under which key if there is one, the digest of the request, and whether it only asks."""
+    """Who asks, under which key if there is one, the digest of the request, and whether it is a dry run."""
 
     actor: Actor
     key: str | None
     request_sha256: str
-    tried: bool
+    is_dry_run: bool
 
     def answer(self, session: Session, act: Callable[[], Written | Response]) -> Response:
-        """Act and remember the answer, or give the answer that was remembered."""
+        """Perform the operation and store its answer, or return the stored answer."""
         owner = f"{self.actor.name} {self.actor.credential}"
         if self.key is not None:
             forget_responses(session, before_utc=utc_after(-KEPT_FOR_S))
@@ -116,7 +116,7 @@ class Idempotency:
         made = act()
         if isinstance(made, Response):
             return made
-        if self.tried or made.is_trial:
+        if self.is_dry_run or made.is_trial:
             return json_response(made.kept, headers={"X-Validate-Only": "true"})
         if self.key is not None:
             session.add(
@@ -157,15 +157,15 @@ async def get_idempotency(
     if idempotency_key is None or asked:
         return Idempotency(actor, None, "", asked)
     form = getattr(request.state, FORM_CONTENT, None)
-    content, only_asks = (await run_in_threadpool(form), False) if form is not None else _read(await request.body())
-    if only_asks:
-        return Idempotency(actor, None, "", tried=True)
+    content, is_dry_run = (await run_in_threadpool(form), False) if form is not None else _read(await request.body())
+    if is_dry_run:
+        return Idempotency(actor, None, "", is_dry_run=True)
     address = f"{request.method} {request.url.path}?{request.url.query}\n"
     return Idempotency(actor, idempotency_key, hashlib.sha256(address.encode() + content).hexdigest(), asked)
 
 
 def _read(content: bytes) -> tuple[bytes, bool]:
-    """Return a JSON body without its passwords, for what is kept must not help to guess one, and whether it only asks."""
+    """Return a JSON body without its passwords, for what is kept must not help to guess one, and whether it is a dry run."""
     try:
         body = orjson.loads(content)
     except orjson.JSONDecodeError:
@@ -239,11 +239,11 @@ class _Writer:
 def _answered(
     endpoint: Callable[..., Any], signature: inspect.Signature, writer: _Writer, transaction: str | None
 ) -> Callable[..., Response]:
-    """Let an endpoint answer with its row; once for a key, where the name of its writing transaction is given."""
+    """Wrap an endpoint so that it answers with its row; idempotent where the name of its writing transaction is given."""
 
     @functools.wraps(endpoint)
     def answered(**given: Any) -> Response:
-        asked: Idempotency | None = given.pop("once", None)
+        asked: Idempotency | None = given.pop("idempotency", None)
 
         def act() -> Written | Response:
             made = endpoint(**given)
@@ -255,9 +255,9 @@ def _answered(
         return made if isinstance(made, Response) else json_response(made.body, made.status, made.headers)
 
     parameters = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in signature.parameters.values()]
-    if transaction is not None:  # solved last: whatever is checked before a transaction is checked before this too
+    if transaction is not None:  # resolved last, after everything that is checked before the transaction
         key = inspect.Parameter(
-            "once", inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[Idempotency, Depends(get_idempotency)]
+            "idempotency", inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[Idempotency, Depends(get_idempotency)]
         )
         parameters.append(key)
     answered.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]  # what the framework reads
@@ -265,7 +265,7 @@ def _answered(
 
 
 def operations(prefix: str = "", *, tags: Sequence[str], open_to_all: bool = False) -> APIRouter:
-    """Return a router for the operations of a noun, under the version and guarded; `open_to_all`: also to who is not known."""
+    """Return a router for the operations of a noun, under the version and guarded; with `open_to_all` also for unknown actors."""
     guards = [*CREDENTIALS, Depends(csrf), *(() if open_to_all else (Depends(get_actor),))]
     return APIRouter(
         prefix=PREFIX + prefix,

@@ -53,7 +53,7 @@ def routers(module: ModuleType) -> Iterator[APIRouter]:
 def include_routes(routes: APIRouter) -> None:
     """Join the nouns to the routes of a server, and the servers' own beside them.
 
-    Their routes as they are: a router that includes another has the framework seek, and work out, every route twice.
+    Routes are added directly, because an included router makes the framework match and resolve every route twice.
     """
     for module in (*NOUNS, administration):
         for router in routers(module):

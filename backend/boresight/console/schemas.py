@@ -1,4 +1,4 @@
-"""What every shape has in common: the columns of a row, written as JSON, and the row's ETag and address."""
+"""What all response schemas share: a row's columns as JSON, its ETag and its address."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ class Row(BaseModel):
 
     model_config = ConfigDict(from_attributes=True)
 
-    versioned_by: ClassVar[tuple[str, ...]] = ()  # the attributes that its transitions change; none: it has no ETag
+    versioned_by: ClassVar[
+        tuple[str, ...]
+    ] = ()  # the attributes that its transitions change; without any it has no ETag
     moves_beneath: ClassVar[bool] = False  # whether more may change than the tag tells of (RFC 9110, 8.8.1)
-    location: ClassVar[str] = ""  # where it is read, with its attributes in braces
+    location: ClassVar[str] = ""  # its address, with attributes in braces
 
     @classmethod
     def etag(cls, row: Any) -> str:

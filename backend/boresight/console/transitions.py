@@ -1,4 +1,4 @@
-"""What every change of state has in common: the row, the version that was seen, the move with its audit record."""
+"""Changes of state: checking the version that the client saw, changing the row, and adding the audit record."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.console.alarms.tables import Alarm
-from boresight.console.approvals.tables import Approval, ChangeProposal
+from boresight.console.approvals.tables import Approval
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as rows
 from boresight.console.parameter_sets.tables import ParameterSet
@@ -22,7 +23,7 @@ Versioned = Alarm | Approval | ChangeProposal | ParameterSet | Sensor
 
 @dataclass(frozen=True)
 class DocumentInForce:
-    """What is in force of a sensor's numbered documents: its title, under what its changes are audited, number and hash."""
+    """The version in force of a gate profile or table definition: its title, audit object, number and hash."""
 
     title: str
     subject: str | None
@@ -31,7 +32,7 @@ class DocumentInForce:
 
 
 def name_subject(row: Versioned) -> str:
-    """Name a row as the audit log does, by its REST address."""
+    """Return a row's name in the audit log, its REST address."""
     nouns: dict[type, str] = {
         Alarm: "alarms",
         Approval: "approvals",
@@ -44,7 +45,7 @@ def name_subject(row: Versioned) -> str:
 
 
 def make_label(row: Versioned) -> str:
-    """Name a row as people do."""
+    """Return a row's name for people."""
     if isinstance(row, Alarm):
         return f"Alarm {row.id}"
     if isinstance(row, ChangeProposal):
@@ -53,7 +54,7 @@ def make_label(row: Versioned) -> str:
 
 
 def require_seen(session: Session, row: Versioned, seen_version: int | None) -> None:
-    """Refuse a change by someone who did not see the row as it is."""
+    """Refuse a change by someone who saw an older version of the row."""
     if seen_version is None:
         raise PreconditionRequiredError(f'Say which version of {make_label(row)} you saw: If-Match: "v<number>".')
     if seen_version != row.version:
@@ -64,7 +65,7 @@ def require_seen(session: Session, row: Versioned, seen_version: int | None) -> 
 
 
 def require_seen_document(session: Session, current: DocumentInForce, seen_number: int | None) -> None:
-    """Refuse a change by someone who did not see the document in force."""
+    """Refuse a change by someone who saw another document than the one in force."""
     if seen_number is None:
         raise PreconditionRequiredError(
             f'Say which version of the {current.title} you saw: If-Match: "v<number>", "v0" for the first.'
@@ -89,13 +90,13 @@ def require_change(current: DocumentInForce, document: Mapping[str, Any], reason
 
 
 def describe_last_change(session: Session, row: Versioned) -> str:
-    """Say who changed a row last, what and when."""
+    """Describe who changed a row last, how and when."""
     record = audit.find_last_change(session, name_subject(row))
     return f"{record.actor} {record.action} it at {record.at_utc}" if record else "nobody is on record for it"
 
 
 def describe_baseline(session: Session, sensor_id: int) -> str:
-    """Say which set is the baseline and who made it that; nothing where there is none."""
+    """Describe which set is the baseline and who promoted it; empty where there is none."""
     row = rows.find_baseline(session, sensor_id)
     return f" The baseline is {row.name}: {describe_last_change(session, row)}." if row else ""
 
@@ -110,7 +111,7 @@ def move(
     reason: str | None = None,
     **told: Any,
 ) -> None:
-    """Bring a row into a state, one version further, with its audit record."""
+    """Change a row's state, increase its version, and add the audit record."""
     column = "ground_state" if isinstance(row, ParameterSet) else "state"
     before = {column: getattr(row, column), "version": row.version}
     setattr(row, column, state)

@@ -221,13 +221,13 @@ def whiten(arcs: ArcSet, sigma_rad: FloatArray) -> tuple[ArcSet, NDArray[np.bool
     phi, band = np.empty(n_arcs), np.zeros((n_arcs, kernels.HALF_BANDWIDTH + 1))
     bad = np.zeros(arcs.n_exposures, np.bool_)
 
-    def weigh_block(first: int, last: int) -> None:
+    def whiten_block(first: int, last: int) -> None:
         s0, s1 = int(arcs.star_start[first]), int(arcs.star_start[last])
         stars, rows = slice(s0, s1), slice(2 * s0 - 3 * first, 2 * s1 - 3 * last)
         starts = arcs.star_start[first : last + 1] - s0
         kernels.arcs_and_factors(starts, arcs.s_i[stars], sigma_rad[stars], phi[rows], band[rows], bad[first:last])
 
-    in_blocks(weigh_block, arcs.n_exposures)
+    in_blocks(whiten_block, arcs.n_exposures)
     return replace(arcs, phi=phi, band=band), bad
 
 

@@ -511,9 +511,9 @@ def _strengths(spectrum: Spectrum, variance: float) -> tuple[FloatArray, FloatAr
     amplitude = np.geomspace(BELOW, ABOVE * max(1.0, np.sqrt(z2.max())), STRENGTHS) / np.sqrt(mu.max())
     tau = amplitude**2
     gains = tau[:, None] / (1 + tau[:, None] * mu)
-    evidence = 0.5 * (gains * mu) @ z2 - 0.5 * np.log1p(tau[:, None] * mu).sum(axis=1)
+    log_marginal_likelihood = 0.5 * (gains * mu) @ z2 - 0.5 * np.log1p(tau[:, None] * mu).sum(axis=1)
     belief = (
-        np.exp(evidence - evidence.max()) * amplitude
+        np.exp(log_marginal_likelihood - log_marginal_likelihood.max()) * amplitude
     )  # flat in the amplitude, taken at equal steps of its logarithm
     return tau, belief / belief.sum(), gains
 

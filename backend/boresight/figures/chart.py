@@ -7,7 +7,7 @@ A run that is still computing gives a calibration with members missing; the figu
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import orjson
@@ -35,6 +35,11 @@ class Trace:
     along: str = "frame"
     baseline: Mapping[str, float | None] | None = None
     tail_from: float | None = None
+
+
+def tailed(traces: Sequence[Trace], tail_from: float | None) -> list[Trace]:
+    """Tell every run where a reader wants its tail to begin."""
+    return [replace(trace, tail_from=tail_from) for trace in traces]
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import Any
 import plotly.graph_objects as go
 
 from boresight.figures.chart import Trace
-from boresight.figures.history import History, read_history
+from boresight.verdicts.history import History, read_history
 from boresight.verdicts.numbers import Quantity
 
 

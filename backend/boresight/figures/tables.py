@@ -23,6 +23,7 @@ from boresight.calibration.calibration import (
 )
 from boresight.calibration.parameter_set import ParameterSetDocument
 from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import FAR_TYPICAL_SIGMAS
 from boresight.verdicts.numbers import (
     MINUS,
     MISSING,
@@ -37,8 +38,6 @@ from boresight.verdicts.numbers import (
     urad,
 )
 
-# The six sensors of E Table III moved by up to 9.8: more asks for a look at the matches.
-UNEXPECTED_TYPICAL_SIGMAS = 10.0
 #: Numbers by the parameter's name.
 Numbers = Mapping[str, float | None]
 FAR_SIGMAS = 4.0  # of the eight parameters of an honest run one in 2,000 is so far from the truth
@@ -89,7 +88,7 @@ class ParameterRow:
     def unexpected(self) -> bool:
         """Tell whether the change is larger than such sensors are known to make."""
         worth = self.delta_over_typical
-        return worth is not None and abs(worth) > UNEXPECTED_TYPICAL_SIGMAS
+        return worth is not None and abs(worth) > FAR_TYPICAL_SIGMAS
 
 
 def _difference(a: float | None, b: float | None) -> float | None:

@@ -23,7 +23,6 @@ from boresight.errors import RefusedInputError, UnavailableError
 from boresight.library import remote
 from boresight.library.progress import Wanted, reporting
 from boresight.library.remote import (
-    Answer,
     Approval,
     GateReport,
     Operation,
@@ -31,6 +30,7 @@ from boresight.library.remote import (
     Pause,
     Request,
     Run,
+    ServerAnswer,
     ServerSensor,
     T,
     TelemetrySet,
@@ -53,7 +53,7 @@ TIMEOUT = httpx.Timeout(60.0, connect=10.0)
 
 
 class _Connection:
-    """Address and key of a server, and what is the same with and without `async`."""
+    """Address and key of a server, and the code shared by both clients."""
 
     def __init__(self, url: str, key: str | None) -> None:
         parts = urlsplit(url)
@@ -69,14 +69,14 @@ class _Connection:
 
     @property
     def _settings(self) -> dict[str, Any]:
-        """What both kinds of client of the network are made with."""
+        """Return the arguments of both kinds of HTTP client."""
         headers = {"User-Agent": f"boresight/{__version__}"}
         if self._key:
             headers["Authorization"] = f"Bearer {self._key}"
         return {"base_url": f"{self.url}{remote.PREFIX}", "headers": headers, "timeout": TIMEOUT}
 
     def _arguments(self, request: Request, opened: ExitStack) -> dict[str, Any]:
-        """Say a request as the client of the network takes it; files are open as long as `opened`."""
+        """Return a request as arguments of the HTTP client; its files stay open as long as `opened`."""
         headers = dict(request.headers) | ({"Idempotency-Key": request.key} if request.key else {})
         arguments: dict[str, Any] = {"params": dict(request.params), "headers": headers}
         if request.file is not None:
@@ -87,14 +87,14 @@ class _Connection:
             arguments["json"] = request.body
         return arguments
 
-    def _judge(self, response: httpx.Response) -> Answer:
-        """Return an answer, or raise what it refuses."""
-        answer = Answer(status=response.status_code, headers=response.headers, content=response.content)
+    def _judge(self, response: httpx.Response) -> ServerAnswer:
+        """Return an answer, or raise the exception of a refusal."""
+        answer = ServerAnswer(status=response.status_code, headers=response.headers, content=response.content)
         raise_problem(answer, self.url)
         return answer
 
     def _pause_before_again(self, attempt: int, outcome: httpx.Response | httpx.TransportError) -> float | None:
-        """How long to wait before a request is sent again; None where it is not."""
+        """Return how long to wait before a request is sent again; None where it is not."""
         if isinstance(outcome, httpx.Response) and outcome.status_code not in NOT_NOW:
             return None
         if attempt + 1 >= ATTEMPTS:
@@ -162,11 +162,11 @@ class Client(_Connection):
         return self._run(remote.launch(telemetry, validate, label, settings))
 
     def run(self, run: Run | int) -> Run:
-        """Read how far a run is."""
+        """Read the progress of a run."""
         return self._run(remote.read_run(run))
 
     def fetch(self, run: Run | int) -> Calibration:
-        """Read a run's calibration; of one on its way, what there is so far."""
+        """Read a run's calibration, a partial one while it computes."""
         return self._run(remote.fetch(run))
 
     def cancel(self, run: Run | int, reason: str = "") -> Run:
@@ -186,7 +186,7 @@ class Client(_Connection):
         return self._run(remote.report_html(run))
 
     def make_parameter_set(self, run: Run | int) -> ParameterSet:
-        """Make an immutable candidate of a run; asked again, it is the same one."""
+        """Make an immutable candidate from a run; for the same run again, return the existing one."""
         return self._run(remote.make_parameter_set(run))
 
     def parameter_set(self, parameter_set: ParameterSet | int | str) -> ParameterSet:
@@ -262,7 +262,7 @@ class Client(_Connection):
             result: T = ended.value
             return result
 
-    def _ask(self, request: Request) -> Answer:
+    def _ask(self, request: Request) -> ServerAnswer:
         """Send a request, again where that may help."""
         attempt = 0
         while True:
@@ -327,11 +327,11 @@ class AsyncClient(_Connection):
         return await self._run(remote.launch(telemetry, validate, label, settings))
 
     async def run(self, run: Run | int) -> Run:
-        """Read how far a run is."""
+        """Read the progress of a run."""
         return await self._run(remote.read_run(run))
 
     async def fetch(self, run: Run | int) -> Calibration:
-        """Read a run's calibration; of one on its way, what there is so far."""
+        """Read a run's calibration, a partial one while it computes."""
         return await self._run(remote.fetch(run))
 
     async def cancel(self, run: Run | int, reason: str = "") -> Run:
@@ -351,7 +351,7 @@ class AsyncClient(_Connection):
         return await self._run(remote.report_html(run))
 
     async def make_parameter_set(self, run: Run | int) -> ParameterSet:
-        """Make an immutable candidate of a run; asked again, it is the same one."""
+        """Make an immutable candidate from a run; for the same run again, return the existing one."""
         return await self._run(remote.make_parameter_set(run))
 
     async def parameter_set(self, parameter_set: ParameterSet | int | str) -> ParameterSet:
@@ -427,7 +427,7 @@ class AsyncClient(_Connection):
             result: T = ended.value
             return result
 
-    async def _ask(self, request: Request) -> Answer:
+    async def _ask(self, request: Request) -> ServerAnswer:
         """Send a request, again where that may help."""
         attempt = 0
         while True:

@@ -41,7 +41,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class _Prepared:
-    """What a function computes with."""
+    """The settings, catalogue and threads of a function."""
 
     settings: Settings
     report: Report
@@ -61,7 +61,7 @@ def use_kernels() -> None:
 
 
 def _on_kernels(function: Callable[P, T]) -> Callable[P, T]:
-    """Let a function know the folder of kernels before it loads anything that compiles."""
+    """Decorate a function so that it sets the folder of kernels before it loads anything that compiles."""
 
     @functools.wraps(function)
     def called(*arguments: P.args, **named: P.kwargs) -> T:
@@ -518,7 +518,7 @@ def read_sensor(source: SensorSource) -> Sensor:
 
 
 def read_set(telemetry: TelemetrySource, sensor: Sensor, prepared: _Prepared) -> tuple[Telemetry, Any, Catalogue]:
-    """Read a set held against its detector, what of it lies off that, and the catalogue for its directions."""
+    """Read a telemetry set, its detections outside the detector, and the catalogue for its directions."""
     from boresight.telemetry.quality.detector import check_against_sensor
 
     stars = read_telemetry(telemetry)

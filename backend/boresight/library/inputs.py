@@ -1,4 +1,4 @@
-"""What the library takes for telemetry, sensors and parameters: files, tables, arrays and what the library itself returned.
+"""What the library takes for telemetry, sensors and parameters: files, tables, arrays and and the library's own results.
 
 A table in memory is read by the same checks as a file. Its rows are counted from 0, as `iloc` and array indices count them.
 Telemetry tables come through the Arrow PyCapsule interface (pandas from 2.2, Polars, PyArrow, DuckDB), or through the older data
@@ -70,14 +70,14 @@ ParameterSource = str | os.PathLike[str] | Mapping[str, Any] | Calibration
 
 
 def open_telemetry(source: TelemetrySource, limits: Limits) -> Telemetry | TelemetryFile:
-    """Read telemetry; a large file is left to whoever takes it piece by piece."""
+    """Open telemetry; a large file is left on the disk and read in pieces."""
     if isinstance(source, str | os.PathLike):
         return TelemetryFile(Path(source), limits=limits).opened()
     return read_in_memory(source, limits)
 
 
 def read_in_memory(source: TelemetrySource, limits: Limits) -> Telemetry:
-    """Read telemetry that is no file."""
+    """Read telemetry from memory."""
     if isinstance(source, Telemetry):
         return source
     name, table = _open_table(source)
@@ -96,7 +96,7 @@ def iterate_telemetry(
 
 
 def _open_table(source: Any) -> tuple[str, pa.Table]:
-    """Return what refusals call a source, and its columns."""
+    """Return a source's name for refusals, and its columns."""
     if isinstance(source, np.ndarray) and source.dtype.names:
         return "The structured array", _join_arrays({name: source[name] for name in source.dtype.names})
     if isinstance(source, Mapping):
@@ -141,7 +141,7 @@ def _join_arrays(arrays: Mapping[str, Any]) -> pa.Table:
 
 
 def _make_plain(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Return a column as a file would hold it: no dictionaries, no views, and nothing where there is no number."""
+    """Return a column as a file would hold it: no dictionaries, no views, and null in place of NaN."""
     if pa.types.is_dictionary(column.type):
         kind = _plain_type(column.type.value_type)
         chunks = [chunk.dictionary.cast(kind).take(chunk.indices) for chunk in column.chunks]
@@ -189,7 +189,7 @@ def read_any_calibration(source: ParameterSource) -> Calibration:
 
 
 def _describe(source: ParameterSource) -> str:
-    """Say what refusals call a source of parameters."""
+    """Return the name of a source of parameters for refusals."""
     if isinstance(source, Calibration):
         return "The calibration"
     return "The parameters" if isinstance(source, Mapping) else Path(source).name

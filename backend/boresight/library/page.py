@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 WIDTH, ROW, LABELS, MARGIN = 340, 18, 90, 12
 HEIGHT = 150
-#: Sigmas of a bar, and of a band.
+#: Half-widths of a bar and of a band, in sigmas.
 SIGMAS = 3.0
 
 
@@ -72,7 +72,7 @@ def _draw_changes(found: Calibration) -> str:
 
 
 def _draw_rms(found: Calibration) -> str:
-    """Draw how the RMS arc error went: over the iterations of a batch, over the frames of a filter."""
+    """Draw the RMS arc error over the iterations of a batch or the frames of a filter."""
     series: Numbers = (
         found.trace.rms_arc_rad if found.trace else found.history.aggregate_rms_rad if found.history else []
     )
@@ -92,7 +92,7 @@ def _draw_rms(found: Calibration) -> str:
 
 
 def _places(values: Sequence[float], top: float) -> list[tuple[float, float]]:
-    """Lay values out over the width, from 0 at the bottom to the largest at the top."""
+    """Return the coordinates of values over the width, from 0 at the bottom to the largest at the top."""
     step = (WIDTH - LABELS / 2) / (len(values) - 1)
     room = HEIGHT - 2 * MARGIN
     return [

@@ -1,4 +1,4 @@
-"""Progress of what takes long, on standard error: a bar in a terminal or a notebook, elsewhere one line after a second."""
+"""Progress of long computations on standard error: a bar in a terminal or a notebook, elsewhere one line after a second."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 
-from boresight.waiting import telling
+from boresight.waiting import report_waits_to
 
 PATIENCE_S = 1.0
-#: Told a message, and the share that is done where one is known.
+#: Called with a message and, if known, the fraction that is done.
 Report = Callable[[str, float | None], None]
-#: What a caller of the library may ask for: True always, False never, a function that is told, None where somebody watches.
+#: True always shows progress, False never, a function receives it, None shows it in terminals and notebooks.
 Wanted = bool | Report | None
 
 
@@ -47,7 +47,7 @@ class Progress:
 
 
 class _Bar:
-    """The bar itself; loads its library only where it is seen."""
+    """The bar, whose library is loaded only where it is shown."""
 
     def __init__(self, message: str) -> None:
         from rich import progress as rich
@@ -76,7 +76,7 @@ class _Bar:
 
 
 def is_watched() -> bool:
-    """Whether somebody looks on: in a terminal or in a notebook."""
+    """Whether the output is a terminal or a notebook."""
     return sys.stderr.isatty() or _is_notebook()
 
 
@@ -94,7 +94,7 @@ def progress(message: str) -> Iterator[Progress]:
     """Show progress while the block runs."""
     shown = Progress(message)
     try:
-        with telling(shown):
+        with report_waits_to(shown):
             yield shown
     finally:
         shown.close()
@@ -102,9 +102,9 @@ def progress(message: str) -> Iterator[Progress]:
 
 @contextmanager
 def reporting(wanted: Wanted, message: str) -> Iterator[Report]:
-    """Tell progress as a caller of the library wants it; where nobody watches, the log is told when kernels are compiled."""
+    """Report progress as the caller asked; where nothing is shown, compiling is logged."""
     if callable(wanted):
-        with telling(wanted):
+        with report_waits_to(wanted):
             yield wanted
     elif wanted or (wanted is None and is_watched()):
         with progress(message) as shown:
@@ -114,4 +114,4 @@ def reporting(wanted: Wanted, message: str) -> Iterator[Report]:
 
 
 def _say_nothing(message: str, fraction: float | None = None) -> None:
-    """Take a report that nobody wants."""
+    """Ignore a report."""

@@ -1,7 +1,7 @@
-"""What a server is asked and what it answers, without the network: every operation is a generator of requests.
+"""The operations of a server's client without the network: every operation is a generator of requests.
 
-An operation yields a `Request` and is sent the `Answer`; it yields a `Pause` to wait. `library.client` drives the same operations
-with and without `async`. Answers are read into frozen dataclasses; what a newer server says besides is dropped.
+An operation yields a `Request` and is sent the `ServerAnswer`; it yields a `Pause` to wait. `library.client` drives the same
+operations with and without `async`. Answers are read into frozen dataclasses; what a newer server says besides is dropped.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ PROBLEMS: Final[Mapping[str, type[errors.BoresightError]]] = {
     "cancelled": errors.CancelledError,
 }
 ENDED = ("SUCCEEDED", "FAILED", "CANCELLED", "LOST")
-#: Seconds between two looks at a run: soon at first, for most are short.
+#: Seconds between two requests about a run, short at first because most runs are.
 FIRST_PAUSE_S, LONGEST_PAUSE_S, SLOWER = 0.1, 1.0, 1.3
 ACCEPTED, FIRST_ERROR = 202, 400
 
@@ -75,27 +75,27 @@ class Request:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
-    """What came back."""
+class ServerAnswer:
+    """A server's answer."""
 
     status: int
     headers: Mapping[str, str]
     content: bytes
 
     def json(self) -> Any:
-        """Return what it says."""
+        """Return the parsed JSON body."""
         return json.loads(self.content)
 
 
 @dataclass(frozen=True)
 class Pause:
-    """So many seconds in which nothing is asked."""
+    """A pause in seconds between two requests."""
 
     seconds: float
 
 
-#: An operation: what it asks, what it is sent, what it ends with.
-Operation = Generator[Request | Pause, Answer, T]
+#: An operation: it yields requests, is sent answers, and returns its result.
+Operation = Generator[Request | Pause, ServerAnswer, T]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,13 +149,13 @@ class Run:
 
     @property
     def has_ended(self) -> bool:
-        """Whether its state moves no more."""
+        """Whether its state is final."""
         return self.state in ENDED
 
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterSet:
-    """Parameters with a name; `ground_state` and `onboard_state` move, nothing else."""
+    """A named parameter set; only `ground_state` and `onboard_state` change."""
 
     id: int
     name: str
@@ -212,8 +212,8 @@ def parse_run(document: Mapping[str, Any]) -> Run:
     return parse_record(Run, {**document, "progress": said})
 
 
-def raise_problem(answer: Answer, address: str) -> None:
-    """Raise what a server refused, in its sentence; a failure that is none of its own says which status came."""
+def raise_problem(answer: ServerAnswer, address: str) -> None:
+    """Raise a server's refusal with its sentence, or for any other failure an exception with the status."""
     if answer.status < FIRST_ERROR:
         return
     try:
@@ -239,7 +239,7 @@ def _get(path: str, **params: str) -> Request:
 
 
 def _post(path: str, body: Mapping[str, Any] | None = None, version: int | None = None) -> Request:
-    """Return a POST that may be sent again: with a key of its own."""
+    """Return a POST with an idempotency key, which may be sent again."""
     headers = {} if version is None else {"If-Match": f'"v{version}"'}
     return Request(method="POST", path=path, body=body or {}, headers=headers, key=uuid.uuid4().hex)
 
@@ -313,7 +313,7 @@ def upload(
 
 
 def _file_of(telemetry: TelemetrySource) -> tuple[str, Path | bytes]:
-    """Return name and content of what is uploaded: the file as it is, or Parquet of what is in memory."""
+    """Return name and content of an upload: a file unchanged, or data in memory as Parquet."""
     if isinstance(telemetry, str | os.PathLike):
         path = Path(telemetry)
         if not path.is_file():
@@ -353,7 +353,7 @@ def _id(thing: Any) -> int:
 
 
 def read_run(run: Run | int) -> Operation[Run]:
-    """Read how far a run is."""
+    """Read the progress of a run."""
     answer = yield _get(f"/runs/{_id(run)}")
     return parse_run(answer.json())
 
@@ -385,7 +385,7 @@ def _because(run: Run) -> str:
 
 
 def fetch(run: Run | int) -> Operation[Calibration]:
-    """Read a run's calibration, or how far it is."""
+    """Read a run's calibration, or its progress."""
     from boresight.calibration.calibration import parse_calibration
     from boresight.library.results import Calibration
 
@@ -453,7 +453,7 @@ def report_html(run: Run | int) -> Operation[str]:
 
 
 def make_parameter_set(run: Run | int) -> Operation[ParameterSet]:
-    """Make an immutable candidate of a run; asked again, it is the same one."""
+    """Make an immutable candidate from a run; for the same run again, return the existing one."""
     answer = yield _post("/parameter-sets", {"run_id": _id(run)})
     return parse_record(ParameterSet, answer.json())
 
@@ -498,7 +498,7 @@ def promote(parameter_set: ParameterSet | int) -> Operation[ParameterSet]:
 
 
 def _seen(parameter_set: ParameterSet | int) -> Operation[ParameterSet]:
-    """Return the version that the caller saw; of a number, the one there is."""
+    """Return the version of a parameter set that the caller read; given by number, the current one."""
     if isinstance(parameter_set, int):
         return (yield from read_parameter_set(parameter_set))
     return parameter_set

@@ -1,6 +1,6 @@
-"""What the library returns: the typed calibration with what a person does with it, and the other answers as values.
+"""The results of the library: the typed calibration with tables and drawings, and the other results as dataclasses.
 
-`boresight.calibration.calibration` has the tree of numbers and draws nothing. Here it gets a face: words, tables, drawings.
+`boresight.calibration.calibration` has the tree of numbers and draws nothing. Here it gets text, tables and drawings.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from boresight.telemetry.sensors import Sensor
     from boresight.verdicts.gates import GateAnswer
 
-#: What makes a table of numbers by column.
+#: Libraries that make a table of columns.
 FrameKind = Literal["pandas", "polars", "pyarrow"]
 
 
 def make_frame(columns: Mapping[str, Any] | pa.Table, kind: FrameKind | None) -> Any:
-    """Make a DataFrame of columns with a library of the caller's; of those installed the first, where none is asked for."""
+    """Make a DataFrame of columns with the given library, by default the first that is installed."""
     import pyarrow as pa
 
     kinds = get_args(FrameKind)
@@ -77,7 +77,7 @@ class Tabular:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Calibration(Tabular, tree.Calibration):
-    """A calibration: every number of its JSON as a typed member, and what it looks like.
+    """A calibration: every number of its JSON as a typed member, with tables and drawings.
 
     `parameters`, `sigma`: by name, SI, as `parameters.f_m`. `covariance`: `names` and `matrix`; `numpy.asarray` makes an array.
     `advice`: sentences. `status`: `converged`, or why not.
@@ -85,7 +85,7 @@ class Calibration(Tabular, tree.Calibration):
 
     @classmethod
     def of(cls, found: tree.Calibration) -> Calibration:
-        """Give a calibration its face."""
+        """Make this class from a plain calibration."""
         return (
             found if isinstance(found, cls) else cls(**{item.name: getattr(found, item.name) for item in fields(found)})
         )
@@ -173,7 +173,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class Quality:
-    """What telemetry is worth: counts, and findings, the worst first."""
+    """The quality of telemetry: counts, and findings, the worst first."""
 
     verdict: str
     findings: list[Finding]
@@ -269,7 +269,7 @@ class Assessment:
 
 
 def parse_report(kind: type[Any], document: Mapping[str, Any], **others: Any) -> Any:
-    """Read a report of our own as one of the dataclasses here; what has no member stays in `document`."""
+    """Parse a report as one of these dataclasses; the whole report stays in `document`."""
     names = {item.name for item in fields(kind)}
     return kind(**{name: value for name, value in document.items() if name in names}, **others, document=dict(document))
 

@@ -1,4 +1,4 @@
-"""A calibration in words, for a terminal: parameters with their sigmas, what the fit is worth, advice."""
+"""A calibration as text for a terminal: parameters with their sigmas, the quality of the fit, advice."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def summary_lines(found: Calibration) -> Iterator[str]:
 
 
 def headline(found: Calibration) -> str:
-    """Say in a line what was calibrated, how, and from how much."""
+    """Return one line on what was calibrated, how, and from how much data."""
     words = [found.method, found.variant or "", found.status.replace("_", " ")]
     counts = f"{found.frames:,} frames, {found.exposures:,} exposures, {found.stars:,} stars, {found.pairs:,} pairs"
     return f"{found.sensor}: {', '.join(word for word in words if word)}; {counts}"
 
 
 def verdict(found: Calibration) -> str:
-    """Say in a word or two what the numbers say about their own trustworthiness; the advice says why."""
+    """Return the trustworthiness of the numbers in a word or two; the advice says why."""
     from boresight.verdicts.verdict import make_verdict
 
     return make_verdict(found).word
@@ -77,7 +77,7 @@ def _scores(found: Calibration) -> Iterator[tuple[str, str]]:
 
 
 def _matches(matching: Matching) -> str:
-    """Count what matching again did, and say whether it rests."""
+    """Return lines on the matching cycle: its counts, and whether it rests."""
     counts = f"{matching.given:,} given, {matching.kept:,} kept, {matching.removed:,} removed, {matching.added:,} added"
     cycles = len(matching.cycles)
     rest = "the matches rest" if matching.rested else "the matches do not rest yet"
@@ -85,7 +85,7 @@ def _matches(matching: Matching) -> str:
 
 
 def _share(scores: Evaluation) -> str:
-    """Availability before and after with its interval, by the flight code's tolerance."""
+    """Return availability before and after with its interval, at the flight code's tolerance."""
     ends = scores.intervals.availability if scores.intervals else None
     sides = [
         _with_interval(scores.availability.initial, ends.initial if ends else ()),

@@ -149,13 +149,17 @@ def _sentence(cause: str, because: str) -> str:
 
 
 SCHEMA = "boresight.reproduction/1"
-Finding = dict[str, str | list[str]]
+Finding = dict[str, str | list[str] | bool]
 Drawing = dict[str, Any]
 
 
-def finding(title: str, text: str, *sentences: str) -> Finding:
-    """Write a finding: what it is about, what the paper's text says, and the sentences that hold figures against it."""
-    return {"title": title, "text": text, "sentences": list(sentences)}
+def finding(title: str, text: str, *sentences: str, is_timed: bool = False) -> Finding:
+    """Write a finding: what it is about, what the paper's text says, and the sentences that hold figures against it.
+
+    `is_timed`: The report adds what it cost by the clock; named in the document only where it is so.
+    """
+    written: Finding = {"title": title, "text": text, "sentences": list(sentences)}
+    return written | {"is_timed": True} if is_timed else written
 
 
 def drawing(number: str, title: str, claim: str, conclusion: Conclusion, curves: Sequence[Drawing]) -> Drawing:

@@ -1,4 +1,4 @@
-"""Who acts, with which credential, what they may do, and how long log-ins last."""
+"""The actor of a request with credential, roles and scopes, the policy of an installation, and the duration of log-ins."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DAY_S = 86400.0
 
 @dataclass(frozen=True)
 class Policy:
-    """What an installation asks of a request for approval."""
+    """An installation's rules for requests for approval."""
 
     four_eyes: bool = True
     approval_days: float = 30.0
@@ -25,7 +25,7 @@ class Policy:
     second_person: bool = False
 
     def needed(self, *, waived: bool) -> int:
-        """Return how many approvals a request needs; one person alone gives one."""
+        """Return the number of approvals that a request needs."""
         return max(self.approvals, 2 if waived else 1) if self.four_eyes else 1
 
 
@@ -47,7 +47,7 @@ class Actor:
     session_id: int | None = None
 
     def with_request(self, request_id: str) -> Actor:
-        """Return the same, asking in a request: in every one, and `dataclasses.replace` takes three times as long."""
+        """Return a copy with a request id; every request needs one, and `dataclasses.replace` takes three times as long."""
         return Actor(
             self.user_id, self.name, self.printed_name, self.roles, self.credential, self.scopes, request_id,
             self.until_utc, self.session_id,
@@ -55,7 +55,7 @@ class Actor:
 
     @property
     def is_key(self) -> bool:
-        """Whether an API key acts."""
+        """Whether the actor is an API key."""
         return self.credential.startswith("key:")
 
 
@@ -66,14 +66,14 @@ COMMAND_LINE = Actor(
 
 
 def require_role(actor: Actor, *roles: str) -> None:
-    """Refuse whoever has none of these roles."""
+    """Refuse an actor without any of these roles."""
     if not actor.roles.intersection(roles):
         held = ", ".join(sorted(actor.roles)) or "no role"
         raise ForbiddenError(f"This needs the role {' or '.join(roles)}; {actor.printed_name} has {held}.")
 
 
 def require_scope(actor: Actor, scope: str) -> None:
-    """Refuse a key that was not made for this noun."""
+    """Refuse a key without the scope for this noun."""
     if actor.scopes is not None and scope not in actor.scopes:
         raise ForbiddenError(f"This API key lacks the scope {scope}; make a key that has it.")
 
@@ -92,7 +92,7 @@ def refuse_key(actor: Actor, what: str) -> None:
 
 
 def require_user(actor: Actor, what: str) -> int:
-    """Return the row of the person, or of the owner of the key, who answers for this."""
+    """Return the user id of the person, or of the owner of the key."""
     if actor.user_id is None:
         raise ForbiddenError(f"Somebody must answer for this: log in or use an API key to {what}.")
     return actor.user_id
@@ -106,9 +106,9 @@ class SessionLimits:
     idle_s: float
 
     def is_idle(self, last_used_utc: str) -> bool:
-        """Whether a log-in that was last used then has ended."""
+        """Whether a log-in that was last used at this time has ended."""
         return bool(self.idle_s) and last_used_utc < utc_after(-self.idle_s)
 
     def ends_utc(self, created_utc: str) -> str:
-        """Return when a log-in that was made then ends at the latest."""
+        """Return the latest end of a log-in that was made at this time."""
         return utc_text(datetime.fromisoformat(created_utc) + timedelta(seconds=self.age_s))

@@ -81,7 +81,7 @@ class DifferingField:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class DumpComparison:
     """What a dump says about the table that was sent."""
 
     length_bytes: int
@@ -124,7 +124,7 @@ class Comparison:
         }
 
 
-def compare(definition: TableDefinition, expected: bytes, found: bytes) -> Comparison:
+def compare(definition: TableDefinition, expected: bytes, found: bytes) -> DumpComparison:
     """Hold a dump against the table that was sent.
 
     `expected`, `found`: (length_bytes,) bytes each.
@@ -135,7 +135,7 @@ def compare(definition: TableDefinition, expected: bytes, found: bytes) -> Compa
         for before, after in zip(sent.fields, dumped.fields, strict=True)
         if before.hexadecimal != after.hexadecimal
     )
-    return Comparison(len(expected), tuple(_differing(definition, expected, found)), fields, dumped.crc_ok)
+    return DumpComparison(len(expected), tuple(_differing(definition, expected, found)), fields, dumped.crc_ok)
 
 
 def _differing(definition: TableDefinition, expected: bytes, found: bytes) -> Iterator[DifferingByte]:

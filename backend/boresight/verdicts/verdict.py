@@ -1,18 +1,21 @@
-"""What a calibration's numbers say about its own trustworthiness: one mark a question, the worst of which is the verdict."""
+"""What a calibration's numbers say about its own trustworthiness: one mark a question, the worst of which is the verdict.
+
+Each part of a run's page is judged here too, from the same marks, and so is the summary that lists keep of a run.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from boresight.calibration.calibration import Calibration, ChiSquareTest, InnovationTest, Trust, parse_part
 from boresight.calibration.result import TrendEntry, trend_entry
+from boresight.calibration.trust.advice import TOO_SMALL
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
 from boresight.estimation.statistics.observability import WEAK
+from boresight.verdicts.history import settled_step, sigma_of_rms
 from boresight.verdicts.numbers import count, number, percent, urad
 
 LEVELS = ("off", "standby", "normal", "caution", "serious", "critical")  # of the Astro UX status system, worst last
@@ -36,7 +39,7 @@ WHY = {
     "too_few_stars": "No exposure has enough stars: nothing was estimated.",
 }
 UNSEEN_TYPICAL_SIGMAS = 1.0  # a direction known no better than unit-to-unit spread was not calibrated
-AT_THE_BOUND = (0.97, 1.15)  # claimed sigma over bound: below it is too good to be true, above it data are wasted
+AT_THE_BOUND = (TOO_SMALL, 1.15)  # claimed sigma over bound: below it is too good to be true, above it data are wasted
 NOT_YET = "Trust is examined when the run ends; it is not there yet."
 NEVER = "This result was made without an examination of trust: clone its run and start it again to have one."
 NO_REASON = "This part of the examination could not be made for this run."
@@ -44,14 +47,23 @@ NO_REASON = "This part of the examination could not be made for this run."
 
 @dataclass(frozen=True)
 class VerdictMark:
-    """One answer on the verdict strip."""
+    """One answer on the verdict strip; `name` is what code knows it by, `question` what people read."""
 
+    name: str
     question: str
     level: str
     word: str
     value: str
     detail: str
     reason: str = ""
+
+
+@dataclass(frozen=True)
+class PartVerdict:
+    """How a part of a run's page stands, in a word; no word where there is nothing to judge."""
+
+    level: str = "off"
+    word: str = ""
 
 
 @dataclass(frozen=True)
@@ -63,8 +75,8 @@ class RunVerdict:
     reasons: tuple[str, ...]
 
 
-def _unknown(question: str, detail: str) -> VerdictMark:
-    return VerdictMark(question, "off", "NO DATA", "–", detail)
+def _unknown(name: str, question: str, detail: str) -> VerdictMark:
+    return VerdictMark(name, question, "off", "NO DATA", "–", detail)
 
 
 def _not_yet(result: Calibration, never: str) -> str:
@@ -75,11 +87,13 @@ def _not_yet(result: Calibration, never: str) -> str:
 def _fit(result: Calibration) -> VerdictMark:
     status, steps = result.status, result.iterations
     if status == "running":
-        return VerdictMark("Fit", LEVEL_OF_STATUS[status], status, *_so_far(result), WHY[status])
+        return VerdictMark("fit", "Fit", LEVEL_OF_STATUS[status], status, *_so_far(result), WHY[status])
     used = f"{count(result.frames)} frames, {count(result.stars)} stars, {count(result.pairs)} pairs"
     level = LEVEL_OF_STATUS[status]
     value = f"{count(steps)} iteration{'s' * (steps != 1)}" if steps else ""
-    return VerdictMark("Fit", level, status.replace("_", " "), value, used, "" if level == "normal" else WHY[status])
+    return VerdictMark(
+        "fit", "Fit", level, status.replace("_", " "), value, used, "" if level == "normal" else WHY[status]
+    )
 
 
 def _so_far(result: Calibration) -> tuple[str, str]:
@@ -92,15 +106,15 @@ def _so_far(result: Calibration) -> tuple[str, str]:
 
 
 def _chi_square(result: Calibration) -> VerdictMark:
-    question, chi2, per_dof = "χ² per degree of freedom", result.chi2, result.chi2_per_dof
+    name, question, chi2, per_dof = "chi_square", "χ² per degree of freedom", result.chi2, result.chi2_per_dof
     if per_dof is None or chi2 is None:
-        return _unknown(question, _not_yet(result, "No chi-square was computed."))
+        return _unknown(name, question, _not_yet(result, "No chi-square was computed."))
     detail = f"95 % bounds {_bounds(chi2)}, {count(chi2.dof)} degrees of freedom"
     if chi2.consistent:
-        return VerdictMark(question, "normal", "consistent", number(per_dof), detail)
+        return VerdictMark(name, question, "normal", "consistent", number(per_dof), detail)
     word = "noise above model" if per_dof > 1 else "noise below model"
     reason = f"{question} is {number(per_dof, 3)}: the noise is not what was assumed."
-    return VerdictMark(question, "caution", word, number(per_dof), detail, reason)
+    return VerdictMark(name, question, "caution", word, number(per_dof), detail, reason)
 
 
 def _bounds(test: ChiSquareTest | InnovationTest) -> str:
@@ -108,47 +122,47 @@ def _bounds(test: ChiSquareTest | InnovationTest) -> str:
 
 
 def _nis(result: Calibration) -> VerdictMark:
-    question, nis = "Innovations (NIS)", result.nis
+    name, question, nis = "nis", "Innovations (NIS)", result.nis
     if result.method not in FILTERS:
-        return VerdictMark(question, "off", "not applicable", "", "A batch has no innovations; a filter has.")
+        return VerdictMark(name, question, "off", "not applicable", "", "A batch has no innovations; a filter has.")
     if nis is None:
-        return _unknown(question, "No innovations yet.")
+        return _unknown(name, question, "No innovations yet.")
     value, detail = number(nis.mean), f"95 % bounds {_bounds(nis)}, a degree of freedom"
     if nis.consistent:
-        return VerdictMark(question, "normal", "consistent", value, detail)
+        return VerdictMark(name, question, "normal", "consistent", value, detail)
     word = "over-confident" if (nis.mean or 0.0) > (nis.upper or 0.0) else "pessimistic"
     reason = "The innovations are outside their 95 % bounds: the sigmas of this filter are not honest."
-    return VerdictMark(question, "caution", word, value, detail, reason)
+    return VerdictMark(name, question, "caution", word, value, detail, reason)
 
 
 def _weakest(result: Calibration) -> VerdictMark:
-    question, seen = "Weakest direction", result.observability
+    name, question, seen = "weakest_direction", "Weakest direction", result.observability
     if seen is None or not seen.singular_values:
-        return _unknown(question, _not_yet(result, "Observability was not computed."))
+        return _unknown(name, question, _not_yet(result, "Observability was not computed."))
     spread = [sigma for sigma in seen.sigma_of_direction if sigma is not None]
     sentence = seen.weakest.sentence or "One direction was not seen at all."
     worst = max(spread, default=0.0)
     if len(spread) < len(seen.singular_values):
         value = f"condition {number(seen.condition_number, 3)}"
-        return VerdictMark(question, "caution", "not seen", value, sentence, sentence)
+        return VerdictMark(name, question, "caution", "not seen", value, sentence, sentence)
     if worst > UNSEEN_TYPICAL_SIGMAS:
-        return VerdictMark(question, "caution", "not seen", f"{number(worst, 2)} typical σ", sentence, sentence)
-    return VerdictMark(question, "normal", "seen", f"{number(worst, 2)} typical σ", sentence)
+        return VerdictMark(name, question, "caution", "not seen", f"{number(worst, 2)} typical σ", sentence, sentence)
+    return VerdictMark(name, question, "normal", "seen", f"{number(worst, 2)} typical σ", sentence)
 
 
 def _validation(result: Calibration) -> VerdictMark:
-    question, validation = "Validation RMS", result.validation
+    name, question, validation = "validation_rms", "Validation RMS", result.validation
     before, after = (validation.rms_arc_rad.initial, validation.rms_arc_rad.final) if validation else (None, None)
     if validation is None or before is None or after is None:
-        return _unknown(question, _not_yet(result, "Nothing outside the fitted frames was checked."))
+        return _unknown(name, question, _not_yet(result, "Nothing outside the fitted frames was checked."))
     detail = f"{count(validation.frames)} held-out frames, {percent(validation.availability.final)} available"
     sigma = sigma_of_rms(after, validation.common_pairs)
     detail += "; σ not kept" if sigma is None else f"; the new RMS is known to ± {urad(3 * sigma, 2)} µrad (3σ)"
     value = f"{urad(before)} → {urad(after)} µrad"
     if after < before:
-        return VerdictMark(question, "normal", "better", value, detail)
+        return VerdictMark(name, question, "normal", "better", value, detail)
     reason = f"On the validation set the error went from {urad(before)} to {urad(after)} µrad."
-    return VerdictMark(question, "serious", "worse" if after > before else "no better", value, detail, reason)
+    return VerdictMark(name, question, "serious", "worse" if after > before else "no better", value, detail, reason)
 
 
 def make_verdict_marks(result: Calibration) -> list[VerdictMark]:
@@ -166,6 +180,68 @@ def make_verdict(result: Calibration) -> RunVerdict:
     against = tuple(mark.reason for mark in answers if mark.reason)
     agreement = "The statistics agree with the noise that was assumed."
     return RunVerdict(level, WORD_OF_LEVEL.get(level, "converged and consistent"), against or (agreement,))
+
+
+def judge_parts(result: Calibration | None) -> dict[str, PartVerdict]:
+    """Judge the parts of a run's page that can be judged, by name; none where nothing was estimated."""
+    if result is None or not result.parameters:
+        return {}
+    return {name: judge(result) for name, judge in PART_JUDGES.items()}
+
+
+def _judge_summary(result: Calibration) -> PartVerdict:
+    level = make_verdict(result).level
+    return PartVerdict(level, {"normal": "no reservation", "standby": "partial"}.get(level, "reservations"))
+
+
+def _judge_convergence(result: Calibration) -> PartVerdict:
+    if result.status == "running":
+        return PartVerdict("standby", "moving")
+    settled = settled_step(result) is not None
+    return PartVerdict("normal", "settled") if settled else PartVerdict("caution", "not settled")
+
+
+def _judge_rms(result: Calibration) -> PartVerdict:
+    """Judge the error by the validation set alone: on the frames it was fitted to, every fit is better."""
+    mark = _validation(result)
+    if mark.level == "off" or result.validation is None:
+        return PartVerdict()
+    return PartVerdict(mark.level, f"{urad(result.validation.rms_arc_rad.final, 3)} µrad")
+
+
+def _judge_observability(result: Calibration) -> PartVerdict:
+    mark = _weakest(result)
+    return PartVerdict() if mark.level == "off" else PartVerdict(mark.level, mark.word)
+
+
+def _judge_residuals(result: Calibration) -> PartVerdict:
+    mark = _chi_square(result)
+    return PartVerdict() if mark.level == "off" else PartVerdict(mark.level, f"χ² {number(result.chi2_per_dof, 3)}")
+
+
+def _judge_trust(result: Calibration) -> PartVerdict:
+    if result.trust is None:
+        return PartVerdict()
+    doubts = len(trust_doubts(result))
+    return PartVerdict(trust_level(result), f"{doubts} doubt{'s' * (doubts != 1)}" if doubts else "no doubt")
+
+
+def _judge_matching(result: Calibration) -> PartVerdict:
+    if result.matching is None:
+        return PartVerdict()
+    return PartVerdict("normal", "rested") if result.matching.rested else PartVerdict("caution", "not at rest")
+
+
+#: What judges a part of a run's page, by the part's name.
+PART_JUDGES: Mapping[str, Callable[[Calibration], PartVerdict]] = {
+    "summary": _judge_summary,
+    "convergence": _judge_convergence,
+    "rms": _judge_rms,
+    "observability": _judge_observability,
+    "residuals": _judge_residuals,
+    "trust": _judge_trust,
+    "matching": _judge_matching,
+}
 
 
 def trust_marks(result: Calibration) -> list[VerdictMark]:
@@ -192,82 +268,87 @@ def prospects(result: Calibration) -> list[str]:
     return [more.sentence] if more and more.sentence else []
 
 
-def _not_made(trust: Trust, question: str, part: str) -> VerdictMark:
-    return VerdictMark(question, "off", "NO DATA", "–", _why_not_made(trust, part))
+def _not_made(trust: Trust, name: str, question: str) -> VerdictMark:
+    """Make a mark of a part that is not there; the mark has the part's name."""
+    return VerdictMark(name, question, "off", "NO DATA", "–", _why_not_made(trust, name))
 
 
-def _examined(question: str, words: tuple[str, str], sound: bool, value: str, sentence: str) -> VerdictMark:
+def _examined(name: str, question: str, words: tuple[str, str], sound: bool, value: str, sentence: str) -> VerdictMark:
     """Make a mark: the first word where all is well, the second, with the sentence as doubt, where it is not."""
     if sound:
-        return VerdictMark(question, "normal", words[0], value, sentence)
-    return VerdictMark(question, "caution", words[1], value, sentence, sentence or f"{question}: {words[1]}.")
+        return VerdictMark(name, question, "normal", words[0], value, sentence)
+    return VerdictMark(name, question, "caution", words[1], value, sentence, sentence or f"{question}: {words[1]}.")
 
 
 def _halves(trust: Trust) -> VerdictMark:
-    question, part = "Two halves", trust.two_halves
+    name, question, part = "two_halves", "Two halves", trust.two_halves
     if part is None:
-        return _not_made(trust, question, "two_halves")
+        return _not_made(trust, name, question)
     chi2 = part.chi2
     value = f"χ² {number(chi2.value, 3)} for {count(chi2.dof)}"
     sound = chi2.consistent or not chi2.value > chi2.upper  # halves more alike than expected are no doubt
-    return _examined(question, ("agree", "differ"), sound, value, part.sentence)
+    return _examined(name, question, ("agree", "differ"), sound, value, part.sentence)
 
 
 def _innovations(trust: Trust) -> VerdictMark:
-    question, part = "Innovations over time", trust.nis_over_time
+    name, question, part = "nis_over_time", "Innovations over time", trust.nis_over_time
     if part is None:
-        return _not_made(trust, question, "nis_over_time")
+        return _not_made(trust, name, question)
     value = f"{percent(part.outside_share)} outside"
-    return _examined(question, ("as expected", "uneven"), part.consistent, value, part.sentence)
+    return _examined(name, question, ("as expected", "uneven"), part.consistent, value, part.sentence)
 
 
 def _whiteness(trust: Trust) -> VerdictMark:
-    question, part = "Whiteness", trust.whiteness
+    name, question, part = "whiteness", "Whiteness", trust.whiteness
     if part is None:
-        return _not_made(trust, question, "whiteness")
-    return _examined(question, ("white", "not white"), part.white, f"p {number(part.ljung_box.p, 2)}", part.sentence)
+        return _not_made(trust, name, question)
+    return _examined(
+        name, question, ("white", "not white"), part.white, f"p {number(part.ljung_box.p, 2)}", part.sentence
+    )
 
 
 def _efficiency(trust: Trust) -> VerdictMark:
-    question, part = "Efficiency", trust.efficiency
+    name, question, part = "efficiency", "Efficiency", trust.efficiency
     if part is None:
-        return _not_made(trust, question, "efficiency")
+        return _not_made(trust, name, question)
     ratio, (low, high) = part.overall_ratio, AT_THE_BOUND
     word = "too good to be true" if ratio < low else "wasteful"
     value = f"{number(ratio, 3)} times the bound"
-    return _examined(question, ("at the bound", word), low <= ratio <= high, value, part.sentence)
+    return _examined(name, question, ("at the bound", word), low <= ratio <= high, value, part.sentence)
 
 
 def _causes(trust: Trust) -> VerdictMark:
     """Hold the residual against its causes: the sentences of those that explain it."""
-    question, part = "Residual against causes", trust.residual_against
-    judged = [(name, bins) for name, bins in part.by_cause.items() if bins is not None] if part else []
+    name, question, part = "residual_against", "Residual against causes", trust.residual_against
+    judged = [(cause, bins) for cause, bins in part.by_cause.items() if bins is not None] if part else []
     if not judged:
-        return _not_made(trust, question, "residual_against")
-    uneven = [(name, bins) for name, bins in judged if not bins.even]
+        return _not_made(trust, name, question)
+    uneven = [(cause, bins) for cause, bins in judged if not bins.even]
     told = " ".join(bins.sentence for _, bins in uneven)
-    value = ", ".join(name for name, _ in uneven or judged)
+    value = ", ".join(cause for cause, _ in uneven or judged)
     return _examined(
-        question, ("even", "uneven"), not uneven, value, told or "The radial residual depends on none of them."
+        name, question, ("even", "uneven"), not uneven, value, told or "The radial residual depends on none of them."
     )
 
 
 def _needed(trust: Trust) -> VerdictMark:
-    question, part = "Parameters", trust.drop_one
+    name, question, part = "drop_one", "Parameters", trust.drop_one
     if not part:
-        return _not_made(trust, question, "drop_one")
+        return _not_made(trust, name, question)
     needed = sum(row.needed for row in part)
     sentence = trust.drop_one_sentence or ""
-    return _examined(question, ("all needed", "some spare"), needed == len(part), f"{needed} of {len(part)}", sentence)
+    return _examined(
+        name, question, ("all needed", "some spare"), needed == len(part), f"{needed} of {len(part)}", sentence
+    )
 
 
 def _stars(trust: Trust) -> VerdictMark:
-    question, part = "Stars", trust.stars
+    name, question, part = "stars", "Stars", trust.stars
     if not part:
-        return _not_made(trust, question, "stars")
+        return _not_made(trust, name, question)
     value = f"{count(len(trust.suspects))} of {count(trust.stars_in_all or len(part))}"
     sentence = trust.stars_sentence or "Look at the suspects before the next run."
-    return _examined(question, ("none suspect", "suspects"), not trust.suspects, value, sentence)
+    return _examined(name, question, ("none suspect", "suspects"), not trust.suspects, value, sentence)
 
 
 def why_absent(result: Calibration, part: str) -> str:
@@ -279,11 +360,6 @@ def why_absent(result: Calibration, part: str) -> str:
 
 def _why_not_made(trust: Trust, part: str) -> str:
     return trust.unavailable.get(part) or NO_REASON
-
-
-def sigma_of_rms(rms_rad: float | None, arcs: float | None) -> float | None:
-    """Return one sigma of an RMS over so many arcs, in its unit."""
-    return None if rms_rad is None or not arcs else float(rms_rad / np.sqrt(2 * arcs))
 
 
 @dataclass(frozen=True)
@@ -346,3 +422,10 @@ def summarise_run(result: Calibration) -> RunSummary:
         validation_rms_initial_arc_rad=validation.rms_arc_rad.initial if validation else None,
         validation_rms_final_arc_rad=validation.rms_arc_rad.final if validation else None,
     )
+
+
+def judge_result(summary: RunSummary) -> str:
+    """Judge a finished run by its summary: the verdict of its page, and no better than caution where it gave advice."""
+    level = summary.level or LEVEL_OF_STATUS.get(summary.status or "converged", "serious")
+    doubted = summary.advice or summary.weak_directions or summary.chi2_consistent is False
+    return max(level, "caution" if doubted else "normal", key=LEVELS.index)

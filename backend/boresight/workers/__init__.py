@@ -1,3 +1,3 @@
-"""Where runs are computed: worker processes, and the loop that keeps the run rows true whatever dies."""
+"""The computation of runs: worker processes, and the dispatcher that keeps the rows of runs correct when processes die."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The dask cluster as the dispatcher uses it: its client, scheduler and workers, submitted to, asked to stop, killed, missed."""
+"""The dask cluster as the dispatcher uses it: submitting tasks to workers, stopping and killing them, noticing losses."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ CONFIGURATION = {
 }
 
 
-END_S = 2.0  # a thread that is stuck, as in asking for a name, is left to itself
+END_S = 2.0  # a stuck thread, as in a DNS query, is abandoned
 
 
 class SchedulerClient(Client):  # type: ignore[misc] # dask is not typed
@@ -55,7 +55,7 @@ class SchedulerClient(Client):  # type: ignore[misc] # dask is not typed
     _is_over = False
 
     def start(self, **options: Any) -> None:
-        """Connect, as the constructor does; what fails ends with its thread."""
+        """Connect as the constructor does; after a failure the thread is ended."""
         try:
             super().start(**options)
         except BaseException:
@@ -64,7 +64,7 @@ class SchedulerClient(Client):  # type: ignore[misc] # dask is not typed
             raise
 
     def close(self, *arguments: Any, **options: Any) -> None:
-        """Let go of the scheduler, and end the thread, which dask's does only where the link still holds; safe to call twice."""
+        """Disconnect and end the thread, which dask's client does only while connected; safe to call twice."""
         if self._is_over:
             return
         self._is_over = True
@@ -76,21 +76,21 @@ class SchedulerClient(Client):  # type: ignore[misc] # dask is not typed
 
 
 class Scheduler(distributed.Scheduler):  # type: ignore[misc]  # distributed ships no types
-    """A scheduler whose link is its only port."""
+    """A scheduler without an HTTP server."""
 
     def start_http_server(self, *_arguments: Any, **_options: Any) -> None:
         """Open no port."""
 
 
 class Worker(distributed.Worker):  # type: ignore[misc]  # distributed ships no types
-    """A worker whose link is its only port."""
+    """A worker without an HTTP server."""
 
     def start_http_server(self, *_arguments: Any, **_options: Any) -> None:
         """Open no port."""
 
 
 class Nanny(distributed.Nanny):  # type: ignore[misc]  # distributed ships no types
-    """A nanny of such workers; it opens no web server itself."""
+    """A nanny of such workers, without an HTTP server itself."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, worker_class=Worker, **options)
@@ -101,14 +101,14 @@ log = logging.getLogger(__name__)
 CONNECT_S = 5
 CLOSE_S = 5
 FETCH_S = 2
-CHATTY = ("distributed", "distributed.client")  # what they tell, the dispatcher writes to the run it concerns
+CHATTY = ("distributed", "distributed.client")  # the dispatcher writes what they report to the run's log
 DIED = "its worker process died while computing it (killed, or out of memory)"
-LENT_S = 5.0  # so long after pieces were on a worker its death may be theirs
+LENT_S = 5.0  # for so long after pieces were on a worker, its death may be their fault
 NEVER = "3650 days"
 
 
 class LostTaskError(Exception):
-    """A task has no outcome; says why in a clause."""
+    """A task was lost without an outcome; the message is a clause that says why."""
 
 
 class Cluster:
@@ -152,11 +152,11 @@ class Cluster:
 
     @property
     def connected(self) -> bool:
-        """Whether the scheduler is still there."""
+        """Whether the scheduler is connected."""
         return bool(self._client.status == "running")
 
     def workers(self) -> dict[str, int]:
-        """Return the addresses of the workers that are there now, with their numbers of threads."""
+        """Return the addresses of the connected workers, with their numbers of threads."""
         return dict(self._client.nthreads())
 
     def submit(self, worker: str, group: list[Work], calculation: str, done: Callable[[], None]) -> Any:
@@ -168,12 +168,12 @@ class Cluster:
         return future
 
     def fetch_ends(self, future: Any, worker: str) -> list[RunEnd] | LostTaskError | None:
-        """Return how a task's attempts ended, that it was lost, or None when it has not ended or ended for no fault of its own."""
+        """Return the ends of a task's attempts or that it was lost; None when it has not ended or must be computed again."""
         if not future.done():
             return None
         try:
             ends: list[RunEnd] = future.result(timeout=FETCH_S)
-        except (TimeoutError, CancelledError):  # its worker died after it had ended and before it was asked
+        except (TimeoutError, CancelledError):  # its worker died after the task ended and before its result was fetched
             return None
         except KilledWorker:
             lent = time.monotonic() < self._lent_until_s.get(worker, 0.0)
@@ -183,34 +183,34 @@ class Cluster:
         return ends
 
     def _note_loan(self, event: dict[str, Any]) -> None:
-        """Note that a worker has, or just had, pieces of another run."""
+        """Record that a worker has, or just had, pieces of another run."""
         now_s = time.monotonic()
         self._lent_until_s = {name: until_s for name, until_s in self._lent_until_s.items() if until_s > now_s}
         self._lent_until_s[event["worker"]] = now_s + event["for_s"] + LENT_S
 
     def ask_to_stop(self, held: HeldRun) -> None:
-        """Ask an attempt to stop; it looks twice a second."""
+        """Ask an attempt to stop; it checks twice a second."""
         Event(cancel_event(*held), client=self._client).set()
 
     def forget_stop(self, held: HeldRun) -> None:
-        """Drop the wish once the attempt has ended."""
+        """Withdraw the request to stop once the attempt has ended."""
         Event(cancel_event(*held), client=self._client).clear()
 
     def kill(self, future: Any, worker: str) -> None:
-        """End a task that does not answer, by ending its worker process; a new one takes its place."""
+        """Kill the worker process of a task that does not answer; a new one takes its place."""
         future.cancel()
         threading.Thread(target=self._restart, args=(worker,), daemon=True, name="boresight-kill").start()
 
     def _restart(self, worker: str) -> None:
-        """Restart a worker process; takes seconds, so beside the loop."""
+        """Restart a worker process in a thread, because that takes seconds."""
         try:
             self._client.restart_workers([worker], raise_for_error=False)
         except Exception:
             log.exception("Worker %s could not be restarted", worker)
 
     def close(self, unfinished: Collection[HeldRun]) -> None:
-        """Ask what is still computing to stop, let go of the scheduler, and end the workers that are ours."""
-        with suppress(Exception):  # what is lost already cannot be closed in order
+        """Ask running tasks to stop, disconnect, and end our own workers."""
+        with suppress(Exception):  # a lost connection cannot be closed in order
             for held in unfinished if self.connected and self._local is None else ():
                 self.ask_to_stop(held)
         _close(self._client)
@@ -218,14 +218,14 @@ class Cluster:
 
 
 def _close(part: Any | None) -> None:
-    """Close a client, or workers, that are there; whatever that says, there is nothing more to be done."""
+    """Close a client or workers if present, ignoring errors."""
     if part is not None:
         with suppress(Exception):
             part.close(timeout=CLOSE_S)
 
 
 def _shared_folder(settings: Settings) -> str:
-    """Return the folder that every worker must see, made if this is the first start; empty where files are in an object store."""
+    """Return the folder that every worker must see, created at the first start; empty for an object store."""
     place = settings.blob_place
     if not place.is_folder:
         return ""

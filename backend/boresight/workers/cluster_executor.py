@@ -24,19 +24,19 @@ from boresight.estimation.executor import ProgressCallback
 GROUP_S = 0.5
 LEAST_S = 0.05
 
-#: Places of the pieces of one group, ascending.
+#: Indices of the pieces of one group, ascending.
 Group = tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class FailedPiece:
-    """In the place of a result: what the piece raised."""
+    """Takes the place of a result: the exception that the piece raised."""
 
     error: Exception
 
 
 class Pieces:
-    """A ledger that several threads write."""
+    """The state of the pieces of a map, shared by several threads."""
 
     def __init__(self, count: int, seconds: float | None = None) -> None:
         self.count = count
@@ -46,7 +46,7 @@ class Pieces:
         self._fresh = deque(range(count))
         self._returned: deque[int] = deque()
         self._results: dict[int, Any] = {}
-        self._end = count  # behind the first piece that broke nothing is computed
+        self._end = count  # pieces after the first failed one are not computed
         self._closed = False
 
     def take(self, takers: int, *, returned: bool = False) -> Group:
@@ -67,14 +67,14 @@ class Pieces:
         return max(1, min(most, max(least, math.ceil(left / (2 * takers)))))
 
     def give_back(self, group: Group) -> None:
-        """Return a group that was lost, or is overdue; it may still be settled by whoever had it."""
+        """Return a group that was lost or is overdue; its former worker may still settle it."""
         with self._lock:
             self._returned.extend(place for place in group if place not in self._results)
             self._lock.notify_all()
         self._news.set()
 
     def settle(self, group: Group, results: Sequence[Any], seconds: float) -> None:
-        """Write the results of a group, up to the first that is `FailedPiece`; the first answer for a piece counts."""
+        """Store the results of a group, up to the first `FailedPiece`; the first result of a piece counts."""
         with self._lock:
             for place, result in zip(group, results, strict=False):
                 self._results.setdefault(place, result)
@@ -84,21 +84,21 @@ class Pieces:
         self._news.set()
 
     def await_news(self, seconds: float) -> None:
-        """Wait until there is news since the last time, so many seconds at most; for one thread, which gathers."""
+        """Wait for news with a timeout in seconds; for the one gathering thread."""
         self._news.wait(seconds)
         self._news.clear()
 
     def tell_news(self) -> None:
-        """Say that there is something to gather."""
+        """Signal news to the gathering thread."""
         self._news.set()
 
     def rest(self, seconds: float) -> None:
-        """Wait until something is given back or all is over, so many seconds at most."""
+        """Wait with a timeout in seconds until a group is given back or all is done."""
         with self._lock:
             self._lock.wait(seconds)
 
     def close(self) -> None:
-        """Let nobody take any more."""
+        """Stop handing out groups."""
         with self._lock:
             self._closed = True
             self._fresh.clear()
@@ -107,17 +107,17 @@ class Pieces:
 
     @property
     def closed(self) -> bool:
-        """Whether all is over."""
+        """Whether no more groups are handed out."""
         return self._closed
 
     @property
     def done(self) -> int:
-        """How many pieces have a result."""
+        """The number of pieces with a result."""
         return len(self._results)
 
     @property
     def complete(self) -> bool:
-        """Whether every piece has its result, or every one before the first that broke."""
+        """Whether every piece has a result, or every one before the first that failed."""
         with self._lock:
             return all(place in self._results for place in range(self._end)) if self.done >= self._end else False
 
@@ -137,7 +137,7 @@ OVERDUE_S = 3.0
 OVERDUE_TIMES = 4
 AT_ONCE_S = 0.05
 BEHIND_RUNS = -1  # priority
-DEEP = 2  # groups a worker has: one that it computes, and the next, so that it does not wait for it
+DEEP = 2  # groups per worker: one being computed and the next, so that the worker does not wait
 
 #: A worker, and which of its groups.
 Slot = tuple[str, int]
@@ -154,7 +154,7 @@ class LentGroup:
 
 
 class ClusterExecutor:
-    """An `Executor` for one attempt of a run; to be made and used in the thread of its task."""
+    """An `Executor` for one attempt of a run, created and used in the thread of its task."""
 
     def __init__(self, name: str, folder: Path, cancelled: Callable[[], bool]) -> None:
         self._worker = get_worker()
@@ -189,14 +189,14 @@ class ClusterExecutor:
         return pieces.results()
 
     def _alone(self, work: _MapWork, done: ProgressCallback | None) -> None:
-        """Compute what is over before anybody else had begun."""
+        """Compute alone for a moment, because short work ends before others could begin."""
         while not work.pieces.complete:
             self._refuse_if_cancelled(work.pieces)
             work.compute(work.pieces.take(1, returned=True))
             _tell(work.pieces, done)
 
     def _shared(self, work: _MapWork, done: ProgressCallback | None) -> None:
-        """Compute in a thread beside, lend, gather, until all is there."""
+        """Compute in a second thread, lend groups and gather results, until all are there."""
         loans: dict[Slot, LentGroup] = {}
         here = contextvars.copy_context().run
         threading.Thread(target=here, args=(work.compute_all, loans), daemon=True, name="boresight-pieces").start()
@@ -211,7 +211,7 @@ class ClusterExecutor:
                 work.pieces.await_news(WAIT_S)
         finally:
             for loan in loans.values():
-                with contextlib.suppress(Exception):  # whoever ends here must not fail for a worker that is gone
+                with contextlib.suppress(Exception):  # ending must not fail because of a worker that is gone
                     loan.future.cancel()
         if work.pieces.done > told:
             _tell(work.pieces, done)
@@ -221,7 +221,7 @@ class ClusterExecutor:
             raise CancelledError(f"Stopped as asked after {pieces.done} of {pieces.count} pieces")
 
     def _lend(self, work: _MapWork, loans: dict[Slot, LentGroup]) -> None:
-        """Hand groups to every worker that is idle, first one to each."""
+        """Lend groups to every idle worker, first one to each."""
         idle = self._idle_workers(loans)
         for number, worker in ((number, worker) for number in range(DEEP) for worker in idle):
             if (worker, number) in loans:
@@ -244,20 +244,20 @@ class ClusterExecutor:
             loans[worker, number] = LentGroup(future, group, time.monotonic())
 
     def _idle_workers(self, loans: dict[Slot, LentGroup]) -> list[str]:
-        """Return the workers that have nothing to compute but what we lent them; looked at twice a second."""
+        """Return the workers that compute only what we lent them, read twice a second."""
         if time.monotonic() - self._looked_s >= LOOK_EVERY_S:
             self._looked_s = time.monotonic()
             ours = {loan.future.key for loan in loans.values()}
             try:
                 at_work = get_client().processing()
-            except OSError:  # the scheduler is too busy to say, or gone; the run does not depend on it
+            except OSError:  # the scheduler is busy or gone; the run does not depend on it
                 at_work = {}
             busy = {worker for worker, keys in at_work.items() if not ours.issuperset(map(str, keys))}
             self._idle = sorted(at_work.keys() - busy - self._blind - {self._worker.address})
         return self._idle
 
     def _gather(self, work: _MapWork, loans: dict[Slot, LentGroup]) -> None:
-        """Take in what has come back; give back what was lost, or is out for too long."""
+        """Collect finished groups, and give back those that are lost or overdue."""
         for (worker, number), loan in list(loans.items()):
             if loan.future.done():
                 del loans[worker, number]
@@ -272,7 +272,7 @@ class ClusterExecutor:
                 work.pieces.give_back(loan.group)
 
     def _taken_in(self, pieces: Pieces, worker: str, loan: LentGroup) -> bool:
-        """Settle a group that has come back; False when it came back without results."""
+        """Settle a returned group; False when it has no results."""
         try:
             answer = loan.future.result(timeout=FETCH_S)
         except Exception:  # noqa: BLE001 - its worker died, or could not even begin: the run will see by itself
@@ -285,13 +285,13 @@ class ClusterExecutor:
         return True
 
     def _tell_lent(self, worker: str, for_s: float) -> None:
-        """Tell whoever gives runs to the workers how long this one will have pieces of another run; 0: it just had."""
+        """Tell the dispatcher how long a worker will have pieces of another run; 0 when it has just returned them."""
         self._worker.log_event(LENT_TOPIC, {"worker": worker, "for_s": for_s})
 
 
 @dataclass(frozen=True)
 class _MapWork:
-    """What one map computes."""
+    """The work of one `map` call."""
 
     function: Callable[..., Any]
     arguments: Sequence[tuple[Any, ...]]
@@ -303,7 +303,7 @@ class _MapWork:
         self.pieces.settle(group, results, seconds)
 
     def compute_all(self, loans: dict[Slot, LentGroup]) -> None:
-        """Go on until all is over; returned pieces come first."""
+        """Compute groups until all are done, returned ones first."""
         while not self.pieces.closed and not self.pieces.complete:
             group = self.pieces.take(2 + len(loans), returned=True)
             if group:
@@ -318,7 +318,7 @@ def compute_group(sign: str, function: Callable[..., Any], arguments: Sequence[t
 
 
 def timed(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> tuple[list[Any], float]:
-    """Call a function for each piece; returns the results, the last of them `FailedPiece` where one raised, and the seconds."""
+    """Call a function for each piece; returns the results, the last one `FailedPiece` where one raised, and the time taken."""
     begun_s = time.perf_counter()
     results: list[Any] = []
     for piece in arguments:
@@ -331,12 +331,12 @@ def timed(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) ->
 
 
 def _patience_s(pieces: Pieces, group: Group) -> float:
-    """How long a group may be out before it is computed here as well."""
+    """Return how long a group may be lent before it is computed here as well."""
     return max(OVERDUE_S, OVERDUE_TIMES * len(group) * (pieces.seconds or 0.0))
 
 
 def _tell(pieces: Pieces, done: ProgressCallback | None) -> int:
-    """Tell how many pieces are done."""
+    """Report the number of finished pieces."""
     count = pieces.done
     if done is not None:
         done(count, pieces.count)
@@ -348,8 +348,8 @@ FORGOTTEN_S = 86_400.0
 
 @contextmanager
 def make_scratch_folder(folder: Path, run_id: int, attempt: int) -> Iterator[Path]:
-    """Make an attempt's folder below `folder`; it is gone at the end."""
-    folder.mkdir(exist_ok=True)  # the data folder may have been moved away: it is not made anew
+    """Create an attempt's temporary folder below `folder`, removed at the end."""
+    folder.mkdir(exist_ok=True)  # the data folder may have been moved away and must not be created again
     for left in folder.glob("run-*-*"):
         if left.name.startswith(f"run-{run_id}-") or _age_s(left) > FORGOTTEN_S:
             shutil.rmtree(left, ignore_errors=True)
@@ -362,7 +362,7 @@ def make_scratch_folder(folder: Path, run_id: int, attempt: int) -> Iterator[Pat
 
 
 def _age_s(folder: Path) -> float:
-    """How long ago anything was put into a folder or its folders."""
+    """Return the time since anything in a folder was last changed, seconds."""
     try:
         return time.time() - max(path.stat().st_mtime for path in (folder, *folder.glob("*")))
     except OSError:  # it has just been removed

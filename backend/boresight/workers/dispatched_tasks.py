@@ -1,4 +1,4 @@
-"""Dispatched tasks: which worker computes which attempts, which thread is free, and whether a worker is fit for them."""
+"""Dispatched tasks: which worker computes which attempts, which threads are free, and whether a worker is compatible."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class DispatchedTask:
     short: bool = False  # a group of short runs, none of them tried before
     expected_s: float = 0.0
     behind: bool = False  # waits for the task before it on its thread
-    since_s: float = field(default_factory=time.monotonic)  # when it was given to the worker, or came to its thread
+    since_s: float = field(default_factory=time.monotonic)  # when it was given to the worker, or began on its thread
     asked_s: dict[HeldRun, float] = field(default_factory=dict)  # when each was asked to stop
     killed_s: float | None = None  # when its worker was ended by force
     gone_s: float | None = None  # when its worker was first missed
 
     def unanswered_s(self, held: HeldRun) -> float:
-        """Return for how long a wish to stop may have been heard and was not answered, seconds; the group's own time is not."""
+        """Return the seconds since an attempt that computes was asked to stop without answering."""
         return time.monotonic() - max(self.asked_s[held], self.since_s) - (self.expected_s if self.short else 0.0)
 
 
@@ -64,7 +64,7 @@ class DispatchedTasks:
         self._all.clear()
 
     def held(self) -> set[HeldRun]:
-        """Return all attempts that are on the cluster for us."""
+        """Return all attempts on the cluster for this server."""
         return {held for task in self._all for held in task.members}
 
     def of(self, held: HeldRun) -> DispatchedTask:
@@ -76,7 +76,7 @@ class DispatchedTasks:
         return any(task.future.done() for task in self._all)
 
     def advance(self, threads: Mapping[str, int]) -> None:
-        """Let tasks that waited behind come to the threads that are free now; `threads` counts those of the workers there are."""
+        """Assign waiting tasks to threads that have become free; `threads` are those of the connected workers."""
         free = Counter(threads)
         free.subtract(task.worker for task in self._all if not task.behind)
         for task in self._all:
@@ -96,7 +96,7 @@ class DispatchedTasks:
         return [worker for worker in threads for _ in range(short[worker])]
 
     def overdue(self, patience_s: float) -> list[DispatchedTask]:
-        """Return the tasks that have waited longer behind others than those should have taken."""
+        """Return the tasks that have waited longer than the tasks before them should have taken."""
         now_s = time.monotonic()
         return [task for task in self._all if task.behind and now_s - task.since_s > patience_s]
 
@@ -108,7 +108,7 @@ LEAVE_AFTER_S = 0.5  # its sentence goes first
 
 
 class WorkerCheck(WorkerPlugin):  # type: ignore[misc]  # distributed ships no types
-    """Ask every worker whether it may compute for this server."""
+    """A plugin that checks on every worker whether it may compute for this server."""
 
     name = "boresight-worker-check"
 
@@ -117,7 +117,7 @@ class WorkerCheck(WorkerPlugin):  # type: ignore[misc]  # distributed ships no t
         self.folder = folder
 
     def setup(self, worker: Any) -> None:
-        """Let a worker that is not fit say why, and leave."""
+        """Check a worker; an incompatible one logs why and closes."""
         fault = find_worker_fault(self.version, self.folder, boresight.__version__)
         if fault is None:
             return
@@ -127,7 +127,7 @@ class WorkerCheck(WorkerPlugin):  # type: ignore[misc]  # distributed ships no t
 
 
 def find_worker_fault(server_version: str, folder: str, worker_version: str) -> str | None:
-    """Say in a sentence why a worker may not compute for a server; None when it may."""
+    """Return why a worker may not compute for a server; None when it may."""
     here = socket.gethostname()
     if worker_version != server_version:
         return (

@@ -53,12 +53,12 @@ from boresight.workers.link import ProgressInbox, Report
 from boresight.workers.tasks import CALCULATION, gather_inputs
 
 FRESH_S = 3.0
-ALIKE = 1.5  # times as many stars at most, or as few
+ALIKE = 1.5  # runs with up to so many times more or fewer stars count as alike
 
 
 @dataclass
 class _MethodDuration:
-    """What is known of a method."""
+    """The recent durations of a method."""
 
     timed: list[TimedRun]
     s_per_star: float
@@ -67,12 +67,12 @@ class _MethodDuration:
 
 @dataclass
 class DurationModel:
-    """What the newest runs of each method took."""
+    """A model of run durations, from the newest runs of each method."""
 
     _known: dict[str, _MethodDuration] = field(default_factory=dict)
 
     def refresh(self, session: Session, methods: set[str]) -> None:
-        """Read what the newest runs of these methods took, where that was not done just now."""
+        """Reread the newest runs of these methods, unless that was done just now."""
         now_s = time.monotonic()
         for method in methods:
             if method not in self._known or now_s - self._known[method].read_s > FRESH_S:
@@ -144,7 +144,7 @@ log = logging.getLogger(__name__)
 
 
 def _recordable(end: RunEnd) -> RunEnd:
-    """Return an end that a row can hold: one that cannot be written would hold up the ends of all other runs, turn after turn."""
+    """Return an end that a row can hold, because one that cannot be written would block the ends of all other runs."""
     try:
         canonical([end.summary, [line.numbers for line in end.log]])
     except (TypeError, ValueError) as error:
@@ -156,7 +156,7 @@ def _recordable(end: RunEnd) -> RunEnd:
 
 @dataclass(frozen=True)
 class Reconciler:
-    """The database as one owner of runs sees it."""
+    """The dispatcher's transactions on the rows of runs."""
 
     database: Database
     owner: str
@@ -166,7 +166,7 @@ class Reconciler:
 
     @cached_property
     def _data_versions(self) -> DataVersionReader:
-        """Tells whether anything was committed: what is asked every turn is read only then."""
+        """Reads the data version, so that queries of every turn run only after a commit."""
         return DataVersionReader(self.database)
 
     @cached_property
@@ -178,7 +178,7 @@ class Reconciler:
         return VersionedCache(self._data_versions)
 
     def close(self) -> None:
-        """Let go of the store."""
+        """Close the connection to the store."""
         self._data_versions.close()
 
     def settle(self, ends: Sequence[RunEnd]) -> None:
@@ -209,7 +209,7 @@ class Reconciler:
                     runs.put_back(session, *held, cause)
 
     def put_back_or_give_up(self, members: Collection[HeldRun], cause: str) -> None:
-        """Queue attempts again whose worker was gone though the scheduler charged nobody with its end.
+        """Queue attempts again whose worker is gone without a task being blamed.
 
         They are not to blame, unless it goes on so: a scheduler that allows failures never says which task ended a
         worker, and a run that ends every worker must come to an end itself.
@@ -231,7 +231,7 @@ class Reconciler:
         return {held for held in members if held not in ours}
 
     def stops(self, members: Collection[HeldRun]) -> set[HeldRun]:
-        """Return those attempts that somebody asked to stop."""
+        """Return the attempts that were asked to stop."""
         return self._stops.answer(frozenset(members), lambda: self._asked_to_stop(members))
 
     def _asked_to_stop(self, members: Collection[HeldRun]) -> set[HeldRun]:
@@ -241,14 +241,14 @@ class Reconciler:
         return {held for held in members if states.get(held) == "CANCELLING"}
 
     def record(self, reports: Mapping[HeldRun, Report], lines: Mapping[HeldRun, Line]) -> None:
-        """Write how far attempts are and when they said so, with what a live page draws, and lines for their logs."""
+        """Write the progress of attempts with its time, the data for live pages, and lines for their logs."""
         with open_writing(self.database) as session:
             for held, report in reports.items():
                 if runs.record_progress(session, *held, report.progress(utc_now())) and held in lines:
                     write_event(session, *held, lines[held])
 
     def waiting(self, limit: int) -> list[WaitingRun]:
-        """Return the oldest runs that wait."""
+        """Return the oldest waiting runs."""
         return self._waiting.answer(limit, lambda: self._oldest(limit))
 
     def _oldest(self, limit: int) -> list[WaitingRun]:
@@ -258,7 +258,7 @@ class Reconciler:
     def take(
         self, waiting: Sequence[WaitingRun], free: int, followed: int, threads: int
     ) -> list[tuple[RunGroup, list[ClaimedRun]]]:
-        """Claim the oldest of the waiting runs for free threads and for those to be followed, grouped into tasks."""
+        """Claim the oldest waiting runs for free threads and for threads that soon will be, grouped into tasks."""
         with open_writing(self.database) as session:
             self.durations.refresh(session, {run.method for run in waiting})
             groups = planned(waiting, free, followed, threads, self.durations.seconds)
@@ -269,18 +269,18 @@ class Reconciler:
         return [(group, members) for group, members in kept if members]
 
 
-RUNS = 16  # looked at together
+RUNS = 16  # checked together
 
 
 class AlarmCheck:
-    """The runs of one dispatcher that were not looked at yet."""
+    """The succeeded runs whose alarms are still to be checked."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
         self._noted: list[int] = []
 
     def __bool__(self) -> bool:
-        """Whether there is anything to look at."""
+        """Whether there is anything to check."""
         return bool(self._noted)
 
     def note(self, ends: Collection[RunEnd]) -> None:
@@ -288,7 +288,7 @@ class AlarmCheck:
         self._noted += [end.run_id for end in ends if end.state == "SUCCEEDED"]
 
     def look(self) -> None:
-        """Look at some of them, writing only where an alarm changes; what fails here, the server's maintenance does again."""
+        """Check some of them, writing only where an alarm changes; after a failure the server's maintenance checks again."""
         some, self._noted = self._noted[:RUNS], self._noted[RUNS:]
         try:
             if some and (sensor_ids := self._changed(some)):
@@ -298,18 +298,18 @@ class AlarmCheck:
             log.exception("The alarm check failed after a run; the server's maintenance looks again")
 
     def _changed(self, run_ids: Collection[int]) -> list[int]:
-        """Return the sensors of these runs whose alarms are not as they should be."""
+        """Return the sensors of these runs whose alarms have to change."""
         with open_reading(self._database) as session:
             return find_changed_sensors(session, list_sensors(session, run_ids))
 
 
-TURN_S = 0.25  # while nothing is told: an end, a launch and a wish to stop here wake the dispatcher at once
-LOOK_EVERY_S = 0.5  # at the workers, while no task has ended or none is there
+TURN_S = 0.25  # pause without events; an end, a launch or a cancellation on this server wakes the dispatcher at once
+LOOK_EVERY_S = 0.5  # pause between checks of the workers
 PAUSE_AFTER_ERROR_S = 1.0
 CANCEL_GRACE_S, GONE_S = 5.0, 1.0
 GONE = "its worker was gone before the task reached it, or before its result was fetched"
 KILL_AGAIN_S, OVERDUE_S = 20.0, 30.0
-LOOK_AHEAD = 64  # runs a thread
+LOOK_AHEAD = 64  # runs per thread
 JOIN_S = 30.0
 
 
@@ -336,7 +336,7 @@ class RunDispatcher:
         self._cluster: Cluster | None = None
         self._tasks = DispatchedTasks()
         self._threads: dict[str, int] = {}
-        self._joined = False  # whether any worker ever was there
+        self._joined = False  # whether any worker has ever joined
         self._alarm_check = AlarmCheck(database)
         self._reports = ProgressInbox()
         self._renewed_s = self._looked_s = 0.0
@@ -344,33 +344,33 @@ class RunDispatcher:
         self._thread = threading.Thread(target=self._run, name="boresight-dispatcher", daemon=True)
 
     def start(self) -> None:
-        """Begin, where the settings give any workers; returns at once, the workers start beside."""
+        """Start the thread if the settings have any workers; returns at once while the workers start."""
         if self._settings.scheduler or self._settings.workers > 0:
             self._thread.start()
 
     def stop(self) -> None:
-        """End in order: what is still computing is queued again for the next dispatcher, the workers end."""
+        """Stop in order: running attempts are queued again for the next dispatcher, and the workers end."""
         self._stopping.set()
         self._wake.set()
         if self._thread.is_alive():
             self._thread.join(JOIN_S)
 
     def notify(self) -> None:
-        """Look at the rows now: one was launched or cancelled."""
+        """Read the rows now, after a launch or cancellation."""
         self._wake.set()
 
     def state(self) -> dict[str, Any]:
-        """Say who this is, whether it turns, its cluster is there and ever had a worker; its threads at last, and tasks."""
+        """Return its owner name, whether it and its cluster are up, whether a worker ever joined, and its threads and tasks."""
         connected = self._cluster is not None and self._cluster.connected
         counts = {"joined": self._joined, "threads": sum(self._threads.values()), "tasks": len(self._tasks)}
         return {"owner": self.owner, "turns": self._thread.is_alive(), "connected": connected, **counts}
 
     def _run(self) -> None:
-        """Turn until asked to stop; an error is logged and the next turn tries again."""
+        """Run turns until asked to stop; after an error, which is logged, the next turn tries again."""
         while not self._stopping.is_set():
             try:
                 self._turn()
-            except CommClosedError:  # the next turn sees that, and attaches to another
+            except CommClosedError:  # the next turn notices and connects to another
                 log.warning("The scheduler was lost while it was asked something")
                 self._stopping.wait(TURN_S)
             except Exception:
@@ -390,7 +390,7 @@ class RunDispatcher:
             self._alarm_check.look()
 
     def _attach(self) -> bool:
-        """Have a cluster; after its loss queue what was on it and make a new connection."""
+        """Make sure that there is a cluster; after a loss queue its attempts again and reconnect."""
         if self._cluster is not None and not self._cluster.connected:
             self._detach("the scheduler was lost")
         if self._cluster is None:
@@ -401,7 +401,7 @@ class RunDispatcher:
         return self._cluster is not None
 
     def _detach(self, cause: str) -> None:
-        """Let go of the cluster and queue again what was on it."""
+        """Disconnect from the cluster and queue its attempts again."""
         cluster, self._cluster = self._cluster, None
         held = self._tasks.held()
         self._tasks.clear()
@@ -413,7 +413,7 @@ class RunDispatcher:
                 cluster.close(held)
 
     def _shut_down(self) -> None:
-        """Write what is finished, queue the rest again, end the workers."""
+        """Write the finished ends, queue the rest again, and end the workers."""
         try:
             if self._cluster is not None:
                 self._settle()
@@ -442,7 +442,7 @@ class RunDispatcher:
 
     def _is_settled(self, task: DispatchedTask, *, alive: bool) -> bool:
         """Write how one task ended, if it did."""
-        if task.killed_s is not None:  # its thread is not free before its worker is gone
+        if task.killed_s is not None:  # its thread is free only when its worker is gone
             if alive and time.monotonic() - task.killed_s > KILL_AGAIN_S:
                 self._kill(task)
             return not alive
@@ -452,7 +452,7 @@ class RunDispatcher:
         answer = self._on_cluster().fetch_ends(task.future, task.worker)
         if answer is None and alive:
             return False
-        if answer is None:  # the news of the end may still be on its way
+        if answer is None:  # the report of the end may not have arrived yet
             task.gone_s = task.gone_s or time.monotonic()
             if time.monotonic() - task.gone_s < GONE_S:
                 return False
@@ -469,7 +469,7 @@ class RunDispatcher:
         return True
 
     def _renew(self) -> None:
-        """Renew our leases three times a lease; drop what is no longer ours."""
+        """Renew our leases three times per lease; drop attempts that are no longer ours."""
         if time.monotonic() - self._renewed_s < self._settings.lease_s / 3:
             return
         lost = self._rows.renew(self._tasks.held())
@@ -481,7 +481,7 @@ class RunDispatcher:
                 self._on_cluster().ask_to_stop(held)
 
     def _tell_progress(self) -> None:
-        """Pass reports on, and write them to the rows at most twice a second."""
+        """Broadcast reports, and write them to the rows at most twice a second."""
         reports = self._reports.take(self._tasks.held())
         for held, report in reports.items():
             self._broadcast({"kind": "progress", **self._reports.news(held, report)})
@@ -489,7 +489,7 @@ class RunDispatcher:
             self._rows.record(due, self._reports.lines(due))
 
     def _pass_on_stops(self) -> None:
-        """Ask attempts to stop whose rows say so; end by force what did not answer in time."""
+        """Ask attempts of cancelled runs to stop; kill those that did not answer in time."""
         asked = self._rows.stops(self._tasks.held()) if self._tasks else set()
         for held in asked:
             task = self._tasks.of(held)
@@ -498,10 +498,10 @@ class RunDispatcher:
                 self._on_cluster().ask_to_stop(held)
             elif not task.behind and task.unanswered_s(held) > self._grace_s:
                 self._end_by_force(task, held)
-                break  # what shared its task is in flight no more
+                break  # the others of its task are not in flight any more
 
     def _end_by_force(self, task: DispatchedTask, held: HeldRun) -> None:
-        """End an attempt that does not answer, with its worker; what shared its task is queued again."""
+        """Kill an attempt that does not answer with its worker; the others of its task are queued again."""
         self._rows.end_cancelled(held)
         self._rows.put_back(task.members - {held}, "a run that shared its worker had to be ended by force")
         self._tell_moved(task.members)
@@ -514,7 +514,7 @@ class RunDispatcher:
         self._on_cluster().kill(task.future, task.worker)
 
     def _launch(self) -> None:
-        """Give waiting runs to the free threads, and more to those that will soon be free."""
+        """Give waiting runs to free threads, and further ones to threads that will soon be free."""
         if self._tasks and not (self._tasks.free(self._threads) or self._tasks.followed(self._threads)):
             return
         threads = sum(self._threads.values())
@@ -541,7 +541,7 @@ class RunDispatcher:
         self._tell_moved(members)
 
     def _recall(self) -> None:
-        """Queue again what waits behind a task that takes longer than was foreseen; another thread may be free sooner."""
+        """Queue tasks again that wait behind one slower than predicted; another thread may be free sooner."""
         for task in self._tasks.overdue(OVERDUE_S):
             task.future.cancel()
             self._rows.put_back(task.members, "the runs before it took longer than foreseen")
@@ -549,7 +549,7 @@ class RunDispatcher:
             self._tell_moved(task.members)
 
     def _tell_moved(self, members: Collection[HeldRun]) -> None:
-        """Tell that the states of runs have changed; what to is in their rows."""
+        """Announce that the states of runs have changed."""
         for run_id, attempt in sorted(members):
             self._broadcast({"kind": "run", "run_id": run_id, "attempt": attempt})
 

@@ -1,4 +1,4 @@
-"""The thread between a computing run and the server: progress goes up, the wish to stop comes down."""
+"""The link between a computing run and the server: progress is sent up, and cancellation is received."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ class Report:
         return None if self.calibration is None else parse_calibration(self.calibration).history
 
     def told(self) -> dict[str, Any]:
-        """Return what everybody is told."""
+        """Return the progress event that is broadcast."""
         return {name: getattr(self, name) for name in ("run_id", "attempt", "fraction", "message", "elapsed_s")}
 
     def progress(self, at_utc: str) -> dict[str, Any]:
-        """Return what the run's row keeps of a report that came at a time."""
+        """Return the report as the run's row stores it, with the time when it came."""
         said = {"fraction": self.fraction, "message": self.message, "elapsed_s": self.elapsed_s}
         return said | {"at_utc": at_utc, "partial": self.calibration}
 
@@ -74,12 +74,12 @@ class ProgressInbox:
         self._lines: dict[HeldRun, tuple[int, float]] = {}
 
     def hear(self, report: Report) -> None:
-        """Take a report; it replaces the one before of the same attempt."""
+        """Store a report, which replaces the attempt's last one."""
         with self._lock:
             self._newest[report.run_id, report.attempt] = report
 
     def take(self, ours: AbstractSet[HeldRun]) -> dict[HeldRun, Report]:
-        """Return what came since the last time, of our attempts only."""
+        """Return the reports since the last call, of our attempts only."""
         with self._lock:
             reports, self._newest = self._newest, {}
         self._told_frame = {held: frame for held, frame in self._told_frame.items() if held in ours}
@@ -87,14 +87,14 @@ class ProgressInbox:
         return {held: report for held, report in reports.items() if held in ours}
 
     def news(self, held: HeldRun, report: Report) -> dict[str, Any]:
-        """Say what a report tells, with the points of the history that were not told before; they are taken as told now."""
+        """Return the event of a report with the new points of its history, and mark these as sent."""
         points = points_after(report.history, self._told_frame.get(held))
         if points is not None:
             self._told_frame[held] = points["frame"][-1]
         return report.told() | {"history": points}
 
     def due(self, reports: dict[HeldRun, Report]) -> dict[HeldRun, Report]:
-        """Return those whose rows were not written in the last half second; they are taken as written now."""
+        """Return the reports of attempts whose rows were not written in the last half second, and mark them as written."""
         now_s = time.monotonic()
         self._recorded_s = {held: at_s for held, at_s in self._recorded_s.items() if now_s - at_s < RECORD_EVERY_S}
         due = {held: report for held, report in reports.items() if held not in self._recorded_s}
@@ -102,7 +102,7 @@ class ProgressInbox:
         return due
 
     def lines(self, reports: Mapping[HeldRun, Report]) -> dict[HeldRun, Line]:
-        """Return a line for the log of each attempt that came to another twentieth of its way, one in two seconds at most."""
+        """Return a log line for each attempt that completed another twentieth, at most one in two seconds."""
         now_s = time.monotonic()
         lines = {}
         for held, report in reports.items():
@@ -131,7 +131,7 @@ def points_after(history: History | None, after: int | None) -> dict[str, Any] |
 
 
 def _spread(first: int, last: int) -> list[int]:
-    """Choose places from first to last, both among them."""
+    """Return evenly spread indices, including the first and the last."""
     most = min(last - first + 1, POINTS_AN_EVENT)
     return [last] if most == 1 else [first + round(k * (last - first) / (most - 1)) for k in range(most)]
 
@@ -157,7 +157,7 @@ def cancel_event(run_id: int, attempt: int) -> str:
 
 
 class Link:
-    """One attempt's link; made where the attempt computes."""
+    """The link of one attempt, created where it computes."""
 
     def __init__(self, run_id: int, attempt: int) -> None:
         self.run_id = run_id
@@ -179,7 +179,7 @@ class Link:
         get_worker().log_event(TOPIC, {"report": vars(report)})  # the worker adds its own address beside it
 
     def cancelled(self) -> bool:
-        """Say whether this attempt was asked to stop."""
+        """Return whether this attempt was asked to stop."""
         now_s = time.monotonic()
         if not self._stopped and now_s - self._looked_s >= LOOK_EVERY_S:
             self._looked_s = now_s
@@ -187,13 +187,13 @@ class Link:
         return self._stopped
 
     def refuse_if_cancelled(self) -> None:
-        """Look now, before the work begins: a run that waited in its group may have been cancelled meanwhile."""
+        """Raise if the attempt was cancelled, before its work begins: it may have waited in its group."""
         if self._stop.is_set():
             raise CancelledError("Stopped on request before it began.")
 
 
 def encoded(partial: Calibration) -> bytes:
-    """Write a calibration so far as JSON, its history thinned to what a chart can show."""
+    """Write a partial calibration as JSON, its history thinned to what a chart can show."""
     thin = partial if partial.history is None else replace(partial, history=thinned(partial.history))
     return orjson.dumps(thin.to_dict(), option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
 

@@ -1,9 +1,9 @@
-"""Links between server, scheduler and workers that prove who is at the other end.
+"""Authenticated links between server, scheduler and workers.
 
-dask runs whatever function it is sent, so whoever a link lets in can do what the server can do: the key of the certificate is the
-authorisation. Both ends of each link show a certificate that one authority has signed, and everything on the way is encrypted.
+dask runs whatever function it is sent, so anybody who can use a link can do what the server can do: the key of the certificate is
+the authorisation. Both ends of each link show a certificate that one authority has signed, and everything on the way is encrypted.
 
-- Our own workers get a certificate of their server's, made at each start and never written to a file that lasts.
+- Our own workers get a certificate from their server, made at each start and never written to a permanent file.
 - With an external scheduler, one certificate with its key in one file serves a machine in all its parts.
 - Plain `tcp://` links ask nobody who they are. Off this machine they are refused, unless a setting says that nobody else is on
   that network; on this machine they are open to all of its users.
@@ -121,7 +121,7 @@ MAKE_NEW = "make new ones with `boresight certificates`, and start server, sched
 
 
 def refuse_unless_address(text: str) -> None:
-    """Refuse what no scheduler can be asked at: it would be asked again for ever."""
+    """Refuse an invalid address of a scheduler, which would be tried for ever."""
     try:
         parts = urlsplit(text)
         is_address = f"{parts.scheme}://" in PROTOCOLS and bool(parts.hostname) and bool(parts.port)
@@ -148,7 +148,7 @@ def own_security() -> Security:
 
 
 def refuse_open_link(settings: Settings, host: str, given: str) -> None:
-    """Refuse a plain link that others than this machine's users could reach."""
+    """Refuse a plain link that is reachable from other machines."""
     if settings.cluster_network_closed or _is_loopback(host):
         return
     raise RefusedInputError(
@@ -159,7 +159,7 @@ def refuse_open_link(settings: Settings, host: str, given: str) -> None:
 
 
 def _is_loopback(host: str) -> bool:
-    """Say whether only this machine reaches a host; a name may mean anything, but for the one that means this."""
+    """Return whether a host is reachable from this machine only; of names only `localhost` is."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -196,7 +196,7 @@ def make_security(settings: Settings) -> Security | None:
 
 
 def _refuse_unusable(settings: Settings) -> None:
-    """Refuse files that would make every link fail, and a key that any user of this machine has; tell of an end that is near."""
+    """Refuse unusable files and a key that any user of this machine can read; warn of an expiry that is near."""
     given = f"BORESIGHT_TLS_CERTIFICATE={settings.tls_certificate!r}"
     try:
         load_pem_x509_certificates(Path(settings.tls_authority).read_bytes())

@@ -1,4 +1,4 @@
-"""Schedulers and workers as services: started by a command, ended by SIGTERM, back by themselves.
+"""Schedulers and workers as services: started by a command, ended by SIGTERM, reconnecting by themselves.
 
 distributed's workers end when they lose their scheduler, on purpose: what they held is void. So a worker here is a loop: wait until
 the scheduler answers, be a worker of it until it is gone, wait again, longer each time that it did not last. A worker process
@@ -35,7 +35,7 @@ Say = Callable[[str], None]
 
 
 def run_scheduler(settings: Settings, host: str, port: int, say: Say) -> None:
-    """Be a scheduler until SIGTERM or Ctrl-C."""
+    """Run a scheduler until SIGTERM or Ctrl-C."""
     security = make_security(settings)
     if security is None:
         refuse_open_link(settings, host, f"--host {host}")
@@ -43,13 +43,13 @@ def run_scheduler(settings: Settings, host: str, port: int, say: Say) -> None:
     try:
         asyncio.run(_until_stopped(_scheduler(security, host, port, say)))
     except RuntimeError as error:
-        if isinstance(error.__cause__, OSError):  # distributed wraps what kept it from starting
+        if isinstance(error.__cause__, OSError):  # distributed wraps the cause of a failed start
             raise error.__cause__ from error
         raise
 
 
 async def _scheduler(security: Security | None, host: str, port: int, say: Say) -> None:
-    """Serve; a task that loses its worker is lost at once, for the server counts and decides."""
+    """Serve as a scheduler; a task that loses its worker is lost at once, because the server decides on retries."""
     scheduler = Scheduler(
         host=host,
         port=port,
@@ -68,14 +68,14 @@ async def _scheduler(security: Security | None, host: str, port: int, say: Say) 
 
 @dataclass(frozen=True)
 class WorkerService:
-    """One worker that is always there when its scheduler is."""
+    """A worker that joins its scheduler again whenever that is there."""
 
     settings: Settings
     memory_bytes: int
     say: Say
 
     async def run(self) -> None:
-        """Join, and join again, until stopped."""
+        """Join the scheduler, again and again until stopped."""
         security = make_security(self.settings)
         pause_s = FIRST_PAUSE_S
         while True:
@@ -117,7 +117,7 @@ class WorkerService:
 
 
 def run_workers(settings: Settings, processes: int, memory_bytes: int | None, say: Say) -> None:
-    """Be so many workers until SIGTERM or Ctrl-C."""
+    """Run a number of workers until SIGTERM or Ctrl-C."""
     make_security(settings)
     _configure()
     memory_bytes = memory_bytes or int(MEMORY_SHARE * MEMORY_LIMIT / max(processes, CPU_COUNT))
@@ -142,7 +142,7 @@ async def _answers(address: str, security: Security | None) -> bool:
 
 
 async def _until_stopped(work: Coroutine[Any, Any, None]) -> None:
-    """Work until it ends by itself, or a signal asks to stop; then end it in order."""
+    """Run a coroutine until it ends, or until a signal asks to stop it in order."""
     task = asyncio.ensure_future(work)
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -152,7 +152,7 @@ async def _until_stopped(work: Coroutine[Any, Any, None]) -> None:
 
 
 def _configure() -> None:
-    """Make distributed quiet and closed: what is to be said is said here, but that a process needed too much memory."""
+    """Configure distributed without open ports and log messages, except those about memory."""
     dask.config.set(CONFIGURATION)
     for handler in logging.getLogger("distributed").handlers:
         handler.setLevel(logging.CRITICAL)

@@ -1,4 +1,4 @@
-"""What a worker process does: read a run's inputs, calibrate, write the result, say how it ended.
+"""The tasks of a worker process: read a run's inputs, calibrate, store the result, and return how it ended.
 
 A worker opens no database. It gets the addresses of files and values, puts the result into the blob folder under its
 content address, and returns the address and the figures a list shows. So nothing is lost when whoever asked is gone,
@@ -59,7 +59,7 @@ FRAMES, STARS = 3, 6
 
 
 class WarmUp(WorkerPlugin):  # type: ignore[misc]  # distributed ships no types
-    """Warm a worker when it appears; `ours` says that the process was started by this server."""
+    """A plugin that warms a worker when it appears; `ours` says that the process was started by this server."""
 
     name = "boresight-warm-up"
     idempotent = True
@@ -75,7 +75,7 @@ class WarmUp(WorkerPlugin):  # type: ignore[misc]  # distributed ships no types
         threading.Thread(target=self._warm, daemon=True, name="warm").start()
 
     def _warm(self) -> None:
-        """Warm this worker; a failure only means that its first run is slow."""
+        """Warm this worker; after a failure only its first run is slow."""
         try:
             warm(Path(self.catalogue_folder))
         except Exception:
@@ -83,7 +83,7 @@ class WarmUp(WorkerPlugin):  # type: ignore[misc]  # distributed ships no types
 
 
 def warm(catalogue_folder: Path, cameras: Sequence[str] = (INVERTED_WANG.name,)) -> None:
-    """Compile what is not, for these cameras and every kind of estimator, and calibrate a few made-up stars, which loads it."""
+    """Compile the kernels for these cameras and every estimator, and load them by calibrating a few synthetic stars."""
     make_all([CAMERA_MODELS[name].state for name in cameras])
     catalogue = load_catalogue(catalogue_folder)
     sensor = st16_sensor(1)
@@ -91,7 +91,7 @@ def warm(catalogue_folder: Path, cameras: Sequence[str] = (INVERTED_WANG.name,))
 
 
 def _few_stars(sensor: Sensor) -> Telemetry:
-    """Scatter stars over the detector of a sensor at the celestial pole, in agreement with its parameters."""
+    """Simulate a few stars over the detector of a sensor at the celestial pole."""
     rng = np.random.default_rng(1)
     n = FRAMES * STARS
     row_px, col_px = rng.uniform(0, sensor.rows, n), rng.uniform(0, sensor.columns, n)
@@ -108,11 +108,11 @@ def _few_stars(sensor: Sensor) -> Telemetry:
 
 
 CALCULATION = "boresight.calibration.calibrate:calibrate"
-TABLES = 2  # kept in a worker process; none is so large that it is computed in pieces
+TABLES = 2  # telemetry tables cached in a worker process, without those computed in pieces
 
 
 class Inputs(TypedDict):
-    """All that the computation of a run needs."""
+    """The inputs of a run's computation."""
 
     blob_address: str
     catalogue_folder: str
@@ -148,7 +148,7 @@ def execute_group(group: list[Work], calculation: str = CALCULATION) -> list[Run
 def execute(
     run_id: int, attempt: int, inputs: Inputs, calculation: str, keep: Keep
 ) -> tuple[RunEnd, Future[str] | None]:
-    """Compute one run; whatever happens, the answer is its end, and the address that its result will have."""
+    """Compute one run; returns its end, whatever happens, and the address that its result will have."""
     link = Link(run_id, attempt)
     try:
         link.refuse_if_cancelled()
@@ -169,12 +169,12 @@ def execute(
 
 
 def _kept(end: RunEnd, sha256: Future[str] | None) -> RunEnd:
-    """Complete an end with the address of its result, once that is on the disk."""
+    """Return an end with the address of its result, once that is stored."""
     if sha256 is None:
         return end
     try:
         return replace(end, result_sha256=sha256.result())
-    except BoresightError as error:  # a full disk, say: the run has no result then
+    except BoresightError as error:  # for example a full disk; the run has no result then
         return RunEnd(end.run_id, end.attempt, "FAILED", f"The result could not be kept. {error}")
     except Exception as error:  # noqa: BLE001 - a defect ends the run, not the worker
         reason = f"The result could not be kept, {type(error).__name__}: {error}"
@@ -182,12 +182,12 @@ def _kept(end: RunEnd, sha256: Future[str] | None) -> RunEnd:
 
 
 def _traceback() -> Line:
-    """Return the log's line for a defect, while it is caught."""
+    """Return a log line with the traceback of the current exception."""
     return Line.log(traceback.format_exc(), level="error")
 
 
 def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tuple[RunEnd, Future[str] | None]:
-    """Calibrate, begin to put the result, and describe it."""
+    """Calibrate, begin to store the result, and return the end."""
     begun_s, begun_cpu_s = time.perf_counter(), time.thread_time()
     blobs = open_blobs(replace(_own_place(), address=inputs["blob_address"]), make=False)
     calibration = _calibrated(blobs, inputs, calculation, link)
@@ -203,7 +203,7 @@ def _succeeded(inputs: Inputs, calculation: str, link: Link, keep: Keep) -> tupl
 
 
 def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) -> Calibration:
-    """Read the inputs and call the calculation; a large set is left in its file, and computed by whoever is idle."""
+    """Read the inputs and call the calculation; a large set is left in its file and shared with idle workers."""
     validation = inputs["validation_sha256"]
     source = _table(blobs, inputs["table_sha256"])
     validation_table = None if validation is None else _table(blobs, validation)
@@ -231,13 +231,13 @@ def _calibrated(blobs: BlobStore, inputs: Inputs, calculation: str, link: Link) 
 
 
 def _table(blobs: BlobStore, sha256: str) -> StoredTable:
-    """Find a table of telemetry; of an object store only this machine sees the file."""
+    """Return the file of a telemetry table, and whether other machines see it."""
     return StoredTable(*working_table(blobs, sha256), shared=blobs.kept_at is None)
 
 
 @cache
 def _own_place() -> BlobLocation:
-    """Where this process would keep files by its own settings: what it fetches is kept there."""
+    """Return the blob location of this process's own settings, with its cache folder."""
     return read_settings().blob_place
 
 
@@ -250,11 +250,11 @@ def _function(dotted: str) -> Callable[..., Calibration]:
 
 @lru_cache(maxsize=TABLES)
 def _telemetry(table: StoredTable) -> Telemetry:
-    """Map a table; the few newest are kept, for a group often has several runs of one. Its content never changes."""
+    """Map a telemetry table, cached because a group often has several runs on one."""
     return table.read()
 
 
 @cache
 def _catalogue(folder: str) -> Catalogue:
-    """Load the star catalogue once a process."""
+    """Load the star catalogue once per process."""
     return load_catalogue(Path(folder))

@@ -5,7 +5,7 @@
  * residuals changes on the spot. A star under the pointer, or whose row is, is marked in both drawing and table.
  */
 import { around, find, findAll, need } from "../shared/dom.js";
-import { pageOf } from "../shared/requests.js";
+import { parsePage } from "../shared/requests.js";
 
 const NOT_ABOVE = 1 + 1e-9;
 const BAR_SHARE = 0.1; // as the drawing is made on the server
@@ -80,7 +80,7 @@ class FrameBrowser extends HTMLElement {
     const asked = (this.#asked += 1);
     this.setAttribute("aria-busy", "true");
     const answer = await fetch(href).catch(() => null);
-    const fresh = answer?.ok ? (await pageOf(answer)).getElementById(this.id) : null;
+    const fresh = answer?.ok ? (await parsePage(answer)).getElementById(this.id) : null;
     if (asked !== this.#asked) return false;
     if (!fresh) {
       location.assign(href);

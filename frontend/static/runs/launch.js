@@ -8,7 +8,7 @@
  * sensor (`shown`): choosing another, or finding one by its name, asks for the form again.
  */
 import { find, findAll, need } from "../shared/dom.js";
-import { pageOf, send, sentenceOf } from "../shared/requests.js";
+import { parsePage, send, describeError } from "../shared/requests.js";
 
 const QUIET_MS = 400;
 /**
@@ -161,14 +161,14 @@ class LaunchForm {
     try {
       const answer = await fetch(this.form.action, { method: "POST", body: this.#body, signal });
       if (answer.status >= 500) await send(this.form.action);
-      const page = await pageOf(answer);
+      const page = await parsePage(answer);
       for (const part of ["[data-dry-run]", "[data-changes]", "[data-ticked]"]) {
         const fresh = page.querySelector(part);
         if (fresh) document.querySelector(part)?.replaceChildren(...fresh.childNodes);
       }
     } catch (error) {
       if (signal.aborted) return;
-      place.textContent = `The check could not be made: ${sentenceOf(error)}`;
+      place.textContent = `The check could not be made: ${describeError(error)}`;
     }
     place.removeAttribute("aria-busy");
   }

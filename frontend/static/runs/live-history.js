@@ -5,7 +5,7 @@
  * `(value - origin) * factor`; `band` n is the outline of ±n sigma, a `level` only grows longer. Points are kept until the
  * figure that was fetched has them, so a figure may come later than its points.
  */
-import { change, tracesOf } from "../shared/plotly.js";
+import { change, getTraces } from "../shared/plotly.js";
 
 const KEPT = 600;
 const COLUMNS = /** @type {const} */ (["parameters", "sigma", "tail_rms_rad", "aggregate_rms_rad", "nis_per_dof"]);
@@ -94,7 +94,7 @@ function stretched(layout, last) {
  * @param {Canvas} canvas
  */
 export async function grow(canvas) {
-  const followed = tracesOf(canvas).flatMap((trace, place) => (trace.meta?.follow ? [{ trace, place, follow: trace.meta.follow }] : []));
+  const followed = getTraces(canvas).flatMap((trace, place) => (trace.meta?.follow ? [{ trace, place, follow: trace.meta.follow }] : []));
   const curve = followed.find(({ follow }) => !follow.level && !follow.band);
   const last = curve && Array.from(curve.trace.x).at(-1);
   if (last === undefined || !canvas.layout) return null;

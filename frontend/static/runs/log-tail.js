@@ -5,7 +5,7 @@
  * reads further up is not moved, and told how many lines came. Pause keeps the list as it is until it is pressed again.
  */
 import { findAll, need } from "../shared/dom.js";
-import { fetchPage, sentenceOf } from "../shared/requests.js";
+import { fetchPage, describeError } from "../shared/requests.js";
 
 const WAIT_MS = 400;
 const AT_END_PX = 24;
@@ -72,7 +72,7 @@ class LogTail extends HTMLElement {
       const lines = await fetchPage(`${this.getAttribute("src")}&after=${this.#last}`);
       if (lines) this.#add(findAll("li", HTMLElement, lines).filter((line) => Number(line.dataset.line) > this.#last));
     } catch (error) {
-      this.#say(sentenceOf(error));
+      this.#say(describeError(error));
     }
   }
 

@@ -63,7 +63,7 @@ function keepChoice(form) {
 }
 
 /** @param {HTMLTableRowElement} row */
-const keyOf = (row) => need("input[name=runs]", HTMLInputElement, row).value;
+const getKey = (row) => need("input[name=runs]", HTMLInputElement, row).value;
 
 /** Take over what has changed of a row; its check box stays. @param {HTMLTableRowElement} row @param {HTMLTableRowElement} fresh */
 function renewRow(row, fresh) {
@@ -77,10 +77,10 @@ function renewRow(row, fresh) {
  * @param {HTMLTableSectionElement} fresh
  */
 function renewRows(body, fresh) {
-  const known = new Map([...body.rows].map((row) => [keyOf(row), row]));
+  const known = new Map([...body.rows].map((row) => [getKey(row), row]));
   let place = body.firstElementChild;
   for (const row of [...fresh.rows]) {
-    const old = known.get(keyOf(row));
+    const old = known.get(getKey(row));
     const next = old ? renewRow(old, row) : row;
     if (next === place) place = place.nextElementSibling;
     else body.insertBefore(next, place);

@@ -4,7 +4,7 @@
  * Long series are thinned evenly to ROWS rows and say so; the CSV link has them all.
  */
 import { make, need } from "./dom.js";
-import { send, sentenceOf } from "./requests.js";
+import { send, describeError } from "./requests.js";
 
 const ROWS = 120;
 
@@ -55,7 +55,7 @@ async function fill(details) {
     const answer = await send(details.dataset.figureTable ?? "", { headers: { Accept: "text/csv" } });
     place.replaceChildren(table(await answer.text(), details.dataset.caption));
   } catch (error) {
-    place.textContent = sentenceOf(error);
+    place.textContent = describeError(error);
   }
 }
 

@@ -3,7 +3,7 @@
  * every panel of every such chart, the place that the pointer is at in one of them; a chart whose axis ends before has none.
  */
 import { findAll, make } from "./dom.js";
-import { isDrawn, panelsOf } from "./plotly.js";
+import { isDrawn, findPanels } from "./plotly.js";
 
 /** @type {Map<Canvas, string | undefined>} */
 const charts = new Map();
@@ -17,7 +17,7 @@ export function linkCursor(canvas, axis) {
   const known = charts.has(canvas);
   charts.set(canvas, axis);
   if (known) return hide(canvas);
-  canvas.addEventListener("pointermove", (event) => requestAnimationFrame(() => show(charts.get(canvas), placeOf(canvas, event))));
+  canvas.addEventListener("pointermove", (event) => requestAnimationFrame(() => show(charts.get(canvas), findPosition(canvas, event))));
   canvas.addEventListener("pointerleave", () => requestAnimationFrame(hideAll));
   canvas.on?.("plotly_relayout", () => hide(canvas));
 }
@@ -26,10 +26,10 @@ export function linkCursor(canvas, axis) {
 export const unlinkCursor = (canvas) => charts.delete(canvas);
 
 /** Where on the axis of its panel a pointer is; nothing where it is over none. @param {Canvas} canvas @param {PointerEvent} event */
-function placeOf(canvas, { clientX, clientY }) {
+function findPosition(canvas, { clientX, clientY }) {
   const { left, top } = canvas.getBoundingClientRect();
   const [x, y] = [clientX - left, clientY - top];
-  const panel = panelsOf(canvas).find((one) => x >= one.left && x <= one.left + one.width && y >= one.top && y <= one.top + one.height);
+  const panel = findPanels(canvas).find((one) => x >= one.left && x <= one.left + one.width && y >= one.top && y <= one.top + one.height);
   return panel?.valueAt(x);
 }
 
@@ -53,11 +53,11 @@ const lines = (canvas) => findAll(":scope > .cursor-line", HTMLElement, canvas);
 
 /** @param {Canvas} canvas @param {number} x */
 function mark(canvas, x) {
-  const panels = panelsOf(canvas);
+  const panels = findPanels(canvas);
   while (lines(canvas).length < panels.length) canvas.append(make("div", { className: "cursor-line" }));
   for (const [place, line] of lines(canvas).entries()) {
     const panel = panels[place];
-    const at = panel?.placeOf(x) ?? -1;
+    const at = panel?.findPosition(x) ?? -1;
     line.hidden = !(panel && at >= 0 && at <= panel.width);
     if (panel && !line.hidden) Object.assign(line.style, { left: `${panel.left + at}px`, top: `${panel.top}px`, height: `${panel.height}px` });
   }

@@ -9,8 +9,8 @@
 import { find, make } from "./dom.js";
 import { linkCursor, unlinkCursor } from "./plot-cursor.js";
 import { onTheme, onWhite } from "./plot-theme.js";
-import { clear, draw, fit, imageOf, isDrawn, load, rangeOf } from "./plotly.js";
-import { BACKGROUND, Problem, fetchJson, sentenceOf } from "./requests.js";
+import { clear, draw, fit, makeImage, isDrawn, load, getRange } from "./plotly.js";
+import { BACKGROUND, Problem, fetchJson, describeError } from "./requests.js";
 
 const SLOW_MS = 10_000;
 const WAIT_MS = 250; // a zoom is asked for when it has come to rest
@@ -31,7 +31,7 @@ const length = (values) => (values && "bdata" in values ? values.bdata : values)
 /** @param {Figure} figure */
 const isEmpty = (figure) => !figure.data.some(({ x, y, z }) => [x, y, z].some((values) => length(values) > 0));
 /** @param {Figure} figure */
-const reasonOf = (figure) => figure.layout.annotations?.[0]?.text ?? "Nothing to draw yet: the run has not come this far.";
+const getReason = (figure) => figure.layout.annotations?.[0]?.text ?? "Nothing to draw yet: the run has not come this far.";
 /** @param {string | undefined} markup */
 const plain = (markup) => new DOMParser().parseFromString(markup ?? "", "text/html").body.textContent;
 const utcTime = () => `${new Date().toISOString().slice(11, 19)}Z`;
@@ -41,7 +41,7 @@ const utcTime = () => `${new Date().toISOString().slice(11, 19)}Z`;
  * @param {ZoomChange} change
  * @returns {[number, number] | null | undefined}
  */
-function windowOf(change) {
+function readWindow(change) {
   const axis = Object.keys(change).find((name) => /^xaxis\d*\.(range\[0\]|autorange)$/.test(name))?.split(".")[0];
   if (!axis) return undefined;
   const [from, to] = [change[`${axis}.range[0]`], change[`${axis}.range[1]`]];
@@ -138,7 +138,7 @@ export class PlotFigure extends HTMLElement {
     const figure = this.#figure;
     if (!figure || !this.isConnected) return;
     if (isEmpty(figure)) {
-      this.#say("empty", reasonOf(figure));
+      this.#say("empty", getReason(figure));
       return;
     }
     this.#say("ready", "");
@@ -173,7 +173,7 @@ export class PlotFigure extends HTMLElement {
    * @param {ZoomChange} change
    */
   #look(change) {
-    const window = windowOf(change);
+    const window = readWindow(change);
     const layout = this.#figure?.layout;
     if (window === undefined || !layout?.meta?.detail) return;
     const isOneAxis = Object.entries(layout).every(([name, axis]) => !/^xaxis\d+$/.test(name) || axis.matches);
@@ -192,7 +192,7 @@ export class PlotFigure extends HTMLElement {
     const fresh = await fetchJson(this.#address(window));
     if (!this.#figure) return;
     /** @param {Trace} trace */
-    const isShown = ({ xaxis = "x" }) => !window || shows(rangeOf(this.canvas, `xaxis${xaxis.slice(1)}`), window);
+    const isShown = ({ xaxis = "x" }) => !window || shows(getRange(this.canvas, `xaxis${xaxis.slice(1)}`), window);
     this.#figure = { ...this.#figure, data: this.#figure.data.map((trace, i) => (isShown(trace) ? fresh.data[i] ?? trace : trace)) };
     await this.#draw();
   }
@@ -208,7 +208,7 @@ export class PlotFigure extends HTMLElement {
 
   /** @param {unknown} error */
   #fail(error) {
-    const sentence = sentenceOf(error);
+    const sentence = describeError(error);
     if (this.#figure && isDrawn(this.canvas)) {
       this.#say("stale", `STALE: drawn at ${this.#drawnAt}; the refresh failed. ${sentence}`);
     } else {
@@ -228,7 +228,7 @@ export class PlotFigure extends HTMLElement {
 
   async #savePng() {
     if (!this.#figure) return;
-    const href = await imageOf(this.#scaled(onWhite(this.#figure)), this.#size().height);
+    const href = await makeImage(this.#scaled(onWhite(this.#figure)), this.#size().height);
     make("a", { href, download: `${this.getAttribute("name")}.png` }).click();
   }
 }

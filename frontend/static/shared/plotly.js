@@ -41,13 +41,13 @@ export function load() {
 export const isDrawn = (canvas) => Boolean(inner(canvas)._fullLayout);
 
 /** The traces that are drawn, their arrays decoded. @param {Canvas} canvas */
-export const tracesOf = (canvas) => (isDrawn(canvas) ? inner(canvas)._fullData ?? [] : []);
+export const getTraces = (canvas) => (isDrawn(canvas) ? inner(canvas)._fullData ?? [] : []);
 
 /** What an x axis shows. @param {Canvas} canvas @param {AxisName} axis */
-export const rangeOf = (canvas, axis) => inner(canvas)._fullLayout?.[axis]?.range;
+export const getRange = (canvas, axis) => inner(canvas)._fullLayout?.[axis]?.range;
 
 /** The panels of a drawn figure, in pixels of its element; a second y axis lies over its first. @param {Canvas} canvas */
-export function panelsOf(canvas) {
+export function findPanels(canvas) {
   const plots = Object.values(inner(canvas)._fullLayout?._plots ?? {}).filter(({ mainplot }) => !mainplot);
   return plots.map(({ xaxis, yaxis }) => ({
     left: xaxis._offset,
@@ -57,7 +57,7 @@ export function panelsOf(canvas) {
     /** @param {number} px */
     valueAt: (px) => xaxis.p2d(px - xaxis._offset),
     /** @param {number} x */
-    placeOf: (x) => xaxis.d2p(x),
+    findPosition: (x) => xaxis.d2p(x),
   }));
 }
 
@@ -84,4 +84,4 @@ export function clear(canvas) {
 }
 
 /** An image of a figure, as an address. @param {Figure} figure @param {number} height */
-export const imageOf = async (figure, height) => (await load()).toImage(figure, { format: "png", height, ...IMAGE });
+export const makeImage = async (figure, height) => (await load()).toImage(figure, { format: "png", height, ...IMAGE });

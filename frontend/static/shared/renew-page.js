@@ -14,17 +14,17 @@ const TYPED = "input, textarea, select";
 const isUsed = (part) => part.matches(":active") || (part.contains(document.activeElement) && document.activeElement?.matches(TYPED));
 
 /** What makes a control the same one after the part was renewed. @param {Element} control */
-const nameOf = (control) =>
+const getName = (control) =>
   [control.localName, control.id || control.getAttribute("href") || control.getAttribute("aria-label") || control.textContent?.trim()].join(" ");
 
 /** @param {Element} part @param {string} name */
-const namesakes = (part, name) => findAll(CONTROLS, HTMLElement, part).filter((control) => nameOf(control) === name);
+const namesakes = (part, name) => findAll(CONTROLS, HTMLElement, part).filter((control) => getName(control) === name);
 
 /** Remember which control has the focus; return what gives it back. @param {Element} part */
 function keepFocus(part) {
   const focused = document.activeElement;
   if (!(focused instanceof HTMLElement) || focused === part || !part.contains(focused)) return () => {};
-  const name = nameOf(focused);
+  const name = getName(focused);
   const place = namesakes(part, name).indexOf(focused);
   return () => namesakes(part, name)[place]?.focus({ preventScroll: true });
 }

@@ -13,10 +13,10 @@ export class Problem extends Error {
 export const BACKGROUND = { "X-Boresight-Background": "1" };
 
 /** What to say of something that was thrown. @param {unknown} error */
-export const sentenceOf = (error) => (error instanceof Error ? error.message : String(error));
+export const describeError = (error) => (error instanceof Error ? error.message : String(error));
 
 /** @param {Response} response @returns {Promise<Problem>} */
-async function problemOf(response) {
+async function readProblem(response) {
   /** @type {{ detail?: unknown, title?: string, request_id?: string }} */
   let body = {};
   try {
@@ -38,7 +38,7 @@ export async function send(url, options = {}) {
     if (error instanceof DOMException && error.name === "AbortError") throw error;
     throw new Problem("The server cannot be reached. What is shown is the last that arrived.", 0);
   }
-  if (!response.ok) throw await problemOf(response);
+  if (!response.ok) throw await readProblem(response);
   return response;
 }
 
@@ -46,10 +46,10 @@ export async function send(url, options = {}) {
 export const fetchJson = async (url, headers = {}) => (await send(url, { headers: { Accept: "application/json", ...headers } })).json();
 
 /** Read a page as a document. @param {Response} response */
-export const pageOf = async (response) => new DOMParser().parseFromString(await response.text(), "text/html");
+export const parsePage = async (response) => new DOMParser().parseFromString(await response.text(), "text/html");
 
 /** Fetch a page, or a piece of one, by itself; null where the log-in has ended, which link-state.js tells. @param {string} [url] */
 export async function fetchPage(url = location.href) {
   const answer = await send(url, { headers: { Accept: "text/html", ...BACKGROUND } });
-  return answer.redirected ? null : pageOf(answer);
+  return answer.redirected ? null : parsePage(answer);
 }

@@ -48,7 +48,7 @@ class Heading {
     const url = new URL(location.href);
     const { name } = this;
     const ofTable = name.slice(0, name.indexOf(".") + 1);
-    const others = url.searchParams.getAll("sort").filter((sort) => ofTable && !columnOf(sort).startsWith(ofTable));
+    const others = url.searchParams.getAll("sort").filter((sort) => ofTable && !getColumn(sort).startsWith(ofTable));
     url.searchParams.delete("sort");
     const sign = this.cell.getAttribute("aria-sort") === "descending" ? "-" : "";
     for (const sort of [...others, sign + name]) url.searchParams.append("sort", sort);
@@ -59,13 +59,13 @@ class Heading {
 /** @param {string | null | undefined} text */
 const slug = (text) => (text ?? "").toLowerCase().match(/[\p{L}\p{N}]+/gu)?.join("-") ?? "";
 /** @param {string} sort */
-const columnOf = (sort) => sort.replace(/^-/, "");
+const getColumn = (sort) => sort.replace(/^-/, "");
 
 /** Sort the tables as the address says, but not under the focus; a column that is not there leaves its table as it is. */
 function sortByAddress() {
   const headings = findAll("table[data-sortable] thead button", HTMLElement).map((button) => new Heading(button));
   for (const sort of new URLSearchParams(location.search).getAll("sort")) {
-    const heading = headings.find((one) => one.name === columnOf(sort));
+    const heading = headings.find((one) => one.name === getColumn(sort));
     if (heading && !heading.body.contains(document.activeElement)) heading.sort(sort.startsWith("-"));
   }
 }

@@ -122,17 +122,17 @@ def test_a_person_sees_their_log_ins_and_ends_one(house):
     name, number = house.new_person("viewer")
     phone = house.anybody(**{"User-Agent": "phone/1" + "x" * 500})
     assert phone.post("/api/v1/sessions", json={"name": name, "password": PASSWORD}).status_code == 201
-    desk = house.log_in(name)
-    listed = desk.get("/api/v1/sessions?open=true").json()["items"]
+    browser = house.log_in(name)
+    listed = browser.get("/api/v1/sessions?open=true").json()["items"]
     assert [one["current"] for one in listed] == [True, False]
     assert {one["user_id"] for one in listed} == {number}
     assert listed[1]["user_agent"].startswith("phone/1x")
     assert len(listed[1]["user_agent"]) <= 200
     assert listed[1]["address"] == "127.0.0.1"
-    ended = desk.post(f"/api/v1/sessions/{listed[1]['id']}:end").json()
+    ended = browser.post(f"/api/v1/sessions/{listed[1]['id']}:end").json()
     assert (ended["ended_because"], ended["ended_utc"] is None) == ("ended", False)
     assert phone.get("/api/v1/runs").status_code == 401
-    assert [one["id"] for one in desk.get("/api/v1/sessions?open=false").json()["items"]] == [listed[1]["id"]]
+    assert [one["id"] for one in browser.get("/api/v1/sessions?open=false").json()["items"]] == [listed[1]["id"]]
 
 
 def test_only_an_administrator_sees_and_ends_anothers_log_ins_and_no_key_any(house):

@@ -2,14 +2,20 @@
 
 import csv
 import io
+import re
+from dataclasses import replace
+from html import unescape
 
 import numpy as np
 import pytest
 
-from boresight.console.alarms import rules
+from boresight.console.alarms import pages, rules
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.rules import check_chain
-from boresight.platform.db.sessions import open_reading, open_writing
+from boresight.console.alarms.tables import Alarm
+from boresight.platform.actors import COMMAND_LINE
+from boresight.platform.audit import log as audit
+from boresight.platform.db.sessions import open_reading, open_writing, utc_after, utc_now
 from tests.missions import add_run, add_set, make_baseline
 
 
@@ -89,6 +95,30 @@ def test_an_alarm_of_the_installation_has_no_sensor_and_leads_to_the_audit_log(s
     assert 'href="/audit">Audit</a>' in visitor.get("/alarms/1")
 
 
+def numbers(page):
+    return [int(found) for found in re.findall(r'<a href="/alarms/(\d+)">#', page)]
+
+
+def test_what_waits_for_somebody_is_first_over_all_pages_and_a_shelf_ends_by_the_clock(site, monkeypatch):
+    monkeypatch.setattr(pages, "ALARMS", replace(pages.ALARMS, rows_a_page=2))
+    with open_writing(site.engine) as session:
+        told = {"level": "caution", "sentence": "Old.", "evidence": {}, "raised_utc": utc_now()}
+        rows = [Alarm(source=f"made up/{number}", kind="AGE", **told) for number in range(5)]
+        session.add_all(rows)
+        rows[4].acknowledged, rows[2].shelved_until_utc = 1, utc_after(3600)
+        rows[1].shelved_until_utc = utc_after(-0.001)  # it was on the shelf when this test began
+        audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
+    visitor, address, seen = site.visitor("victor"), "/alarms", []
+    while address:
+        page = visitor.get(address)
+        seen.append(numbers(page))
+        following = re.search(r'<a href="([^"]*)" rel="next">', page)
+        address = following and unescape(following[1])
+    assert seen == [[4, 2], [1, 5], [3]]
+    file = csv.DictReader(io.StringIO(visitor.get("/alarms.csv")))
+    assert [int(row["alarm"]) for row in file] == [4, 2, 1, 5, 3]
+
+
 def test_a_note_is_escaped_kept_and_leads_back(site):
     visitor = site.visitor("ada")
     answer = visitor.post("/notes/sensors/1", text="Heater <b>off</b>.")
@@ -104,7 +134,7 @@ def test_a_note_is_escaped_kept_and_leads_back(site):
 def test_the_alarms_of_a_view_can_be_had_as_csv_and_their_table_sorted(drifting):
     visitor = drifting.visitor("victor")
     page = visitor.get("/alarms?kind=DRIFT")
-    assert 'href="/alarms.csv?state=&amp;sensor=&amp;kind=DRIFT" download data-hotkey="e"' in page
+    assert 'href="/alarms.csv?kind=DRIFT" download data-hotkey="e"' in page
     (row,) = csv.DictReader(io.StringIO(visitor.get("/alarms.csv?kind=DRIFT")))
     assert (row["kind"], row["sensor"], row["state"]) == ("DRIFT", "ST16-1", "unacknowledged, active")
     assert row["sentence"] == alarm(drifting).sentence

@@ -19,8 +19,9 @@ from boresight.console.access import api_keys, users
 from boresight.console.alarms import rules
 from boresight.console.alarms.rules import check_chain
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals.tables import Approval, ChangeProposal, GateProfile, GateReport, Waiver
+from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Waiver
 from boresight.console.campaigns.tables import Campaign, CampaignRun
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.notes import service as notes
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Preset, Run

@@ -249,7 +249,7 @@ def test_presets_are_listed_with_what_they_change_and_archived_by_an_analyst(sit
 
 def test_the_list_of_campaigns_can_be_had_as_csv(site, launched):
     visitor = site.visitor("victor")
-    assert 'href="/campaigns.csv" download data-hotkey="e"' in visitor.get("/campaigns")
+    assert 'href="/campaigns.csv?" download data-hotkey="e"' in visitor.get("/campaigns")
     (row,) = csv.DictReader(io.StringIO(visitor.get("/campaigns.csv")))
     assert (f"/campaigns/{row['campaign']}", row["label"], row["sensors"]) == (launched, "after eclipse", "2")
     assert row["launched_by"] == "Ada Analyst"

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from boresight.console.access import users
-from boresight.console.change_proposals import service as second_person
+from boresight.console.change_proposals import service as proposals
 from boresight.platform.actors import Policy
 from boresight.platform.db.sessions import open_reading, open_writing
 from tests.served import House
@@ -26,7 +26,7 @@ def proposed(house: House, who: str = "ada") -> dict[str, Any]:
         actor = users.get_actor(session, user.id)
     with open_writing(engine) as session:
         asked = ("table-definition", row["id"], document, "Flight software 1.", 0)
-        made = second_person.change(session, actor, *asked, policy=Policy(second_person=True))
+        made = proposals.change(session, actor, *asked, policy=Policy(second_person=True))
     return {"id": made.id, "version": 1, "sensor_id": row["id"]}
 
 

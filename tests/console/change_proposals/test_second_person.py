@@ -10,10 +10,11 @@ import sqlalchemy as sa
 from boresight.console.access import api_keys, users
 from boresight.console.access.tables import User
 from boresight.console.alarms import rules as alarm_rules
-from boresight.console.approvals import gate_profiles, proposals
+from boresight.console.approvals import gate_profiles
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals.tables import Approval, ChangeProposal, GateProfile
-from boresight.console.change_proposals import service as second_person
+from boresight.console.approvals.tables import Approval, GateProfile
+from boresight.console.change_proposals import service as proposals
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet import service as sensors
 from boresight.console.uplinks import table_definitions
 from boresight.errors import BoresightError, ConflictError, ForbiddenError, RefusedInputError, StaleError
@@ -46,7 +47,7 @@ def propose(engine, two) -> Callable[..., ChangeProposal]:
     ) -> ChangeProposal:
         actor = two[who] if isinstance(who, str) else who
         with open_writing(engine) as session:
-            made = second_person.change(session, actor, kind, 1, document, "To be tried.", 0, policy=ON)
+            made = proposals.change(session, actor, kind, 1, document, "To be tried.", 0, policy=ON)
         assert isinstance(made, ChangeProposal)
         return made
 
@@ -55,7 +56,7 @@ def propose(engine, two) -> Callable[..., ChangeProposal]:
 
 def _confirm(engine: Engine, actor: Actor, row: ChangeProposal, seen: int = 1) -> ChangeProposal:
     with open_writing(engine) as session:
-        return second_person.confirm(session, actor, row.id, seen)
+        return proposals.confirm(session, actor, row.id, seen)
 
 
 def _state(engine: Engine, row: ChangeProposal) -> str:
@@ -88,7 +89,7 @@ def test_a_proposed_change_takes_effect_only_when_another_confirms_it(engine, tw
 @pytest.mark.parametrize("name", ["ana", "bo", "cy", "dee", "eve"])
 def test_only_who_may_make_the_change_confirms_or_refuses_it(engine, two, propose, name):
     row = propose()
-    for decide in (second_person.confirm, second_person.refuse):
+    for decide in (proposals.confirm, proposals.refuse):
         with open_writing(engine) as session, pytest.raises(ForbiddenError, match="administrator"):
             decide(session, two[name], row.id, 1, "no")
     assert _state(engine, row) == "OPEN"
@@ -120,9 +121,9 @@ def test_no_key_nor_a_given_password_confirms_and_what_a_key_proposed_is_its_own
 def test_a_refusal_needs_a_comment_and_a_withdrawal_its_owner(engine, two, propose):
     row, other = propose(), propose(document={"gates": [{"name": "coverage", "limit": 0.2}]})
     with open_writing(engine) as session, pytest.raises(RefusedInputError, match="Say why"):
-        second_person.refuse(session, two["rita"], row.id, 1, " ")
+        proposals.refuse(session, two["rita"], row.id, 1, " ")
     with open_writing(engine) as session:
-        assert second_person.refuse(session, two["rita"], row.id, 1, "Too loose.").comment == "Too loose."
+        assert proposals.refuse(session, two["rita"], row.id, 1, "Too loose.").comment == "Too loose."
     with open_writing(engine) as session, pytest.raises(ForbiddenError):
         proposals.withdraw(session, two["ana"], other.id, 1)
     with open_writing(engine) as session:
@@ -166,7 +167,7 @@ def test_requests_stay_open_while_a_change_is_proposed_and_become_stale_with_its
     with open_reading(engine) as session:
         assert approvals.explain_why_not_sign(session, two["cy"], approval.id) is None
     with open_writing(engine) as session:
-        done = second_person.confirm(session, two["ann"], row.id, 1)
+        done = proposals.confirm(session, two["ann"], row.id, 1)
         assert table_definitions.find_definition_in_force(session, 1).number == done.number == 1
         assert session.get_known(Approval, approval.id).state == "STALE"
 
@@ -195,7 +196,7 @@ def test_a_change_that_could_not_be_made_is_not_proposed_nor_the_same_twice(engi
     ]
     for who, document, reason, seen, error in asked:
         with open_writing(engine) as session, pytest.raises(error):
-            second_person.change(session, two[who], "gate-profile", 1, document, reason, seen, policy=ON)
+            proposals.change(session, two[who], "gate-profile", 1, document, reason, seen, policy=ON)
     with open_reading(engine) as session:
         assert [one.id for one in proposals.list_proposals(session)] == [row.id]
 
@@ -204,8 +205,8 @@ def test_a_proposal_shows_each_entry_that_it_changes(engine, propose):
     row = propose()
     layout = propose("ana", plain_definition("inverted_wang"), "table-definition")
     with open_reading(engine) as session:
-        found = {one.place: (one.before, one.after) for one in second_person.list_differences(session, row)}
-        fields = [one.place for one in second_person.list_differences(session, layout)]
+        found = {one.place: (one.before, one.after) for one in proposals.list_differences(session, row)}
+        fields = [one.place for one in proposals.list_differences(session, layout)]
     assert found == {
         "gates[parameter-shift].limit": (None, 1e6),
         "gates[parameter-shift].marginal": (15.0, 1e6),
@@ -229,7 +230,7 @@ def race(request, engine, two) -> Any:
 def test_of_many_that_confirm_at_once_one_does(race):
     engine, people = race
     with open_writing(engine) as session:
-        row = second_person.change(session, people["root"], "gate-profile", 1, SHIFT, "x", 0, policy=ON)
+        row = proposals.change(session, people["root"], "gate-profile", 1, SHIFT, "x", 0, policy=ON)
     gate, outcomes = threading.Barrier(8), []
 
     def confirm() -> None:
@@ -258,7 +259,7 @@ def test_a_jump_of_the_clock_expires_no_proposal_before_somebody_has_acknowledge
     monkeypatch.setattr(alarm_rules, "OURS", alarm_rules.Clock(lambda: wall_s[0], lambda: steady_s))
     with open_writing(engine) as session:
         at_once = Policy(second_person=True, approval_days=0.0)
-        row = second_person.change(session, two["root"], "gate-profile", 1, SHIFT, "To be tried.", 0, policy=at_once)
+        row = proposals.change(session, two["root"], "gate-profile", 1, SHIFT, "To be tried.", 0, policy=at_once)
     assert isinstance(row, ChangeProposal)
     wall_s[0] += 40 * 86_400.0
     with open_writing(engine) as session:

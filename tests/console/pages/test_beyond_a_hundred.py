@@ -12,11 +12,13 @@ from boresight.console.access import sessions as session_list
 from boresight.console.access.tables import LoginSession
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
-from boresight.console.approvals import gate_profiles, proposals
-from boresight.console.approvals import queries as approval_queries
+from boresight.console.approvals import gate_profiles
 from boresight.console.approvals import service as approvals
-from boresight.console.approvals.tables import Approval, ChangeProposal, Signature
+from boresight.console.approvals.tables import Approval, Signature
 from boresight.console.campaigns.tables import Campaign, CampaignRun
+from boresight.console.change_proposals import queries as proposal_queries
+from boresight.console.change_proposals import service as proposals
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.pages import overview
 from boresight.console.fleet.tables import Sensor
 from boresight.console.notes import queries as note_queries
@@ -208,7 +210,7 @@ def test_no_note_proposal_log_in_or_version_is_left_out_beyond_a_hundred(site, r
     with open_reading(site.engine) as session:
         assert note_queries.count_notes(session, "runs", 1) == len(notes.list_notes(session, "runs", 1)) == many
         assert (
-            approval_queries.count_open_proposals(session)
+            proposal_queries.count_open_proposals(session)
             == len(proposals.list_proposals(session, state="OPEN"))
             == many
         )
@@ -261,7 +263,11 @@ def test_the_newest_result_with_a_validation_set_is_found_behind_many_without(si
         session.add_all(like(session.get_one(Run, 1), validation_set_id=None) for _ in range(MANY))
         audit.append(session, COMMAND_LINE, "brought in", "sensors/1")
     with open_reading(site.engine) as session:
-        assert run_queries.list_newest_finished(session, 1, 1)[0].id == 2
+        found = list(run_queries.iterate_newest_finished(session, 1))
+        assert found[0].id == 2
+        assert len(found) == len({run.id for run in found}) > MANY
+        order = [(run.validation_set_id is None, -run.id) for run in found]
+        assert order == sorted(order)
 
 
 def test_a_long_log_is_given_whole(site):

@@ -14,8 +14,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.console.alarms.pages import ALARMS
 from boresight.console.approvals.pages.approval import REQUESTS
 from boresight.console.audit.pages import RECORDS
+from boresight.console.campaigns.pages import CAMPAIGNS
+from boresight.console.change_proposals.pages import PROPOSALS
 from boresight.console.fleet.pages import sensors
 from boresight.console.fleet.pages.sensors import EXAMPLE
 from boresight.console.list_queries import LISTS
@@ -33,11 +36,16 @@ from boresight.console.pages.drawings import (
 from boresight.console.parameter_sets.pages import SETS as PARAMETER_SETS
 from boresight.console.runs.pages.list import RUNS
 from boresight.console.telemetry.pages import SETS as TELEMETRY
+from boresight.console.uplinks.pages.steps import BOARDS
 from boresight.telemetry.quality.report import DetectorCoverage, Distribution
 from boresight.verdicts import numbers as verdict_numbers
 from boresight.verdicts.numbers import MINUS
 
-TABLES = {table.name: table for table in (RUNS, TELEMETRY, PARAMETER_SETS, REQUESTS, RECORDS)}
+TABLES = {
+    table.address.strip("/"): table
+    for table in (RUNS, TELEMETRY, PARAMETER_SETS, REQUESTS, RECORDS, ALARMS, CAMPAIGNS, PROPOSALS, BOARDS)
+}
+WITHOUT_FILE = {"change-proposals", "uplink"}
 
 
 def rows(answer):
@@ -51,7 +59,7 @@ def numbers(page):
 @pytest.mark.parametrize("name", TABLES)
 def test_every_order_of_a_table_is_one_that_the_database_knows(name):
     orders = {column.sort.removeprefix("-") for column in TABLES[name].columns if column.sort}
-    assert orders <= set(LISTS[name].keys)
+    assert orders <= set(LISTS[TABLES[name].name].keys)
     assert TABLES[name].sort.removeprefix("-") in orders
     assert any(column.head for column in TABLES[name].columns)
 
@@ -63,7 +71,8 @@ def test_every_order_and_every_column_of_a_table_opens_as_page_and_as_file(site,
     for column in table.columns:
         page = visitor.get(f"{table.address}?sort={column.sort}&columns={every}")
         assert page.count("aria-sort=") <= 1
-    assert rows(visitor.send("GET", f"{table.address}.csv?columns={every}")) is not None
+    if name not in WITHOUT_FILE:
+        assert rows(visitor.send("GET", f"{table.address}.csv?columns={every}")) is not None
 
 
 def test_a_heading_sorts_by_its_column_a_second_press_turns_it_round_and_the_file_has_the_view(site):
@@ -120,7 +129,7 @@ def headings(table):
     return re.findall(r"<th scope=.col.*?</th>", table.partition("</thead>")[0])
 
 
-@pytest.mark.parametrize("address", ["/users", "/uplink", "/presets"])
+@pytest.mark.parametrize("address", ["/users", "/presets"])
 def test_a_short_table_is_sorted_by_its_headings(site, address):
     page = site.visitor("adele").get(address)
     assert 'src="/static/shared/sort-table.js"' in page

@@ -126,10 +126,10 @@ def test_a_result_that_kept_no_number_of_held_out_arcs_shows_the_value_and_says_
     _, value, meaning = tail_facts(judged, view("", result))[1][-1]
     assert float(value) == pytest.approx(1e6 * kept["rms_arc_rad"]["final"], rel=1e-3)
     assert meaning.endswith("σ not kept.")
-    said = {mark.question: mark.detail for mark in make_verdict_marks(judged)}
-    assert said["Validation RMS"].endswith("σ not kept")
+    said = {mark.name: mark.detail for mark in make_verdict_marks(judged)}
+    assert said["validation_rms"].endswith("σ not kept")
     marks = make_verdict_marks(parse_calibration(result))
-    assert "(3σ)" in next(mark.detail for mark in marks if mark.question == "Validation RMS")
+    assert "(3σ)" in next(mark.detail for mark in marks if mark.name == "validation_rms")
 
 
 def test_a_history_says_where_it_settled_or_that_it_has_not_yet(results):

@@ -14,7 +14,7 @@ from boresight.console.runs.tables import RUN_STATES, RunEvent
 from boresight.figures import CHAPTERS, FIGURES
 from boresight.figures.tables import parameter_rows
 from boresight.platform.db.sessions import open_writing, utc_after, utc_now
-from boresight.verdicts.verdict import make_verdict_marks
+from boresight.verdicts.verdict import PART_JUDGES, PartVerdict, judge_parts, make_verdict_marks
 from tests.figures.examined import matching, shadow, trust
 
 
@@ -119,12 +119,12 @@ def test_a_viewer_sees_the_cancel_button_disabled_with_the_reason_and_is_refused
     assert "This needs the role analyst" in read(victor.get(f"/runs/{run_id}"))
 
 
-def find_mark(result, question):
-    return next(mark for mark in make_verdict_marks(parse_calibration(result)) if mark.question.startswith(question))
+def find_mark(result, name):
+    return next(mark for mark in make_verdict_marks(parse_calibration(result)) if mark.name == name)
 
 
 def test_a_filter_is_judged_by_its_innovations_and_a_batch_is_not(results):
-    said = [find_mark(results[method], "Innovations (NIS)").word for method in ("sqrf", "batch")]
+    said = [find_mark(results[method], "nis").word for method in ("sqrf", "batch")]
     assert said == ["consistent", "not applicable"]
 
 
@@ -141,10 +141,10 @@ def test_a_filter_on_its_way_counts_the_frames_so_far_and_no_star_that_is_still_
 
 
 def test_no_validation_is_no_data_and_never_passes_and_noise_above_the_model_is_a_caution(results):
-    mark = find_mark({**results["batch"], "validation": None}, "Validation RMS")
+    mark = find_mark({**results["batch"], "validation": None}, "validation_rms")
     assert (mark.word, mark.level == "normal") == ("NO DATA", False)
     result = {**results["batch"], "chi2_per_dof": 3.0, "chi2": {**results["batch"]["chi2"], "consistent": False}}
-    mark = find_mark(result, "χ²")
+    mark = find_mark(result, "chi_square")
     assert (mark.level, mark.word) == ("caution", "noise above model")
 
 
@@ -218,6 +218,22 @@ def test_the_tabs_say_how_trust_and_matching_stand(site, read, examined):
     assert "Matching rested" in text
     assert "Convergence settled" in text
     assert "Observability seen" in text
+
+
+def test_without_a_validation_set_the_rms_tab_has_no_colour_however_much_better_the_fit_is(results):
+    def judged(validation):
+        return judge_parts(parse_calibration({**results["batch"], "validation": validation}))["rms"]
+
+    rms = {"initial": 5e-5, "final": 3e-5}
+    validation = results["sqrf"]["validation"]
+    assert results["batch"]["rms_arc_rad"]["final"] < results["batch"]["rms_arc_rad"]["initial"]
+    assert judged(None) == PartVerdict()
+    assert judged({**validation, "rms_arc_rad": rms}) == PartVerdict("normal", "30.0 µrad")
+    assert judged({**validation, "rms_arc_rad": {"initial": 3e-5, "final": 5e-5}}).level == "serious"
+
+
+def test_what_is_judged_of_a_run_is_a_part_of_its_page():
+    assert set(PART_JUDGES) <= set(PARTS)
 
 
 def test_every_sentence_of_the_examination_is_on_the_page(site, read, examined):

@@ -264,7 +264,7 @@ def test_where_all_connections_are_of_people_who_are_known_a_newcomer_is_told_to
         assert site.ada.get("/api/v1/sensors").status_code == 200
 
 
-def test_places_of_who_is_not_known_are_others_than_of_who_is(quick: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slots_of_who_is_not_known_are_others_than_of_who_is(quick: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     limit = get_limit(quick.app)
     monkeypatch.setattr(limit.unknown, "most", 0)
     assert quick.ada.get("/api/v1/presets").status_code == 200
@@ -277,7 +277,7 @@ def test_places_of_who_is_not_known_are_others_than_of_who_is(quick: Site, monke
     assert httpx.get(quick.address + "/login").status_code == 200
 
 
-def test_an_address_has_its_share_of_places_also_behind_a_proxy(quick: Site) -> None:
+def test_an_address_has_its_share_of_slots_also_behind_a_proxy(quick: Site) -> None:
     limit = get_limit(quick.app)
     for _ in range(QUICK.unknown_each):
         assert limit.unknown.take("203.0.113.7")
@@ -294,12 +294,12 @@ def test_an_address_has_its_share_of_places_also_behind_a_proxy(quick: Site) -> 
 
 
 def test_one_person_may_not_hold_every_place_of_large_bodies() -> None:
-    places = Slots(most=3, most_each=2)
-    assert [places.take("1"), places.take("1"), places.take("1"), places.take("2"), places.take("3")] == [
+    slots = Slots(most=3, most_each=2)
+    assert [slots.take("1"), slots.take("1"), slots.take("1"), slots.take("2"), slots.take("3")] == [
         True, True, False, True, False,
     ]  # fmt: skip
-    places.give_back("1")
-    assert places.take("3")
+    slots.give_back("1")
+    assert slots.take("3")
 
 
 @pytest.mark.parametrize(

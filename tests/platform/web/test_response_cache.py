@@ -176,7 +176,7 @@ def test_nobody_reads_what_is_cached_for_the_known(house: House) -> None:
     assert house.anybody().get("/runs", headers={"Accept": "text/html"}).status_code == 303
 
 
-def test_a_wrong_key_beside_a_good_log_in_is_refused_as_without_ready_answers(house: House) -> None:
+def test_a_wrong_key_beside_a_good_log_in_is_refused_as_without_the_response_cache(house: House) -> None:
     client = house.log_in("ada")
     assert client.get(RUNS).status_code == 200
     assert client.get(RUNS, headers={"Authorization": "Bearer bs_00000000_nonsense"}).status_code == 401

@@ -124,16 +124,16 @@ def choose(  # noqa: PLR0913 - what is chosen from, and six choices of the calle
     held = _score_held_out(validation, fits, candidates, richest, catalogue, settings, context, rng)
     advice += held[1]
     tell("looking over the detector", 0.8)
-    evidence = _Evidence(fits, noise, candidates, held[0])
+    tables = _CandidateTables(fits, noise, candidates, held[0])
     answer = Choice(
         sensor=sensor.name,
         sensor_camera_model=sensor.camera_model,
         sufficiency=Sufficiency.SUFFICES,
-        chosen=evidence.chosen(chosen.fitted),
-        models=[evidence.candidate(one, chosen.fitted) for one in candidates],
-        needed=[evidence.of_test(test) for test in chosen.needed],
-        beyond=[evidence.of_test(test) for test in chosen.beyond],
-        other_cameras=[evidence.other(one) for one in least.between],
+        chosen=tables.chosen(chosen.fitted),
+        models=[tables.candidate(one, chosen.fitted) for one in candidates],
+        needed=[tables.test(test) for test in chosen.needed],
+        beyond=[tables.test(test) for test in chosen.beyond],
+        other_cameras=[tables.other(one) for one in least.between],
         leftover=_leftover(fits, chosen.fitted),
         noise=_found(noise),
         noise_of_chosen=_found(Noise(chosen.fitted.chi2 / chosen.fitted.dof, chosen.fitted.dof)),
@@ -161,7 +161,7 @@ def _found(noise: Noise) -> NoiseFound:
     return NoiseFound(variance=noise.variance, dof=noise.dof, as_stated=noise.as_stated)
 
 
-class _Evidence:
+class _CandidateTables:
     """Describes candidates and tests beside their held-out scores and changes over the detector."""
 
     def __init__(self, fits: Fits, noise: Noise, candidates: list[FittedSubset], scores: HeldOutScores | None) -> None:
@@ -201,7 +201,7 @@ class _Evidence:
             change_3_sigma_px=three_sigma,
         )
 
-    def of_test(self, test: NestedTest) -> TermTest:
+    def test(self, test: NestedTest) -> TermTest:
         """Describe a test."""
         places = self._at[id(test.larger)], self._at[id(test.smaller)]
         ratio = None if self._scores is None else self._scores.ratio(*places)
@@ -230,7 +230,7 @@ class _Evidence:
             camera_model=fitted.camera.name,
             place=self._at[id(fitted)],
             bic_above=one.bic_above,
-            test=None if one.test is None else self.of_test(one.test),
+            test=None if one.test is None else self.test(one.test),
         )
 
     def _largest(self, before: FittedSubset, after: FittedSubset) -> tuple[float | None, float | None]:

@@ -97,16 +97,16 @@ def largest(camera: CameraModel) -> Subset:
 @lru_cache
 def find_terms(camera: CameraModel) -> tuple[Term, ...]:
     """List a camera's terms: principal point, radial orders from the lowest on, then the other roles as `Role` lists them."""
-    orders = radial_orders(camera)
+    order_by_place = radial_orders(camera)
     found: list[Term] = []
     for role in Role:
         if role is Role.FOCAL:
             continue
         if role is Role.RADIAL:
             before: str | None = None
-            for order in sorted(set(orders.values())):
+            for order in sorted(set(order_by_place.values())):
                 name = f"radial r{str(order).translate(POWERS)}"
-                found.append(Term(name, tuple(place for place, of in orders.items() if of == order), before))
+                found.append(Term(name, tuple(place for place, of in order_by_place.items() if of == order), before))
                 before = name
             continue
         name = NAMES.get(role, role.value)

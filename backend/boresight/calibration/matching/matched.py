@@ -189,7 +189,7 @@ class MatchingState:
 
 
 @dataclass(frozen=True)
-class Matching:
+class MatchingPlan:
     """How a set in files is matched, the same for all its ranges."""
 
     sensor: Sensor
@@ -220,7 +220,7 @@ class MatchedRange:
         return MatchedRows(of.read()[0], Matches(**{name: arrays[name] for name in _MATCHES}), arrays["kept"])
 
 
-def match_range(how: Matching, of: FrameRange, under: MatchingState, path: str) -> MatchedRange:
+def match_range(how: MatchingPlan, of: FrameRange, under: MatchingState, path: str) -> MatchedRange:
     """Match one range and write what comes out."""
     telemetry, begins = of.read()
     rows, matches, timeless = matched_range(how, telemetry, under)
@@ -230,7 +230,7 @@ def match_range(how: Matching, of: FrameRange, under: MatchingState, path: str) 
     return MatchedRange((of, write_columns(Path(f"{path}-matches"), arrays)), matches.unidentified, ordered)
 
 
-def matched_range(how: Matching, telemetry: Telemetry, under: MatchingState) -> tuple[MatchedRows, Matches, int]:
+def matched_range(how: MatchingPlan, telemetry: Telemetry, under: MatchingState) -> tuple[MatchedRows, Matches, int]:
     """Match rows in memory; returns them, their matches, and how many stars wanted a time where none of these rows has one."""
     stars, timeless = read_catalogue(how.catalogue), 0
     sky = _sky(how.catalogue, how.magnitude_limit, blend_rad(how.sensor))
@@ -255,7 +255,7 @@ def matched_rows(
     return MatchedRows(telemetry, matches, np.where(taken, matches.star_id, 0))
 
 
-def _rematcher(how: Matching, telemetry: Telemetry, stars: Catalogue, sky: MatchingSky) -> Rematcher:
+def _rematcher(how: MatchingPlan, telemetry: Telemetry, stars: Catalogue, sky: MatchingSky) -> Rematcher:
     return Rematcher(telemetry, how.sensor, stars, how.settings, how.cache_folder, sky, how.epoch)
 
 
@@ -496,11 +496,11 @@ class Dataset:
         return Rematcher(self.telemetry, self.sensor, self.catalogue, self.settings, self._cache_folder)
 
     @cached_property
-    def _how(self) -> Matching:
+    def _how(self) -> MatchingPlan:
         pieces, folder = self._pieces, self._pieces.folder or Path()
         stars = write_catalogue(self.catalogue, folder)
         limit = magnitude_limit(pieces.pieces, self.sensor, stars, pieces.executor)
-        return Matching(self.sensor, stars, self.settings, self._cache_folder, limit, pieces.epoch)
+        return MatchingPlan(self.sensor, stars, self.settings, self._cache_folder, limit, pieces.epoch)
 
     @cached_property
     def _standing(self) -> Matched:

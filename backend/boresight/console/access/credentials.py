@@ -1,7 +1,7 @@
 """Authentication: who asks, by the API key or the log-in cookie that a request carries, looked up in the store.
 
 The layer `Authentication` stands in front of cache, queue and endpoints. What it found is remembered under exactly
-these credentials until its end by the clock, as long as nothing was committed or the rows behind it say the same: a key
+these credentials until they expire, as long as nothing was committed or the rows behind them are unchanged: a key
 that is revoked or a person who is disabled is out with the next request. The cookie is the signed pair `[token, csrf]`;
 the CSRF token must come back in every unsafe request that the cookie authenticates.
 """
@@ -87,7 +87,7 @@ class LogInCookie:
         self._serializer = URLSafeTimedSerializer(read_secret(settings.data_folder), salt=SESSION_COOKIE)
 
     def write(self, response: Response, token: str) -> str:
-        """Give the browser a session; returns its CSRF token, which no earlier one had."""
+        """Set the cookie of a new session and return its CSRF token, which is new too."""
         csrf_token = secrets.token_urlsafe(24)
         value = self._serializer.dumps([token, csrf_token])
         response.set_cookie(
@@ -114,7 +114,7 @@ class LogInCookie:
             raise SessionEndedError("expired") from error
         except (BadData, ValueError, TypeError) as error:
             raise UnauthenticatedError("This log-in is not known here; log in again.") from error
-        if not isinstance(token, str) or not isinstance(csrf_token, str):  # a cookie of before log-ins were rows
+        if not isinstance(token, str) or not isinstance(csrf_token, str):  # an old version's cookie
             raise UnauthenticatedError("This log-in is not known here; log in again.")
         return CookieContent(token, csrf_token, signed.timestamp() + self._max_age_s)
 
@@ -127,22 +127,22 @@ WHILE_PASSWORD_IS_DUE = (
     "/api/v1/sessions/current",
     "/password",
     "/logout",
-)  # what goes until one has set one's own
+)  # what remains allowed until a person has set a password of their own
 T = TypeVar("T")
 U = TypeVar("U")
 Carried = tuple[tuple[bytes, bytes], ...]
 
 
 class CredentialUse(Protocol):
-    """Tells whether credentials were not idle for too long, and notes their use."""
+    """Tells whether credentials are still in use or were idle for too long, and records their use."""
 
     def __call__(self, *, active: bool) -> bool:
-        """Whether they hold; `active` where somebody did something."""
+        """Return whether the credentials are still valid; `active` says that a person did something with this request."""
 
 
 @dataclass(frozen=True)
 class Identity:
-    """Somebody who was found by their credentials; `sharing` is None where that holds for one address alone."""
+    """Who was identified by their credentials; `sharing` is None where the identity holds for one address only."""
 
     actor: Actor
     csrf_token: str | None
@@ -150,11 +150,11 @@ class Identity:
     until_s: float
     use: CredentialUse
     rows: CredentialRows
-    data_version: DataVersion | None = None  # as of which this is known
+    data_version: DataVersion | None = None  # the data version at which this was read
 
 
 class CredentialCache:
-    """Who was identified lately by which credentials."""
+    """The identities found recently, by the credentials that they were found by."""
 
     def __init__(self, data_versions: DataVersionReader) -> None:
         self._data_versions = data_versions
@@ -162,7 +162,7 @@ class CredentialCache:
         self._known: OrderedDict[Carried, Identity] = OrderedDict()
 
     def find(self, scope: Scope, data_version: DataVersion | None, *, active: bool) -> Identity | None:
-        """Return who carries these credentials, where that holds now, at this data version."""
+        """Return the identity of these credentials if it still holds at this data version."""
         known = self._known.get(carried(scope))
         if known is None or time.time() >= known.until_s or not known.use(active=active):
             return None
@@ -173,7 +173,7 @@ class CredentialCache:
         return known
 
     def keep(self, scope: Scope, known: Identity) -> None:
-        """Note who was identified."""
+        """Store an identity."""
         with self._lock:
             self._known[carried(scope)] = known
             self._known.move_to_end(carried(scope))
@@ -182,12 +182,12 @@ class CredentialCache:
 
 
 def carried(scope: Scope) -> Carried:
-    """Return what a request carries that may decide whose it is."""
+    """Return the credentials that a request carries."""
     return tuple((name, value) for name, value in scope["headers"] if name in {b"authorization", b"cookie"})
 
 
 def is_active(scope: Scope) -> bool:
-    """Whether somebody did something; not so where an open page listens, or renews what it shows by itself."""
+    """Whether a person did something; an open page that listens or renews itself does not count."""
     return not scope["path"].startswith(LISTENING) and BACKGROUND not in scope["headers"]
 
 
@@ -198,7 +198,7 @@ def bearer(headers: Headers) -> str | None:
 
 
 class Authentication:
-    """The layer that finds out who asks, for all behind it; whoever is not known goes on as nobody."""
+    """The middleware that identifies who asks; a request without valid credentials goes on without an actor."""
 
     def __init__(self, app: ASGIApp, refuse: Refuse) -> None:
         self.app = app
@@ -216,7 +216,7 @@ class Authentication:
 
 
 async def authenticate(scope: Scope) -> None:
-    """Find out who asks, as of all that is committed by now."""
+    """Identify who asks, from everything that is committed by now."""
     state, server = scope["state"], scope["app"].state
     state.pop("actor", None)
     state.pop(SHARING, None)
@@ -239,14 +239,14 @@ def current_actor(request: Request) -> Actor:
 
 
 async def get_actor(request: Request) -> Actor:
-    """Return who acts, as `current_actor` does: without a thread where that is known already, or the store answers on the spot."""
+    """Return who acts, as `current_actor` does, but without a thread where the answer is cached or the store answers at once."""
     if (known := _remembered(request)) is not None:
         return known
     return await read_at_once(request.app.state.engine, current_actor, request)
 
 
 def _remembered(request: Request) -> Actor | None:
-    """Return who acts, where that is known without the store, or by one look at it."""
+    """Return who acts if that is cached, or can be read in one short query."""
     state = request.scope["state"]
     if "actor" in state:
         return state["actor"]  # type: ignore[no-any-return]  # the request's state is whatever is put there
@@ -256,14 +256,14 @@ def _remembered(request: Request) -> Actor | None:
 
 
 async def read_at_once(engine: Engine, read: Callable[[T], U], given: T) -> U:
-    """Call what makes a short read of the store: SQLite answers sooner than a thread could be asked."""
+    """Call a function that makes a short read of the store; with SQLite directly, which is faster than handing it to a thread."""
     if engine.dialect.name == "sqlite":
         return read(given)
     return await run_in_threadpool(read, given)
 
 
 def _note(request: Request, known: Identity) -> Actor:
-    """Note in a request whose it is."""
+    """Store the actor in the request's state."""
     state = request.scope["state"]
     if known.csrf_token is not None:
         state["csrf_token"] = known.csrf_token

@@ -64,7 +64,7 @@ async def open_read_session(request: Request) -> AsyncIterator[Session]:
 
 
 async def open_write_session(request: Request) -> AsyncIterator[Session]:
-    """Open the request's transaction for writing, committed before the answer is sent; who follows the store is told to look."""
+    """Open the request's transaction for writing, committed before the answer is sent; then wake what follows the store."""
     state = request.app.state
     async with state.write_lock, contextmanager_in_threadpool(open_writing(state.engine)) as session:
         yield session
@@ -74,17 +74,17 @@ async def open_write_session(request: Request) -> AsyncIterator[Session]:
 
 
 async def same_for_all(request: Request, _actor: Who) -> None:
-    """Let whoever is known read what follows from address and store alone; in place of `Who`, so who it is is not told."""
+    """Require a known actor without passing it to the endpoint: its answer depends on address and store alone."""
     share(request, FOR_ALL)
 
 
 async def same_for_one(request: Request, _actor: Who) -> None:
-    """Say that the answer follows from address, store and who asks, and from what every page shows of this server."""
+    """Declare that the answer depends only on the address, the store, the actor and what every page shows of this server."""
     share(request, FOR_ONE)
 
 
 async def same_for_roles(request: Request, actor: Who) -> frozenset[str]:
-    """Say that a page follows from address, store, these roles, and from what every page shows of this server and who asks.
+    """Declare that a page depends only on the address, the store, these roles and what every page shows of server and actor.
 
     Its endpoint may ask for `Roles`, and for nothing else of who asks.
     """
@@ -93,7 +93,7 @@ async def same_for_roles(request: Request, actor: Who) -> frozenset[str]:
 
 
 async def get_dry_run(validate_only: Annotated[bool, Query(description=DRY_RUN_SENTENCE)] = False) -> bool:
-    """Whether the request only asks what would come of it."""
+    """Return whether the request is a dry run."""
     return validate_only
 
 
@@ -101,7 +101,7 @@ IsDryRun = Annotated[bool, Depends(get_dry_run)]
 
 
 async def refuse_dry_run(request: Request) -> None:
-    """Refuse `validate_only` where there is nothing to try."""
+    """Refuse `validate_only` where no dry run is possible."""
     if "validate_only" in request.query_params:
         raise RefusedInputError("Logging in and out cannot be tried with validate_only; leave it out.")
 
@@ -152,12 +152,12 @@ def strong(given: str) -> str:
 
 @dataclass(frozen=True)
 class Seen:
-    """What of a row was seen by who asks: its tag; none where a transition may be asked without having looked."""
+    """The entity tag of the row that the client saw; None where a transition may be requested without one."""
 
     tag: str | None
 
     def require(self, shape: type[Row], row: Any, name: str = "It") -> None:
-        """Refuse a transition by someone who did not see the row as it is."""
+        """Refuse a transition by someone who saw an older version of the row."""
         if self.tag is not None and self.tag != shape.etag(row):
             raise StaleError(f"{name} has changed since you looked; read it again and send its new ETag in If-Match.")
 
@@ -191,17 +191,17 @@ async def seen_version(given: Annotated[Seen, Depends(seen)]) -> int:
 
 
 class WorkerControl(Protocol):
-    """What endpoints use of the workers; there are none until the server has started."""
+    """The part of the dispatcher that endpoints use; absent until the server has started."""
 
     def notify(self) -> None:
-        """Look for runs at once."""
+        """Have the dispatcher look for runs at once."""
 
     def state(self) -> dict[str, Any]:
-        """Return how the workers are."""
+        """Return the state of the workers."""
 
 
 class Server(Protocol):
-    """What a page or a route may use of the server that answers it."""
+    """The parts of the server that a page or a route may use."""
 
     settings: Settings
     policy: Policy
@@ -214,11 +214,11 @@ class Server(Protocol):
 
 
 def get_server(request: Request) -> Server:
-    """Return the server that answers a request, for what takes no dependencies of its own."""
+    """Return the server that answers a request, for code that is not an endpoint and has no dependencies."""
     return cast("Server", request.app.state)
 
 
-def of_server(name: str) -> Any:
+def depend_on_server(name: str) -> Any:
     """Return a dependency on a part of the server, by its name in the state of the application."""
 
     async def part(request: Request) -> Any:
@@ -228,30 +228,30 @@ def of_server(name: str) -> Any:
 
 
 def log_in_person(request: Request, response: Response, session: Session, proof: PasswordProof) -> tuple[Actor, str]:
-    """Give the browser of who proved to be a person a log-in; returns the person and the CSRF token."""
+    """Create a log-in for a person who was authenticated, set its cookie, and return the person and the CSRF token."""
     actor = users.authenticate(session, proof, request.state.request_id)
     _, token = sessions.begin(session, require_person(actor, "log in"), get_client(request))
     return actor, request.app.state.log_in_cookie.write(response, token)
 
 
 def get_client(request: Request) -> ClientAddress:
-    """Return where a request comes from; behind a proxy that uvicorn trusts, whom the proxy names."""
+    """Return the address of the client; behind a proxy that uvicorn trusts, the one that the proxy names."""
     address = None if request.client is None else request.client.host
     return ClientAddress.of(address, request.headers.get("user-agent"))
 
 
 def clear_cookie(request: Request, response: Response) -> None:
-    """Take the cookie of a log-in that has ended away from the browser."""
+    """Remove the cookie of a log-in that has ended."""
     request.app.state.log_in_cookie.clear(response)
 
 
 async def check_own(request: Request, actor: Actor, password: str) -> PasswordProof:
-    """Check the password of who acts, before any transaction begins."""
+    """Check the acting person's password before any transaction begins."""
     return await get_server(request).passwords.check_own(actor, password, get_client(request))
 
 
 def own_password(body: type[BaseModel]) -> Any:
-    """Return a dependency that checks the password in a body, of who acts; none where the body may leave it out."""
+    """Return a dependency that checks the acting person's password, a field of the body, which may be optional."""
 
     @refuses(429)
     async def proven(signed: Any, actor: Who, request: Request) -> PasswordProof:
@@ -263,7 +263,7 @@ def own_password(body: type[BaseModel]) -> Any:
 
 
 Who = Annotated[Actor, Depends(get_actor)]
-KNOWN = Depends(get_actor)  # of a route that is for whoever is known, and does not ask who it is
+KNOWN = Depends(get_actor)  # of a route that requires a known actor but does not use it
 SAME_FOR_ALL = Depends(same_for_all)
 Roles = Annotated[frozenset[str], Depends(same_for_roles)]
 Reading = Annotated[Session, Depends(open_read_session, scope="function")]
@@ -272,14 +272,14 @@ LoggingIn = Annotated[Session, Depends(open_write_session, scope="function")]
 SeenVersion = Annotated[int, Depends(seen_version)]
 SeenTag = Annotated[Seen, Depends(seen)]
 MaybeSeenTag = Annotated[Seen, Depends(maybe_seen)]
-Blobs = Annotated[BlobStore, of_server("blobs")]
-Database = Annotated[Engine, of_server("engine")]
-ServerFigureCache = Annotated[FigureCache, of_server("figure_cache")]
-SecretKeeper = Annotated[SecretBox, of_server("secret_box")]
-ServerPolicy = Annotated[Policy, of_server("policy")]
-PasswordChecks = Annotated[PasswordWorker, of_server("passwords")]
-ServerSettings = Annotated[Settings, of_server("settings")]
-DryRunSources = Annotated[ForecastSources, of_server("forecast_sources")]
-Stars = Annotated[Callable[[], Catalogue], of_server("catalogue")]
-Cookie = Annotated[LogInCookie, of_server("log_in_cookie")]
-Workers = Annotated[WorkerControl | None, of_server("workers")]
+Blobs = Annotated[BlobStore, depend_on_server("blobs")]
+Database = Annotated[Engine, depend_on_server("engine")]
+ServerFigureCache = Annotated[FigureCache, depend_on_server("figure_cache")]
+SecretKeeper = Annotated[SecretBox, depend_on_server("secret_box")]
+ServerPolicy = Annotated[Policy, depend_on_server("policy")]
+PasswordChecks = Annotated[PasswordWorker, depend_on_server("passwords")]
+ServerSettings = Annotated[Settings, depend_on_server("settings")]
+DryRunSources = Annotated[ForecastSources, depend_on_server("forecast_sources")]
+Stars = Annotated[Callable[[], Catalogue], depend_on_server("catalogue")]
+Cookie = Annotated[LogInCookie, depend_on_server("log_in_cookie")]
+Workers = Annotated[WorkerControl | None, depend_on_server("workers")]

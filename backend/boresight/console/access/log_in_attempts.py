@@ -82,7 +82,7 @@ class LoginLimiter:
         self._counts: OrderedDict[Hashable, _Count] = OrderedDict()
 
     def admit(self, tried: LoginAttempt) -> float:
-        """Let an attempt in; returns after how many seconds it may begin. `ended` must be told how it went."""
+        """Admit an attempt and return after how many seconds it may begin; report its outcome to `ended`."""
         now_s = self._now_s()
         limits = self._limits(tried)
         begins_s = max(self._begins_s(key, now_s) for key in limits)
@@ -99,9 +99,10 @@ class LoginLimiter:
         return begins_s - now_s
 
     def ended(self, tried: LoginAttempt, *, failed: bool | None) -> None:
-        """Note how an attempt went; None where it was not made. A right password makes up for the wrong ones of its name there.
+        """Record the outcome of an attempt; `failed` is None where it was not made.
 
-        What counts no failure is not kept: only passwords that were really checked can push out older counts.
+        A right password clears the failures of its name there. Counts without failures are not kept, so that only passwords that
+        were really checked can push out older counts.
         """
         for key in self._limits(tried):
             count = self._counts.get(key)
@@ -115,7 +116,7 @@ class LoginLimiter:
                 del self._counts[key]
 
     def _limits(self, tried: LoginAttempt) -> dict[Hashable, tuple[float, float]]:
-        """Return under which keys an attempt is counted, each with what is free there and the longest wait."""
+        """Return the keys under which an attempt is counted, each with its number of free failures and its longest wait."""
         of_name = (self._free, LONGEST_OF_NAME_S)
         limits: dict[Hashable, tuple[float, float]] = {(tried.name, tried.place): of_name}
         if tried.console is not None:
@@ -149,7 +150,7 @@ class FailedAttempt:
 
     @classmethod
     def of(cls, name: str, address: str, session_id: int | None = None) -> FailedAttempt:
-        """Take what came, cut and cleaned."""
+        """Make one from the typed name, shortened and without control characters."""
         return cls("".join(letter for letter in name[:LONGEST_NAME] if letter.isprintable()), address, session_id)
 
 

@@ -103,7 +103,7 @@ async def _change(
 
 @router.get("/users", response_class=HTMLResponse)
 def users_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
-    """Show people and keys."""
+    """Show the people and API keys."""
     return _page(request, actor, UsersContext(), session)
 
 
@@ -122,7 +122,7 @@ async def create(
     chosen = roles or []
 
     async def prepare() -> tuple[NewPassword]:
-        require_role(actor, "administrator")  # before a password is hashed for nothing; the service asks again
+        require_role(actor, "administrator")  # before the slow hashing; the service checks again
         return (await checks.prepare(password, name, printed_name),)
 
     def change(session: Session, prepared: NewPassword) -> User:
@@ -155,7 +155,7 @@ async def change_roles(
 
 @router.post("/users/{user_id}/disable", response_class=HTMLResponse)
 async def disable(request: Request, actor: Who, user_id: int) -> Response:
-    """Keep a person out."""
+    """Disable a person."""
     change = partial(users.disable_user, actor=actor, user_id=user_id)
     return await _change(request, actor, change, "{.printed_name} can no longer log in.")
 
@@ -289,14 +289,14 @@ login_router = APIRouter()
 
 
 def local_path(address: str) -> str:
-    """Return an address of this server as it is, and the start page for any other."""
+    """Return an address of this server unchanged, and the start page in place of any other."""
     inside = address.startswith("/") and not address.startswith(("//", "/\\"))
     return address if inside and address.isprintable() else "/"
 
 
 @login_router.get("/login", response_class=HTMLResponse)
 def login_page(request: Request, next: str = "/", ended: str = "") -> Response:  # noqa: A002 - the name in the address
-    """Show the form, and why the log-in of before has ended; who is logged in already goes on."""
+    """Show the log-in form, and why the last log-in ended; redirect a person who is logged in already."""
     try:
         current_actor(request)
     except UnauthenticatedError:
@@ -341,7 +341,7 @@ async def log_out(request: Request) -> Response:
     try:
         actor = await run_in_threadpool(current_actor, request)
     except UnauthenticatedError:
-        return response  # it has ended already
+        return response  # the log-in has ended already
     outcome = await attempt(request, partial(sessions.log_out, actor=actor))
     if outcome.refusal is not None and outcome.refusal.is_ours:
         raise outcome.refusal.error  # a copied cookie would still be let in

@@ -39,21 +39,21 @@ from boresight.platform.web.text_validation import comparison_key
 MOST_QUEUED = 16  # hashes; at less than 0.2 s each the last waits some seconds
 MOST_HELD = 64  # attempts that wait because others failed
 TELL_EVERY_S = 60.0
-PROMPT = 10  # first failures that are told at once, in `TELL_EVERY_S`
+PROMPT = 10  # failures that are recorded at once, per `TELL_EVERY_S`; the rest wait
 NICE = 10
 
 T = TypeVar("T")
 
 
 class _PasswordThread:
-    """One thread for slow work, and a queue before it that is never long."""
+    """One thread for slow work, with a short bounded queue."""
 
     def __init__(self, name: str, *, yields: bool) -> None:
         self._queued = 0
         self._threads = ThreadPoolExecutor(1, f"boresight-{name}", _yield_processors if yields else None)
 
     async def run(self, work: Callable[[], T]) -> T:
-        """Work when it is one's turn."""
+        """Run a function in the thread when its turn comes."""
         if self._queued >= MOST_QUEUED:
             raise OverloadedError("Too many passwords are being checked at once; try again in 2 s.", 2)
         self._queued += 1
@@ -68,7 +68,7 @@ class _PasswordThread:
 
 
 def _yield_processors() -> None:
-    """Let this thread, and those that argon2 starts from it, run after others; where the system has no such thing, not."""
+    """Lower the priority of this thread and of those that argon2 starts from it, where the system can."""
     with suppress(OSError, AttributeError):
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
 
@@ -93,11 +93,11 @@ class PasswordWorker:
         self._thread = PeriodicThread("record of wrong passwords", [self.record_failures], self._rest_s)
 
     def start(self) -> None:
-        """Begin to tell the audit log of failures."""
+        """Begin to record failures in the audit log."""
         self._thread.start()
 
     def close(self) -> None:
-        """Stop, and tell what was not told yet; safe to call twice."""
+        """Stop, and record the failures that are not recorded yet; safe to call twice."""
         self._thread.close()
         self._thread.take(partial(self.record_failures, whole=True))
         self._known.close()
@@ -113,7 +113,7 @@ class PasswordWorker:
         return await self._check(FailedAttempt.of(name, client.address), tried, lane, stored, password)
 
     async def check_own(self, actor: Actor, password: str, client: ClientAddress) -> PasswordProof:
-        """Check the password of who acts; only what failed under the same log-in makes it wait."""
+        """Check the acting person's password; only failures under the same log-in delay it."""
         if actor.is_key:
             return NO_PROOF  # whatever it says: a key never signs
         attempt = FailedAttempt.of(actor.name, client.address, actor.session_id)
@@ -124,14 +124,14 @@ class PasswordWorker:
     async def check_beside(
         self, actor: Actor, name: str, password: str, client: ClientAddress, refuse: Callable[[Session], None]
     ) -> PasswordProof:
-        """Check name and password of a second person at the console of who acts."""
+        """Check name and password of a second person at the acting person's console."""
         place = name_place(client.address)
 
         def read(session: Session) -> tuple[StoredPassword, bool] | None:
             try:
                 refuse(session)
             except BoresightError:
-                return None  # the service says it again, in its transaction
+                return None  # the service checks this again, in its transaction
             return _read_stored_at(session, name, place)
 
         found = await self._read(read)
@@ -171,7 +171,7 @@ class PasswordWorker:
     async def _check(
         self, attempt: FailedAttempt, tried: LoginAttempt, lane: _PasswordThread, stored: StoredPassword, password: str
     ) -> PasswordProof:
-        """Check a password when the limiter lets it, and note how that went."""
+        """Check a password when the limiter allows it, and record the outcome."""
         wait_s = self._limiter.admit(tried)
         failed = None
         try:
@@ -185,7 +185,7 @@ class PasswordWorker:
         return proof
 
     async def _wait(self, wait_s: float) -> None:
-        """Wait, if not too many do."""
+        """Wait, or refuse when too many attempts wait already."""
         if wait_s <= 0.0:
             return
         if self._held >= MOST_HELD:
@@ -198,7 +198,7 @@ class PasswordWorker:
             self._held -= 1
 
     def _note(self, attempt: FailedAttempt) -> None:
-        """Count a failure; the first of a name and an address is told soon."""
+        """Count a failure; the first one of a name and an address is recorded soon."""
         with self._guard:
             self._failed.setdefault(attempt, Failures()).add()
             prompt = attempt not in self._told and len(self._told) < PROMPT
@@ -209,11 +209,11 @@ class PasswordWorker:
             self._thread.nudge()
 
     def _rest_s(self) -> float:
-        """Return how long until everything is told."""
+        """Return the time until all failures are due to be recorded."""
         return max(0.05, self._told_s + TELL_EVERY_S - time.monotonic())
 
     def record_failures(self, *, whole: bool = False) -> None:
-        """Write what is to be told at once, and once a minute everything."""
+        """Write the failures that are due at once, and once a minute all of them."""
         with self._guard:
             if whole or time.monotonic() - self._told_s >= TELL_EVERY_S:
                 failed, self._failed = self._failed, {}

@@ -30,7 +30,7 @@ CONTAINS_NAME = "The password contains the log-in name or the printed name; use 
 
 
 def describe_weakness(password: str, names: tuple[str, ...] = ()) -> str | None:
-    """Say why a password is guessed early; None when it is not."""
+    """Return why a password is easy to guess; None when it is not."""
     known = _parts(names)
     plain = comparison_key(password)
     letters = "".join(letter for letter in plain if letter.isalnum())
@@ -74,7 +74,7 @@ def _guesses(text: str, known: list[str]) -> float:
 
 MINIMUM_PASSWORD_LENGTH = 12
 MAXIMUM_PASSWORD_LENGTH = 128  # of a new one (ASVS 2.1.2); a longer one only costs time
-LONGEST_PASSWORD_CHECKED = 256  # as long as passwords once could be
+LONGEST_PASSWORD_CHECKED = 256  # the length that older versions allowed
 CREATED, CHANGED, RESET = "created", "changed the password of", "reset the password of"  # in the audit log
 TOLD_FOR_S = 24 * 3600.0  # a password of one's own that followed another's within this time may be the other's too
 
@@ -85,7 +85,7 @@ _UNKNOWN = _HASHER.hash("nobody has this password")
 
 @dataclass(frozen=True)
 class StoredPassword:
-    """What is stored of a person's password; of nobody's, and of one who may not log in, what costs as much to check."""
+    """A person's stored password hash; for an unknown name or a disabled person, a dummy hash that costs as much to check."""
 
     user_id: int | None = None
     password_hash: str = field(default_factory=lambda: _UNKNOWN, repr=False)
@@ -135,7 +135,7 @@ def _stored(user: User | None) -> StoredPassword:
 def check(stored: StoredPassword, password: str) -> PasswordProof:
     """Check a password against what is stored; slow on purpose, never to be done in a transaction."""
     if len(password) > LONGEST_PASSWORD_CHECKED or not _is_text(password):
-        password = ""  # nobody's: costs as much as any other
+        password = ""  # an unknown name: the dummy hash costs as much as any other
     fits = False
     with suppress(VerificationError, InvalidHashError):
         fits = _HASHER.verify(stored.password_hash, password)
@@ -143,7 +143,7 @@ def check(stored: StoredPassword, password: str) -> PasswordProof:
 
 
 def _is_text(text: str) -> bool:
-    """Whether a text can be written at all: a lone surrogate cannot."""
+    """Whether a text can be encoded in UTF-8; a lone surrogate cannot."""
     return not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
@@ -163,7 +163,7 @@ def prepare(password: str, *names: str) -> NewPassword:
 
 
 def prepare_unjudged(password: str) -> NewPassword:
-    """Hash a password that everybody knows: only the demonstration has such, printed on the screen."""
+    """Hash a password without judging its strength, for the demonstration, whose passwords are printed on the screen."""
     return NewPassword(_HASHER.hash(password))
 
 
@@ -179,7 +179,7 @@ def _refusal(password: str, names: tuple[str, ...]) -> str | None:
 
 
 def name_password_setter(session: Session, user_id: int) -> str | None:
-    """Say who else gave a person's password, as a signature keeps it; None when it is the person's own since long.
+    """Return who else knows a person's password, as a signature records it; None when it has long been the person's own.
 
     It is somebody else's when they gave the one that is in use, and may be when the person set one within `TOLD_FOR_S`
     after somebody else had given one: whoever gave it could log in with it and set the next.
@@ -198,7 +198,7 @@ def name_password_setter(session: Session, user_id: int) -> str | None:
 
 
 def _span(seconds: float) -> str:
-    """Print a span of time under a day with its largest unit."""
+    """Print a duration of less than a day in its largest unit."""
     if seconds < 60.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 3600.0 else f"{seconds / 3600.0:.0f} h"

@@ -30,7 +30,7 @@ def list_users(session: Session) -> Sequence[User]:
 
 
 def find_key_by_prefix(session: Session, prefix: str) -> ApiKey | None:
-    """Return the key whose secret begins so."""
+    """Return the key with this prefix."""
     return session.scalar(sa.select(ApiKey).where(ApiKey.prefix == prefix))
 
 
@@ -55,7 +55,7 @@ def list_addresses(session: Session, user_id: int) -> Sequence[str]:
 def end_open_log_ins(
     session: Session, user_id: int, ended_utc: str, because: str, *, spare_id: int | None = None
 ) -> int:
-    """End the open log-ins of a person, but for one; returns how many there were."""
+    """End the open log-ins of a person except one; returns how many were ended."""
     change = sa.update(LoginSession).where(LoginSession.user_id == user_id, LoginSession.ended_utc.is_(None))
     if spare_id is not None:
         change = change.where(LoginSession.id != spare_id)
@@ -125,7 +125,7 @@ _QUESTIONS = {
 
 @dataclass(frozen=True)
 class CredentialRows:
-    """What the rows of a credential said."""
+    """The rows behind a credential as they were read."""
 
     kind: str
     number: int | str
@@ -133,10 +133,10 @@ class CredentialRows:
 
     @classmethod
     def read(cls, session: Session, kind: str, number: int | str) -> CredentialRows:
-        """Read the rows in the transaction that identifies somebody: before it they might say what it has not seen."""
+        """Read the rows in the transaction that identifies the actor, so that both see the same state."""
         row = session.connection().execute(sa.text(_QUESTIONS[kind]), {"number": number}).one_or_none()
         return cls(kind, number, None if row is None else tuple(row))
 
     def say_so_still(self, data_versions: DataVersionReader) -> bool:
-        """Whether the rows say the same now; False where that cannot be had at once."""
+        """Whether the rows are unchanged now; False where that cannot be read at once."""
         return self.said is not None and self.said == data_versions.row(_QUESTIONS[self.kind], {"number": self.number})

@@ -65,13 +65,13 @@ class Password(Shape):
 
 
 def _require_seen(session: Session, user_id: int, seen: Seen) -> None:
-    """Refuse a change by someone who did not see the person's roles and state as they are."""
+    """Refuse a change by someone who saw older roles or an older state of the person."""
     row = session.get_known(User, user_id)
     seen.require(schemas.User, row, row.printed_name)
 
 
 async def prepared_person(person: NewUser, actor: Who, passwords: PasswordChecks) -> NewPassword:
-    """Hash the password before any transaction begins; of who may not add people nothing is worked on."""
+    """Hash the password before any transaction begins, only for an actor who may add people."""
     if "administrator" not in actor.roles or actor.is_key:
         return NewPassword(refusal="Only an administrator adds people.")
     return await passwords.prepare(person.password.get_secret_value(), person.name, person.printed_name)

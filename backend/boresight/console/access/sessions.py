@@ -27,14 +27,14 @@ LONGEST_ADDRESS, LONGEST_USER_AGENT = 64, 200
 
 @dataclass(frozen=True)
 class ClientAddress:
-    """Where a log-in is made: the address and what the program says of itself, cut to what is printable and short."""
+    """Where a log-in is made: the client's address and user agent, printable and shortened."""
 
     address: str = ""
     user_agent: str = ""
 
     @classmethod
     def of(cls, address: str | None, user_agent: str | None) -> ClientAddress:
-        """Take both as a request brings them."""
+        """Read both from a request."""
         return cls(_printable(address, LONGEST_ADDRESS), _printable(user_agent, LONGEST_USER_AGENT))
 
 
@@ -43,7 +43,7 @@ def _printable(text: str | None, longest: int) -> str:
 
 
 def begin(session: Session, user_id: int, client: ClientAddress) -> tuple[LoginSession, str]:
-    """Begin a log-in of a person who proved to be one; returns the row and the secret for the cookie."""
+    """Begin a log-in of an authenticated person; returns the row and the secret for the cookie."""
     token, now = secrets.token_urlsafe(32), utc_now()
     row = LoginSession(
         user_id=user_id,
@@ -108,7 +108,7 @@ def end_session(session: Session, actor: Actor, session_id: int) -> LoginSession
 
 
 def end_other_sessions(session: Session, actor: Actor) -> int:
-    """End every log-in of the person who acts but the one that acts; returns how many that were."""
+    """End every log-in of the acting person except the current one; returns how many were ended."""
     user_id = require_person(actor, "end log-ins")
     count = rows.end_open_log_ins(session, user_id, utc_now(), "ended", spare_id=actor.session_id)
     if count:
@@ -117,7 +117,7 @@ def end_other_sessions(session: Session, actor: Actor) -> int:
 
 
 def log_out(session: Session, actor: Actor) -> None:
-    """End the log-in that acts."""
+    """End the current log-in."""
     refuse_key(actor, "log out")
     row = None if actor.session_id is None else session.get(LoginSession, actor.session_id)
     if row is not None and row.ended_utc is None:
@@ -143,7 +143,7 @@ def tidy(session: Session, limits: SessionLimits, grace_s: float) -> None:
 
 
 def _bounds(limits: SessionLimits, grace_s: float) -> dict[str, str]:
-    """Return before when a log-in was made, or last used, that has lapsed."""
+    """Return the times before which a log-in that was made, or last used, has lapsed."""
     used_before = utc_after(-limits.idle_s - grace_s) if limits.idle_s else ""
     return {"created_before_utc": utc_after(-limits.age_s), "used_before_utc": used_before}
 

@@ -24,7 +24,7 @@ SESSION_ENDINGS = (
 class User(Base):
     """A person. Roles are a list of words; an administrator cannot sign.
 
-    The keys are the names in the form in which they are compared; none where an older version let two people have names alike.
+    The keys are the names in the form in which they are compared, NULL where an older version allowed two people similar names.
     """
 
     __tablename__ = "users"
@@ -86,7 +86,7 @@ class LoginSession(Base):
     user_id: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
     token_hash: Mapped[str] = mapped_column(sa.Text, unique=True)
     created_utc: Mapped[str] = mapped_column(sa.Text)
-    last_used_utc: Mapped[str] = mapped_column(sa.Text)  # to the minute: written once a round
+    last_used_utc: Mapped[str] = mapped_column(sa.Text)  # to the minute: written once per maintenance round
     ended_utc: Mapped[str | None] = mapped_column(sa.Text)
     ended_because: Mapped[str | None] = mapped_column(sa.Text)
     address: Mapped[str] = mapped_column(sa.Text)

@@ -74,7 +74,7 @@ def create_user(
 
 
 def _refuse_taken(session: Session, name: str, printed_name: str) -> None:
-    """Refuse a name that a person takes for that of somebody else, or for that of Boresight itself: signatures show it."""
+    """Refuse a name that could be mistaken for another person's or for Boresight's own, because signatures show it."""
     ours = {comparison_key(text) for own in (SYSTEM, COMMAND_LINE) for text in (own.name, own.printed_name)}
     if not ours.isdisjoint({comparison_key(name), comparison_key(printed_name)}):
         raise ConflictError(f"{printed_name!r} is what Boresight's own records are signed with; choose another name.")
@@ -85,13 +85,13 @@ def _refuse_taken(session: Session, name: str, printed_name: str) -> None:
 
 
 def get_person_names(session: Session, user_id: int) -> tuple[str, ...]:
-    """Return the names of a person, none where there is no such person."""
+    """Return the names of a person; none where the person does not exist."""
     user = session.get(User, user_id)
     return () if user is None else (user.name, user.printed_name)
 
 
 def authenticate(session: Session, proof: PasswordProof, request_id: str | None = None) -> Actor:
-    """Return the person who proved to be one by name and password."""
+    """Return the person whose name and password were proven."""
     return _make_actor(require_proof(session, proof), request_id)
 
 
@@ -101,7 +101,7 @@ def _make_actor(user: User, request_id: str | None = None, session_id: int | Non
 
 
 def get_actor(session: Session, user_id: int, session_id: int | None = None, *, sets_password: bool = False) -> Actor:
-    """Return a person as they act under a log-in, with the roles held now."""
+    """Return a person as the actor of a log-in, with the roles held now."""
     user = session.get(User, user_id)
     if user is None or user.disabled_utc is not None:
         raise SessionEndedError("disabled")
@@ -122,7 +122,7 @@ def must_change_password(session: Session, actor: Actor) -> bool:
 
 
 def require_password(session: Session, actor: Actor, proof: PasswordProof) -> None:
-    """Make sure that the person at the keyboard is the one who logged in, as a signature needs."""
+    """Require the acting person's password again, as a signature needs."""
     user = session.get_known(User, require_person(actor, "confirm with a password"))
     _refuse_password_of_another(user)
     require_proof(session, proof, user.id)
@@ -206,13 +206,13 @@ def list_users(session: Session) -> Sequence[User]:
 
 
 def list_administrators(session: Session) -> list[str]:
-    """Return the printed names of who can give roles now."""
+    """Return the printed names of the people who can give roles now."""
     people = list_users(session)
     return [one.printed_name for one in people if "administrator" in one.roles and one.disabled_utc is None]
 
 
 def _require_administrator(actor: Actor) -> None:
-    """Refuse keys too: one that gave roles or passwords could make itself a person who signs."""
+    """Require an administrator in person; a key that gave roles or passwords could create a person who signs."""
     refuse_key(actor, "manage people")
     require_role(actor, "administrator")
 

@@ -17,7 +17,7 @@ from boresight.console.access import api_keys, users
 from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy, ServerSettings, Who, Workers
 from boresight.console.access.tables import ROLES, ApiKey, User
-from boresight.console.jobs.maintenance import ServerMaintenance
+from boresight.console.jobs.dependencies import ServerMaintenance
 from boresight.console.pages.formats import LEVEL_OF_STATE
 from boresight.console.pages.rendering import render
 from boresight.console.runs import service as runs
@@ -37,7 +37,7 @@ router = APIRouter()
 
 @dataclass(frozen=True)
 class KeyCounts:
-    """How the API keys are at."""
+    """Counts of the API keys by state."""
 
     valid: int
     unused: int
@@ -46,13 +46,13 @@ class KeyCounts:
 
 
 def roles_held(people: Sequence[User]) -> list[tuple[str, int]]:
-    """Count who may log in, by role."""
+    """Count the people who may log in, by role."""
     held = Counter(role for person in people if person.disabled_utc is None for role in person.roles)
     return [(role, held[role]) for role in ROLES]
 
 
 def warnings(people: Sequence[User], *, four_eyes: bool) -> list[str]:
-    """Say what of people and roles would hold up work."""
+    """List problems with people and roles that would hold up work."""
     held = dict(roles_held(people))
     said = [f"There is one {role} only: nobody stands in." for role in ALONE if held[role] == 1]
     said += [f"There is no {role}." for role in ROLES[1:] if not held[role]]
@@ -83,7 +83,7 @@ def administration_page(
     blobs: Blobs,
     maintenance: ServerMaintenance,
 ) -> HTMLResponse:
-    """Show how the installation is at."""
+    """Show the state of the installation."""
     people = users.list_users(session)
     return render(
         request,

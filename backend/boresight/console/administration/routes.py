@@ -1,8 +1,8 @@
 """Health, readiness, metrics and the documentation of the API.
 
-Anybody is told whether the server is alive and ready; details only on this machine where the server listens to nobody
-else, or to who is known. They have a thread of their own, so that a crowd which waits for an endpoint does not look
-like a dead server.
+Everybody may read whether the server is alive and ready; details are for known actors, and for this machine where the server
+listens to nobody else. They have a thread of their own, so that a crowd which waits for an endpoint does not look like a dead
+server.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from boresight.console.access.credentials import current_actor
-from boresight.console.access.dependencies import Database, ServerSettings, WorkerControl, Workers, of_server
+from boresight.console.access.dependencies import Database, ServerSettings, WorkerControl, Workers, depend_on_server
 from boresight.console.operation import json_response
 from boresight.console.schemas import Shape
 from boresight.errors import BoresightError
@@ -33,7 +33,7 @@ from boresight.platform.web.origins import is_local
 from boresight.resources import folder
 from boresight.settings import Settings
 
-FilesCheck = Annotated[CachedCheck, of_server("blob_check")]
+FilesCheck = Annotated[CachedCheck, depend_on_server("blob_check")]
 
 
 class Health(Shape):
@@ -64,7 +64,7 @@ _thread: RunVar[CapacityLimiter] = RunVar("the thread for those who watch the se
 
 
 async def _apart(act: Callable[..., Any], *given: Any) -> Any:
-    """Do something in the thread for those who watch the server."""
+    """Run a function in the thread reserved for health checks."""
     try:
         limiter = _thread.get()
     except LookupError:
@@ -109,7 +109,7 @@ async def readiness(
 
 
 def _is_known(request: Request) -> bool:
-    """Whether a request carries credentials that hold."""
+    """Whether a request carries valid credentials."""
     try:
         current_actor(request)
     except BoresightError:
@@ -118,7 +118,7 @@ def _is_known(request: Request) -> bool:
 
 
 def _store(engine: Engine) -> dict[str, Any]:
-    """Look at the schema."""
+    """Check that the store answers and has the right schema."""
     try:
         found, expected = current_revision(engine), _newest_revision()
         refuse_unwritable_store(engine)
@@ -139,9 +139,9 @@ def _files(files: CachedCheck) -> dict[str, Any]:
 
 
 def _workers(settings: Settings, workers: WorkerControl | None) -> dict[str, Any]:
-    """Look at the workers; a server that has none by its settings does not wait for them.
+    """Check that a worker has joined; a server without workers by its settings needs none.
 
-    Whose only worker has just died stays ready: another takes its place, and what is launched meanwhile waits.
+    It stays ready when its only worker dies: another takes its place, and runs wait meanwhile.
     """
     expected = bool(settings.scheduler) or settings.workers > 0
     state = {} if workers is None else workers.state()
@@ -159,7 +159,7 @@ def _workers(settings: Settings, workers: WorkerControl | None) -> dict[str, Any
     response_class=PrometheusText,
     responses=refusals(401, 403),
 )
-async def metrics(request: Request, counted: Annotated[Metrics, of_server("metrics")]) -> Response:
+async def metrics(request: Request, counted: Annotated[Metrics, depend_on_server("metrics")]) -> Response:
     """Return the series of this server in the Prometheus exposition format.
 
     Any API key will do, also one without scopes; on the server's own machine none is needed where it listens to nobody else.
@@ -183,5 +183,5 @@ def documentation() -> HTMLResponse:
 
 @documentation_router.get("/api/v1/docs")
 def documentation_of_version() -> RedirectResponse:
-    """Lead to the page from beside the routes that it documents."""
+    """Redirect to the documentation from the address beside the routes."""
     return RedirectResponse("/docs")

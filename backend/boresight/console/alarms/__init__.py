@@ -1,1 +1,1 @@
-"""Alarms: what needs a person, until it was seen and is over."""
+"""Alarms: conditions that need a person, until one has acknowledged them and they are over."""

@@ -1,14 +1,12 @@
-"""Alarms: the list, unacknowledged first, and one alarm with its figures, its life and what can be done about it.
+"""Alarms: the list, unacknowledged first, and one alarm with its figures, its history and its actions.
 
-The address holds the filters: `/alarms?state=shelved&sensor=3&kind=DRIFT`.
+The address holds the view: `/alarms?state=shelved&sensor=3&kind=DRIFT`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Annotated, Any
-from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
@@ -19,6 +17,7 @@ from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import ALARM_KINDS, Alarm
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
+from boresight.console.operation import Beside
 from boresight.console.pages.rendering import (
     RefusalContext,
     make_change,
@@ -26,18 +25,47 @@ from boresight.console.pages.rendering import (
     render,
     seen_version,
 )
-from boresight.console.pages.tables import LONGEST_FILTER, csv_file, is_text
+from boresight.console.pages.tables import (
+    Table,
+    TableColumn,
+    TableView,
+    accept_one,
+    is_number,
+    is_text,
+    read_all,
+    read_page,
+    read_view,
+    write_csv,
+)
 from boresight.console.runs.pages.list import RunNames, read_names
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session, utc_after
 from boresight.platform.web.paging import parse_row_id
-from boresight.verdicts.verdict import LEVELS
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
-A_PAGE = 200  # an installation has at most three open alarms a sensor
-CSV_FIELDS = ("alarm", "kind", "severity", "state", "sentence", "sensor", "raised_utc", "closed_utc", "assigned_to")
+ALARMS = Table(
+    "alarms",
+    "Alarms, those to be acknowledged first",
+    (
+        TableColumn("alarm", "Alarm", "-alarm", "nowrap", head=True, csv=("alarm", "kind")),
+        TableColumn("severity", "Severity", "severity", csv=("severity",)),
+        TableColumn("state", "State", "attention", csv=("state",)),
+        TableColumn("sentence", "What is wrong", "", "gist", csv=("sentence",)),
+        TableColumn("sensor", "Sensor", "sensor", "nowrap", csv=("sensor",)),
+        TableColumn("raised", "Raised", "-raised", "tight", csv=("raised_utc", "closed_utc")),
+        TableColumn("assigned", "Assigned", "assigned", csv=("assigned_to",)),
+    ),
+    {
+        "state": accept_one(alarms.STATES),
+        "sensor": is_number,
+        "sensor_name": is_text,
+        "kind": accept_one(ALARM_KINDS),
+    },
+    "attention",
+    rows_a_page=200,  # an installation has at most three open alarms a sensor
+)
 A_SHIFT_S = 8 * 3600.0
 DONE = {
     "acknowledge": "is acknowledged",
@@ -48,65 +76,49 @@ DONE = {
 }
 
 
-def _sought(state: str = "", sensor: str = "", sensor_name: str = "", kind: str = "") -> alarms.AlarmFilter:
-    return alarms.AlarmFilter(
-        sensor_id=parse_row_id(sensor),
-        sensor_name=sensor_name.strip()[:LONGEST_FILTER] if is_text(sensor_name) else "",
-        kind=kind if kind in ALARM_KINDS else None,
-        state=state if state in alarms.STATES else None,
-    )
-
-
-def _query(sought: alarms.AlarmFilter) -> str:
-    named = {"state": sought.state or "", "sensor": sought.sensor_id or "", "kind": sought.kind or ""}
-    return urlencode(named | ({"sensor_name": sought.sensor_name} if sought.sensor_name else {}))
-
-
-Seeking = Annotated[alarms.AlarmFilter, Depends(_sought)]
-
-
 @router.get("/alarms", response_class=HTMLResponse)
-def alarms_page(request: Request, session: Reading, actor: Who, sought: Seeking, before: str = "") -> HTMLResponse:
+def alarms_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show the alarms that are open, those to be acknowledged first; or those sought."""
-    before_id = parse_row_id(before)
-    found = alarms.list_alarms(session, sought, before_id=before_id, limit=A_PAGE + 1)
+    view = read_view(request, ALARMS)
+    found = read_page(session, view, state=_state(view))
+    sensor = parse_row_id(view.where.get("sensor", ""))
     return render(
         request,
         "alarms/alarms.html",
-        alarms=sorted(found[:A_PAGE], key=lambda row: (bool(row.acknowledged) or alarms.is_shelved(row), -row.id)),
-        older=found[A_PAGE - 1].id if len(found) > A_PAGE else None,
-        sought=sought,
-        query=_query(sought),
+        view=view,
+        alarms=found.rows,
+        last=found.last,
+        sensor=sensor,
         states=alarms.STATES,
         kinds=ALARM_KINDS,
-        choices=sensors.list_choices(session, keep=[sought.sensor_id] if sought.sensor_id else []),
-        names=read_names(session, sensors_of=found),
+        choices=sensors.list_choices(session, keep=[sensor] if sensor else []),
+        names=read_names(session, sensors_of=found.rows),
         state_of=alarms.get_alarm_state,
-        ranks={level: rank for rank, level in enumerate(LEVELS)},
         may_handle=bool(actor.roles.intersection(alarms.HANDLERS)),
     )
 
 
 @router.get("/alarms.csv", dependencies=[KNOWN])
-def alarms_csv(session: Reading, sought: Seeking) -> Response:
-    """Give every alarm of a view as CSV, newest first."""
-    names = read_names(session, sensors_of=None)
-    found = alarms.list_alarms(session, sought)
-    return csv_file("alarms", CSV_FIELDS, (_csv_row(row, names) for row in found))
+def alarms_csv(request: Request, session: Reading) -> Response:
+    """Give every alarm of a view as CSV."""
+    view, names = read_view(request, ALARMS), read_names(session, sensors_of=None)
+    return write_csv(view, (_csv_row(row, names) for row in read_all(session, view, state=_state(view))))
 
 
-def _csv_row(row: Alarm, names: RunNames) -> dict[str, Any]:
-    return {
-        "alarm": row.id,
-        "kind": row.kind,
-        "severity": row.level,
-        "state": alarms.get_alarm_state(row),
-        "sentence": row.sentence,
-        "sensor": names.sensors[row.sensor_id] if row.sensor_id is not None else None,
-        "raised_utc": row.raised_utc,
-        "closed_utc": row.closed_utc,
-        "assigned_to": names.person(row.assigned_to) if row.assigned_to is not None else None,
-    }
+def _state(view: TableView) -> str:
+    """Return the state that is looked at; every one but closed where the address names none."""
+    return view.where.get("state", "open")
+
+
+def _csv_row(row: Alarm, names: RunNames) -> Beside:
+    return Beside(
+        row,
+        alarm=row.id,
+        severity=row.level,
+        state=alarms.get_alarm_state(row),
+        sensor=names.sensors[row.sensor_id] if row.sensor_id is not None else None,
+        assigned_to=names.person(row.assigned_to) if row.assigned_to is not None else None,
+    )
 
 
 @router.get("/alarms/{alarm_id:int}", response_class=HTMLResponse)
@@ -166,7 +178,7 @@ def _handle(actor: Actor, alarm_id: int, step: str, typed: Mapping[str, str], se
 
 
 def _person(number: str) -> int | None:
-    """Read who is asked; nothing is nobody in particular."""
+    """Read the assignee's number from the form; an empty field means nobody."""
     if not number:
         return None
     person = parse_row_id(number)

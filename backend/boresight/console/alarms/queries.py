@@ -1,4 +1,4 @@
-"""Queries on alarms and what became of them."""
+"""Queries on alarms and their events."""
 
 from __future__ import annotations
 
@@ -12,11 +12,17 @@ from boresight.platform.db.sessions import Session, utc_now
 
 
 def _is_shelved() -> sa.ColumnElement[bool]:
-    return sa.and_(Alarm.shelved_until_utc.is_not(None), Alarm.shelved_until_utc > utc_now())
+    now = sa.bindparam(None, callable_=utc_now, type_=sa.Text)  # read when the query is sent: a list keeps its keys
+    return sa.and_(Alarm.shelved_until_utc.is_not(None), Alarm.shelved_until_utc > now)
+
+
+def needs_nobody() -> sa.ColumnElement[int]:
+    """Return the expression that sorts alarms: 0 for one that waits for somebody, 1 for one acknowledged or shelved."""
+    return sa.case((sa.or_(Alarm.acknowledged == 1, _is_shelved()), 1), else_=0)
 
 
 def in_state(state: str) -> sa.ColumnElement[bool]:
-    """Say a state of alarms in SQL; `open` is every one but `closed`."""
+    """Return the SQL condition for a state of alarms; `open` is every state except `closed`."""
     is_open, rests = Alarm.closed_utc.is_(None), sa.not_(_is_shelved())
     return {
         "open": is_open,
@@ -28,7 +34,7 @@ def in_state(state: str) -> sa.ColumnElement[bool]:
 
 
 def list_open_alarms(session: Session) -> dict[str, Alarm]:
-    """Return every alarm that is not closed, by its source."""
+    """Return the alarms that are not closed, by source."""
     return {row.source: row for row in session.scalars(sa.select(Alarm).where(Alarm.closed_utc.is_(None)))}
 
 
@@ -39,17 +45,17 @@ def list_open_of_sensors(session: Session, kind: str, sensor_ids: Collection[int
 
 
 def count_unacknowledged(session: Session) -> int:
-    """Count the alarms that wait for somebody; a shelved one waits for its time."""
+    """Count the unacknowledged alarms that are not shelved."""
     query = sa.select(sa.func.count()).select_from(Alarm).where(in_state("unacknowledged"))
     return session.scalar(query) or 0
 
 
 def list_overdue_shelves(session: Session) -> Sequence[Alarm]:
-    """Return the alarms whose time on the shelf is over."""
+    """Return the shelved alarms whose shelf time is over."""
     query = sa.select(Alarm).where(Alarm.closed_utc.is_(None), Alarm.shelved_until_utc <= utc_now())
     return session.scalars(query.order_by(Alarm.id)).all()
 
 
 def list_events(session: Session, alarm_id: int) -> Sequence[AlarmEvent]:
-    """Return what became of an alarm, in order."""
+    """Return the events of an alarm, in order."""
     return session.scalars(sa.select(AlarmEvent).where(AlarmEvent.alarm_id == alarm_id).order_by(AlarmEvent.id)).all()

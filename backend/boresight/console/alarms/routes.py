@@ -19,20 +19,20 @@ router = operations("/alarms", tags=["alarms"])
 
 
 class Comment(Shape):
-    """What is said with it."""
+    """A comment on an alarm."""
 
     text: str = Field("", examples=["Seen; a pass for calibration is asked for."])
 
 
 class Shelf(Shape):
-    """Until when an alarm may wait, and why."""
+    """Until when an alarm is shelved, and why."""
 
     until_utc: str = Field(examples=["2026-12-01T08:00:00Z"], description="30 days from now at most.")
     reason: str
 
 
 class Assignee(Shape):
-    """Who is asked to take care of it."""
+    """The person whom an alarm is assigned to."""
 
     user_id: Id | None = Field(description="Null: nobody in particular.")
 
@@ -76,7 +76,7 @@ def acknowledge_alarm(alarm_id: Id, comment: Comment, actor: Who, seen: SeenVers
 
 @router.post("/{alarm_id}:shelve", summary="Let it wait until a time", response_model=schemas.Alarm)
 def shelve_alarm(alarm_id: Id, shelf: Shelf, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
-    """Take an alarm out of the count until a time, with the reason."""
+    """Shelve an alarm until a time, with the reason; it is not counted meanwhile."""
     return _shown(alarms.shelve(session, actor, alarm_id, shelf.until_utc, shelf.reason, seen))
 
 
@@ -88,7 +88,7 @@ def unshelve_alarm(alarm_id: Id, actor: Who, seen: SeenVersion, session: Writing
 
 @router.post("/{alarm_id}:assign", summary="Ask a person to take care of it", response_model=schemas.Alarm)
 def assign_alarm(alarm_id: Id, assignee: Assignee, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
-    """Assign an alarm to a person, or to nobody in particular again."""
+    """Assign an alarm to a person, or remove its assignee."""
     return _shown(alarms.assign(session, actor, alarm_id, assignee.user_id, seen))
 
 

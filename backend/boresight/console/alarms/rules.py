@@ -11,7 +11,7 @@
 `FILES`    critical a stored file that rows name was altered on the disk, or is missing
 ========== ======== ==========================================================================================
 
-A sentence says nothing that changes by the passing of time alone, so that looking again changes nothing.
+No sentence contains anything that changes with time alone, so evaluating the rules again changes nothing.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ FILES_NAMED = 100
 
 @dataclass(frozen=True)
 class AlarmCause:
-    """What a rule found that is not as it should be."""
+    """A condition that a rule found."""
 
     source: str
     sensor_id: int | None
@@ -51,7 +51,7 @@ class AlarmCause:
 
 
 def evaluate_rules(session: Session, sensor_ids: Sequence[int] | None = None) -> list[AlarmCause]:
-    """Return what is wrong with the fleet, or with some of its sensors."""
+    """Return the causes for alarms on the fleet, or on some of its sensors."""
     baselines, stamps = (
         sensors_rows.list_baseline_heads(session, sensor_ids),
         trends.read_trend_stamps(session, sensor_ids),
@@ -73,22 +73,22 @@ def evaluate_rules(session: Session, sensor_ids: Sequence[int] | None = None) ->
 
 
 def name_source(sensor_id: int, kind: str) -> str:
-    """Name what an alarm is of."""
+    """Return the name of an alarm's source."""
     return f"sensors/{sensor_id}/{kind}"
 
 
 def check_chain(state: str, sentence: str) -> AlarmCause | None:
-    """Return what is wrong with the audit log, from what its last verification found."""
+    """Return the alarm cause from the last verification of the audit log, None where it found nothing."""
     return AlarmCause(CHAIN, None, "CHAIN", "critical", sentence) if state == "broken" else None
 
 
 def check_head(fault: str) -> AlarmCause | None:
-    """Return that the head cannot be kept; None where it can."""
+    """Return the alarm cause if the head of the audit log cannot be written; None otherwise."""
     return AlarmCause(HEAD, None, "HEAD", "serious", fault) if fault else None
 
 
 def check_files(bad: Sequence[BadFile]) -> AlarmCause | None:
-    """Return what is wrong with the stored files, from those that were found bad and that rows name."""
+    """Return the alarm cause from the bad files that rows still name, None where there are none."""
     if not bad:
         return None
     more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
@@ -135,12 +135,12 @@ def update_alarms(session: Session, sensor_ids: Sequence[int] | None = None) -> 
 
 
 def update_installation_alarms(session: Session, found: Mapping[str, AlarmCause | None]) -> int:
-    """Evaluate the rules on what is of no sensor: what was found wrong just now by its source, None where nothing is."""
+    """Update the alarms that belong to no sensor from what was just found, by source; None means that nothing is wrong."""
     return _settle(session, *_compare_installation(session, found))
 
 
 def find_changed_sensors(session: Session, sensor_ids: Sequence[int] | None = None) -> list[int]:
-    """Return the sensors, of all or of some, for which `update_alarms` would change an alarm; reads only, so no writer waits."""
+    """Return the sensors, of all or of some, for which `update_alarms` would change an alarm; it only reads."""
     found, known = _compare_sensors(session, sensor_ids)
     shelved = {row.sensor_id for row in queries.list_overdue_shelves(session)}
     moved = {(found.get(source) or known[source]).sensor_id for source in _find_differences(found, known)}
@@ -154,13 +154,13 @@ def has_installation_changed(session: Session, found: Mapping[str, AlarmCause | 
 
 
 def find_active(session: Session, source: str) -> Alarm | None:
-    """Return the alarm of a source that is up."""
+    """Return the active alarm of a source."""
     row = queries.list_open_alarms(session).get(source)
     return row if row is not None and row.active else None
 
 
 def list_files_in_alarm(session: Session) -> list[str]:
-    """Return the files of an alarm that is up, so that they are looked at before it is said to be over."""
+    """Return the files of the active `FILES` alarm, which are checked before it returns to normal."""
     row = find_active(session, FILES)
     return [] if row is None else [str(one["sha256"]) for one in row.evidence["files"]]
 
@@ -169,13 +169,13 @@ Compared = tuple[Mapping[str, AlarmCause], Mapping[str, Alarm]]
 
 
 def _find_differences(found: Mapping[str, AlarmCause], known: Mapping[str, Alarm]) -> set[str]:
-    """Return the sources of which what is so now and what the alarms say differ."""
+    """Return the sources whose alarm does not match the current condition."""
     news = {source for source, one in found.items() if source not in known or _is_news(known[source], one)}
     return news | {source for source, row in known.items() if row.active and source not in found}
 
 
 def _compare_sensors(session: Session, sensor_ids: Sequence[int] | None) -> Compared:
-    """Return what is wrong with sensors, and their open alarms, by source."""
+    """Return the current causes and the open alarms of sensors, by source."""
     known = {
         source: row
         for source, row in queries.list_open_alarms(session).items()
@@ -185,13 +185,13 @@ def _compare_sensors(session: Session, sensor_ids: Sequence[int] | None) -> Comp
 
 
 def _compare_installation(session: Session, found: Mapping[str, AlarmCause | None]) -> Compared:
-    """Return what is wrong with the installation, and its open alarms of these sources."""
+    """Return the current causes and the open alarms of the installation, for these sources."""
     known = {source: row for source, row in queries.list_open_alarms(session).items() if source in found}
     return {source: one for source, one in found.items() if one is not None}, known
 
 
 def _settle(session: Session, found: Mapping[str, AlarmCause], known: Mapping[str, Alarm]) -> int:
-    """Raise, renew or return what differs."""
+    """Raise, renew or return to normal each alarm that differs from its condition."""
     changed = [_raise(session, one) for source, one in found.items() if source not in known]
     changed += [_renew(session, known[source], one) for source, one in found.items() if source in known]
     changed += [_return(session, row) for source, row in known.items() if source not in found]
@@ -199,7 +199,7 @@ def _settle(session: Session, found: Mapping[str, AlarmCause], known: Mapping[st
 
 
 def _is_news(row: Alarm, found: AlarmCause) -> bool:
-    """Whether an open alarm says something else than is so now."""
+    """Whether an open alarm differs from the current condition."""
     return not row.active or (row.sentence, row.level) != (found.sentence, found.level)
 
 
@@ -222,7 +222,7 @@ def _raise(session: Session, found: AlarmCause) -> bool:
 
 
 def _renew(session: Session, row: Alarm, found: AlarmCause) -> bool:
-    """Say what is so now of an open alarm; one that came back or became graver wants to be seen again."""
+    """Update an open alarm to the current condition; it is unacknowledged again if that came back or became graver."""
     again = not row.active or GRAVITY[found.level] > GRAVITY[row.level]
     if not _is_news(row, found):
         return False
@@ -256,12 +256,12 @@ AWAY_S = 86_400.0
 
 
 def _steady_s() -> float:
-    """Return seconds that nobody can set, and that go on while the machine sleeps where the system has such."""
+    """Return the seconds of a clock that cannot be set, if possible one that goes on while the machine sleeps."""
     return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
 
 
 class Clock:
-    """The wall clock beside one that nobody can set."""
+    """The wall clock, compared with a clock that cannot be set."""
 
     def __init__(self, wall_s: Callable[[], float] = time.time, steady_s: Callable[[], float] = _steady_s) -> None:
         self._wall_s = wall_s
@@ -273,15 +273,15 @@ class Clock:
         return self._wall_s()
 
     def moved_s(self) -> float:
-        """Return by how much the wall clock was set since it was last found right."""
+        """Return by how much the wall clock was set since the last `agree`."""
         return self._wall_s() - self._steady_s() - self._agreed_s
 
     def has_jumped(self) -> bool:
-        """Whether it was set by more than clocks are corrected by."""
+        """Whether it was set by more than an ordinary correction."""
         return abs(self.moved_s()) > JUMP_S
 
     def agree(self) -> None:
-        """Take the wall clock for right."""
+        """Accept the wall clock as right."""
         self._agreed_s = self._wall_s() - self._steady_s()
 
 
@@ -289,19 +289,19 @@ OURS = Clock()
 
 
 def is_held(session: Session) -> bool:
-    """Whether nothing may expire: the clock jumped, and nobody has acknowledged it."""
+    """Whether expiry is suspended because the clock jumped and nobody has acknowledged it."""
     row = find_active(session, CLOCK)
     return OURS.has_jumped() or (row is not None and not row.acknowledged)
 
 
 def is_acknowledged(session: Session) -> bool:
-    """Whether somebody has seen the jump whose alarm is up."""
+    """Whether the active `CLOCK` alarm was acknowledged."""
     row = find_active(session, CLOCK)
     return row is not None and bool(row.acknowledged)
 
 
 def check_clock(seen_s: float | None) -> AlarmCause | None:
-    """Return that the clock jumped, or that this server was last seen long ago; None where neither is so."""
+    """Return the alarm cause if the clock jumped or no server ran for long; None otherwise."""
     now = _text(OURS.now_s())
     if OURS.has_jumped():
         moved_s = OURS.moved_s()

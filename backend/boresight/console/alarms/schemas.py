@@ -1,4 +1,4 @@
-"""Alarms, what became of them, and notes."""
+"""Alarms and their events."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from boresight.console.schemas import Document, Row
 
 
 class Alarm(Row):
-    """Something that needs a person, until a person has seen it and it is over."""
+    """A condition that needs a person, until it is acknowledged and over."""
 
     versioned_by = ("version",)
 

@@ -1,11 +1,11 @@
-"""Alarms: what people do about what needs a person. States and words are those of ISA-18.2.
+"""Alarms: acknowledging, shelving, assigning and commenting. States and words are those of ISA-18.2.
 
     active, unacknowledged  --acknowledge-->  active, acknowledged  --it is over-->  closed
             |                                                                          ^
             it is over --> returned to normal, unacknowledged  --acknowledge-----------+
 
-If the condition comes back, or becomes graver, it is unacknowledged again. A shelved alarm counts for nobody until its
-time is over, `MOST_DAYS` at most. Every step is an event that is never edited, and an audit record.
+If the condition comes back, or becomes graver, it is unacknowledged again. A shelved alarm is not counted until its time is over,
+after `MOST_DAYS` at most. Every step is an event that is never edited, and an audit record.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def close_if_over(session: Session, actor: Actor, row: Alarm) -> None:
 
 
 def record_step(session: Session, actor: Actor, row: Alarm, event: str, text: str, **told: Any) -> None:
-    """Keep a step in an alarm's life: one version further, an event, an audit record."""
+    """Record a step of an alarm: increase its version, add an event and an audit record."""
     row.version += 1
     name = actor.printed_name
     session.add(
@@ -78,7 +78,7 @@ def is_shelved(row: Alarm) -> bool:
 
 
 def acknowledge(session: Session, actor: Actor, alarm_id: int, text: str, seen_version: int | None) -> Alarm:
-    """Say that somebody has seen it and takes care; one that is over is closed by it."""
+    """Acknowledge an alarm; one that has returned to normal is closed by it."""
     row = _take_to_handle(session, actor, alarm_id, seen_version, "acknowledge an alarm")
     if row.acknowledged:
         raise ConflictError(f"Alarm {row.id} is acknowledged already; comment on it, or shelve it.")
@@ -89,7 +89,7 @@ def acknowledge(session: Session, actor: Actor, alarm_id: int, text: str, seen_v
 
 
 def shelve(session: Session, actor: Actor, alarm_id: int, until: str, reason: str, seen_version: int | None) -> Alarm:
-    """Take an alarm out of the count until a time."""
+    """Shelve an alarm until a time; it is not counted meanwhile."""
     row = _take_to_handle(session, actor, alarm_id, seen_version, "shelve an alarm")
     until_utc = read_time(until)
     if not utc_now() < until_utc <= utc_after(MOST_DAYS * DAY_S):
@@ -110,7 +110,7 @@ def unshelve(session: Session, actor: Actor, alarm_id: int, seen_version: int | 
 
 
 def assign(session: Session, actor: Actor, alarm_id: int, user_id: int | None, seen_version: int | None) -> Alarm:
-    """Ask a person to take care of an alarm; None asks nobody in particular."""
+    """Assign an alarm to a person; None removes the assignee."""
     row = _take_to_handle(session, actor, alarm_id, seen_version, "assign an alarm")
     person = None if user_id is None else session.get(User, user_id)
     if user_id is not None and (person is None or person.disabled_utc is not None):
@@ -121,7 +121,7 @@ def assign(session: Session, actor: Actor, alarm_id: int, user_id: int | None, s
 
 
 def comment(session: Session, actor: Actor, alarm_id: int, text: str, seen_version: int | None) -> Alarm:
-    """Say something about an alarm."""
+    """Add a comment to an alarm."""
     row = _take_to_handle(session, actor, alarm_id, seen_version, "comment on an alarm")
     record_step(session, actor, row, "COMMENTED", _said(text, needed="comment"))
     return row
@@ -147,7 +147,7 @@ def _said(text: str, needed: str = "") -> str:
 def list_alarms(
     session: Session, sought: AlarmFilter | None = None, *, before_id: int | None = None, limit: int | None = None
 ) -> Sequence[Alarm]:
-    """Return a page of alarms, newest first; those that are closed only when sought."""
+    """Return a page of alarms, newest first; closed ones only when asked for."""
     sought = sought or AlarmFilter()
     if sought.state is not None and sought.state not in STATES:
         raise RefusedInputError(f"There is no alarm state {sought.state!r}; choose from {', '.join(STATES)}.")
@@ -173,10 +173,10 @@ def list_newest_open_of_sensors(session: Session, kind: str, sensor_ids: Collect
 
 
 def list_alarm_events(session: Session, alarm_id: int) -> Sequence[AlarmEvent]:
-    """Return what became of an alarm, in order."""
+    """Return the events of an alarm, in order."""
     return queries.list_events(session, session.get_known(Alarm, alarm_id).id)
 
 
 def count_unacknowledged(session: Session) -> int:
-    """Return how many alarms wait for somebody to see them; shelved ones do not."""
+    """Return the number of unacknowledged alarms, without shelved ones."""
     return queries.count_unacknowledged(session)

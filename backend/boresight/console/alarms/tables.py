@@ -1,4 +1,4 @@
-"""Alarms of the fleet and what became of them."""
+"""Alarms of the fleet and their events."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Alarm(Base):
         STRICT,
     )
     id: Mapped[int] = mapped_column(primary_key=True)
-    source: Mapped[str] = mapped_column(sa.Text)  # what it is of, such as sensors/3/DRIFT
+    source: Mapped[str] = mapped_column(sa.Text)  # its source, such as sensors/3/DRIFT
     sensor_id: Mapped[int | None] = mapped_column(sa.ForeignKey("sensors.id"), index=True)  # None: of the installation
     kind: Mapped[str] = mapped_column(sa.Text)
     level: Mapped[str] = mapped_column(sa.Text)
@@ -49,7 +49,7 @@ class Alarm(Base):
     returned_utc: Mapped[str | None] = mapped_column(sa.Text)
     shelved_until_utc: Mapped[str | None] = mapped_column(sa.Text)
     assigned_to: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
-    version: Mapped[int] = mapped_column(default=1)  # counts its moves; the ETag
+    version: Mapped[int] = mapped_column(default=1)  # increases with every step; the ETag
     closed_utc: Mapped[str | None] = mapped_column(sa.Text)
 
 

@@ -17,7 +17,7 @@ from boresight.platform.web.paging import Id
 def assess_before_submission(
     actor: Who, parameter_set_id: Id, forecast_sources: DryRunSources, engine: Database
 ) -> gates.GateAssessment | None:
-    """Return a set's assessment; None where a report holds that looked at what there is, or the request will be refused anyhow."""
+    """Return a set's assessment; None where a valid report exists, or where the request will be refused anyhow."""
     with open_reading(engine) as session:
         if not approvals.is_submittable(session, actor, parameter_set_id):
             return None

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from boresight.calibration.calibration import parse_calibration
-from boresight.console.approvals import proposals, staleness
 from boresight.console.approvals import queries as rows
-from boresight.console.approvals.tables import ChangeProposal, GateProfile
+from boresight.console.approvals import staleness
+from boresight.console.approvals.tables import GateProfile
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.runs.results import read_result
@@ -39,7 +40,7 @@ NO_VALIDATION = "The run had no validation set: nothing outside the fitted frame
 
 @dataclass(frozen=True)
 class TriedProfile:
-    """What a profile would have said of a past run."""
+    """How a profile would have judged a past run."""
 
     run: Run
     parameter_set: str | None
@@ -121,7 +122,7 @@ def put_into_force(
     reason: str,
     proposal: ChangeProposal | None = None,
 ) -> GateProfile:
-    """Make a complete profile the one in force, of whoever proposed it where somebody did."""
+    """Put a complete profile into force, in the name of its proposer where there is one."""
     complete = gates.parse_profile(complete).document()
     current = ensure_profile(session, actor, sensor_id)
     row = GateProfile(
@@ -134,7 +135,6 @@ def put_into_force(
         created_by=actor.user_id if proposal is None else proposal.proposed_by,
     )
     _add(session, actor, row, current, proposal)
-    proposals.make_stale(session, actor, sensor_id, "gate-profile", row.number)
     staleness.make_stale_of_sensor(session, actor, sensor_id, f"the gate profile became version {row.number}")
     return row
 
@@ -188,7 +188,7 @@ def _measure(blobs: BlobStore, run: Run) -> dict[str, Measurement]:
         found = parse_calibration(result)
         inputs = gates.GateInputs(
             sensor=sensor,
-            candidate={**result, "sensor": sensor.name},  # as a set that was made of it would say
+            candidate={**result, "sensor": sensor.name},  # as for a set made from that run
             incumbent=ground_set(sensor),
             result=found,
             made_with=run.sensor_document,

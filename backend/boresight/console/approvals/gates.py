@@ -6,8 +6,8 @@ A report is made in three steps, because seeing validation frames under two sets
     examine  no transaction         measure and judge
     record   writing transaction    stored if none of the hashes moved meanwhile
 
-It holds while what it is bound to stands. Validation frames are those that neither the set nor the incumbent was fitted
-to. A waiver is never taken back; it is laid over the report until it expires, and makes an open request of the set
+A report is valid while none of its bound hashes has changed. Validation frames are those that neither the set nor the incumbent
+was fitted to. A waiver is never taken back; it is laid over the report until it expires, and makes an open request of the set
 STALE.
 """
 
@@ -79,7 +79,7 @@ class StoredGateInputs:
 
 
 def read_gate_inputs(session: Session, parameter_set_id: int) -> StoredGateInputs:
-    """Read a set's case."""
+    """Read the inputs of a set's gates."""
     row = session.get_known(ParameterSet, parameter_set_id)
     run = None if row.run_id is None else session.get_one(Run, row.run_id)
     incumbent = _find_incumbent(session, row)
@@ -127,7 +127,7 @@ def _choose_validation_frames(
     behind = [run, None if incumbent is None or incumbent.run_id is None else session.get_one(Run, incumbent.run_id)]
     fitted = {known.telemetry_set_id for known in behind if known is not None}
     own = None if run is None or run.validation_set_id is None else session.get(TelemetrySet, run.validation_set_id)
-    others = lists.list_newest(  # of so many, one at least was not fitted
+    others = lists.list_newest(  # among so many sets at least one took no part in the fit
         session, TelemetrySet, sensor=row.sensor_id, purpose="validation", in_use=True, limit=len(fitted) + 1
     )
     candidates = [*([] if own is None else [own]), *others]
@@ -150,14 +150,14 @@ class GateAssessment:
 
 
 def measure(session: Session, blobs: BlobStore, catalogue: Catalogue | None, parameter_set_id: int) -> GateAssessment:
-    """Gather and examine in one; the session is only read."""
+    """Gather and examine in one call; only reads from the session."""
     return examine(read_gate_inputs(session, parameter_set_id), blobs, catalogue)
 
 
 def examine(
     stored: StoredGateInputs, blobs: BlobStore, catalogue: Catalogue | None, cache_folder: Path | None = None
 ) -> GateAssessment:
-    """Measure and judge a case."""
+    """Measure and judge a set from its inputs."""
     sensor = parse_sensor(stored.sensor_document)
     result = None if stored.result_sha256 is None else parse_calibration(read_result(blobs, stored.result_sha256))
     validation, why = _seen(stored, blobs, sensor, result, catalogue, cache_folder)
@@ -188,7 +188,7 @@ def _seen(
     catalogue: Catalogue | None,
     cache_folder: Path | None,
 ) -> tuple[gates.ValidationScores | None, str]:
-    """Return the scores on validation frames, or None with the reason; what the run compared already is not seen again."""
+    """Return the scores on validation frames, or None with the reason; a comparison that the run made already is reused."""
     if stored.incumbent is not None and result is not None and started_from(result, stored.incumbent):
         own = of_result(result)
         if own is not None:
@@ -250,7 +250,7 @@ def _word(name: str) -> str:
 
 
 def find_valid_report(session: Session, parameter_set_id: int) -> GateReport | None:
-    """Return a set's newest report if what it rests on is as it was; None otherwise."""
+    """Return a set's newest report if its inputs are unchanged; None otherwise."""
     report = rows.find_newest_report(session, parameter_set_id)
     return None if report is None or list_moved_since(session, report) else report
 
@@ -269,7 +269,7 @@ def get_report(session: Session, parameter_set_id: int, sha256: str | None = Non
 
 
 def list_moved_since(session: Session, report: GateReport) -> list[str]:
-    """Name what moved of all that a report rests on; it holds while nothing did."""
+    """List the inputs of a report that have changed; it is valid while there are none."""
     bound, now = (
         report.document["bound"],
         compute_bound_hashes(session, session.get_known(ParameterSet, report.parameter_set_id)),
@@ -280,7 +280,7 @@ def list_moved_since(session: Session, report: GateReport) -> list[str]:
 def choose_report_for_submission(
     session: Session, actor: Actor, blobs: BlobStore, parameter_set_id: int, assessment: GateAssessment | None = None
 ) -> GateReport:
-    """Return the report that a request binds: the one given, the one that holds, or a light one from the run's own result."""
+    """Return the report for a request to bind: the given one, the valid one, or one made from the run's own result only."""
     if assessment is not None:
         return _record(session, actor, assessment)
     known = find_valid_report(session, parameter_set_id)
@@ -365,7 +365,7 @@ def waive(  # noqa: PLR0913, PLR0917 - a waiver has all of these, and a form giv
 
 
 def _checked(gate: str, code: str, reason: str, expires_utc: str) -> str:
-    """Refuse what is no waiver, and return its expiry as the store writes it."""
+    """Check a waiver, and return its expiry as the store writes it."""
     refuse_control_characters(reason=reason)
     if gate not in GATES:
         raise RefusedInputError(f"There is no gate {gate!r}; the gates are {', '.join(GATES)}.")

@@ -1,4 +1,4 @@
-"""Queries on requests for approval and the evidence that they bind, on gates and their waivers, on proposed changes."""
+"""Queries on requests for approval and the evidence that they bind, on gates and their waivers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import sqlalchemy as sa
 
 from boresight.console.approvals.tables import (
     Approval,
-    ChangeProposal,
     GateProfile,
     GateReport,
     Opening,
@@ -48,7 +47,7 @@ def list_due_approvals(session: Session, now_utc: str) -> Sequence[Approval]:
 def _undecided() -> sa.Select[Approval]:
     """Select the requests that are not decided, with those approved and not yet promoted, and their sets."""
     live = ParameterSet.ground_state.in_(("SUBMITTED", "APPROVED"))
-    newest = sa.select(sa.func.max(Approval.id)).group_by(Approval.parameter_set_id)  # an older one had its promotion
+    newest = sa.select(sa.func.max(Approval.id)).group_by(Approval.parameter_set_id)  # older ones have been promoted
     query = sa.select(Approval).join(ParameterSet).where(Approval.state.in_(UNDECIDED), live, Approval.id.in_(newest))
     return query.order_by(Approval.id)
 
@@ -100,12 +99,12 @@ def list_profiles(
 
 
 def find_newest_profile(session: Session, sensor_id: int) -> GateProfile | None:
-    """Return the profile in force; None where the default holds and nobody needed it yet."""
+    """Return the profile in force; None where the default is in force and not stored yet."""
     return next(iter(list_profiles(session, sensor_id, limit=1)), None)
 
 
 def find_newest_report(session: Session, parameter_set_id: int, sha256: str | None = None) -> GateReport | None:
-    """Return a set's newest gate report, of all or of those with a hash, whether or not what it judged has moved since."""
+    """Return a set's newest gate report, of all or of those with a hash, valid or not."""
     query = sa.select(GateReport).where(GateReport.parameter_set_id == parameter_set_id)
     if sha256 is not None:
         query = query.where(GateReport.sha256 == sha256)
@@ -135,14 +134,3 @@ def list_runs_with_results(session: Session, sensor_id: int, limit: int) -> Sequ
     """Return a sensor's newest runs that ended with a result, newest first."""
     query = sa.select(Run).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED", Run.result_sha256.is_not(None))
     return session.scalars(query.order_by(Run.id.desc()).limit(limit)).all()
-
-
-def list_due_proposals(session: Session, now_utc: str) -> Sequence[ChangeProposal]:
-    """Return the open proposals whose time is over, oldest first."""
-    is_due = (ChangeProposal.state == "OPEN", ChangeProposal.expires_utc <= now_utc)
-    return session.scalars(sa.select(ChangeProposal).where(*is_due).order_by(ChangeProposal.id)).all()
-
-
-def count_open_proposals(session: Session) -> int:
-    """Count the proposals that wait."""
-    return session.scalar(sa.select(sa.func.count()).where(ChangeProposal.state == "OPEN")) or 0

@@ -30,7 +30,7 @@ from boresight.console.approvals import service as approvals
 from boresight.console.approvals.gates import read_gate_inputs
 from boresight.console.approvals.service import Decision
 from boresight.console.approvals.tables import Approval, GateProfile, GateReport, Opening, Remark, Waiver
-from boresight.console.change_proposals import service as second_person
+from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
 from boresight.console.operation import Answer, Beside, operations
 from boresight.console.schemas import Shape
@@ -87,9 +87,7 @@ def set_gate_profile(
     administrator confirms it.
     """
     document = {"gates": profile.gates}
-    made = second_person.change(
-        session, actor, "gate-profile", sensor_id, document, profile.reason, seen, policy=policy
-    )
+    made = proposals.change(session, actor, "gate-profile", sensor_id, document, profile.reason, seen, policy=policy)
     return in_force_or_proposed(session, made)
 
 
@@ -116,7 +114,7 @@ Hash = Annotated[
 
 
 class Waiving(Shape):
-    """Which gate a set passes in spite of, why, and until when."""
+    """The gate to be waived, why, and until when."""
 
     gate: str = Field(examples=["coverage"])
     code: str = Field(description=f"One of {', '.join(gates.CODES)}.", examples=["data-limited"])
@@ -137,7 +135,7 @@ ProvenWaiver = Annotated[PasswordProof, own_password(Waiving)]
 def _examine(
     parameter_set_id: Id, actor: Who, forecast_sources: DryRunSources, engine: Database
 ) -> gates.GateAssessment:
-    """See the validation frames before the writing transaction: that takes seconds, and there is one writer."""
+    """Evaluate the validation frames before the writing transaction, because that takes seconds and there is one writer."""
     require_role(actor, *gates.ASSESSORS)
     require_scope(actor, "parameter-sets")
     with open_reading(engine) as session:
@@ -149,7 +147,7 @@ Examined = Annotated[gates.GateAssessment, Depends(_examine)]
 
 
 def _shown(session: Session, row: GateReport) -> Beside:
-    """Return a report with the waivers laid over it, and whether what it rests on is as it was."""
+    """Return a report with its waivers applied, and whether its inputs are unchanged."""
     document = gates.read_with_waivers(session, row)
     laid_over = {name: document[name] for name in LAID_OVER}
     given = approval_queries.list_waivers(session, [row.parameter_set_id])
@@ -207,7 +205,7 @@ class Signing(Shape):
     comment: str = Field("", description="Needed to refuse.")
 
     def decided(self, decision: str) -> Decision:
-        """Return it as a decision."""
+        """Return the body as a decision."""
         return Decision(decision, self.meaning, self.comment)
 
 
@@ -361,5 +359,5 @@ def list_openings(approval_id: Id, session: Reading) -> Listing[Opening]:
     "/openings", summary="Say that you opened a piece of evidence", status_code=201, response_model=schemas.Opening
 )
 def record_opening(approval_id: Id, new: NewOpening, actor: Who, session: Writing) -> Opening:
-    """Keep that you opened a piece of evidence; only the first time counts."""
+    """Record that you opened a piece of evidence; only the first time counts."""
     return approvals.record_opening(session, actor, approval_id, new.evidence)

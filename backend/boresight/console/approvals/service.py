@@ -77,7 +77,7 @@ class Decision:
     comment: str = ""
 
     def check(self) -> None:
-        """Refuse what is no decision."""
+        """Check that the decision is complete."""
         if self.decision not in DECISIONS:
             raise RefusedInputError(f"The decision is APPROVE or REFUSE, not {self.decision!r}.")
         if not self.meaning.strip():
@@ -87,12 +87,12 @@ class Decision:
 
 
 def find_signatory(session: Session, actor: Actor, *, policy: Policy = POLICY) -> Signatory | None:
-    """Return who would sign, to narrow the list of requests to those open to them; None where they may sign none at all."""
+    """Return the actor as signatory, to filter requests by who may sign; None where the actor may never sign."""
     try:
         user_id = refuse_who_never_signs(session, actor)
     except ForbiddenError:
         return None
-    now_utc = "" if alarm_rules.is_held(session) else utc_now()  # before every time there is: nothing has expired
+    now_utc = "" if alarm_rules.is_held(session) else utc_now()  # earlier than any time: nothing has expired
     return Signatory(user_id, now_utc, policy.four_eyes)
 
 
@@ -156,9 +156,9 @@ def sign_over_the_shoulder(
 def refuse_beside(
     session: Session, console: Actor, approval_id: int, decided: Decision, seen_version: int | None
 ) -> None:
-    """Refuse a signature over the shoulder that nobody's password can make; raises as `sign_over_the_shoulder`.
+    """Refuse a signature over the shoulder that no password would make valid, as `sign_over_the_shoulder` would.
 
-    All of it can be read by whoever is logged in; about the person who is named nothing is told without the password.
+    It uses only what every logged-in person can read, and reveals nothing about the named person.
     """
     require_person(console, "lend a console")
     approval = session.get_known(Approval, approval_id)
@@ -166,7 +166,7 @@ def refuse_beside(
 
 
 def _refuse_undecidable(session: Session, approval: Approval, decided: Decision, seen_version: int | None) -> None:
-    """Refuse a decision on what was not seen as it is, without its words, or on what is decided."""
+    """Refuse a decision on an outdated version, one that is incomplete, or one on a request that is decided."""
     require_seen(session, approval, seen_version)
     decided.check()
     _refuse_decided(session, approval, decided.decision)
@@ -174,7 +174,7 @@ def _refuse_undecidable(session: Session, approval: Approval, decided: Decision,
 
 
 def _refuse_decided(session: Session, approval: Approval, decision: str) -> None:
-    """Refuse to decide what is decided; only a refusal still stops what was approved and not yet promoted."""
+    """Refuse to decide on a decided request, except to reject one that is approved and not yet promoted."""
     if approval.state == "STALE":
         raise StaleError(
             f"Request {approval.id} is STALE: {describe_last_change(session, approval)}. The set must be submitted again."
@@ -259,7 +259,7 @@ def assign(
     *,
     policy: Policy = POLICY,
 ) -> Approval:
-    """Ask a person to decide on an open request; None asks nobody in particular again."""
+    """Assign an open request to a person; None removes the assignee."""
     require_person(actor, "assign a request")
     require_role(actor, "analyst", "operator", "approver", "administrator")
     approval = session.get_known(Approval, approval_id)
@@ -288,7 +288,7 @@ def _get_signer(session: Session, approval: Approval, user_id: int, policy: Poli
 
 
 def add_remark(session: Session, actor: Actor, approval_id: int, text: str) -> Remark:
-    """Say something about a request, be it decided or not."""
+    """Add a remark to a request, decided or not."""
     user_id = require_person(actor, "discuss a request")
     require_role(actor, "analyst", "operator", "approver", "administrator")
     approval = session.get_known(Approval, approval_id)
@@ -313,7 +313,7 @@ def list_remarks(session: Session, approval_id: int) -> Sequence[Remark]:
 
 
 def record_opening(session: Session, actor: Actor, approval_id: int, evidence: str) -> Opening:
-    """Keep that a person opened a piece of a request's evidence; only the first time counts."""
+    """Record that a person opened a piece of a request's evidence; only the first time counts."""
     user_id = require_person(actor, "open evidence")
     approval = session.get_known(Approval, approval_id)
     if not EVIDENCE.fullmatch(evidence):
@@ -358,7 +358,7 @@ def promote(
 
 
 def _refuse_lone(session: Session, approval: Approval, policy: Policy) -> None:
-    """Refuse an approval that lacks second persons: it was signed while four-eyes was off, or its signer made the set."""
+    """Refuse to promote on too few second persons' signatures, as when four-eyes was off or a signer made the set."""
     signed = len(list_second_persons(session, approval, policy))
     if signed < approval.needed:
         raise ConflictError(
@@ -398,7 +398,7 @@ roll_back = partial(submit, back=True)
 
 
 def is_submittable(session: Session, actor: Actor, parameter_set_id: int) -> bool:
-    """Whether it is worth while to assess a set for this actor: a request for it would not be refused at once."""
+    """Whether a request for a set by this actor would not be refused at once, so that assessing it is worthwhile."""
     may = actor.roles.intersection({"analyst", "operator"}) and (
         actor.scopes is None or "parameter-sets" in actor.scopes
     )

@@ -43,7 +43,7 @@ class Signer:
 
 
 def list_parts(session: Session, approval: Approval) -> list[SetPart]:
-    """Return who had which part in the set of a request; Boresight itself and the command line are nobody."""
+    """Return who had which part in the set of a request, without Boresight itself and the command line."""
     row = session.get_one(ParameterSet, approval.parameter_set_id)
     run = None if row.run_id is None else session.get(Run, row.run_id)
     done: list[tuple[int | None, str, str]] = [(approval.submitted_by, SUBMITTER, "submitted this set")]
@@ -95,7 +95,7 @@ def list_signers(session: Session, approval: Approval, policy: Policy) -> list[S
 
 
 def _signer(user: User, own: Sequence[SetPart], signed_utc: str | None) -> Signer:
-    """Say of an approver what keeps them from signing; in the order in which `refuse_signer` asks."""
+    """Return an approver with what prevents them from signing, in the order in which `refuse_signer` checks."""
     roles, name = tuple(dict.fromkeys(part.role for part in own)), user.printed_name
     if "administrator" in user.roles:
         return Signer(user, roles, f"{name} is an administrator, who cannot sign.")

@@ -54,14 +54,14 @@ def compute_binding(session: Session, parameter_set: ParameterSet) -> dict[str, 
 
 
 def find_changed_bindings(session: Session, approval: Approval, parameter_set: ParameterSet) -> list[str]:
-    """Name what is not any more as the request binds it."""
+    """List the bindings of a request that have changed."""
     bound, current = approval.bound, compute_binding(session, parameter_set)
     held = [name for name in bound if name in current and not (name in OF_GATES and bound[name] is None)]
     return [WORDS[name] for name in WORDS if name in held and bound[name] != current[name]]
 
 
 def compute_binding_sha256(approval: Approval) -> str:
-    """Return the hash of what a signature stands for: the request with everything that it binds."""
+    """Return the hash that a signature covers: the request with everything that it binds."""
     shown: dict[str, Any] = {
         "approval": approval.id,
         "parameter_set": approval.parameter_set_id,
@@ -87,7 +87,7 @@ def find_blocking_gates(session: Session, parameter_set: ParameterSet) -> list[G
 
 
 def refuse_blocked(session: Session, parameter_set: ParameterSet) -> None:
-    """Refuse to let a set pass that its gates stop."""
+    """Refuse a set that is blocked by its gates."""
     gates = find_blocking_gates(session, parameter_set)
     if not gates:
         return
@@ -100,18 +100,18 @@ def refuse_blocked(session: Session, parameter_set: ParameterSet) -> None:
 
 
 def make_others_stale(session: Session, actor: Actor, promoted: ParameterSet) -> None:
-    """Void the requests that compare with the baseline of before."""
+    """Make the requests stale that were compared with the former baseline."""
     make_stale_of_sensor(session, actor, promoted.sensor_id, f"{promoted.name} became baseline")
 
 
 def make_stale_of_sensor(session: Session, actor: Actor, sensor_id: int, why: str) -> None:
-    """Void every request of a sensor that is not decided, or approved and not promoted yet."""
+    """Make every request of a sensor stale that is undecided, or approved and not promoted."""
     for approval in rows.list_undecided_of_sensor(session, sensor_id):
         _make_stale(session, actor, approval, why)
 
 
 def make_stale_of_set(session: Session, actor: Actor, parameter_set_id: int, why: str) -> None:
-    """Void the request of one set, if it has one that is not decided, or approved and not promoted yet."""
+    """Make the request of one set stale if it is undecided, or approved and not promoted."""
     row = session.get_one(ParameterSet, parameter_set_id)
     for approval in rows.list_undecided_of_sensor(session, row.sensor_id):
         if approval.parameter_set_id == parameter_set_id:
@@ -138,12 +138,12 @@ def refuse_changed_binding(session: Session, actor: Actor, approval: Approval, r
 
 
 def is_expired(approval: Approval) -> bool:
-    """Whether the time of a request is over, be it written down yet or not."""
+    """Whether the time of a request is over, even if its state does not say so yet."""
     return approval.expires_utc is not None and approval.expires_utc <= utc_now()
 
 
 def is_any_request_due(session: Session) -> bool:
-    """Whether there are requests whose time is over and that still stand open."""
+    """Whether any request has expired whose state does not say so yet."""
     return bool(rows.list_due_approvals(session, utc_now())) and not alarm_rules.is_held(session)
 
 

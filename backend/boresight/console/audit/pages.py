@@ -16,7 +16,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import KNOWN, Blobs, Reading
-from boresight.console.jobs.maintenance import ServerMaintenance
+from boresight.console.jobs.dependencies import ServerMaintenance
 from boresight.console.operation import Beside
 from boresight.console.pages.formats import day_of_year, instant
 from boresight.console.pages.rendering import render
@@ -116,7 +116,7 @@ def name_member(name: str) -> str:
 
 
 def _word(part: str) -> str:
-    """Name one step of the way; a name that is not known loses its unit and its underscores."""
+    """Name one part of a member's path; an unknown name loses its unit and its underscores."""
     if part in NAMES:
         return NAMES[part]
     bare = next((part.removesuffix(suffix) for suffix, _ in (*UNITS, ("_utc", "")) if part.endswith(suffix)), part)
@@ -132,7 +132,7 @@ def find_unit(name: str) -> str:
 
 
 def _shown(name: str, value: Any) -> str:
-    """Print a member for people; a long one is cut."""
+    """Format a member for display; a long one is shortened."""
     if value is None:
         return MISSING
     if isinstance(value, bool):
@@ -179,7 +179,7 @@ RECORDS = Table(
 VERIFIED_AT_EVERY_VISIT = 1000
 READ_AT_EVERY_VISIT = 100_000_000  # bytes of stored files
 IN_GIST = 3
-TELLING = (
+GIST_MEMBERS = (
     "name",
     "label",
     "sensor",
@@ -214,9 +214,9 @@ class AuditLine:
 
     @property
     def gist(self) -> str:
-        """What matters of the change, in one short line."""
-        telling = [it for it in self.changes if it.name.rpartition(".")[2] in TELLING] or self.changes
-        return " · ".join(f"{it.before} → {it.after}" if it.before != "–" else it.after for it in telling[:IN_GIST])
+        """A summary of the change in one short line."""
+        members = [it for it in self.changes if it.name.rpartition(".")[2] in GIST_MEMBERS] or self.changes
+        return " · ".join(f"{it.before} → {it.after}" if it.before != "–" else it.after for it in members[:IN_GIST])
 
 
 def _sought(view: TableView) -> dict[str, Any]:
@@ -239,7 +239,7 @@ def audit_page(
     maintenance: ServerMaintenance,
     verify: str = "",
 ) -> HTMLResponse:
-    """Show a page of records, and the light of the chain."""
+    """Show a page of records and the state of the chain."""
     view, found, refusal = read_view(request, RECORDS), TablePage((), None), ""
     try:
         found = read_page(session, view, **_sought(view))
@@ -279,7 +279,7 @@ def record_page(
     session: Reading,
     record_id: int,
 ) -> HTMLResponse:
-    """Show one record whole: what it changed member by member, who did it how, and the rows that it sealed."""
+    """Show one record in full: what it changed, who made it and how, and the rows that it sealed."""
     record = audit.get_record(session, record_id)
     return render(
         request,

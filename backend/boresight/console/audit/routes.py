@@ -26,7 +26,7 @@ MEDIA_TYPES = {"zip": "application/zip", "jsonl": "application/x-ndjson"}
 
 
 class Form(StrEnum):
-    """How the log is exported."""
+    """Format of the export."""
 
     ZIP = "zip"
     JSONL = "jsonl"

@@ -34,7 +34,7 @@ from boresight.console.pages.rendering import (
     redirect,
     render,
 )
-from boresight.console.pages.tables import csv_file
+from boresight.console.pages.tables import Table, TableColumn, csv_file, read_all, read_page, read_view
 from boresight.console.runs import presets
 from boresight.console.runs.pages.launch import LONGEST_NUMBER, LaunchOrigin, TypedForm, read_origin, typed_form
 from boresight.console.runs.pages.list import read_names
@@ -42,37 +42,54 @@ from boresight.console.telemetry import queries as telemetry_rows
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.verdict import LEVELS
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
-CAMPAIGNS_A_PAGE = 50
+CAMPAIGNS = Table(
+    "campaigns",
+    "Campaigns",
+    (
+        TableColumn("state", "State", "", "tight"),
+        TableColumn("campaign", "Campaign", "-campaign", "named", head=True),
+        TableColumn("progress", "Progress"),
+        TableColumn("ended", "Ended", "", "num"),
+        TableColumn("failed", "Failed", "", "num"),
+        TableColumn("sensors", "Sensors", "", "num"),
+        TableColumn("preset", "Preset", "preset", "words"),
+        TableColumn("by", "By", "by"),
+        TableColumn("launched", "Launched", "-launched"),
+    ),
+    {},
+    "-campaign",
+    kind="campaigns",
+)
 CSV_FIELDS = (
     "campaign", "label", "sensors", "ended", "failed", "preset", "launched_by", "launched_utc", "cancelled_utc",
 )  # fmt: skip
 
 
 @router.get("/campaigns", response_class=HTMLResponse, dependencies=[KNOWN])
-def campaigns_page(request: Request, session: Reading, before: str = "") -> HTMLResponse:
+def campaigns_page(request: Request, session: Reading) -> HTMLResponse:
     """List campaigns with how far each is, newest first."""
-    before_id = parse_row_id(before)
-    found = campaigns.list_campaigns(session, before_id=before_id, limit=CAMPAIGNS_A_PAGE + 1)
-    shown = found[:CAMPAIGNS_A_PAGE]
+    view = read_view(request, CAMPAIGNS)
+    found = read_page(session, view)
     return render(
         request,
         "campaigns/campaigns.html",
-        campaigns=shown,
+        view=view,
+        campaigns=campaigns.make_campaign_views(session, found.rows),
+        last=found.last,
         people=read_names(session).people,
-        next_before=shown[-1].id if len(found) > CAMPAIGNS_A_PAGE else None,
     )
 
 
 @router.get("/campaigns.csv", dependencies=[KNOWN])
-def campaigns_csv(session: Reading) -> Response:
-    """Give every campaign as CSV, newest first."""
-    people, found = read_names(session).people, campaigns.list_campaigns(session)
-    return csv_file("campaigns", CSV_FIELDS, (_csv_row(view, people) for view in found))
+def campaigns_csv(request: Request, session: Reading) -> Response:
+    """Give every campaign as CSV, in the order of the view."""
+    view, people = read_view(request, CAMPAIGNS), read_names(session).people
+    found = campaigns.make_campaign_views(session, list(read_all(session, view)))
+    return csv_file("campaigns", CSV_FIELDS, (_csv_row(one, people) for one in found))
 
 
 def _csv_row(view: CampaignView, people: Mapping[int, str]) -> dict[str, Any]:
@@ -92,7 +109,7 @@ def _csv_row(view: CampaignView, people: Mapping[int, str]) -> dict[str, Any]:
 
 @router.get("/campaigns/{campaign_id:int}", response_class=HTMLResponse)
 def campaign_page(request: Request, session: Reading, actor: Who, campaign_id: int) -> HTMLResponse:
-    """Show a campaign: its bar, what failed and why, and what its sensors came to."""
+    """Show a campaign: its progress, its failures with their causes, and its results by sensor."""
     view = campaigns.read_campaign(session, campaign_id)
     lines = _lines(session, campaign_id)
     return render(
@@ -107,13 +124,13 @@ def campaign_page(request: Request, session: Reading, actor: Who, campaign_id: i
 
 
 def _lines(session: Session, campaign_id: int) -> list[dict[str, Any]]:
-    """Return what the sensors came to, the worst first: what failed, then by verdict."""
+    """Return the result lines, failures first and then by verdict, worst first."""
     lines = [make_result_line(one) for one in campaigns.list_results(session, campaign_id)]
     return sorted(lines, key=_rank)
 
 
 def _rank(line: Mapping[str, Any]) -> tuple[int, int, str]:
-    """Order what needs a look first, then by name."""
+    """Sort key: results that need attention first, then by name."""
     level = LEVELS.index(line["level"]) if line["level"] in LEVELS else -1
     return (0 if line["state"] in FAILED else 1, -level, line["sensor"])
 
@@ -127,7 +144,7 @@ def campaign_results(session: Reading, campaign_id: int) -> Response:
 
 @router.post("/campaigns/{campaign_id:int}/cancel", response_class=HTMLResponse)
 async def cancel(request: Request, actor: Who, campaign_id: int) -> Response:
-    """Stop all of it."""
+    """Cancel the campaign."""
     reason = (await read_texts(request)).get("reason", "")
     change = partial(campaigns.cancel_campaign, actor=actor, campaign_id=campaign_id, reason=reason)
     return await make_change(
@@ -137,13 +154,13 @@ async def cancel(request: Request, actor: Who, campaign_id: int) -> Response:
 
 @router.post("/campaigns/{campaign_id:int}/launch-failed", response_class=HTMLResponse)
 async def launch_failed(request: Request, actor: Who, campaign_id: int) -> Response:
-    """Launch again what failed."""
+    """Launch the failed sensors again."""
     change = partial(campaigns.relaunch_failed, actor=actor, campaign_id=campaign_id)
     return await make_change(request, change, f"/campaigns/{campaign_id}", "What failed is queued again.")
 
 
 MOST_SETS = 5000
-NEWEST_SETS = 3  # of either purpose, that a row offers where the fleet is large
+NEWEST_SETS = 3  # sets per purpose that a row offers in a large fleet
 
 
 @dataclass(frozen=True)
@@ -164,7 +181,7 @@ class OfferedSensors:
 
     @property
     def able(self) -> list[int]:
-        """The sensors that have something to be calibrated on, in the order of the rows."""
+        """The sensors that have telemetry, in the order of the rows."""
         return [number for number in self.choices.names if number in self.sets and self.sets[number].calibration]
 
     @property
@@ -174,7 +191,7 @@ class OfferedSensors:
 
 
 def _offer(session: Session, given: FormData | QueryParams) -> OfferedSensors:
-    """Read what the form offers that was sent, or that an address begins: what is ticked, and what it seeks."""
+    """Read what the form offers, from a sent form or an address: the ticked sensors and the search text."""
     members = _chosen(given)
     choices = sensors.list_choices(
         session, find=str(given.get("find", "")), keep=[member.sensor_id for member in members]
@@ -195,7 +212,9 @@ def _offer(session: Session, given: FormData | QueryParams) -> OfferedSensors:
 def _chosen(form: FormData | QueryParams) -> list[MemberRequest]:
     texts = map(str, form.getlist("sensors"))
     numbers = [int(text) for text in texts if text.isdecimal() and len(text) <= LONGEST_NUMBER]
-    return [_member(form, number) for number in numbers[: MOST_SENSORS + 1]]  # one too many, to be refused
+    return [
+        _member(form, number) for number in numbers[: MOST_SENSORS + 1]
+    ]  # one more than allowed, so that it is refused
 
 
 def _member(form: FormData | QueryParams, number: int) -> MemberRequest:
@@ -220,7 +239,7 @@ def campaign_form(request: Request, session: Reading, actor: Who) -> HTMLRespons
 
 
 def _begun(origin: LaunchOrigin) -> TypedForm:
-    """Fill the settings anew, from the preset where there is one."""
+    """Fill in the settings from the preset, or the defaults."""
     return TypedForm() if origin.preset is None else TypedForm().under(origin.preset.settings)
 
 
@@ -257,7 +276,7 @@ async def campaign_launch(request: Request, session: Reading, actor: Who) -> Res
 
 
 def _intent(form: FormData) -> str:
-    """Return what the form was sent for; what was not found yet is found before all of it is ticked."""
+    """Return the intent of the form; a changed search is run before all its sensors are ticked."""
     intent = str(form.get("intent", ""))
     return "find" if intent == "all" and form.get("find", "") != form.get("found", "") else intent
 

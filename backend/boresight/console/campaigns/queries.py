@@ -22,7 +22,7 @@ from boresight.verdicts.verdict import RunSummary, parse_run_summary
 
 @dataclass(frozen=True)
 class MemberStatus:
-    """Where a sensor of a campaign stands; what its run has not, or it without a run, is None."""
+    """The status of a sensor in a campaign; values that its run lacks, or all without a run, are None."""
 
     id: int
     sensor_id: int
@@ -44,7 +44,7 @@ class Counted:
     newest_id: int
 
 
-def _newest() -> sa.Select[Any]:
+def select_newest_members() -> sa.Select[Any]:
     """Select the row that counts of each sensor of each campaign."""
     return sa.select(sa.func.max(CampaignRun.id)).group_by(CampaignRun.campaign_id, CampaignRun.sensor_id)
 
@@ -85,7 +85,7 @@ def count_members(session: Session, campaign_ids: Collection[int]) -> dict[int, 
     counted = session.execute(
         sa.select(CampaignRun.campaign_id, Run.state, sa.func.count(), sa.func.max(CampaignRun.id))
         .outerjoin(Run, Run.id == CampaignRun.run_id)
-        .where(CampaignRun.campaign_id.in_(campaign_ids), CampaignRun.id.in_(_newest()))
+        .where(CampaignRun.campaign_id.in_(campaign_ids), CampaignRun.id.in_(select_newest_members()))
         .group_by(CampaignRun.campaign_id, Run.state)
     )
     found = {campaign_id: Counted({}, 0) for campaign_id in campaign_ids}
@@ -95,10 +95,9 @@ def count_members(session: Session, campaign_ids: Collection[int]) -> dict[int, 
     return found
 
 
-def list_member_statuses(
-    session: Session, campaign_id: int, *, after_id: int = 0, limit: int | None = None
-) -> list[MemberStatus]:
-    """Return where the sensors of a campaign stand, in the order of their rows."""
+def list_member_statuses(session: Session, campaign_id: int, ids: Collection[int] | None = None) -> list[MemberStatus]:
+    """Return where the sensors of a campaign stand, or those of some rows, in the order of their rows."""
+    some = sa.true() if ids is None else among(CampaignRun.id, ids)
     query = (
         sa.select(
             CampaignRun.id, CampaignRun.sensor_id, Sensor.name, CampaignRun.run_id, CampaignRun.refusal,
@@ -106,9 +105,8 @@ def list_member_statuses(
         )
         .join(Sensor, Sensor.id == CampaignRun.sensor_id)
         .outerjoin(Run, Run.id == CampaignRun.run_id)
-        .where(CampaignRun.campaign_id == campaign_id, CampaignRun.id > after_id, CampaignRun.id.in_(_newest()))
+        .where(CampaignRun.campaign_id == campaign_id, some, CampaignRun.id.in_(select_newest_members()))
         .order_by(CampaignRun.id)
-        .limit(limit)
     )  # fmt: skip
     return [MemberStatus(*(*row[:-1], parse_run_summary(row.summary))) for row in session.execute(query)]
 
@@ -120,7 +118,7 @@ def cancel_all(session: Session, campaign_id: int, reason: str) -> list[tuple[in
 
 
 def list_sets(session: Session, set_ids: Collection[int]) -> list[TelemetrySet]:
-    """Return telemetry sets; while they are held, the session finds them without a statement each."""
+    """Return telemetry sets; while the caller holds them, the session finds each without a query."""
     return list(session.scalars(sa.select(TelemetrySet).where(among(TelemetrySet.id, set_ids))))
 
 

@@ -21,7 +21,7 @@ class Campaign(Row):
     """One setting over many sensors."""
 
     versioned_by = ("id", "cancelled_utc", "newest_id")
-    moves_beneath = True  # its counts move under one tag
+    moves_beneath = True  # its counts change without its tag
     location = "/campaigns/{row.id}"
 
     id: int
@@ -41,7 +41,7 @@ class Campaign(Row):
 
 
 class CampaignResult(Row):
-    """What one sensor of a campaign came to; null is what its run has not."""
+    """The result of one sensor of a campaign; values that its run lacks are null."""
 
     id: int
     sensor_id: int
@@ -174,7 +174,7 @@ def get_campaign(campaign_id: Id, session: Reading) -> Beside:
 @router.get("/{campaign_id}/results", summary="List what the sensors came to", response_model=Page[CampaignResult])
 def list_campaign_results(campaign_id: Id, session: Reading, page: Paged) -> Listing[MemberStatus]:
     """List the newest run of every sensor with its cause or its figures, in the order of launch."""
-    found = campaigns.list_results(session, campaign_id, after_id=page.last_id or 0, limit=page.limit + 1)
+    found = campaigns.list_results(session, campaign_id, **page.rows)
     return page.cut(found, make_result_line)
 
 

@@ -41,7 +41,7 @@ class MemberRequest:
 
 @dataclass(frozen=True)
 class CampaignMemberPlan:
-    """A sensor of a campaign with what it is to do, or why it cannot."""
+    """A sensor of a campaign with its run request, or the cause why it has none."""
 
     sensor: Sensor
     request: RunRequest | None
@@ -65,7 +65,7 @@ def plan_members(
     newest = rows.read_newest_sets(session, ids)
     named = [(member, *_choose_sets(member, newest)) for member in wanted]
     numbers = {number for _, *numbers in named for number in numbers if number is not None}
-    held = rows.list_sets(session, numbers)  # while these are held, a request finds its own without a statement
+    held = rows.list_sets(session, numbers)  # held so that each request finds its sets in the session without a query
     plans = [
         _plan_member(session, fleet[member.sensor_id], calibration, validation, settings, label)
         for member, calibration, validation in named
@@ -140,7 +140,7 @@ class CampaignView:
 
     @property
     def ended(self) -> int:
-        """How many of them need no more waiting for."""
+        """How many of them have ended."""
         return sum(self.counts[state] for state in (*TERMINAL_RUN_STATES, NOT_LAUNCHED))
 
     @property
@@ -150,7 +150,7 @@ class CampaignView:
 
     @property
     def fraction(self) -> float:
-        """How far it is, 0 to 1."""
+        """Its progress, 0 to 1."""
         return self.ended / self.sensors if self.sensors else 1.0
 
     @property
@@ -165,13 +165,13 @@ class CampaignView:
 
 
 def make_campaign_view(row: Campaign, counted: Counted) -> CampaignView:
-    """Put a campaign beside its counts by state, where None has no run."""
+    """Combine a campaign with its counts by state; the key None counts sensors without a run."""
     counts = {state: counted.by_state.get(state, 0) for state in RUN_STATES}
     return CampaignView(row, {**counts, NOT_LAUNCHED: counted.by_state.get(None, 0)}, counted.newest_id)
 
 
 def make_result_line(standing: MemberStatus) -> dict[str, Any]:
-    """Return one line of the results over sensors, arcs in rad; what a run has not is None."""
+    """Return one line of the results over sensors, arcs in rad; values that a run lacks are None."""
     names = (
         "rms_initial_arc_rad", "rms_final_arc_rad", "validation_rms_initial_arc_rad", "validation_rms_final_arc_rad",
         "status", "level", "weak_directions", "weakest", "advice",
@@ -274,7 +274,7 @@ def cancel_campaign(session: Session, actor: Actor, campaign_id: int, reason: st
 
 
 def relaunch_failed(session: Session, actor: Actor, campaign_id: int) -> Campaign:
-    """Launch again what failed with its own sets, and what had no run with its sensor's newest."""
+    """Launch again the failed runs with their own sets, and sensors without a run with their newest sets."""
     require_role(actor, "analyst")
     require_scope(actor, "runs")
     row = get_campaign(session, campaign_id)
@@ -308,17 +308,25 @@ def read_campaign(session: Session, campaign_id: int) -> CampaignView:
 
 def list_campaigns(session: Session, *, before_id: int | None = None, limit: int | None = None) -> list[CampaignView]:
     """Return a page of campaigns with their counts, newest first; the next starts before the last one's id."""
-    found = lists.list_newest(session, Campaign, before_id=before_id, limit=limit)
+    return make_campaign_views(session, lists.list_newest(session, Campaign, before_id=before_id, limit=limit))
+
+
+def make_campaign_views(session: Session, found: Sequence[Campaign]) -> list[CampaignView]:
+    """Return campaigns with their counts."""
     counted = rows.count_members(session, [row.id for row in found])
     return [make_campaign_view(row, counted[row.id]) for row in found]
 
 
 def list_results(
-    session: Session, campaign_id: int, *, after_id: int = 0, limit: int | None = None
+    session: Session, campaign_id: int, *, before_id: int | None = None, limit: int | None = None
 ) -> list[MemberStatus]:
-    """Return where every sensor of a campaign stands, in the order of launch."""
+    """Return where every sensor of a campaign stands, or those of a page, in the order of launch."""
     get_campaign(session, campaign_id)
-    return rows.list_member_statuses(session, campaign_id, after_id=after_id, limit=limit)
+    if limit is None:
+        return rows.list_member_statuses(session, campaign_id)
+    of_campaign = {"campaign": campaign_id, "newest": True}
+    found = lists.read_page(session, "campaign-sensors", of_campaign, "launched", before_id=before_id, limit=limit)
+    return rows.list_member_statuses(session, campaign_id, [row.id for row in found])
 
 
 def _subject(row: Campaign) -> str:

@@ -12,14 +12,14 @@ from boresight.platform.db.documents import JsonText
 
 
 class Campaign(Base):
-    """One setting launched over many sensors; what it is stands fixed, how it goes is told by its runs."""
+    """One setting launched over many sensors; the row never changes, and its runs tell its progress."""
 
     __tablename__ = "campaigns"
     noun = "campaign"
     __table_args__ = (STRICT,)
     id: Mapped[int] = mapped_column(primary_key=True)
     label: Mapped[str] = mapped_column(sa.Text)
-    preset: Mapped[str | None] = mapped_column(sa.Text)  # the name that its settings had
+    preset: Mapped[str | None] = mapped_column(sa.Text)  # the name of the preset
     settings: Mapped[dict[str, Any]] = mapped_column(JsonText)
     launched_utc: Mapped[str] = mapped_column(sa.Text)
     launched_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
@@ -27,7 +27,7 @@ class Campaign(Base):
 
 
 class CampaignRun(Base):
-    """A sensor of a campaign: its run, or why it has none. The newest row of a sensor counts, the older ones are its past."""
+    """A sensor of a campaign: its run, or why it has none. The newest row of a sensor counts."""
 
     __tablename__ = "campaign_runs"
     __table_args__ = (sa.Index("ix_campaign_runs_campaign_sensor", "campaign_id", "sensor_id", "id"), STRICT)

@@ -10,20 +10,32 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
-from boresight.console.approvals import proposals
-from boresight.console.approvals.proposals import TITLES
-from boresight.console.approvals.tables import ChangeProposal
-from boresight.console.change_proposals import service as second_person
+from boresight.console.change_proposals import service as proposals
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import RefusalContext, attempt, read_texts, redirect, render, seen_version
+from boresight.console.pages.tables import Table, TableColumn, accept_one, read_page, read_view
 from boresight.console.runs.pages.list import read_names
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import open_reading
-from boresight.platform.web.paging import parse_row_id
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
-ROWS_A_PAGE = 50
+PROPOSALS = Table(
+    "change-proposals",
+    "Proposed changes",
+    (
+        TableColumn("proposal", "Proposal", "-proposal", head=True),
+        TableColumn("kind", "Of", "kind"),
+        TableColumn("state", "State", "state", "tight"),
+        TableColumn("by", "Proposed by", "by"),
+        TableColumn("reason", "Reason", "", "words"),
+        TableColumn("expires", "Expires", "expires", "tight"),
+        TableColumn("part", "Your part"),
+    ),
+    {"show": accept_one(("open", "all"))},
+    "-proposal",
+)
 PLACES = {"gate-profile": "gates", "table-definition": "table-definition"}
 EFFECTS = {
     "confirm": "Confirmed: the change is in force; undecided requests of the sensor are STALE.",
@@ -33,21 +45,21 @@ EFFECTS = {
 
 
 @router.get("/change-proposals", response_class=HTMLResponse)
-def change_proposals_page(
-    request: Request, session: Reading, actor: Who, show: str = "open", before: str = ""
-) -> HTMLResponse:
+def change_proposals_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show what waits for a second person, or every proposal there was."""
-    state, before_id = (None if show == "all" else "OPEN"), parse_row_id(before)
-    found = proposals.list_proposals(session, state=state, before_id=before_id, limit=ROWS_A_PAGE + 1)
+    view = read_view(request, PROPOSALS)
+    show = view.where.get("show", "open")
+    found = read_page(session, view, show=None, state="OPEN" if show == "open" else None)
     return render(
         request,
         "change_proposals/change_proposals.html",
-        proposals=found[:ROWS_A_PAGE],
-        blocked={row.id: second_person.explain_why_not_decide(session, actor, row) for row in found},
-        next_before=found[ROWS_A_PAGE - 1].id if len(found) > ROWS_A_PAGE else None,
-        show="all" if state is None else "open",
-        titles=TITLES,
-        names=read_names(session, sensors_of=found),
+        view=view,
+        proposals=found.rows,
+        blocked={row.id: proposals.explain_why_not_decide(session, actor, row) for row in found.rows},
+        last=found.last,
+        show=show,
+        titles=proposals.TITLES,
+        names=read_names(session, sensors_of=found.rows),
     )
 
 
@@ -68,11 +80,11 @@ def _page(
             "change_proposals/change_proposal.html",
             refused=refusal,
             proposal=row,
-            title=TITLES[row.kind],
+            title=proposals.TITLES[row.kind],
             place=PLACES[row.kind],
             sensor=session.get_known(Sensor, row.sensor_id),
-            differences=second_person.list_differences(session, row),
-            blocked=second_person.explain_why_not_decide(session, actor, row),
+            differences=proposals.list_differences(session, row),
+            blocked=proposals.explain_why_not_decide(session, actor, row),
             may_withdraw=row.state == "OPEN" and (own or "administrator" in actor.roles),
             names=read_names(session),
             refusal=refusal,
@@ -87,12 +99,8 @@ async def decide(request: Request, actor: Who, proposal_id: int) -> Response:
     action, comment = form.get("action", ""), form.get("comment", "")
     seen = seen_version(form)
     changes: dict[str, Callable[..., ChangeProposal]] = {
-        "confirm": partial(
-            second_person.confirm, actor=actor, proposal_id=proposal_id, seen_version=seen, comment=comment
-        ),
-        "refuse": partial(
-            second_person.refuse, actor=actor, proposal_id=proposal_id, seen_version=seen, comment=comment
-        ),
+        "confirm": partial(proposals.confirm, actor=actor, proposal_id=proposal_id, seen_version=seen, comment=comment),
+        "refuse": partial(proposals.refuse, actor=actor, proposal_id=proposal_id, seen_version=seen, comment=comment),
         "withdraw": partial(proposals.withdraw, actor=actor, proposal_id=proposal_id, seen_version=seen),
     }
     if action not in changes:

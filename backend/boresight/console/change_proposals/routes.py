@@ -8,10 +8,10 @@ from fastapi import Query
 from pydantic import Field
 
 from boresight.console.access.dependencies import Reading, SeenVersion, Who, Writing
-from boresight.console.approvals import proposals
-from boresight.console.approvals import schemas as approval_schemas
-from boresight.console.approvals.tables import ChangeProposal, GateProfile
-from boresight.console.change_proposals import service as second_person
+from boresight.console.approvals.tables import GateProfile
+from boresight.console.change_proposals import schemas
+from boresight.console.change_proposals import service as proposals
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.operation import Answer, Beside, operations
 from boresight.console.schemas import Shape
 from boresight.console.uplinks.tables import TableDefinition
@@ -22,20 +22,20 @@ router = operations("/change-proposals", tags=["change proposals"])
 
 PROPOSED: dict[int | str, dict[str, Any]] = {
     202: {
-        "model": approval_schemas.ChangeProposal,
+        "model": schemas.ChangeProposal,
         "description": "The setting `second_person` is on: proposed, and in force when another person confirms it.",
     }
 }
 
 
 class ProposalComment(Shape):
-    """A word to who proposed the change."""
+    """A comment for the proposer."""
 
     comment: str = Field("", max_length=4000, description="Needed to refuse.")
 
 
 def _shown(session: Session, row: ChangeProposal) -> Beside:
-    return Beside(row, differences=second_person.list_differences(session, row))
+    return Beside(row, differences=proposals.list_differences(session, row))
 
 
 def in_force_or_proposed(
@@ -43,11 +43,11 @@ def in_force_or_proposed(
 ) -> GateProfile | TableDefinition | Answer:
     """Answer a change that is in force with its version, and one that waits with its proposal."""
     if isinstance(row, ChangeProposal):
-        return Answer(_shown(session, row), 202, approval_schemas.ChangeProposal)
+        return Answer(_shown(session, row), 202, schemas.ChangeProposal)
     return row
 
 
-@router.get("", summary="List proposed changes", response_model=Page[approval_schemas.ChangeProposal])
+@router.get("", summary="List proposed changes", response_model=Page[schemas.ChangeProposal])
 def list_change_proposals(
     session: Reading,
     page: Paged,
@@ -62,13 +62,13 @@ def list_change_proposals(
     return page.cut(found, lambda row: _shown(session, row))
 
 
-@router.get("/{proposal_id}", summary="Read a proposed change", response_model=approval_schemas.ChangeProposal)
+@router.get("/{proposal_id}", summary="Read a proposed change", response_model=schemas.ChangeProposal)
 def get_change_proposal(proposal_id: Id, session: Reading) -> Beside:
     """Read a proposal with what it changes; the ETag is for deciding on it."""
     return _shown(session, session.get_known(ChangeProposal, proposal_id))
 
 
-@router.post("/{proposal_id}:confirm", summary="Put it into force", response_model=approval_schemas.ChangeProposal)
+@router.post("/{proposal_id}:confirm", summary="Put it into force", response_model=schemas.ChangeProposal)
 def confirm_change(
     proposal_id: Id, actor: Who, seen: SeenVersion, session: Writing, said: ProposalComment | None = None
 ) -> Beside:
@@ -78,16 +78,16 @@ def confirm_change(
     version which is in force no more is STALE too, and answers 412.
     """
     comment = "" if said is None else said.comment
-    return _shown(session, second_person.confirm(session, actor, proposal_id, seen, comment))
+    return _shown(session, proposals.confirm(session, actor, proposal_id, seen, comment))
 
 
-@router.post("/{proposal_id}:refuse", summary="Refuse it", response_model=approval_schemas.ChangeProposal)
+@router.post("/{proposal_id}:refuse", summary="Refuse it", response_model=schemas.ChangeProposal)
 def refuse_change(proposal_id: Id, said: ProposalComment, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
     """Refuse a change as a second person, with a comment."""
-    return _shown(session, second_person.refuse(session, actor, proposal_id, seen, said.comment))
+    return _shown(session, proposals.refuse(session, actor, proposal_id, seen, said.comment))
 
 
-@router.post("/{proposal_id}:withdraw", summary="Take it back", response_model=approval_schemas.ChangeProposal)
+@router.post("/{proposal_id}:withdraw", summary="Take it back", response_model=schemas.ChangeProposal)
 def withdraw_change(proposal_id: Id, actor: Who, seen: SeenVersion, session: Writing) -> Beside:
     """Take a proposal back, as who made it or as an administrator."""
     return _shown(session, proposals.withdraw(session, actor, proposal_id, seen))

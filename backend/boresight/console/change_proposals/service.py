@@ -1,32 +1,50 @@
 """A second person for gate limits and table layouts, where the policy asks for one.
 
 A change is checked and proposed, and checked again when somebody else confirms it in person; until then nothing moves.
+A proposal binds the version in force that it was made against::
+
+    OPEN --another confirms--> CONFIRMED   --another refuses--> REFUSED   --who proposed takes it back--> WITHDRAWN
+    OPEN --another version came into force--> STALE                       --its time is over--> EXPIRED
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from boresight.console import list_queries as lists
 from boresight.console.access.passwords import name_password_setter
 from boresight.console.access.tables import User
-from boresight.console.approvals import gate_profiles, proposals
+from boresight.console.alarms import rules as alarm_rules
+from boresight.console.approvals import gate_profiles
 from boresight.console.approvals import queries as gate_rows
-from boresight.console.approvals.proposals import MAY_CONFIRM, TITLES
-from boresight.console.approvals.tables import ChangeProposal, GateProfile
-from boresight.console.transitions import name_subject, require_seen
+from boresight.console.approvals.tables import GateProfile
+from boresight.console.change_proposals import queries as rows
+from boresight.console.change_proposals.tables import PROPOSAL_KINDS, PROPOSAL_STATES, ChangeProposal
+from boresight.console.transitions import describe_last_change, move, name_subject, require_seen
 from boresight.console.uplinks import queries as table_rows
 from boresight.console.uplinks import table_definitions
 from boresight.console.uplinks.tables import TableDefinition
 from boresight.errors import ConflictError, ForbiddenError, RefusedInputError, StaleError
-from boresight.platform.actors import DAY_S, Actor, Policy, require_person, require_role, require_user
+from boresight.platform.actors import (
+    DAY_S,
+    SYSTEM,
+    Actor,
+    Policy,
+    require_person,
+    require_role,
+    require_scope,
+    require_user,
+)
 from boresight.platform.audit import log as audit
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_after, utc_now
 from boresight.platform.web.text_validation import refuse_control_characters
 
+MAY_CONFIRM = {"gate-profile": ("administrator",), "table-definition": ("analyst", "administrator")}
+TITLES = {"gate-profile": "gate limits", "table-definition": "table layout"}
 Scalar = str | int | float | bool | None
 
 
@@ -53,11 +71,11 @@ def change(
     """Put a change into force, or propose it where the policy asks for a second person."""
     if not policy.second_person:
         change_now = gate_profiles.set_profile if kind == "gate-profile" else table_definitions.set_definition
-        return change_now(session, actor, sensor_id, document, reason, seen_number)
+        made = change_now(session, actor, sensor_id, document, reason, seen_number)
+        _make_stale(session, actor, sensor_id, kind, made.number)
+        return made
     complete = _check_document(session, actor, kind, sensor_id, document, reason, seen_number)
-    same = [
-        row for row in proposals.list_open_proposals(session, sensor_id, kind) if row.sha256 == compute_sha256(complete)
-    ]
+    same = [row for row in list_open_proposals(session, sensor_id, kind) if row.sha256 == compute_sha256(complete)]
     if same:
         raise ConflictError(f"Proposal {same[0].id} asks for this change already: have another person confirm it.")
     row = ChangeProposal(
@@ -85,7 +103,7 @@ def explain_why_not_decide(session: Session, actor: Actor, row: ChangeProposal) 
         _refuse_decider(session, actor, row)
     except ForbiddenError as refusal:
         return str(refusal)
-    return proposals.explain_closed(session, row)
+    return _explain_closed(session, row)
 
 
 def confirm(
@@ -95,10 +113,10 @@ def confirm(
     row = session.get_known(ChangeProposal, proposal_id)
     _refuse_decider(session, actor, row)
     require_seen(session, row, seen_version)
-    proposals.require_open(session, row)
+    _require_open(session, row)
     number = _read_number_in_force(session, row.kind, row.sensor_id)
     if number != row.base_number:
-        proposals.make_stale(session, actor, row.sensor_id, row.kind, number)
+        _make_stale(session, actor, row.sensor_id, row.kind, number)
         keep_despite_refusal(session)
         raise StaleError(
             f"Proposal {row.id} was made against version {row.base_number} of the {TITLES[row.kind]}, and version "
@@ -107,9 +125,10 @@ def confirm(
     refuse_control_characters(comment=comment)
     told = name_password_setter(session, require_person(actor, "confirm a change"))
     row.number = number + 1
-    proposals.close(session, actor, row, "CONFIRMED", "confirmed", comment=comment, password_by=told)
+    _close(session, actor, row, "CONFIRMED", "confirmed", comment=comment, password_by=told)
     put = gate_profiles.put_into_force if row.kind == "gate-profile" else table_definitions.put_into_force
     put(session, actor, row.sensor_id, row.document, row.reason, proposal=row)
+    _make_stale(session, actor, row.sensor_id, row.kind, row.number)
     return row
 
 
@@ -118,12 +137,118 @@ def refuse(session: Session, actor: Actor, proposal_id: int, seen_version: int |
     row = session.get_known(ChangeProposal, proposal_id)
     _refuse_decider(session, actor, row)
     require_seen(session, row, seen_version)
-    proposals.require_open(session, row)
+    _require_open(session, row)
     if not comment.strip():
         raise RefusedInputError("Say why you refuse: the comment is what the proposer learns from.")
     told = name_password_setter(session, require_person(actor, "refuse a change"))
-    proposals.close(session, actor, row, "REFUSED", "refused", comment=comment, password_by=told)
+    _close(session, actor, row, "REFUSED", "refused", comment=comment, password_by=told)
     return row
+
+
+def withdraw(session: Session, actor: Actor, proposal_id: int, seen_version: int | None) -> ChangeProposal:
+    """Take a proposal back: who made it, or an administrator."""
+    require_scope(actor, "sensors")
+    row = session.get_known(ChangeProposal, proposal_id)
+    if actor.user_id != row.proposed_by:
+        require_role(actor, "administrator")
+    require_seen(session, row, seen_version)
+    _require_open(session, row)
+    _close(session, actor, row, "WITHDRAWN", "withdrew")
+    return row
+
+
+def _explain_closed(session: Session, row: ChangeProposal) -> str | None:
+    """Say why nobody can decide on a proposal any more; None while somebody can."""
+    if row.state != "OPEN":
+        return f"Proposal {row.id} is {row.state}: {describe_last_change(session, row)}. Propose the change anew."
+    if row.expires_utc <= utc_now() and not alarm_rules.is_held(session):
+        return f"Proposal {row.id} expired at {row.expires_utc}. Propose the change anew."
+    return None
+
+
+def _require_open(session: Session, row: ChangeProposal) -> None:
+    """Refuse to decide on what is decided; one whose time is over is EXPIRED from now on."""
+    why = _explain_closed(session, row)
+    if why is None:
+        return
+    if row.state == "OPEN":
+        _expire(session, row)
+        keep_despite_refusal(session)
+    raise ConflictError(why)
+
+
+def _close(
+    session: Session,
+    actor: Actor,
+    row: ChangeProposal,
+    state: str,
+    action: str,
+    *,
+    comment: str = "",
+    reason: str | None = None,
+    password_by: str | None = None,
+) -> None:
+    """Bring a proposal into its last state, with its audit record."""
+    refuse_control_characters(comment=comment)
+    row.closed_utc, row.closed_by, row.comment = utc_now(), actor.user_id, comment.strip() or None
+    told = {"kind": row.kind, "sensor": f"sensors/{row.sensor_id}", "sha256": row.sha256, "number": row.number}
+    told |= {} if password_by is None else {"password_by": password_by}
+    move(session, actor, row, state, action, reason=reason or row.comment, **told)
+
+
+def _make_stale(session: Session, actor: Actor, sensor_id: int, kind: str, number: int) -> None:
+    """Close every proposal that was made against a version which is in force no more."""
+    for row in list_open_proposals(session, sensor_id, kind):
+        if row.base_number != number:
+            _close(session, actor, row, "STALE", "made stale", reason=f"version {number} came into force")
+
+
+def is_any_due(session: Session) -> bool:
+    """Whether there are proposals whose time is over and that still stand open."""
+    return bool(rows.list_due_proposals(session, utc_now())) and not alarm_rules.is_held(session)
+
+
+def expire_due(session: Session) -> Sequence[ChangeProposal]:
+    """Close every proposal whose time is over, and return them."""
+    found = () if alarm_rules.is_held(session) else rows.list_due_proposals(session, utc_now())
+    for row in found:
+        _expire(session, row)
+    return found
+
+
+def _expire(session: Session, row: ChangeProposal) -> None:
+    _close(session, SYSTEM, row, "EXPIRED", "let expire", reason=f"nobody decided on it before {row.expires_utc}")
+
+
+def list_proposals(
+    session: Session,
+    *,
+    sensor_id: int | None = None,
+    kind: str | None = None,
+    state: str | None = None,
+    before_id: int | None = None,
+    limit: int | None = None,
+) -> Sequence[ChangeProposal]:
+    """Return proposals, newest first: all, or a page, the next of which starts before the last one's id."""
+    for asked, known in ((kind, PROPOSAL_KINDS), (state, PROPOSAL_STATES)):
+        if asked is not None and asked not in known:
+            raise RefusedInputError(f"{asked!r} is none of {', '.join(known)}.")
+    return lists.list_newest(
+        session, ChangeProposal, before_id=before_id, limit=limit, sensor=sensor_id, kind=kind, state=state
+    )
+
+
+def list_open_proposals(
+    session: Session, sensor_id: int | None = None, kind: str | None = None
+) -> Sequence[ChangeProposal]:
+    """Return every proposal that waits, of a sensor or of all, newest first."""
+    return lists.list_newest(session, ChangeProposal, sensor=sensor_id, kind=kind, state="OPEN")
+
+
+def list_confirmed_by_number(session: Session, sensor_id: int, kind: str) -> dict[int, ChangeProposal]:
+    """Return the proposals that came into force, by the number of the version that they became."""
+    found = lists.list_newest(session, ChangeProposal, sensor=sensor_id, kind=kind, state="CONFIRMED")
+    return {row.number: row for row in found if row.number is not None}
 
 
 def list_differences(session: Session, row: ChangeProposal) -> list[ChangedEntry]:
@@ -177,7 +302,7 @@ def _read_base(session: Session, row: ChangeProposal) -> Mapping[str, Any]:
 
 
 def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Scalar]]:
-    """Yield every entry of a document with its place; the items of a list by their names, where they have some."""
+    """Yield every entry of a document with its path; list items are addressed by name where they have one."""
     if isinstance(value, Mapping) and value:
         for key, inner in value.items():
             yield from _leaves(inner, f"{place}.{key}" if place else str(key))

@@ -1,6 +1,6 @@
 """Queries on sensors: rows, names and heads; calibrations, data and records over the mission; what happened, in order.
 
-A head says how a sensor stands without the documents that are most of a row.
+A head is a row without its documents, which are most of it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def find_sensor(session: Session, name: str) -> Sensor | None:
 def list_sensors(
     session: Session, sensor_ids: Collection[int] | None = None, *, documents: bool = True
 ) -> Sequence[Sensor]:
-    """Return the fleet, or some of it, by name; on request without their documents, which then cannot be asked for."""
+    """Return the fleet, or some of it, by name; on request without the documents, which then cannot be read."""
     query = (
         sa.select(Sensor)
         .where(*_filter_sensors(Sensor.id, sensor_ids))
@@ -52,18 +52,18 @@ def read_names(session: Session, sensor_ids: Collection[int] | None = None) -> d
 
 
 def read_names_holding(session: Session, text: str, limit: int) -> dict[int, str]:
-    """Return the first sensors by name whose name holds a text in letters of either case, their names by their numbers."""
+    """Return id and name of the first sensors, by name, whose name contains a text in upper or lower case."""
     query = sa.select(Sensor.id, Sensor.name).where(*_holding(text)).order_by(Sensor.name).limit(limit)
     return {row[0]: row[1] for row in session.execute(query)}
 
 
 def count_holding(session: Session, text: str) -> int:
-    """Count the sensors whose name holds a text in letters of either case."""
+    """Count the sensors whose name contains a text in upper or lower case."""
     return session.scalar(sa.select(sa.func.count(Sensor.name)).where(*_holding(text))) or 0
 
 
 def _holding(text: str) -> list[sa.ColumnElement[bool]]:
-    """Keep to names that hold a text; every name holds nothing."""
+    """Return the condition that a name contains a text; an empty text matches every name."""
     return [Sensor.name.icontains(text, autoescape=True)] if text else []
 
 
@@ -100,7 +100,7 @@ def list_last_run_heads(session: Session, sensor_ids: Collection[int] | None = N
 
 
 def _last_runs(sensor_ids: Collection[int] | None, *columns: Any) -> sa.Select[Any]:
-    """Ask each sensor for its newest run: the end of an index, however many it has."""
+    """Select each sensor's newest run by the end of an index, fast for any number of runs."""
     newest = sa.select(sa.func.max(Run.id)).where(Run.sensor_id == Sensor.id).correlate(Sensor).scalar_subquery()
     of_each = sa.select(newest).select_from(Sensor).where(*_filter_sensors(Sensor.id, sensor_ids))
     return sa.select(*columns).where(Run.id.in_(of_each))
@@ -121,7 +121,7 @@ def read_waiting_approvals(session: Session, sensor_ids: Collection[int] | None 
 
 
 def list_onboard_sets(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, list[ParameterSet]]:
-    """Return the sets, without their documents, whose on-board state says what a sensor runs with, by sensor."""
+    """Return the sets, without documents, with the on-board state that determines what a sensor runs with, by sensor."""
     return _by_sensor(session.scalars(_onboard(sensor_ids, ParameterSet).options(*_but(False, ParameterSet.document))))
 
 
@@ -137,7 +137,7 @@ def _onboard(sensor_ids: Collection[int] | None, *columns: Any) -> sa.Select[Any
 
 
 def _but(whole: bool, *documents: Any) -> list[Any]:
-    """Leave documents out, which are most of a row and of the time that it takes to read, unless rows are asked for whole."""
+    """Defer the documents of rows, which take most of the reading time, unless whole rows are asked for."""
     return [] if whole else [sa.orm.defer(column, raiseload=True) for column in documents]
 
 
@@ -149,7 +149,7 @@ def _by_sensor(found: Iterable[Any]) -> dict[int, list[Any]]:
 
 
 def _filter_sensors(column: Any, sensor_ids: Collection[int] | None) -> list[sa.ColumnElement[bool]]:
-    """Keep to some sensors where some are named."""
+    """Restrict a query to some sensors where some are named."""
     return [] if sensor_ids is None else [among(column, sensor_ids)]
 
 
@@ -161,8 +161,8 @@ def list_finished_runs(session: Session, sensor_ids: Collection[int]) -> dict[in
 
 
 def read_trend_stamps(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, tuple[int, str | None]]:
-    """Return of each sensor how many of its runs succeeded, and when the last of them ended: it changes when a trend does."""
-    every = sa.select(Sensor.id)  # named, or SQLite reads every run that succeeded instead of an index by sensor
+    """Return for each sensor how many of its runs succeeded and when the last one ended, which changes when its trend does."""
+    every = sa.select(Sensor.id)  # makes SQLite use an index by sensor
     counted = sa.select(Run.sensor_id, sa.func.count(Run.id), sa.func.max(Run.ended_utc)).group_by(Run.sensor_id)
     of_them = Run.sensor_id.in_(every) if sensor_ids is None else among(Run.sensor_id, sensor_ids)
     rows = session.execute(counted.where(of_them, Run.state == "SUCCEEDED"))
@@ -224,7 +224,7 @@ Versioned = TypeVar("Versioned", GateProfile, TableDefinition)
 
 
 class Key(NamedTuple):
-    """Where an event stands: its time, its kind's place in KINDS, its row; keys sort as the events do."""
+    """The position of an event: its time, the index of its kind in KINDS, its row; keys sort as the events do."""
 
     at_utc: str
     kind: int
@@ -232,7 +232,7 @@ class Key(NamedTuple):
 
 
 def _of_sensor(sensor_id: int) -> dict[str, tuple[Any, Any, sa.Select[Any]]]:
-    """Return of every kind the table, the column of its time, and the query of a sensor's rows."""
+    """Return for every kind its table, the column of its time, and the query for a sensor's rows."""
     of_set = ParameterSet.sensor_id == sensor_id
     return {
         "table definition": _direct(TableDefinition, TableDefinition.created_utc, sensor_id),
@@ -258,7 +258,7 @@ def _direct(table: Any, time: Any, sensor_id: int) -> tuple[Any, Any, sa.Select[
 def list_event_keys(
     session: Session, sensor_id: int, *, until_utc: str | None, before: Key | None, limit: int | None
 ) -> Sequence[Key]:
-    """Return where a sensor's events stand, newest first; one query over all kinds."""
+    """Return the keys of a sensor's events, newest first, in one query over all kinds."""
     parts = [
         query.with_only_columns(
             time.label("at_utc"), sa.literal(KINDS.index(kind)).label("kind"), table.id.label("row_id")
@@ -276,7 +276,7 @@ def list_event_keys(
 
 
 def find_event_key(session: Session, sensor_id: int, kind: int, row_id: int) -> Key | None:
-    """Return where one event stands; None when it is none of the sensor's."""
+    """Return the key of one event; None when it is not of this sensor."""
     table, time, query = _of_sensor(sensor_id)[KINDS[kind]]
     at_utc = session.scalar(query.with_only_columns(time).where(table.id == row_id))
     return None if at_utc is None else Key(at_utc, kind, row_id)
@@ -311,7 +311,7 @@ def list_requests(session: Session, sensor_id: int) -> dict[int, Approval]:
 
 
 def read_first_promotions(session: Session, sensor_id: int) -> dict[int, int]:
-    """Return of each set that was ever baseline its first promotion; any later one is a roll-back to it."""
+    """Return the first promotion of each set that was ever baseline; any later one is a roll-back."""
     query = sa.select(Promotion.parameter_set_id, sa.func.min(Promotion.id)).where(Promotion.sensor_id == sensor_id)
     rows = session.execute(query.group_by(Promotion.parameter_set_id))
     return {set_id: first for set_id, first in rows}  # noqa: C416 - rows are not pairs to a type checker

@@ -18,11 +18,11 @@ from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.web.text_validation import refuse_control_characters
 from boresight.telemetry.sensors import parse_sensor, sensor_document
 
-MOST_CHOICES = 200  # beyond it a list is searched, not looked over
+MOST_CHOICES = 200  # a larger fleet is searched by name instead
 LONGEST_NAME = 64
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,63}")  # becomes part of PS-<sensor>-<n> and of file names
-LASTING = ("name", "camera_model", "detector", "parity")  # a parameter set means nothing with another
+LASTING = ("name", "camera_model", "detector", "parity")  # a parameter set has no meaning under another one
 
 
 def register_sensor(
@@ -93,7 +93,7 @@ class SensorChoices:
 
 
 def list_choices(session: Session, *, find: str = "", keep: Iterable[int] = ()) -> SensorChoices:
-    """Return what a chooser offers: a small fleet whole; of a larger one what is kept and the first that hold `find`."""
+    """Return the choices: a small fleet whole, of a larger one those in `keep` and the first whose name contains `find`."""
     refuse_control_characters(find=find)
     find = find.strip()[:LONGEST_NAME]
     first = rows.read_names_holding(session, "", MOST_CHOICES + 1)

@@ -1,4 +1,4 @@
-"""The state of the fleet: for every sensor the worst thing that is known, and why it is said.
+"""The state of the fleet: the worst finding on every sensor, with its reason.
 
 From worst to best: critical, serious, caution, normal, standby, off. Verdicts on drift take a whole trend and are
 remembered until a run succeeds, another set becomes the baseline or the sensor's document changes.
@@ -20,7 +20,7 @@ from boresight.console.fleet.trend import GROUND_SHIFTED, document, judge_drift,
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run, parse_progress
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.verdicts.verdict import LEVEL_OF_STATUS, LEVELS, RunSummary, parse_run_summary
+from boresight.verdicts.verdict import RunSummary, judge_result, parse_run_summary
 
 TOGETHER = 16  # sensors whose runs are held in memory at once
 
@@ -46,7 +46,7 @@ def get_drift_verdicts(
     *,
     most: int | None = None,
 ) -> dict[int, DriftVerdict]:
-    """Return whether some sensors drift, by their ids; those that must be asked anew are, `TOGETHER` at a time."""
+    """Return whether some sensors drift, by id; verdicts that are not cached are computed, `TOGETHER` sensors at a time."""
     of_store = _known.setdefault(session.get_bind().engine.pool, {})  # an engine with options is another object
     rests_on = {
         sensor.id: (getattr(baselines.get(sensor.id), "id", None), sensor.version, stamps.get(sensor.id))
@@ -66,7 +66,7 @@ STATUS_WORDS = ("critical", "serious", "caution", "normal", "standby", "off")
 WORSE_THAN_NORMAL = STATUS_WORDS[: STATUS_WORDS.index("normal")]
 OLD_DAYS = 180.0  # a baseline older than this deserves a look
 SECONDS_PER_DAY = 86400.0
-MOST_JUDGED = 100  # ground calibrations that a look asks of anew: a fifth of a second
+MOST_JUDGED = 100  # ground calibrations that one call judges anew: a fifth of a second
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class SensorTile:
 
 @dataclass(frozen=True)
 class SensorStatus:
-    """How a sensor stands."""
+    """The status of a sensor."""
 
     sensor_id: int
     name: str
@@ -118,11 +118,11 @@ class SensorFacts:
     telemetry_sets: int
     days: float | None
     drift: Alarm | None = None
-    ground_shifted: bool | None = False  # None where its runs have not been asked yet
+    ground_shifted: bool | None = False  # None where its runs have not been read yet
 
 
 def list_sensor_statuses(session: Session, sensor_ids: Collection[int] | None = None) -> list[SensorStatus]:
-    """Return how every sensor of the fleet stands, or some, by name; a fraction of what their tiles cost."""
+    """Return the status of every sensor of the fleet, or of some, by name; much cheaper than their tiles."""
     heads = queries.list_sensor_heads(session, sensor_ids)
     baselines, runs = queries.list_baseline_heads(session, sensor_ids), queries.list_last_run_heads(session, sensor_ids)
     onboard, counts = queries.list_onboard_heads(session, sensor_ids), queries.count_sets(session, sensor_ids)
@@ -160,7 +160,7 @@ def list_fleet_tiles(session: Session, sensor_ids: Collection[int] | None = None
 
 
 def list_tiles(session: Session, stand: Sequence[SensorStatus], *, documents: bool = True) -> list[SensorTile]:
-    """Return the tiles of sensors that stand so, in their order; on request sensors and baselines come without documents."""
+    """Return the tiles of sensors with these statuses, in their order; `documents` loads those of sensors and baselines too."""
     ids = [one.sensor_id for one in stand]
     sensors = {sensor.id: sensor for sensor in queries.list_sensors(session, ids, documents=documents)}
     baselines, runs = queries.list_baselines(session, ids, documents=documents), queries.list_last_runs(session, ids)
@@ -181,7 +181,7 @@ def list_tiles(session: Session, stand: Sequence[SensorStatus], *, documents: bo
 
 
 def _is_on_the_ground(known: SensorFacts) -> bool:
-    """Whether a sensor flies by its ground calibration and nothing worse is known, that would hide what its runs say of that."""
+    """Whether a sensor uses its ground calibration and has no worse finding that would hide a ground shift."""
     if known.baseline is None or known.baseline.run_id is not None:
         return False
     return not any(word in WORSE_THAN_NORMAL for word, _ in list_findings(known))
@@ -190,7 +190,7 @@ def _is_on_the_ground(known: SensorFacts) -> bool:
 def _find_ground_shifts(
     session: Session, heads: Sequence[Any], known: Mapping[int, SensorFacts]
 ) -> Iterator[tuple[int, bool | None]]:
-    """Yield whether the ground calibration does not hold; None where more than `MOST_JUDGED` were to be asked anew by this look."""
+    """Yield whether each ground calibration has shifted; None beyond `MOST_JUDGED` that this call would have to judge anew."""
     asked = [head for head in heads if _is_on_the_ground(known[head.id])]
     stamps = queries.read_trend_stamps(session, [head.id for head in asked])
     asked = [head for head in asked if head.id in stamps]
@@ -202,13 +202,13 @@ def _find_ground_shifts(
 
 
 def _list_drifting(session: Session) -> dict[int | None, Alarm]:
-    """Return the alarms of sensors that drift now, by sensor; one on the shelf waits for its time."""
+    """Return the active drift alarms by sensor, without shelved ones."""
     found = [row for row in alarms_queries.list_open_alarms(session).values() if row.kind == "DRIFT" and row.active]
     return {row.sensor_id: row for row in found if not (row.shelved_until_utc or "") > utc_now()}
 
 
 def _worst(known: SensorFacts) -> tuple[str, str]:
-    """Return the worst finding; of equally bad ones the one that is looked for first."""
+    """Return the worst finding, the first of equally bad ones."""
     return min(list_findings(known), key=lambda finding: STATUS_WORDS.index(finding[0]))
 
 
@@ -264,7 +264,7 @@ def _run_findings(run: Any) -> Iterator[tuple[str, str]]:
 
 
 def _result_finding(run_id: int, summary: RunSummary) -> tuple[str, str]:
-    """Say what a finished calibration means for the sensor; critical is kept for what is on board."""
+    """Return the finding from a finished calibration; critical is reserved for what is on board."""
     level = judge_result(summary)
     status, advice = summary.status or "converged", summary.advice or "look at its page."
     if level == "normal":
@@ -273,10 +273,3 @@ def _result_finding(run_id: int, summary: RunSummary) -> tuple[str, str]:
         return level, f"Run {run_id} converged, with reservations: {advice}"
     verb = "stopped at" if status == "max_iterations" else "ended"
     return "caution" if level == "caution" else "serious", f"Run {run_id} {verb} {status.replace('_', ' ')}: {advice}"
-
-
-def judge_result(summary: RunSummary) -> str:
-    """Judge a finished run by its summary: the verdict of its page, and no better than caution where it gave advice."""
-    level = summary.level or LEVEL_OF_STATUS.get(summary.status or "converged", "serious")
-    doubted = summary.advice or summary.weak_directions or summary.chi2_consistent is False
-    return max(level, "caution" if doubted else "normal", key=LEVELS.index)

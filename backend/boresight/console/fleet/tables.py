@@ -1,4 +1,4 @@
-"""Star trackers, their telemetry and the files behind it."""
+"""Sensors."""
 
 from __future__ import annotations
 

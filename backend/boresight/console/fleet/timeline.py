@@ -1,4 +1,4 @@
-"""What was in force at a time, and who said so; and everything that ever happened to a sensor, in order and in words.
+"""The state of a sensor at a time with its sources, and its timeline: every event, in order and in words.
 
 The state at T is, of each kind, the newest row that is not after T: rows are only ever added, so nothing is replayed. T
 is when a thing was recorded here; `learned_later` names what happened before T and was recorded after it.
@@ -44,7 +44,7 @@ class TimelineEvent:
 
 @dataclass(frozen=True)
 class EventText:
-    """What a kind's reader makes of a row."""
+    """The text of an event."""
 
     kind: str
     sentence: str
@@ -58,7 +58,7 @@ class EventText:
 
 @dataclass(frozen=True)
 class TimelineReader:
-    """What the rows of a sensor's events refer to."""
+    """Reads the rows of a sensor's events as text, with the names that they refer to."""
 
     names: Mapping[int, str]
     people: Mapping[int, str]
@@ -67,7 +67,7 @@ class TimelineReader:
 
     @classmethod
     def of_sensor(cls, session: Session, sensor_id: int) -> TimelineReader:
-        """Read the names that a sensor's events speak of."""
+        """Read the names that a sensor's events refer to."""
         return cls(
             sensor_rows.read_set_names(session, sensor_id),
             sensor_rows.read_printed_names(session),
@@ -76,7 +76,7 @@ class TimelineReader:
         )
 
     def read(self, key: sensor_rows.Key, row: Any) -> TimelineEvent:
-        """Tell the row behind a key."""
+        """Describe the row behind a key."""
         told = READERS[sensor_rows.KINDS[key.kind]](self, row)
         return TimelineEvent(
             id=key.row_id * len(sensor_rows.KINDS) + key.kind,
@@ -157,7 +157,7 @@ def _uplink(reader: TimelineReader, row: Uplink) -> EventText:
 
 
 def describe_source(row: Uplink) -> str:
-    """Say what a record rests on: a comparison, a signature, or somebody's word."""
+    """Describe the source of a record: a comparison, a signature, or a person's statement."""
     if row.method is not None:
         return METHODS[row.method]
     return "signed" if row.printed_name else "by statement"
@@ -180,7 +180,7 @@ Records = Sequence[tuple[ParameterSet, Uplink]]
 
 @dataclass(frozen=True)
 class AsOf:
-    """What held for a sensor at a time, as it was recorded by then."""
+    """The state of a sensor at a time, as recorded by then."""
 
     sensor: Sensor
     time_utc: str
@@ -205,7 +205,7 @@ class AsOf:
 
     @property
     def sentence(self) -> str:
-        """Ground and board in one line: two facts that are never merged."""
+        """Ground and on-board state in one line, as two separate facts."""
         ground = "no baseline" if self.baseline is None else f"baseline {self.baseline.name}"
         mismatched = ", ".join(
             f"{row.name} MISMATCH" for row, known in self.on_board if known.onboard_state == "MISMATCH"
@@ -218,7 +218,7 @@ class AsOf:
 
 
 def get_state_at(session: Session, sensor_id: int, time: str | None = None) -> AsOf:
-    """Say what was baseline and what was on board at a time, and who said so."""
+    """Return the baseline and the set on board at a time, with their sources."""
     time_utc = utc_now() if time is None else read_time(time)
     sensor = session.get_known(Sensor, sensor_id)
     promotion = sensor_rows.find_promotion_at(session, sensor_id, time_utc)
@@ -237,27 +237,6 @@ def get_state_at(session: Session, sensor_id: int, time: str | None = None) -> A
         profile=sensor_rows.find_in_force_at(session, GateProfile, sensor_id, time_utc),
         definition=sensor_rows.find_in_force_at(session, TableDefinition, sensor_id, time_utc),
     )
-
-
-@dataclass(frozen=True)
-class SensorSituation:
-    """Ground and board of one sensor as numbers and states: what orders a fleet, without what each line says."""
-
-    sensor_id: int
-    name: str
-    baseline_id: int | None
-    on_board: Sequence[tuple[int, str]]
-
-
-def read_situations(session: Session) -> list[SensorSituation]:
-    """Return ground and board of every sensor now, by name, in three queries for the whole fleet."""
-    baselines, recorded = sensor_rows.list_baseline_heads(session), uplink_rows.read_newest_states(session)
-    return [
-        SensorSituation(
-            head.id, head.name, baselines[head.id].id if head.id in baselines else None, recorded.get(head.id, ())
-        )
-        for head in sensor_rows.list_sensor_heads(session)
-    ]
 
 
 def _list_learned_later(session: Session, sensor_id: int, time_utc: str) -> Records:
@@ -290,7 +269,7 @@ def list_events(
 
 
 def _find_key(session: Session, sensor_id: int, event_id: int) -> sensor_rows.Key:
-    """Return where an event stands."""
+    """Return the key of an event."""
     row_id, kind = divmod(event_id, len(sensor_rows.KINDS))
     if (key := sensor_rows.find_event_key(session, sensor_id, kind, row_id)) is None:
         raise RefusedInputError("This sensor has no event to go on from; begin again without a cursor.")
@@ -298,7 +277,7 @@ def _find_key(session: Session, sensor_id: int, event_id: int) -> sensor_rows.Ke
 
 
 def happened_on(time: str | None) -> dict[str, str]:
-    """Return what a record keeps of when its event happened; nothing where no time was given."""
+    """Return the time that a record states for its event; empty where none was given."""
     if time is None or not time.strip():
         return {}
     happened_utc = read_time(time)

@@ -34,7 +34,7 @@ from boresight.platform.db.sessions import Session, utc_text
 from boresight.verdicts.numbers import fixed, number, quantity
 from boresight.verdicts.verdict import RunSummary, parse_run_summary
 
-SAME_VALUE = 1e-6  # of a typical sigma: what was held fixed there and here is the same number
+SAME_VALUE = 1e-6  # in typical sigmas: fixed parameters that differ by less are the same
 BEFORE_TRENDS = "its summary has no covariance: it is from an older version; clone it and run it again"
 
 
@@ -67,16 +67,16 @@ class TrendPoint:
 
     @property
     def sigma(self) -> dict[str, float]:
-        """One sigma of each estimated parameter, SI."""
+        """The sigma of each estimated parameter, SI."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
     def counted(self) -> bool:
-        """Whether it takes part in the tests."""
+        """Whether the calibration takes part in the tests."""
         return not self.left_out
 
     def overlaps(self, other: TrendPoint) -> bool:
-        """Whether both have data of one time, or the same data."""
+        """Whether the data of both overlap in time, or are the same."""
         same = self.telemetry_set_id == other.telemetry_set_id
         return same or (
             self.timed and other.timed and self.begins_utc <= other.ends_utc and other.begins_utc <= self.ends_utc
@@ -98,7 +98,7 @@ class BaselinePeriod:
 
 @dataclass(frozen=True)
 class OnBoardRecord:
-    """Something was recorded on board."""
+    """A record of an on-board state."""
 
     at_utc: str
     state: str
@@ -130,12 +130,12 @@ class Trend:
 
 
 def read_trend(session: Session, sensor_id: int) -> Trend:
-    """Gather a sensor over the mission."""
+    """Read the trend of a sensor."""
     return read_trends(session, [session.get_known(Sensor, sensor_id)])[sensor_id]
 
 
 def read_trends(session: Session, sensors: Sequence[Sensor]) -> dict[int, Trend]:
-    """Gather some sensors over the mission, in as many queries as for one."""
+    """Read the trends of some sensors, in as many queries as for one."""
     ids = [sensor.id for sensor in sensors]
     finished, telemetry = rows.list_finished_runs(session, ids), rows.list_telemetry(session, ids)
     promoted, records = rows.list_baselines_over_time(session, ids), rows.list_records(session, ids)
@@ -180,7 +180,7 @@ def _trend(
 
 
 def get_time_span(row: TelemetrySet) -> tuple[str, str, bool]:
-    """Return first and last time of a telemetry set, and whether they are its own and not the upload's."""
+    """Return the first and last time of a telemetry set, and whether they come from its data and not from its upload."""
     time = parse_quality(row.quality).time
     if time is None:
         return row.uploaded_utc, row.uploaded_utc, False
@@ -225,7 +225,7 @@ def _place(point: TrendPoint) -> tuple[str, int]:
 
 
 def _comparable(point: TrendPoint, sensor: Sensor, baseline: ParameterSet | None) -> TrendPoint:
-    """Leave out what was estimated with other numbers held fixed than the baseline has."""
+    """Exclude calibrations whose fixed parameters differ from the baseline's."""
     if point.left_out or baseline is None:
         return point
     typical, held = sensor.document["typical_sigma"], baseline.document["parameters"]
@@ -243,7 +243,7 @@ def _same(point: TrendPoint, held: Mapping[str, float], typical: Mapping[str, fl
 
 
 def _counted_once(points: Sequence[TrendPoint]) -> Iterator[TrendPoint]:
-    """Yield the calibrations, all but one of those whose data overlap left out."""
+    """Yield the calibrations, only one of those whose data overlap."""
     counted: list[TrendPoint] = []
     for point in sorted(points, key=lambda one: (one.ends_utc, one.method == "batch", one.run_id), reverse=True):
         twin = next((other for other in counted if point.overlaps(other)), None)
@@ -272,7 +272,7 @@ def _periods(promoted: Sequence[tuple[str, ParameterSet]]) -> Iterator[BaselineP
 
 DAY_S = 86400.0
 GROUND_SHIFTED = "The ground calibration does not hold any more: promote a calibration made on orbit."
-EPOCH = "2000-01-01T12:00:00+00:00"  # days are counted from J2000, and any day would do
+EPOCH = "2000-01-01T12:00:00+00:00"  # days are counted from J2000, an arbitrary origin
 
 
 @dataclass(frozen=True)
@@ -346,7 +346,7 @@ def judge_drift(trend: Trend, alpha: float = FALSE_ALARM_RATE) -> DriftResult:
 
 
 def _verdict(held: tests.ChiSquareTest, slope: tests.ChiSquareTest | None, baseline: ParameterSet) -> str:
-    """Say it in a word; calibrations that move with time drift, whatever the baseline was made from."""
+    """Return the verdict as a word; calibrations that change with time drift, whatever the baseline was made from."""
     if slope is not None and slope.rejects:
         return "DRIFT"
     if not held.rejects:
@@ -379,7 +379,7 @@ def make_epoch(point: TrendPoint, names: Sequence[str]) -> Epoch:
 
 
 def _baseline_epoch(baseline: ParameterSet, own: TrendPoint | None, names: Sequence[str]) -> Epoch:
-    """Return the baseline's estimate; its run's covariance is the honest one where it is known."""
+    """Return the baseline's estimate, with the covariance of its run where that is known."""
     document = baseline.document["covariance"]
     listed, matrix = list(document["names"]), np.array(document["matrix"], dtype=np.float64)
     if own is not None and set(names) <= set(own.names):
@@ -390,7 +390,7 @@ def _baseline_epoch(baseline: ParameterSet, own: TrendPoint | None, names: Seque
 
 
 def _with_sentence(found: DriftResult, baseline: ParameterSet) -> DriftResult:
-    """Say what was found, the test that rejects first."""
+    """Add a sentence on the findings, tests that reject first."""
     first = [GROUND_SHIFTED] if found.verdict == "GROUND SHIFT" else []
     said = [*first, _of_the_baseline(found, baseline), *_of_the_slope(found), *_of_temperature(found)]
     return replace(found, sentence=" ".join(said))

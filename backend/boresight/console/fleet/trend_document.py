@@ -48,7 +48,7 @@ class Advice:
 
 @dataclass(frozen=True)
 class UnseenTelemetry:
-    """The telemetry that the baseline has not seen."""
+    """The telemetry that is newer than the baseline's data."""
 
     sets: Sequence[TelemetrySet]
     untried: Sequence[TelemetrySet]
@@ -99,7 +99,7 @@ def _rules(
 
 
 def find_unseen_telemetry(trend: Trend) -> UnseenTelemetry:
-    """Return the telemetry that the baseline has not seen, and what it would be good for."""
+    """Return the telemetry that is newer than the baseline's data, and how much it would improve the sigmas."""
     own = trend.of_run(trend.baseline.run_id) if trend.baseline else None
     sets = [
         row
@@ -123,7 +123,7 @@ def _is_newer(row: TelemetrySet, own: TrendPoint | None, baseline: ParameterSet 
 
 
 def _ratio(trend: Trend, own: TrendPoint | None, stars: int) -> float | None:
-    """Foretell the sigma with so many stars over the baseline's, the largest of all parameters."""
+    """Predict the ratio of the sigma with so many stars to the baseline's, the largest over all parameters."""
     if trend.baseline is None or not trend.independent or not stars:
         return None
     like = own or trend.independent[-1]

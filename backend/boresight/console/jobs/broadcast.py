@@ -17,12 +17,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Any
 
 import orjson
 
 from boresight.console.access import queries as login_sessions
-from boresight.console.access.dependencies import of_server
 from boresight.console.runs import queries as run_events
 from boresight.console.runs.tables import RunEvent
 from boresight.platform.actors import Actor
@@ -33,12 +32,12 @@ from boresight.platform.jobs.periodic_thread import PeriodicThread
 from boresight.platform.web.paging import parse_row_id
 
 PAGE = 500
-LINE_LENGTH = 400  # of a log line that is told; the log has it whole
+LINE_LENGTH = 400  # of a log line that is sent; the log has it whole
 
 
 @dataclass(frozen=True)
 class EventCursor:
-    """How far a listener has been told: the newest run event, audit record and progress."""
+    """How far a listener has received the feed: the newest run event, audit record and progress."""
 
     run_event: int
     record: int
@@ -49,12 +48,12 @@ class EventCursor:
         return f"{self.run_event}.{self.record}.{self.progress}"
 
     def covers(self, other: EventCursor) -> bool:
-        """Whether everything before another cursor is before this one too."""
+        """Whether this cursor is at or after another one in every part."""
         return self.run_event >= other.run_event and self.record >= other.record and self.progress >= other.progress
 
     @classmethod
     def parse(cls, text: str) -> EventCursor | None:
-        """Read an event id; None when it is none of ours."""
+        """Read an event id; None when it is not a cursor."""
         numbers = [number for part in text.split(".") if (number := parse_row_id(part)) is not None]
         return cls(*numbers) if len(numbers) in {2, 3} and len(numbers) == text.count(".") + 1 else None
 
@@ -77,12 +76,12 @@ class Event:
     history: dict[str, Any] | None = None
 
     def is_after(self, cursor: EventCursor) -> bool:
-        """Whether somebody at a cursor has not been told this yet."""
+        """Whether the event comes after a cursor."""
         told: int = getattr(cursor, PART_OF_KIND[self.kind])
         return self.number > told
 
     def move(self, cursor: EventCursor) -> EventCursor:
-        """Return the cursor of somebody who has now been told this."""
+        """Return a cursor moved past this event."""
         return replace(cursor, **{PART_OF_KIND[self.kind]: self.number})
 
     @cached_property
@@ -92,7 +91,7 @@ class Event:
 
     @cached_property
     def text_with_history(self) -> str:
-        """The same for those who follow the run."""
+        """The event as JSON with its history, for listeners that follow the run."""
         return orjson.dumps(self.data | {"history": self.history}).decode()
 
     def wire(self, cursor: EventCursor, *, with_history: bool = False) -> bytes:
@@ -115,7 +114,7 @@ class RecentProgress:
         return self._kept[-1]
 
     def after(self, number: int) -> list[Event] | None:
-        """Return what came after a number; None when some of it is kept no more, or the number is another server's."""
+        """Return the events after a number; None when some are no longer kept, or the number is another server's."""
         oldest = self._kept[0].number if self._kept else self.newest + 1
         if not oldest - 1 <= number <= self.newest:
             return None
@@ -130,7 +129,7 @@ def list_events_after(session: Session, cursor: EventCursor) -> list[Event]:
 
 
 def _make_run_event(row: RunEvent) -> Event:
-    """Tell a line of a run's log: a change of state as such, any other as a line."""
+    """Make the event of a line of a run's log: `run` for a change of state, `log` for any other."""
     told = {"run_id": row.run_id, "attempt": row.attempt, "at_utc": row.at_utc, "message": row.message[:LINE_LENGTH]}
     if row.kind == "state":
         return Event("run", told | {"state": row.state}, row.id)
@@ -138,7 +137,7 @@ def _make_run_event(row: RunEvent) -> Event:
 
 
 def _make_record_event(row: Mapping[str, Any]) -> Event:
-    """Tell an audit record as an event; what it changed is left to the log itself."""
+    """Make the event of an audit record, without what it changed, which the log has."""
     return Event("audit", dict(row), row["id"])
 
 
@@ -170,7 +169,7 @@ class EventBatch:
 
     @cached_property
     def wire(self) -> bytes:
-        """All of it as it is sent."""
+        """All events as they are sent."""
         return b"".join(one.wire for one in self.told)
 
 
@@ -186,7 +185,7 @@ class Listener:
         self._something = asyncio.Event()
 
     def put(self, telling: EventBatch | None) -> None:
-        """Let something wait, and let go of a listener that is too far behind."""
+        """Queue a batch, or drop a listener that is too far behind."""
         if self.dropped:
             return
         self._events += 0 if telling is None else len(telling.told)
@@ -197,12 +196,12 @@ class Listener:
         self._something.set()
 
     def doubt(self) -> None:
-        """Have the stream ask whether its credential still holds."""
+        """Have the stream check again whether its credential is valid."""
         self.doubted = True
         self._something.set()
 
     async def next(self, timeout_s: float) -> Sequence[EventBatch | None]:
-        """Wait for something and return all that waits; nothing when none came in time."""
+        """Wait for batches and return all that are queued; none when no batch came in time."""
         if not self._waiting:
             try:
                 await asyncio.wait_for(self._something.wait(), timeout_s)
@@ -222,7 +221,7 @@ class Broadcast:
         self._lock = threading.Lock()
         self._ring = RecentProgress(KEPT)
         self._found = EventCursor(0, 0, self._ring.newest)  # how far events were found
-        self.cursor = self._found  # how far they were told
+        self.cursor = self._found  # how far they were sent
         self._pending: list[DeliveredEvent] = []
         self._told_s = 0.0
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -234,7 +233,7 @@ class Broadcast:
         self._is_closed = False
 
     def start(self) -> None:
-        """Begin to follow the rows, from where they end now."""
+        """Begin to follow the rows, from the newest one on."""
         self._is_closed = False
         with open_reading(self._database) as session:
             self.cursor = self._found = EventCursor.now(session, self._ring.newest)
@@ -250,7 +249,7 @@ class Broadcast:
         self._data_versions.close()
 
     def hear(self, event: dict[str, Any]) -> None:
-        """Take an event of the dispatcher: progress is passed on, a change of state is a row to be looked up."""
+        """Handle an event of the dispatcher: progress is passed on, a change of state makes the feed read its row."""
         if event.get("kind") != "progress":
             self.nudge()
             return
@@ -273,13 +272,13 @@ class Broadcast:
         return self._ring.newest
 
     def progress_after(self, number: int) -> list[Event] | None:
-        """Return the progress after a number; None when some of it is kept no more, or was another server's."""
+        """Return the progress events after a number; None when some are no longer kept, or the number is another server's."""
         with self._lock:
             return self._ring.after(number)
 
     @contextmanager
     def listening(self, actor: Actor) -> Iterator[Listener]:
-        """Hear everything after `cursor` from now on, as who acts; to be called on the event loop."""
+        """Register a listener for everything after `cursor`, in the name of an actor; call this on the event loop."""
         self._loop = asyncio.get_running_loop()
         listener = Listener(actor)
         self._listeners.add(listener)
@@ -291,7 +290,7 @@ class Broadcast:
             self._listeners.discard(listener)
 
     def _follow(self) -> None:
-        """Tell the rows that are new, page by page until there is none, where anything was committed."""
+        """Broadcast the new rows, page by page, after anything was committed."""
         data_version = self._data_versions.look()
         found = data_version is None or data_version != self._data_version
         if found:
@@ -305,7 +304,7 @@ class Broadcast:
         self._data_version = data_version
 
     def _find_endings(self) -> None:
-        """Have the streams ask again whose log-in has ended, and all of them after a key was revoked or a person disabled."""
+        """Have streams check their credential: of log-ins that ended, and all after a key was revoked or a person disabled."""
         with open_reading(self._database) as session:
             ended = login_sessions.read_ends_since(session, self._ended_utc)
             revoked = login_sessions.read_newest_revocation(session)
@@ -316,13 +315,13 @@ class Broadcast:
         self._revoked = revoked
 
     def _doubt(self, ended: set[int], keys: bool) -> None:
-        """Have the streams of ended log-ins ask whether they may go on, and where keys may have ended those of keys."""
+        """Have the streams of ended log-ins check their credential, and on request those of API keys."""
         for listener in self._listeners:
             if listener.actor.session_id in ended or (keys and listener.actor.is_key):
                 listener.doubt()
 
     def _find(self, events: Sequence[Event]) -> None:
-        """Give events, under the lock and so in one order, the cursors after them, and hand them to the event loop."""
+        """Assign cursors to events in order, under the lock, and hand them to the event loop."""
         told = []
         for event in events:
             self._found = event.move(self._found)
@@ -331,21 +330,21 @@ class Broadcast:
             self.cursor = self._found  # nobody has listened yet
 
     def _on_the_loop(self, act: Callable[..., None], *given: Any) -> bool:
-        """Let something be done on the event loop; whether there is one."""
+        """Call a function on the event loop; return whether there is one."""
         if self._loop is None or self._loop.is_closed():
             return False
         self._loop.call_soon_threadsafe(act, *given)
         return True
 
     def _take(self, told: Sequence[DeliveredEvent]) -> None:
-        """Tell events now, or together with what comes before the pause is over."""
+        """Send events at once, or with those that come before the pause is over."""
         if not self._pending:
             pause_s = PAUSE_A_LISTENER_S * len(self._listeners)
             asyncio.get_running_loop().call_later(max(0.0, self._told_s + pause_s - time.monotonic()), self._tell)
         self._pending += told
 
     def _tell(self) -> None:
-        """Tell everybody what waits; what was due may have been told when the feed was closed."""
+        """Send the pending events to every listener; there may be none after the feed was closed."""
         if not self._pending:
             return
         telling, self._pending = EventBatch(self._pending), []
@@ -355,10 +354,7 @@ class Broadcast:
         self._told_s = time.monotonic()
 
     def _end(self) -> None:
-        """Tell what waits, then end every stream."""
+        """Send the pending events, then end every stream."""
         self._tell()
         for listener in self._listeners:
             listener.put(None)
-
-
-Feed = Annotated[Broadcast, of_server("broadcast")]

@@ -1,4 +1,4 @@
-"""The heartbeat: what becomes due by time alone, such as expiry and overdue alarms; it writes only when there is any."""
+"""The heartbeat: handles what becomes due by time alone, such as expiry and overdue alarms; writes only when something is due."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from boresight.console.alarms import rules as alarm_rules
-from boresight.console.approvals import proposals, staleness
+from boresight.console.approvals import staleness
+from boresight.console.change_proposals import service as proposals
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
 from boresight.platform.jobs.periodic_thread import PeriodicThread
 
@@ -25,7 +26,7 @@ class Heartbeat:
         self._thread = PeriodicThread("heartbeat", [self.beat], lambda: BEAT_S)
 
     def start(self) -> None:
-        """Begin to beat; the first beat is at once, for what became due while no server ran."""
+        """Start the thread; the first beat is at once, for what became due while no server ran."""
         self._thread.start()
 
     def close(self) -> None:
@@ -33,7 +34,7 @@ class Heartbeat:
         self._thread.close()
 
     def look_at_clock(self) -> None:
-        """Raise an alarm where the clock jumped, and let it be over once somebody has acknowledged it."""
+        """Raise an alarm when the clock jumped, and return it to normal once somebody has acknowledged it."""
         seen_s = None if self._looked_back else self._seen_s()
         with open_reading(self._database) as session:
             held, acknowledged = (
@@ -46,21 +47,21 @@ class Heartbeat:
                 alarm_rules.update_installation_alarms(session, {alarm_rules.CLOCK: found})
             self._tell()
         if found is not None or held:
-            alarm_rules.OURS.agree()  # the alarm holds what would expire from now on
+            alarm_rules.OURS.agree()  # while the alarm is active nothing expires
         self._looked_back = True
         if self._seen_file is not None:
             with suppress(OSError):
                 self._seen_file.write_text(str(alarm_rules.OURS.now_s()), encoding="ascii")
 
     def _seen_s(self) -> float | None:
-        """Return when a server of this installation was last seen to run."""
+        """Return the time at which a server of this installation last ran."""
         try:
             return None if self._seen_file is None else float(self._seen_file.read_text(encoding="ascii"))
         except (OSError, ValueError):
             return None
 
     def beat(self) -> None:
-        """Let everything expire whose time is over, unless the clock that says so jumped."""
+        """Expire everything whose time is over, unless the clock jumped."""
         self.look_at_clock()
         with open_reading(self._database) as session:
             if alarm_rules.is_held(session):

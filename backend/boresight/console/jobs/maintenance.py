@@ -1,4 +1,4 @@
-"""What a server does beside its requests: it walks the audit chain, watches the fleet, reads files again, tends keys and log-ins.
+"""Maintenance of a server: verifies the audit chain, updates alarms, rereads files, and records the use of keys and log-ins.
 
 Between two walks of the chain it rests a minute, and at least `REST` times as long as the walk took. Files are read for
 `READ_S` a round; what a reader found corrupt is looked at now. The newest use of each key and log-in is kept in memory
@@ -12,10 +12,8 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 from boresight.console.access import api_keys, sessions
-from boresight.console.access.dependencies import of_server
 from boresight.console.alarms import rules
 from boresight.console.alarms.rules import (
     CHAIN,
@@ -40,7 +38,7 @@ log = logging.getLogger(__name__)
 
 ROUND_S = 60.0
 PATIENCE_S = (
-    5.0  # for a look at a large fleet that is under way when the server stops; what it had not written is undone
+    5.0  # so long a stopping server waits for a check of a large fleet; what that had not written is rolled back
 )
 REST = 20.0
 READ_S = 1.0
@@ -49,7 +47,7 @@ LATE = 3.0  # rounds without a new finding, after which the last one is stale
 
 @dataclass(frozen=True)
 class ExternalHeadFile:
-    """Where the head of the audit log is kept besides, None nowhere, and how often it is written there and told."""
+    """The external file for the head of the audit log, None for no file, and how often the head is written and sent."""
 
     file: Path | None
     every_s: float
@@ -57,7 +55,7 @@ class ExternalHeadFile:
 
 @dataclass(frozen=True)
 class ChainStatus:
-    """What is known of the chain."""
+    """The result of the last verification of the chain."""
 
     state: str
     last_id: int
@@ -103,7 +101,7 @@ class Maintenance:
         )
 
     def start(self) -> None:
-        """Begin; the first walk is at once."""
+        """Start the thread; the first verification is at once."""
         self._thread.start()
 
     def close(self) -> None:
@@ -112,13 +110,13 @@ class Maintenance:
         self._thread.take(self.write_uses)
 
     def used(self, credential: str, *, active: bool = True) -> bool:  # noqa: ARG002 - a key is used by what only listens too
-        """Remember that a key was used now, which is always allowed."""
+        """Record the use of a key; keys have no idle limit, so this returns True."""
         with self._guard:
             self._used_utc[credential.removeprefix("key:")] = utc_now()
         return True
 
     def session_used(self, session_id: int, last_used_utc: str, *, active: bool) -> bool:
-        """Whether a log-in was not idle for too long; if not, and somebody did something, that is its last use."""
+        """Return whether a log-in was not idle for too long, and record its use if a person did something."""
         with self._guard:
             last_used_utc = max(last_used_utc, self._sessions_used_utc.get(session_id, ""))
             if self._limits.is_idle(last_used_utc):
@@ -138,7 +136,7 @@ class Maintenance:
             with open_writing(self._database) as session:
                 api_keys.record_uses(session, used_utc)
                 sessions.write_uses(session, sessions_used_utc)
-        with self._guard:  # what was written stands in the rows
+        with self._guard:  # the rows now hold what was written
             for one in sessions_used_utc.keys() - self._unwritten:
                 self._sessions_used_utc.pop(one, None)
 
@@ -151,7 +149,7 @@ class Maintenance:
                 sessions.tidy(session, self._limits, LATE * ROUND_S)
 
     def verify(self) -> None:
-        """Walk the chain and every row that it seals."""
+        """Verify the chain and every row that it seals."""
         began_s = time.monotonic()
         with open_reading(self._database) as session:
             kept, file = self._read_head()
@@ -164,7 +162,7 @@ class Maintenance:
         self._found = ChainStatus(state, report.last_id, utc_now(), report.sentence)
 
     def _read_head(self) -> tuple[ExternalHead | None, Path | None]:
-        """Return the head that is kept elsewhere, and where it was looked for; what cannot be read is told by an alarm."""
+        """Return the externally kept head and its file; an unreadable file is reported by an alarm."""
         file = self._kept.file
         try:
             return (None if file is None else read_head(file)), file
@@ -173,7 +171,7 @@ class Maintenance:
             return None, None
 
     def keep_head(self) -> None:
-        """Write the head elsewhere when it is due and has moved, and tell webhooks; never over a head that the chain has lost."""
+        """Write a new head to its external file when due, and send it to webhooks; never after a head that the chain has lost."""
         if self._found.state != "verified" or time.monotonic() - self._head_kept_s < self._kept.every_s:
             return
         with open_reading(self._database) as session:
@@ -201,14 +199,14 @@ class Maintenance:
         self._head_kept_s = time.monotonic()
 
     def _put_on_record(self, file: Path) -> ExternalHead | None:
-        """Put on record that heads are kept in a file, once one is there, and return the head that this makes."""
+        """Record in the audit log that heads are kept in a file, once one exists, and return the new head."""
         with open_writing(self._database) as session:
             audit.tell_head_kept(session, file)
         with open_reading(self._database) as session:
             return audit.find_newest_head(session)
 
     def suspect(self, sha256: str) -> None:
-        """Look at a stored file now, which somebody found corrupt."""
+        """Check a stored file now that a reader found corrupt."""
         with self._guard:
             is_new = sha256 not in self._suspects
             self._suspects.add(sha256)
@@ -216,7 +214,7 @@ class Maintenance:
             self._thread.nudge()
 
     def read_files(self) -> None:
-        """Read stored files again: those that are suspected, and some of the others, on from where the last round ended."""
+        """Reread stored files: the suspected ones, and some others from where the last round ended."""
         with open_reading(self._database) as session:
             suspected = self._suspects | set(rules.list_files_in_alarm(session))
             doubtful = files.list_sizes(session, sorted(suspected))
@@ -233,14 +231,14 @@ class Maintenance:
             self._suspects = (self._suspects - suspected) | bad
 
     def _is_bad(self, sha256: str, size: int) -> bool:
-        """Whether a file is not what its row says; a store that does not answer is another matter."""
+        """Whether a file differs from its row; a store that does not answer does not count."""
         try:
             return files.wrong_with(self._blobs, sha256, size, again=True) is not None
         except BoresightError:
             return sha256 in self._suspects
 
     def apply_alarm_rules(self) -> None:
-        """Bring the alarms of the fleet, of the audit log and of the stored files in line with what is so now."""
+        """Update the alarms of the fleet, of the audit log and of the stored files."""
         with open_reading(self._database) as session:
             found = self._check_installation(session)
             sensor_ids, installation = (
@@ -255,7 +253,7 @@ class Maintenance:
                 rules.update_installation_alarms(session, found)
 
     def _check_installation(self, session: Session) -> dict[str, AlarmCause | None]:
-        """Return what is wrong with the installation, by source."""
+        """Return the causes of installation alarms, by source."""
         named = files.list_sizes(session, sorted(self._suspects))
         wrong = [
             files.BadFile(sha256, what, files.list_users(session, sha256))
@@ -268,7 +266,7 @@ class Maintenance:
         return found
 
     def light(self) -> ChainStatus:
-        """Return what the last walk found, as stale when the next one is long overdue."""
+        """Return the result of the last verification, marked stale when the next one is long overdue."""
         found = self._found
         if found.state == "verified" and time.monotonic() - self._looked_s > LATE * self._pause_s:
             return ChainStatus(
@@ -277,9 +275,6 @@ class Maintenance:
         return found
 
     def _verify_when_due(self) -> None:
-        """Walk the chain at first, and again after the pause that the last walk earned."""
+        """Verify the chain at the start, and again after a pause in proportion to how long that took."""
         if self._found is NOT_YET or time.monotonic() - self._looked_s >= self._pause_s:
             self.verify()
-
-
-ServerMaintenance = Annotated[Maintenance, of_server("maintenance")]

@@ -20,10 +20,10 @@ from boresight.console.jobs.broadcast import (
     Event,
     EventBatch,
     EventCursor,
-    Feed,
     Listener,
     list_events_after,
 )
+from boresight.console.jobs.dependencies import Feed
 from boresight.console.operation import operations
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Engine, open_reading
@@ -31,7 +31,7 @@ from boresight.platform.db.sessions import Engine, open_reading
 router = operations("/events", tags=["events"])
 
 PING_S = 15.0
-ASK_AGAIN_S = 30.0  # what ends by the clock alone, or is noticed by no commit, ends a stream within this time
+ASK_AGAIN_S = 30.0  # a credential that expires, or ends without a commit, ends its stream within this time
 RETRY_MS = 2000
 HEADERS = {"Cache-Control": "no-cache", "X-Accel-Buffering": "no"}
 PING = b": ping\n\n"
@@ -45,18 +45,18 @@ class EventStream(StreamingResponse):
 
 @dataclass(frozen=True)
 class _Wish:
-    """What one listener wants to hear: of one run or of all, and whose history is to be drawn."""
+    """What one listener asked for: one run or all, and the run whose history it draws."""
 
     run: int | None
     history: int | None
 
     @property
     def is_everything(self) -> bool:
-        """Whether it is what is written once for all."""
+        """Whether the listener takes the whole feed, which is serialised once for all."""
         return self.run is None and self.history is None
 
     def written(self, event: Event, cursor: EventCursor) -> bytes:
-        """Write an event, with the new points of its history for who draws it; nothing where it is not wished for."""
+        """Write an event, with new points of history for a listener that draws it; empty if the listener did not ask for it."""
         about = event.data.get("run_id") == self.run or event.data.get("object") == f"runs/{self.run}"
         if self.run is not None and not about:
             return b""
@@ -89,7 +89,7 @@ async def stream_events(
 async def _stream(
     request: Request, actor: Actor, told_by: tuple[Broadcast, Engine], wish: _Wish, last_event_id: str | None
 ) -> AsyncIterator[bytes]:
-    """Write a stream: where it begins, what was missed, then what happens."""
+    """Write a stream: its start, the missed events, then live ones."""
     broadcast, database = told_by
     with broadcast.listening(actor) as listener:
         brought, newest, told = EventCursor.parse(last_event_id or ""), broadcast.progress, broadcast.cursor
@@ -107,12 +107,12 @@ async def _stream(
 
 
 def _said(word: str, cursor: EventCursor) -> bytes:
-    """Write a word to the listener alone."""
+    """Write an event for this listener only."""
     return f"event: {word}\ndata: {orjson.dumps({'id': str(cursor)}).decode()}\nid: {cursor}\n\n".encode()
 
 
 async def _past(database: Engine, broadcast: Broadcast, cursor: EventCursor) -> AsyncIterator[Event]:
-    """Return the rows after a cursor, page by page, and the progress after it, none where some is kept no more."""
+    """Yield the events after a cursor, page by page, and its progress unless some is no longer kept."""
     while events := await run_in_threadpool(_missed, database, cursor):
         for event in events:
             cursor = event.move(cursor)
@@ -128,7 +128,7 @@ def _missed(database: Engine, cursor: EventCursor) -> Iterable[Event]:
 
 
 class _Live:
-    """Writes what is told for one listener.
+    """Writes the live events for one listener.
 
     What a listener heard of the past may lie ahead of what the feed has told: until the feed has caught up, each event is held
     against the listener's own cursor. From then on the feed's cursors are the listener's, and its bytes are sent as they are.
@@ -140,14 +140,14 @@ class _Live:
         self._is_level = told.covers(cursor)
 
     def written(self, telling: EventBatch) -> bytes:
-        """Write a telling."""
+        """Write a batch of events."""
         if self._is_level and self._wish.is_everything:
             self.cursor = telling.told[-1].cursor
             return telling.wire
         return b"".join(self._each(telling))
 
     def _each(self, telling: EventBatch) -> Iterable[bytes]:
-        """Write each event that was not heard yet."""
+        """Write each event of a batch that the listener has not received yet."""
         for one in telling.told:
             if self._is_level:
                 self.cursor = one.cursor
@@ -160,7 +160,7 @@ class _Live:
 
 
 async def _live(request: Request, listener: Listener, live: _Live) -> AsyncIterator[bytes]:
-    """Tell what happens from here on, until the server stops, the listener is too slow, or the log-in ends."""
+    """Write live events until the server stops, the listener is too slow, or the log-in ends."""
     asked_s = said_s = time.monotonic()
     while True:
         found = await listener.next(min(PING_S, ASK_AGAIN_S))
@@ -182,5 +182,5 @@ async def _live(request: Request, listener: Listener, live: _Live) -> AsyncItera
 
 
 def _piece(live: _Live, found: Sequence[EventBatch | None]) -> bytes:
-    """Write all that was told before an end."""
+    """Write all batches up to the end of the stream."""
     return b"".join(live.written(telling) for telling in found if telling is not None)

@@ -10,13 +10,11 @@ import asyncio
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Annotated
 from urllib.parse import urlsplit, urlunsplit
 
 import httpx
 
 import boresight
-from boresight.console.access.dependencies import of_server
 from boresight.console.webhooks import service as webhook_messages
 from boresight.console.webhooks.service import WebhookMessage
 from boresight.errors import RefusedInputError
@@ -42,7 +40,7 @@ class WebhookSender:
         self._thread = PeriodicThread("delivery", [self.deliver], lambda: LOOK_EVERY_S, LOOK_AFTER_S)
 
     def start(self) -> None:
-        """Begin to look for messages."""
+        """Start the thread that looks for messages."""
         self._thread.start()
 
     def close(self) -> None:
@@ -50,11 +48,11 @@ class WebhookSender:
         self._thread.close(TIMEOUT_S + 1.0)
 
     def nudge(self) -> None:
-        """Look now."""
+        """Look for messages now."""
         self._thread.nudge()
 
     def deliver(self) -> None:
-        """Send everything that is due now."""
+        """Send all messages that are due."""
         with open_reading(self._database) as session:
             if not webhook_messages.is_any_due(session, self._box):
                 return
@@ -129,6 +127,3 @@ class WebhookSender:
                 if len(heard) >= HEARD:
                     break
             return answer.status_code, heard[:HEARD].decode("utf-8", "replace")
-
-
-ServerWebhookSender = Annotated[WebhookSender, of_server("webhook_sender")]

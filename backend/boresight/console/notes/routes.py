@@ -16,7 +16,7 @@ router = operations(tags=["notes"])
 
 
 class NewNote(Shape):
-    """What is to be kept."""
+    """The text of a note."""
 
     text: str = Field(examples=["Taken through the South Atlantic Anomaly; expect more spurious centroids."])
 

@@ -1,4 +1,4 @@
-"""Notes on runs, sensors and parameter sets: what a person saw or meant, for whoever comes next. Only ever added."""
+"""Notes on runs, sensors and parameter sets: what a person observed or decided. They are only ever added."""
 
 from __future__ import annotations
 

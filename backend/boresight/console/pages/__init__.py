@@ -1,4 +1,4 @@
-"""The pages: what all of them share, and the one place that finds every noun's pages and joins them to a server."""
+"""The pages: what all of them share, and where every noun's pages are found and added to a server."""
 
 from __future__ import annotations
 

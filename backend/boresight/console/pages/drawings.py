@@ -14,7 +14,7 @@ from boresight.telemetry.quality.report import DetectorCoverage, Distribution
 
 WIDTH, HEIGHT = 560.0, 200.0
 LEFT, RIGHT, TOP, BOTTOM = 52.0, 10.0, 22.0, 34.0
-HEADROOM = 1.08  # an axis ends so much above its highest bar
+HEADROOM = 1.08  # height of an axis over its highest bar
 LEAST_OPACITY = 0.12
 TICKS = 5
 
@@ -185,7 +185,7 @@ def number_bars(distribution: Distribution, **words: str) -> Drawing:
 
 
 SPARKLINE_WIDTH, SPARKLINE_HEIGHT, MARGIN = 132.0, 30.0, 4.0
-LEAST_SPAN = 0.05  # of the value in the middle
+LEAST_SPAN = 0.05  # of the middle value
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ def short_hash(text: str | None) -> Markup | str:
 
 
 def words(text: str) -> str:
-    """Print a machine's word as a person's: `rank_deficient` as `rank deficient`."""
+    """Print an identifier as words: `rank_deficient` as `rank deficient`."""
     return str(escape(text)).replace("_", " ")
 
 
@@ -146,7 +146,7 @@ LEVEL_OF_STATE = {
 
 
 def get_level(state: str) -> str:
-    """Return the level of a state word; a level stands for itself in any case, an unheard-of word is `off`."""
+    """Return the level of a state word; a level is returned in lower case, and an unknown word is `off`."""
     return state.lower() if state.lower() in LEVELS else (LEVEL_OF_STATE | LEVEL_OF_STATUS).get(state, "off")
 
 

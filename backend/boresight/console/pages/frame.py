@@ -52,7 +52,7 @@ class FleetStatus:
 
 
 def find_worst_status(standings: Sequence[fleet.SensorStatus]) -> FleetStatus:
-    """Return how a fleet stands."""
+    """Return the worst status of a fleet."""
     if not standings:
         return FleetStatus("off", "NO SENSORS", "No sensors yet: register one.")
     worst = max(standings, key=lambda one: LEVELS.index(one.status))
@@ -62,36 +62,36 @@ def find_worst_status(standings: Sequence[fleet.SensorStatus]) -> FleetStatus:
 
 
 def read_fleet_status(session: Session) -> tuple[FleetStatus, int, int]:
-    """Return how the fleet stands, how many requests wait for a signature, and how many alarms to be acknowledged."""
+    """Return the fleet's worst status, the number of requests that wait for a signature, and of unacknowledged alarms."""
     waiting = lists.count(session, "approvals", {"state": "OPEN"})
     return find_worst_status(fleet.list_sensor_statuses(session)), waiting, alarms.count_unacknowledged(session)
 
 
 @dataclass(frozen=True)
 class FleetReading:
-    """What `read_fleet_status` found, and whether that was before the newest commit."""
+    """The result of `read_fleet_status`, and whether it is older than the newest commit."""
 
     found: tuple[FleetStatus, int, int]
     is_older: bool = False
 
 
 class FleetStatusCache:
-    """What the top bar says, read anew only after a commit, and of a large fleet less often; by one thread for all that ask."""
+    """A cache of the status in the top bar, reread after a commit, less often in a large fleet, by one thread for all requests."""
 
     def __init__(self, database: Engine, data_versions: DataVersionReader) -> None:
         self._database, self._data_versions = database, data_versions
         self._looking = threading.Lock()
         self._known: tuple[DataVersion, float, float, tuple[FleetStatus, int, int]] | None = (
-            None  # when its look began and ended
+            None  # when the last reading began and ended
         )
         self._resting_until_s = 0.0
 
     def known_now(self, asked_s: float) -> FleetReading | None:
-        """Return what `standing` would without a look at the fleet; None where it takes one, or to tell takes a thread."""
+        """Return the result of `standing` from the cache; None where the store must be read or a thread is needed."""
         return self._remembered(self._data_versions.look(), asked_s) if self._data_versions.at_once else None
 
     def _remembered(self, data_version: DataVersion | None, asked_s: float) -> FleetReading | None:
-        """Return what the last look found, where that holds for who asked at a time of the monotonic clock."""
+        """Return the last reading if it is recent enough for a request that came at a time of the monotonic clock."""
         now_s = time.monotonic()
         if self._known is None:
             return None
@@ -103,7 +103,7 @@ class FleetStatusCache:
         return FleetReading(found, is_older=True) if began_s > asked_s else None
 
     def standing(self, asked_s: float) -> FleetReading:
-        """Return what `read_fleet_status` does, from a look no older than question or newest commit; of a large fleet older."""
+        """Return `read_fleet_status` as of the request or the newest commit; in a large fleet possibly an older reading."""
         with self._looking:
             now_s = time.monotonic()
             data_version = self._data_versions.look()
@@ -198,7 +198,7 @@ def _read_flash(request: Request) -> tuple[str, str] | None:
 
 
 def _fleet(request: Request, actor: Actor | None) -> tuple[FleetStatus, int | None, int | None]:
-    """Read the fleet's standing, how many requests wait and how many alarms; nobody logged in learns any of it."""
+    """Read the fleet's status and the numbers of waiting requests and alarms; nothing of it for a visitor who is not logged in."""
     if actor is None:
         return UNREAD, None, None
     known: tuple[FleetStatus, int, int] | None = getattr(request.state, "fleet", None)
@@ -213,7 +213,7 @@ def _fleet(request: Request, actor: Actor | None) -> tuple[FleetStatus, int | No
 
 
 def _taken(request: Request, look: FleetReading) -> tuple[FleetStatus, int, int]:
-    """Take what was found, and say where something was committed since."""
+    """Return a reading, and mark the page outdated where something was committed since."""
     if look.is_older:
         mark_outdated(request)
     return look.found
@@ -231,11 +231,11 @@ async def know_fleet(request: Request) -> None:
 
 
 def make_page_frame(request: Request, *, is_answer: bool = True) -> PageFrame:
-    """Gather the frame's values for a request; `is_answer` where the page is what was asked for, and no refusal."""
+    """Gather the frame's values for a request; `is_answer` is False where the page shows a refusal."""
     actor: Any = getattr(request.state, "actor", None)
     fleet, waiting, alarms = _fleet(request, actor)
     flash, token = _read_flash(request), getattr(request.state, "csrf_token", "")
-    if is_answer and flash is None and has_gaps(request):  # whoever writes the page is not told more than the roles
+    if is_answer and flash is None and has_gaps(request):  # the endpoint may depend on the roles only
         actor, token = Actor(None, NAME_GAP, NAME_GAP, actor.roles, ""), TOKEN_GAP
     server = get_server(request)
     return PageFrame(

@@ -55,7 +55,7 @@ _transaction = asynccontextmanager(open_write_session)
 
 @dataclass(frozen=True)
 class RefusalContext:
-    """Why a change was not made, as a page tells it: the sentence, the places it names, the status and headers of the page."""
+    """A refusal as a page shows it: its sentence, the fields it names, and the page's status and headers."""
 
     error: BoresightError
     sentence: str
@@ -65,19 +65,19 @@ class RefusalContext:
 
     @classmethod
     def of(cls, error: BoresightError) -> RefusalContext:
-        """Turn a refusal that was raised into one to show."""
+        """Make the context from a refusal that was raised."""
         problem = make_problem(error)
         return cls(error, str(error), tuple(getattr(error, "faults", ())), problem.status, problem.headers or {})
 
     @property
     def is_ours(self) -> bool:
-        """Whether the server lacks something, such as room on its disk, and not what was asked is at fault."""
+        """Whether the fault is the server's, such as a full disk, and not the request's."""
         return self.status >= HTTPStatus.INTERNAL_SERVER_ERROR
 
 
 @dataclass(frozen=True)
 class AttemptResult(Generic[T]):
-    """What came of an attempt: the value, or the refusal."""
+    """The outcome of an attempt: a value or a refusal."""
 
     value: T | None
     refusal: RefusalContext | None
@@ -91,7 +91,7 @@ class AttemptResult(Generic[T]):
 
 
 def ask(question: Callable[[], T]) -> AttemptResult[T]:
-    """Return what a question came to, or why it was refused; what is not there is for the page of problems."""
+    """Return the result of a query or its refusal; a missing row is left to the problem page."""
     try:
         return AttemptResult(question(), None)
     except NotFoundError:
@@ -123,7 +123,7 @@ async def make_change(
     prepare: Callable[[], Awaitable[Sequence[object]]] | None = None,
     again: Callable[[RefusalContext, Session], HTMLResponse] | None = None,
 ) -> Response:
-    """Make a change and go to an address with a line that may name what was made; a refusal is a line there, or a page."""
+    """Make a change and redirect to an address with a line about it; a refusal is shown as a line there, or as a page."""
     outcome = await attempt(request, change, prepare)
     if outcome.refusal is None:
         return redirect(address, flash=said.format(outcome.value))
@@ -143,7 +143,7 @@ async def read_again(request: Request, render_page: Callable[[Session], HTMLResp
 
 
 def proof_of_own(request: Request, actor: Actor, password: str) -> Callable[[], Awaitable[Sequence[object]]]:
-    """Return what checks the password of who acts, for `attempt` to do first."""
+    """Return a function that checks the acting person's password, for `attempt` to call first."""
 
     async def prepare() -> Sequence[object]:
         return (await check_own(request, actor, password),)
@@ -186,7 +186,7 @@ def render(
     if refused is not None:
         status_code, headers = refused.status, refused.headers
     frame = make_page_frame(request, is_answer=status_code == HTTPStatus.OK)
-    given = (template, replace(frame, now=""), follows_from)  # the clock in the page goes by itself
+    given = (template, replace(frame, now=""), follows_from)  # the clock in the page is kept by its script
     rendered: OrderedDict[Hashable, str] = request.app.state.rendered
     shared = follows_from is not None and request.scope["state"].get(GAPS)
     page = rendered.get(given) if shared else None
@@ -212,7 +212,7 @@ def redirect(location: str, *, flash: str = "", level: str = "normal") -> Redire
 
 
 def redirect_refused(location: str, refusal: RefusalContext) -> RedirectResponse:
-    """Show why a form was refused as a line on its page; what the server itself lacks is raised again."""
+    """Redirect to a form's page with the refusal as a line; a fault of the server is raised again."""
     if refusal.is_ours:
         raise refusal.error
     return redirect(location, flash=refusal.sentence, level="serious")
@@ -242,7 +242,7 @@ NUMBERED = frozenset({"sensor", "set", "clone", "before", "runs", "reference"})
 
 
 async def check_numbers(request: Request) -> None:
-    """Refuse an address with a number that no row can have."""
+    """Refuse an address with a number too large for a row."""
     for text in _numbers(request):
         if len(text) > MOST_DIGITS or int(text) > GREATEST_NUMBER:
             raise NotFoundError("There is nothing of this number; choose one of the list.")
@@ -289,7 +289,7 @@ def problem_page(request: Request, error: Exception) -> Response:
     if isinstance(error, UnauthenticatedError):
         ended = f"&ended={error.because}" if isinstance(error, SessionEndedError) else ""
         return redirect(f"/login?next={quote(_way_back(request), safe='')}{ended}")
-    with suppress(Exception):  # an address that does not exist asked nobody who acts; a broken store cannot say
+    with suppress(Exception):  # for an unknown address no actor was identified, and a broken store cannot identify one
         current_actor(request)
     problem = make_problem(error)
     return render(
@@ -305,7 +305,7 @@ def problem_page(request: Request, error: Exception) -> Response:
 
 
 def _who_grants(request: Request, status: int) -> str:
-    """Name who can give a role, to who is known and lacks it."""
+    """Return a sentence naming who can give a role, for a known actor who lacks it."""
     if status != FORBIDDEN or getattr(request.state, "actor", None) is None:
         return ""
     try:
@@ -319,7 +319,7 @@ def _who_grants(request: Request, status: int) -> str:
 
 
 def bare_problem_page(request: Request, error: Exception) -> Response:
-    """Answer an error where even the frame around a page cannot be made: its sentence and the request id, alone."""
+    """Answer an error without the frame, where that cannot be made: its sentence and the request id."""
     problem = make_problem(error)
     page = TEMPLATES.get_template("shared/bare_problem.html").render(
         problem=problem,
@@ -332,7 +332,7 @@ def bare_problem_page(request: Request, error: Exception) -> Response:
 
 
 def _way_back(request: Request) -> str:
-    """Return the address to open after the log-in: the one asked for, or the start after a form."""
+    """Return the address to open after the log-in: the requested one, or the start page after a form."""
     if request.method != "GET":
         return "/"
     return request.url.path + (f"?{request.url.query}" if request.url.query else "")

@@ -1,4 +1,4 @@
-"""One table for every long list: its columns, order, page and what is chosen, all in the address; works without scripts.
+"""One table for every long list, whose columns, order, page and filters are in the address; works without scripts.
 
 A page declares a `Table`; `read_view` reads the address against it, `list_table.html` draws it, `write_csv` gives every
 page of it in SI.
@@ -69,7 +69,7 @@ def is_number(text: str) -> bool:
 
 
 def is_text(text: str) -> bool:
-    """Accept any words that a store can hold."""
+    """Accept any text that a store can hold."""
     return bool(text.strip()) and "\0" not in text
 
 
@@ -80,7 +80,7 @@ def accept_one(words: Iterable[str]) -> Accepts:
 
 @dataclass(frozen=True)
 class TableView:
-    """What of a table is looked at."""
+    """A view of a table: its filters, columns, order and page."""
 
     table: Table
     where: Mapping[str, str] = field(default_factory=dict)
@@ -91,12 +91,12 @@ class TableView:
 
     @property
     def picked(self) -> str:
-        """The names of the columns; empty where they are those of a first visit."""
+        """The names of the columns; empty for the default columns."""
         usual = tuple(column for column in self.table.columns if not column.optional)
         return "" if self.columns == usual else ",".join(column.name for column in self.columns)
 
     def kept(self, **changes: Any) -> dict[str, Any]:
-        """Return what the address of this view holds, with changes; what is empty is left out."""
+        """Return the parameters of this view's address, with changes; empty ones are left out."""
         held = dict(self.where) | {
             "sort": self.sort if self.sort != self.table.sort else "",
             "columns": self.picked,
@@ -120,7 +120,7 @@ class TableView:
         return self.address(before=None, **dict.fromkeys(self.table.filters))
 
     def pressed(self, column: TableColumn) -> str:
-        """Return the order that a press on a column's title gives: its own first, then that turned round."""
+        """Return the order after a click on a column's title: the column's default first, then reversed."""
         name = column.sort.removeprefix("-")
         return (name if self.sort.startswith("-") else f"-{name}") if self.direction(column) else column.sort
 
@@ -140,7 +140,7 @@ class TablePage:
 
 
 def read_view(request: Request, table: Table) -> TableView:
-    """Read the address; what is no filter, column or order of the table is left out."""
+    """Read the address; names that are no filter, column or order of the table are ignored."""
     asked = request.query_params
     given = {name: asked.get(name, "").strip()[:LONGEST_FILTER] for name in table.filters}
     sorts = {column.sort.removeprefix("-") for column in table.columns if column.sort}
@@ -161,14 +161,14 @@ def _several(request: Request, name: str) -> list[str]:
 
 
 def _columns(table: Table, picked: Sequence[str]) -> tuple[TableColumn, ...]:
-    """Return the columns picked, those that name the row among them; all usual ones where none was."""
+    """Return the chosen columns with those that name the row; the default columns where none was chosen."""
     if not any(column.name in picked for column in table.columns):
         return tuple(column for column in table.columns if not column.optional)
     return tuple(column for column in table.columns if column.head or column.name in picked)
 
 
 def read_page(session: Session, view: TableView, **where: Any) -> TablePage:
-    """Read the rows of a view; `where` narrows it by more, or by other values, than the address says; None by nothing."""
+    """Read the rows of a view; `where` adds or overrides filters, and None removes one."""
     narrowed = {name: value for name, value in ({**view.where} | where).items() if value is not None}
     rows = view.table.rows_a_page
     found = lists.read_page(session, view.table.name, narrowed, view.sort, before_id=view.before, limit=rows + 1)
@@ -176,7 +176,7 @@ def read_page(session: Session, view: TableView, **where: Any) -> TablePage:
 
 
 def read_all(session: Session, view: TableView, **where: Any) -> Iterable[Any]:
-    """Yield every row that fits a view, from its first page on."""
+    """Yield every row of a view, from its first page on."""
     narrowed = {name: value for name, value in ({**view.where} | where).items() if value is not None}
     return lists.read_all(session, view.table.name, narrowed, view.sort)
 
@@ -188,7 +188,7 @@ def write_csv(view: TableView, rows: Iterable[Any]) -> Response:
 
 
 def csv_file(title: str, names: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Response:
-    """Give rows as the CSV `<title>.csv`, with these of their values."""
+    """Return rows as the CSV file `<title>.csv` with these columns."""
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(names)
@@ -198,5 +198,5 @@ def csv_file(title: str, names: Sequence[str], rows: Iterable[Mapping[str, Any]]
 
 
 def _plain(value: Any) -> Any:
-    """Keep a spreadsheet from taking a person's words for a formula."""
+    """Escape a text so that no spreadsheet takes it for a formula."""
     return f"'{value}" if isinstance(value, str) and value[:1] in {"=", "+", "-", "@", "\t", "\r"} else value

@@ -109,7 +109,7 @@ def parameter_sets_csv(request: Request, session: Reading) -> Response:
 
 
 def _csv_rows(session: Session, view: TableView, names: RunNames) -> Iterator[Beside]:
-    """Lay out the sets of a view for a program; the verdicts of many are read at once."""
+    """Yield the rows of a view for the CSV file; verdicts are read for many sets at once."""
     rows = iter(read_all(session, view))
     while some := list(islice(rows, READ_AT_ONCE)):
         verdicts = gates.read_verdicts(session, {row.id for row in some})
@@ -154,7 +154,7 @@ class SetAction:
 
 
 def list_set_actions(row: ParameterSet, actor: Actor, request: Approval | None) -> dict[str, SetAction]:
-    """Say which transitions a set's state has, and why the actor may not make one."""
+    """List the transitions of a set's state, each with why the actor may not make it."""
     submitter = request is not None and request.submitted_by == actor.user_id
     submitted = row.ground_state in {"SUBMITTED", "APPROVED"}
     submittable, was_baseline = row.ground_state in approvals.SUBMITTABLE, row.baseline_from_utc is not None
@@ -203,7 +203,7 @@ class LineageNode:
 
 
 def list_lineage(session: Session, row: ParameterSet, requests: Sequence[Approval]) -> list[LineageNode]:
-    """Return the way of a set from telemetry to the spacecraft, as far as it has come."""
+    """Return the lineage of a set from telemetry to the spacecraft, as far as it has come."""
     nodes = []
     if row.run_id is not None:
         run = runs.get_run(session, row.run_id)
@@ -228,7 +228,7 @@ def list_lineage(session: Session, row: ParameterSet, requests: Sequence[Approva
 
 
 def find_incumbent(session: Session, row: ParameterSet, requests: Sequence[Approval]) -> ParameterSet | None:
-    """Return what a set is measured against: the baseline of now, or for a promoted set the one that it replaced."""
+    """Return the set to compare with: the current baseline, or for a promoted set the one that it replaced."""
     if row.baseline_from_utc is None:
         return set_queries.find_baseline(session, row.sensor_id)
     return find_bound_incumbent(session, row, next((known for known in requests if known.state == "APPROVED"), None))
@@ -304,7 +304,7 @@ async def roll_back(request: Request, session: Reading, actor: Who, set_id: int)
 async def _asked(
     request: Request, session: Session, actor: Actor, set_id: int, ask: Callable[..., Approval]
 ) -> Response:
-    """Open a request, and show it or why it was refused."""
+    """Open a request and redirect to it, or show why it was refused."""
     form = await read_texts(request)
     reason, state = form.get("reason", ""), get_server(request)
     assessed = await run_in_threadpool(assess_before_submission, actor, set_id, state.forecast_sources, state.engine)

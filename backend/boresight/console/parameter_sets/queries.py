@@ -24,7 +24,7 @@ def find_set_of_run(session: Session, run_id: int) -> ParameterSet | None:
 
 
 def list_runs_with_sets(session: Session, run_ids: Collection[int]) -> set[int]:
-    """Return those of some runs that a set was made of."""
+    """Return which of some runs a set was made from."""
     return set(session.scalars(sa.select(ParameterSet.run_id).where(among(ParameterSet.run_id, run_ids))))
 
 
@@ -59,7 +59,7 @@ def list_promotions(session: Session, sensor_id: int) -> Sequence[Promotion]:
 
 
 def find_baseline_at(session: Session, sensor_id: int, time_utc: str) -> ParameterSet | None:
-    """Return what was the sensor's baseline at a time."""
+    """Return the sensor's baseline at a time."""
     query = sa.select(ParameterSet).join(Promotion, Promotion.parameter_set_id == ParameterSet.id)
     query = query.where(Promotion.sensor_id == sensor_id, Promotion.at_utc <= time_utc)
     return session.scalar(query.order_by(Promotion.at_utc.desc(), Promotion.id.desc()).limit(1))

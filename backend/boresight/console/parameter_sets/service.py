@@ -34,7 +34,7 @@ from boresight.telemetry.sensors import parse_sensor
 
 
 def record_promotion(session: Session, actor: Actor, row: ParameterSet, approval: Approval | None) -> None:
-    """Add the promotion to the history that answers what was baseline at a time; a ground calibration has no request."""
+    """Record a promotion, from which the baseline at any time is known; a ground calibration has no request."""
     session.add(
         Promotion(
             sensor_id=row.sensor_id,
@@ -49,7 +49,7 @@ def record_promotion(session: Session, actor: Actor, row: ParameterSet, approval
 
 SCHEMA = "boresight.parameter-set/1"
 USABLE_STATUSES = ("converged", "max_iterations")
-MEANING = ("camera_model", "parameters", "sigma", "covariance")  # what an estimate is
+MEANING = ("camera_model", "parameters", "sigma", "covariance")  # members of a result that belong to the estimate
 EVIDENCE = (
     "method", "variant", "free", "status", "advice", "frames", "stars", "rms_arc_rad", "chi2_per_dof", "alignment", "inputs",
 )  # fmt: skip
@@ -84,7 +84,7 @@ def create_ground_calibration(
 
 
 def create_from_run(session: Session, actor: Actor, blobs: BlobStore, run_id: int) -> ParameterSet:
-    """Make a candidate from a run's result; asked again for the same run, return the one that is there."""
+    """Make a candidate from a run's result; for the same run again, return the existing one."""
     require_role(actor, "analyst")
     require_scope(actor, "parameter-sets")
     run = _get_succeeded_run(session, run_id)
@@ -102,7 +102,7 @@ def create_from_run(session: Session, actor: Actor, blobs: BlobStore, run_id: in
 
 
 def _keep_residual_spline(trust: Trust | None) -> dict[str, Any]:
-    """Keep what the camera model leaves where noise does not explain it: it belongs to these parameters, and goes with them."""
+    """Read the residual spline of a result where it is significant, to be stored with the parameters that it belongs to."""
     spline = trust.residual_spline if trust else None
     return {"residual_spline": to_plain(spline)} if spline and spline.structure else {}
 
@@ -116,7 +116,7 @@ def _get_succeeded_run(session: Session, run_id: int) -> Run:
 
 
 def _refuse_unusable(run_id: int, result: Calibration) -> None:
-    """Refuse a result that did not come to rest or has no complete set of finite parameters."""
+    """Refuse a result that did not converge or has no complete set of finite parameters."""
     if result.status not in USABLE_STATUSES:
         advice = " ".join(result.advice)
         raise RefusedInputError(f"Run {run_id} ended {result.status}, which makes no parameter set. {advice}".rstrip())

@@ -39,12 +39,12 @@ class ParameterSet(Base):
     version: Mapped[int] = mapped_column(default=1)  # counts transitions; the ETag
     created_utc: Mapped[str] = mapped_column(sa.Text)
     created_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
-    baseline_from_utc: Mapped[str | None] = mapped_column(sa.Text)  # the latest period; all of them are in promotions
+    baseline_from_utc: Mapped[str | None] = mapped_column(sa.Text)  # the latest baseline period; all are in promotions
     baseline_to_utc: Mapped[str | None] = mapped_column(sa.Text)
 
 
 class Promotion(Base):
-    """A set became its sensor's baseline; never edited, so that what was baseline at a time is one query."""
+    """A set became its sensor's baseline; never edited, so that the baseline at any time is one query."""
 
     __tablename__ = "promotions"
     __table_args__ = (sa.Index("ix_promotions_sensor_id_at_utc", "sensor_id", "at_utc"), STRICT)

@@ -58,7 +58,7 @@ class ComparedRun:
 
     @property
     def calibration(self) -> Calibration:
-        """The result; one that tells nothing where the run has none."""
+        """The typed result; an empty one where the run has none."""
         return self.result or Calibration(status="running")
 
     @property
@@ -89,7 +89,7 @@ class Comparison:
         return strong_correlations([one.calibration for one in self.compared], self.names)
 
     def radial(self) -> list[RadialContrast | None]:
-        """Compute the radial difference of each run to the reference; None where it cannot be had."""
+        """Compute the radial difference of each run to the reference; None where it cannot be computed."""
         base = self.compared[self.reference]
         return [
             radial_contrast(one.calibration, base.calibration, against, base.detector)
@@ -100,7 +100,7 @@ class Comparison:
 
 
 class UnlikeModelsError(RefusedInputError):
-    """Runs of unlike camera models; `sets` are parameter sets of theirs that could be converted."""
+    """The runs have different camera models; `sets` are their parameter sets that could be converted."""
 
     def __init__(self, message: str, sets: Sequence[tuple[int, str]]) -> None:
         super().__init__(message)
@@ -167,7 +167,7 @@ def compare(session: Session, blobs: BlobStore, run_ids: Sequence[int], referenc
 
 
 def _describe_shared(session: Session, blobs: BlobStore, run: Run, reference: Run) -> tuple[SharedData, str]:
-    """Tell what data a run shares with the reference, in numbers and in words."""
+    """Return the data that a run shares with the reference, in numbers and in words."""
     if run.sensor_id != reference.sensor_id:
         return SharedData(0, 0), "another sensor: the difference holds what one sensor has and the other has not"
     one, other = (session.get_one(TelemetrySet, row.telemetry_set_id) for row in (run, reference))

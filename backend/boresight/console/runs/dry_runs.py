@@ -1,7 +1,7 @@
-"""What a run would be, before it is queued: its request, checked, its size, its time, and what to beware of.
+"""Dry runs: the checked request of a run, its size, its expected time and warnings, before it is queued.
 
 An exposure of N stars gives 2N-3 arcs. The time is that of the newest runs of the same method by the number of stars,
-else a careful guess; a replayed run tells the pace only where there is no other.
+else a cautious default; a replayed run counts only where there is no other.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LABEL_LENGTH = 200
 
 @dataclass(frozen=True)
 class RunRequest:
-    """What a run is asked to do, checked."""
+    """A checked request for a run."""
 
     sensor: Sensor
     telemetry: TelemetrySet
@@ -48,7 +48,7 @@ class RunRequest:
         }
 
     def on_record(self) -> dict[str, Any]:
-        """Return what the audit log keeps of a launch."""
+        """Return the audit record's document of a launch."""
         return {
             "sensor": self.sensor.name,
             "telemetry_set": self.telemetry.name,
@@ -64,7 +64,7 @@ def check_run_request(
     validation_set_id: int | None = None,
     label: str = "",
 ) -> RunRequest:
-    """Check the choices of a run against one another."""
+    """Check the choices of a run for consistency."""
     sensor = session.get_known(Sensor, sensor_id, "; choose one of the list")
     telemetry = _get_set(session, sensor, telemetry_set_id)
     validation = None if validation_set_id is None else _get_set(session, sensor, validation_set_id)
@@ -98,7 +98,7 @@ FIRST_GUESS_S_PER_STAR = 5e-5
 #: How many times slower or faster than the guess a machine and a method may be.
 GUESS_SPREAD = 4.0
 START_S = 0.02
-#: The newest runs of a method that its pace is taken from.
+#: How many of the newest runs of a method its speed is estimated from.
 RUNS_TIMED = 20
 
 
@@ -117,14 +117,14 @@ class RunSpeed:
 
 @dataclass(frozen=True)
 class TimedRun:
-    """What a finished run was and how long its computing took, without its wait for frames."""
+    """A finished run with its size and its computing time, without its wait for frames."""
 
     stars: int
     seconds: float
 
 
 def list_timed_runs(session: Session, method: str) -> list[TimedRun]:
-    """Return what the newest runs of a method took, newest first: of those that waited for no frames where there are any."""
+    """Return the times of a method's newest runs, newest first; replayed runs only where there are no others."""
     timed = [
         (settings, found.frames or 0, TimedRun(found.stars, found.seconds))
         for settings, found in list_recent_runs(session, method, RUNS_TIMED)
@@ -138,7 +138,7 @@ def list_timed_runs(session: Session, method: str) -> list[TimedRun]:
 
 
 def estimate_run_speed(session: Session, method: str) -> RunSpeed:
-    """Return the pace of the newest runs of a method; a careful guess before there is one."""
+    """Return the speed of the newest runs of a method; a cautious default where there is none."""
     speeds = [run.seconds / run.stars for run in list_timed_runs(session, method)]
     if not speeds:
         guess = FIRST_GUESS_S_PER_STAR
@@ -150,7 +150,7 @@ def estimate_run_speed(session: Session, method: str) -> RunSpeed:
 
 
 def estimate_seconds_per_star(session: Session, method: str) -> float:
-    """Return the median pace of the newest runs of a method."""
+    """Return the median time per star of the newest runs of a method."""
     return estimate_run_speed(session, method).s_per_star
 
 
@@ -177,7 +177,7 @@ def count_pairs(stars: int, exposures: int) -> int:
 
 
 def dry_run(session: Session, request: RunRequest, forecast_sources: ForecastSources | None = None) -> dict[str, Any]:
-    """Say what a run would be."""
+    """Return the summary of a dry run."""
     telemetry, settings = request.telemetry, request.settings
     free = list(settings.free or parse_sensor(request.sensor.document).free)
     quality = parse_quality(telemetry.quality)
@@ -210,7 +210,7 @@ def dry_run(session: Session, request: RunRequest, forecast_sources: ForecastSou
 
 
 def estimate_s(session: Session, requests: Sequence[RunRequest]) -> float:
-    """Return how long runs of one method will take together, seconds of computing."""
+    """Return the total computing time of runs of one method, seconds."""
     if not requests:
         return 0.0
     pace = estimate_run_speed(session, requests[0].settings.method).s_per_star

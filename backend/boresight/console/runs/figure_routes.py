@@ -23,8 +23,8 @@ from boresight.console.runs.service import find_calibration
 from boresight.console.runs.tables import Run
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import FIGURES, Figure, Table, Trace, figure_json
+from boresight.figures.chart import tailed
 from boresight.figures.charts import radial as radial_contrast
-from boresight.figures.history import tailed
 from boresight.figures.style.thinning import thinning
 from boresight.figures.views import aligned, as_band, focus
 from boresight.platform.blobs.store import BlobStore
@@ -42,7 +42,7 @@ Compare = Annotated[str, Query(description="Other runs to show with it: `2,3`.",
 
 @dataclass(frozen=True)
 class View:
-    """How runs are laid over each other, and which part of the axis is looked at."""
+    """How runs are overlaid in a figure, and which part of the axis is shown."""
 
     align: Annotated[
         Literal["frame", "time", "update"],
@@ -108,7 +108,7 @@ def get_figure(
 
 
 def get_figure_source(session: Session, run: Run) -> str | None:
-    """Return what a run's figures are drawn from, as text; None while it may change."""
+    """Return a text that identifies the data behind a run's figures; None while they may change."""
     if run.result_sha256 is None:
         return None
     moving = [session.get_known(Sensor, run.sensor_id).truth, get_incumbent_parameters(session, run)]
@@ -122,7 +122,7 @@ def _make_trace(session: Session, blobs: BlobStore, run: Run, label: str) -> Tra
 
 
 def _read_calibration(session: Session, blobs: BlobStore, run_id: Id) -> Calibration:
-    """Read a run's calibration, complete or so far, which may be nothing yet."""
+    """Read a run's calibration, complete or partial; an empty one where there is none yet."""
     return find_calibration(session, blobs, run_id) or Calibration(status="running")
 
 
@@ -147,7 +147,7 @@ def _figure(name: str) -> Figure:
 
 
 def _others(text: str, run_id: Id) -> list[int]:
-    """Read the numbers of the runs to compare a run with, each once."""
+    """Read the ids of the runs to overlay, each once."""
     if text.count(",") >= MOST_OVERLAID:
         raise RefusedInputError(f"Write the runs to compare as 2,3 and so on, {MOST_OVERLAID - 1} at most.")
     return [number for number in comparisons.read_run_ids([text]) if number != run_id]
@@ -159,7 +159,7 @@ def make_label(session: Session, run: Run) -> str:
 
 
 def _stacked(tables: Mapping[int, Table]) -> Table:
-    """Put the tables of several runs below one another, the run's number first; a column that a run lacks is empty."""
+    """Concatenate the tables of several runs, with the run's number as first column; a column that a run lacks is empty."""
     lengths = {number: max((len(column) for column in table.values()), default=0) for number, table in tables.items()}
     names = dict.fromkeys(name for table in tables.values() for name in table)
     stacked: Table = {"run": [number for number, length in lengths.items() for _ in range(length)]}

@@ -44,7 +44,7 @@ def get_frame_index(session: Session, blobs: BlobStore, run: Run) -> FrameIndex:
 def list_frames(
     session: Session, blobs: BlobStore, run_id: int, *, order: str = "frame", limit: int, after: int = 0
 ) -> list[FrameLine]:
-    """List a run's frames from the place `after` on: in order of number, or the worst that the result keeps first."""
+    """List a run's frames from index `after` on, by number, or by the result's list of worst frames."""
     run = get_run(session, run_id)
     index, worst = get_frame_index(session, blobs, run), list_worst_frames(_read_result(session, blobs, run))
     if order == "worst":
@@ -56,7 +56,7 @@ def list_frames(
 
 
 def list_worst_frames(result: Calibration | None) -> dict[int, tuple[float | None, float | None]]:
-    """Chi-square a degree of freedom, and deviate, of the frames a result keeps, the worst first.
+    """Return chi-square per degree of freedom and its deviate of the frames that a result keeps, worst first.
 
     Results from before `worst_frames` was kept have their innovations, of every frame or of a thousand evenly spaced.
     """
@@ -113,14 +113,14 @@ def get_frame(
 
 
 def _read_result(session: Session, blobs: BlobStore, run: Run) -> Calibration | None:
-    """The run's calibration, complete or so far; None where there is none, or where it does not count."""
+    """Return the run's calibration, complete or partial; an empty one where there is none or it is void."""
     if run.state in TERMINAL_RUN_STATES and run.result_sha256 is None:
         return None
     return find_calibration(session, blobs, run.id)
 
 
 def _with_limit(sensor: Sensor, index: FrameIndex, catalogue: Catalogue) -> Sensor:
-    """The sensor with the magnitude limit that the whole set was matched with."""
+    """Return the sensor with the magnitude limit that the whole set was matched with."""
     if sensor.magnitude_limit is not None:
         return sensor
     return replace(

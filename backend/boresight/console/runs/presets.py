@@ -1,6 +1,6 @@
 """Presets: settings under a name, each with a sentence on when to use them; Boresight's own and the mission's.
 
-A saved preset never changes: saving under the same name makes its next version, archiving takes one out of the choice.
+A saved preset never changes: saving under the same name makes its next version, and an archived one is not offered.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SENTENCE_LENGTH = 300
 
 @dataclass(frozen=True)
 class OfferedPreset:
-    """A preset as it is chosen."""
+    """A preset as it is offered."""
 
     key: str
     name: str
@@ -83,12 +83,12 @@ _BY_KEY = {offer.key: offer for offer in BUILT_IN}
 
 
 def list_offers(session: Session) -> list[OfferedPreset]:
-    """Return what can be chosen: Boresight's own, then the newest version of each of the mission's, by name."""
+    """Return the presets on offer: Boresight's own, then the newest version of each of the mission's, by name."""
     return [*BUILT_IN, *map(make_offer, queries.list_presets_in_use(session))]
 
 
 def make_offer(row: Preset) -> OfferedPreset:
-    """Return a saved version as it is chosen; settings that came after it was saved are at their defaults."""
+    """Return a saved version as an offer; settings introduced after it was saved are at their defaults."""
     return OfferedPreset(str(row.id), f"{row.name}, version {row.number}", row.sentence, _whole(row.document))
 
 
@@ -118,7 +118,7 @@ def list_presets(
 
 
 def save_preset(session: Session, actor: Actor, name: str, sentence: str, settings: Mapping[str, Any]) -> Preset:
-    """Save settings under a name; a name that is there gets its next version."""
+    """Save settings under a name; an existing name gets its next version."""
     require_role(actor, "analyst")
     require_scope(actor, "runs")
     name, sentence = normal_name("name", name), sentence.strip()
@@ -169,7 +169,7 @@ def archive_preset(session: Session, actor: Actor, preset_id: int) -> Preset:
 def choose_settings(
     session: Session, preset: str | None, settings: Mapping[str, Any]
 ) -> tuple[str | None, dict[str, Any]]:
-    """Return the name of a preset and its settings with those given over them; without a preset those given alone."""
+    """Return a preset's name and its settings overridden by the given ones; without a preset the given ones alone."""
     if not preset:
         return None, dict(settings)
     offer = get_offer(session, preset)

@@ -1,4 +1,4 @@
-"""Runs: the row is the truth, and this is every way it changes.
+"""Runs: every change of a run's row, which is the only source of truth.
 
 A run is held by one owner at a time, for the time of a lease, under an attempt number that only grows::
 
@@ -15,7 +15,7 @@ attempt matches no row, and a terminal state is written once, with its audit rec
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, cast
 
@@ -36,7 +36,7 @@ LEVEL_OF_STATE = {"FAILED": "error", "LOST": "error", "CANCELLED": "warning", "C
 
 @dataclass(frozen=True)
 class Line:
-    """One line."""
+    """A line for a run's log."""
 
     kind: str
     message: str
@@ -47,28 +47,28 @@ class Line:
 
     @classmethod
     def log(cls, message: str, numbers: Mapping[str, float] | None = None, *, level: str = "info") -> Line:
-        """Say what a computation says."""
+        """Make the line of a message from a computation."""
         return cls("log", message, level=level, numbers=numbers)
 
     @classmethod
     def moved(cls, state: str, cause: str | None = None) -> Line:
-        """Say that a run is in another state."""
+        """Make the line of a change of state."""
         message = f"{state}: {cause}" if cause else state
         return cls("state", message, state, cause or None, LEVEL_OF_STATE.get(state, "info"))
 
     @classmethod
     def begun(cls, attempt: int, owner: str) -> Line:
-        """Say that an attempt computes."""
+        """Make the line of an attempt that has begun."""
         return cls("state", f"RUNNING: attempt {attempt} on {owner}", "RUNNING")
 
     @classmethod
     def queued_again(cls, cause: str) -> Line:
-        """Say that a run waits again, its attempt having ended without a result."""
+        """Make the line of a run that is queued again after an attempt without a result."""
         return cls("state", f"QUEUED: again, because {cause}", "QUEUED", cause, "warning")
 
     @classmethod
     def attempt_ended(cls, attempt: int, cause: str, *, is_lost: bool) -> Line:
-        """Say why an attempt ended without a result, and whether that counts against its run."""
+        """Make the line of an attempt that ended without a result: why, and whether it counts as lost."""
         kind, level = ("lost", "error") if is_lost else ("log", "warning")
         return cls(kind, f"Attempt {attempt}: {cause}", cause=cause, level=level)
 
@@ -83,7 +83,7 @@ def write_events(session: Session, lines: Sequence[tuple[int, int, Line]]) -> No
     now = utc_now()
     given = [{"run_id": run_id, "attempt": attempt, "at_utc": now, **asdict(line)} for run_id, attempt, line in lines]
     if given:
-        session.flush()  # what waits was said before
+        session.flush()  # flush earlier lines, to keep the order
         session.execute(sa.insert(RunEvent), journals.chained(session, RunEvent, given))
 
 
@@ -105,7 +105,7 @@ def list_events_after(session: Session, after_id: int, limit: int) -> list[RunEv
 
 @dataclass(frozen=True)
 class WaitingRun:
-    """A run that nobody holds, with what decides how long it will take."""
+    """A queued run with what determines its duration."""
 
     run_id: int
     attempt: int
@@ -117,7 +117,7 @@ class WaitingRun:
 
 @dataclass(frozen=True)
 class ClaimedRun:
-    """A run that is now ours: all that its computation needs."""
+    """A run that this server has claimed, with everything that its computation needs."""
 
     run_id: int
     attempt: int
@@ -177,7 +177,7 @@ def find_run(session: Session, run_id: int) -> Run | None:
 
 
 def request_cancels(session: Session, chosen: sa.ColumnElement[bool], reason: str) -> list[tuple[int, str]]:
-    """Stop runs: QUEUED ones end at once, RUNNING ones become CANCELLING; return these with their new states."""
+    """Cancel runs: QUEUED ones end at once, RUNNING ones become CANCELLING; return the changed ones with their new states."""
     stopped = session.execute(
         sa.update(Run)
         .where(chosen, Run.state.in_(("QUEUED", "RUNNING")))
@@ -198,7 +198,7 @@ def request_cancels(session: Session, chosen: sa.ColumnElement[bool], reason: st
 
 
 def request_cancel(session: Session, run_id: int, reason: str) -> Run | None:
-    """Stop a run where it has not ended; return the row."""
+    """Cancel a run that has not ended; return the row."""
     request_cancels(session, Run.id == run_id, reason)
     return find_run(session, run_id)
 
@@ -206,7 +206,7 @@ def request_cancel(session: Session, run_id: int, reason: str) -> Run | None:
 def claim(
     session: Session, owner: str, lease_s: float, limit: int, run_ids: Collection[int] | None = None
 ) -> list[ClaimedRun]:
-    """Take up to `limit` QUEUED runs, of all or of `run_ids`, oldest first, each under its next attempt number."""
+    """Claim up to `limit` QUEUED runs, of all or of `run_ids`, oldest first, each under its next attempt number."""
     free = sa.select(Run.id).where(Run.state == "QUEUED").order_by(Run.id).limit(limit)
     if run_ids is not None:
         free = free.where(Run.id.in_(run_ids))
@@ -231,7 +231,7 @@ def claim(
 
 
 def _fenced(held: HeldRun) -> sa.Update:
-    """Begin a write-back that matches only while this attempt still holds the run."""
+    """Return an UPDATE that matches only while this attempt still holds the run."""
     run_id, attempt = held
     return (
         sa.update(Run)
@@ -259,7 +259,7 @@ def read_states(session: Session, run_ids: Collection[int]) -> dict[HeldRun, str
 
 
 def record_progress(session: Session, run_id: int, attempt: int, progress: Mapping[str, Any]) -> bool:
-    """Write how far a run is; False when this attempt no longer holds it."""
+    """Write the progress of a run; False when this attempt no longer holds it."""
     return _has_matched(session, _fenced((run_id, attempt)).values(progress=dict(progress)))
 
 
@@ -314,7 +314,7 @@ def finish_all(session: Session, ends: Sequence[RunEnd]) -> dict[HeldRun, str]:
 
 
 def _read_held(session: Session, run_ids: Collection[int]) -> dict[HeldRun, tuple[str, str | None]]:
-    """Return state and reason of those runs that an attempt holds. It stays so until the commit: there is one writer at a time."""
+    """Return state and reason of the runs that these attempts still hold, which cannot change before the commit."""
     query = sa.select(Run.id, Run.attempt, Run.state, Run.reason).where(
         Run.id.in_(run_ids), Run.state.in_(HOLDING_STATES)
     )
@@ -322,7 +322,7 @@ def _read_held(session: Session, run_ids: Collection[int]) -> dict[HeldRun, tupl
 
 
 def _as_asked(end: RunEnd, found: tuple[str, str | None]) -> RunEnd:
-    """Return an end as CANCELLED where its run was asked to stop."""
+    """Return the end, as CANCELLED where its run was asked to stop."""
     state, reason = found
     return RunEnd(end.run_id, end.attempt, "CANCELLED", reason, log=end.log) if state == "CANCELLING" else end
 
@@ -332,7 +332,7 @@ def _write_ends(session: Session, ends: Sequence[RunEnd], now: str, **also: Any)
     if not ends:
         return
     runs, names = cast("sa.Table", Run.__table__), ("state", "reason", "result_sha256", "summary")
-    is_held = sa.or_(*(runs.c.state == state for state in HOLDING_STATES))  # an IN would not go with many rows at once
+    is_held = sa.or_(*(runs.c.state == state for state in HOLDING_STATES))  # IN does not work with many rows at once
     fenced = (runs.c.id == sa.bindparam("held"), runs.c.attempt == sa.bindparam("under"), is_held)
     fixed = {"ended_utc": now, "lease_until_utc": None} | also
     write = sa.update(runs).where(*fenced).values({**fixed, **{name: sa.bindparam(f"new_{name}") for name in names}})
@@ -345,7 +345,7 @@ def _write_ends(session: Session, ends: Sequence[RunEnd], now: str, **also: Any)
 
 
 def _register_results(session: Session, ends: Sequence[RunEnd], now: str) -> None:
-    """Name the results' bytes, which the workers have put already; a worker may be on another machine."""
+    """Register the results' blobs, which the workers have stored already, possibly on another machine."""
     sizes = {end.result_sha256: end.result_bytes for end in ends if end.result_sha256 is not None}
     known = set(session.scalars(sa.select(Blob.sha256).where(Blob.sha256.in_(sizes))))
     rows = [
@@ -392,7 +392,7 @@ def _put_back(session: Session, held: HeldRun, cause: str, *, is_lost: bool) -> 
 
 
 def give_up_expired(session: Session, max_attempts: int) -> list[HeldRun]:
-    """Give up every attempt whose lease has lapsed: its server is gone. Return them."""
+    """Give up every attempt whose lease has lapsed because its server is gone, and return them."""
     query = sa.select(Run.id, Run.attempt, Run.owner).where(
         Run.state.in_(HOLDING_STATES), Run.lease_until_utc < utc_now()
     )
@@ -414,10 +414,16 @@ def list_runs_of_set(session: Session, telemetry_set_id: int, limit: int) -> tup
     return newest, session.scalar(sa.select(sa.func.count()).select_from(Run).where(uses)) or 0
 
 
-def list_newest_finished(session: Session, sensor_id: int, limit: int) -> list[Run]:
-    """Return a sensor's newest runs that succeeded, those with a validation set before all others."""
-    query = sa.select(Run).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED")
-    return list(session.scalars(query.order_by(Run.validation_set_id.is_(None), Run.id.desc()).limit(limit)))
+def iterate_newest_finished(session: Session, sensor_id: int) -> Iterator[Run]:
+    """Yield a sensor's runs that succeeded, the newest first, those with a validation set before all others; a read a run."""
+    finished = (
+        sa.select(Run).where(Run.sensor_id == sensor_id, Run.state == "SUCCEEDED").order_by(Run.id.desc()).limit(1)
+    )
+    for which in (Run.validation_set_id.is_not(None), Run.validation_set_id.is_(None)):
+        run = session.scalar(finished.where(which))
+        while run is not None:
+            yield run
+            run = session.scalar(finished.where(which, Run.id < run.id))
 
 
 def count_queued_before(session: Session, run_id: int) -> int:

@@ -1,4 +1,4 @@
-"""Stored results of runs, held to what a calibration must say before anybody reads one."""
+"""Stored results of runs, checked for completeness before they are used."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from boresight.platform.db.data_version import SizeLimitedCache
 
 MOST_REMEMBERED = 4096
 
-#: What was found of a result, by its address: the bytes of an address never change.
+#: Outcomes of the check by content address, whose bytes never change.
 _looked_at: SizeLimitedCache[bool] = SizeLimitedCache(MOST_REMEMBERED)
 
 

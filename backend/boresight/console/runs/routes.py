@@ -115,7 +115,7 @@ def launch_run(
 def get_run(run_id: Id, session: Reading, request: Request) -> Run:
     """Read a run: its state, its progress, and when it has ended its summary."""
     row = runs.get_run(session, run_id)
-    cover_with_tag(request, holds=row.state in TERMINAL_RUN_STATES)  # while it runs its progress moves under one tag
+    cover_with_tag(request, holds=row.state in TERMINAL_RUN_STATES)  # its progress changes without its tag
     return row
 
 
@@ -149,7 +149,7 @@ def get_run_report(run_id: Id, session: Reading, blobs: Blobs, policy: ServerPol
 
 
 def result_so_far(session: Session, blobs: BlobStore, run_id: Id) -> dict[str, Any]:
-    """Return a run's calibration, complete or so far; with nothing yet, one that only says that it runs."""
+    """Return a run's calibration, complete or partial; before there is one, a document with the status only."""
     found = runs.find_result(session, blobs, run_id)
     if found is not None:
         return found

@@ -45,7 +45,7 @@ def launch(  # noqa: PLR0913 - who launches what, and four choices by name
 
 
 def cancel(session: Session, actor: Actor, run_id: int, reason: str = "") -> Run:
-    """Stop a run: a QUEUED one ends at once, a RUNNING one as soon as it notices."""
+    """Cancel a run: a QUEUED one ends at once, a RUNNING one as soon as it notices."""
     require_role(actor, "analyst")
     require_scope(actor, "runs")
     refuse_control_characters(reason=reason)
@@ -103,7 +103,7 @@ def count_by_state(session: Session) -> dict[str, int]:
 
 
 def find_result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any] | None:
-    """Return a run's calibration JSON, what there is so far, or None; a simulated sensor's true parameters are `truth`."""
+    """Return a run's calibration JSON, complete or partial, or None; with the true parameters of a simulated sensor as `truth`."""
     run = get_run(session, run_id)
     document = parse_progress(run.progress).partial
     if run.result_sha256 is not None:

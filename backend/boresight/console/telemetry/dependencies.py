@@ -1,4 +1,4 @@
-"""Taking in a telemetry file: streamed to a folder of its own, never whole in memory, and gone with the request."""
+"""Receiving a telemetry file: streamed to a folder of its own, never whole in memory, and removed with the request."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MOST_FIELDS = 20
 
 @dataclass(frozen=True)
 class Upload:
-    """What came: the fields, and the one file with the name that the sender gave it."""
+    """An upload: the form's fields, and its one file with the sender's name for it."""
 
     fields: Mapping[str, str]
     path: Path | None
@@ -41,7 +41,7 @@ class Upload:
         return self.path
 
     def content(self) -> bytes:
-        """Return fields and file, to be digested."""
+        """Return fields and file as bytes, for the digest of the request."""
         with self.file().open("rb") as file:
             return repr(sorted(self.fields.items())).encode() + hashlib.file_digest(file, "sha256").digest()
 
@@ -79,13 +79,13 @@ class _Form(MultiPartParser):
         self.is_whole = True
 
     async def parse(self) -> FormData:
-        """Parse what comes; what came of the file is written whatever happens."""
+        """Parse the request; the part of the file that arrived is written in any case."""
         with self._file:
             return await super().parse()
 
 
 class _OnDisk(UploadFile):
-    """A file that is written where it stays: a piece needs no thread, which would take longer than to write it."""
+    """A file that is written in place and without a thread, which would take longer than writing a piece."""
 
     async def write(self, data: bytes) -> None:
         """Write a piece."""

@@ -59,7 +59,7 @@ from boresight.platform.web.paging import parse_row_id
 from boresight.settings import Settings
 from boresight.telemetry.quality.report import QualityReport, RadialCoverage
 
-SCRIPTED = "x-boresight-upload"  # the header of an upload whose progress a script shows
+SCRIPTED = "x-boresight-upload"  # sent by the script that shows an upload's progress
 
 router = APIRouter()
 
@@ -103,7 +103,7 @@ SETS = Table(
 
 @dataclass(frozen=True)
 class TelemetryContext:
-    """What the upload form left behind: what was chosen and why it was refused."""
+    """The state of the upload form: its choices and why it was refused."""
 
     sensor: int | None = None
     find: str = ""
@@ -112,7 +112,7 @@ class TelemetryContext:
 
 
 def _in_use(view: TableView) -> dict[str, Any]:
-    """Narrow a view to sets that are not archived, where it does not show these too."""
+    """Return the filter that hides archived sets, unless the view shows them too."""
     return {"archived": None, "in_use": None if view.where.get("archived") else 1}
 
 
@@ -194,7 +194,7 @@ async def upload(
 
 
 def _require_meant(request: Request, upload: Upload) -> None:
-    """Refuse a form without this log-in's token; it comes with the body, which is streamed and read only once."""
+    """Refuse a form without this log-in's CSRF token, which is checked here because the streamed body is read only once."""
     given, expected = upload.fields.get(CSRF_FIELD, ""), getattr(request.state, CSRF_FIELD, None)
     if expected is not None and not hmac.compare_digest(given.encode(), expected.encode()):
         raise ForbiddenError("This form is of another log-in; reload the page and choose the file again.")
@@ -250,7 +250,7 @@ telemetry_set_router = APIRouter(dependencies=[Depends(csrf)])
 
 
 def make_drawings(quality: QualityReport) -> list[Drawing]:
-    """Lay out the figures of a quality report; what it has no data for is left out."""
+    """Lay out the figures of a quality report; those without data are left out."""
     found = []
     if quality.detector_coverage is not None:
         found.append(detector_map(quality.detector_coverage))
@@ -336,7 +336,7 @@ def figure_csv(session: Reading, set_id: int, name: str) -> Response:
 
 @telemetry_set_router.post("/telemetry/{set_id}/archive")
 async def archive(request: Request, actor: Who, set_id: int) -> Response:
-    """Put a set out of sight."""
+    """Archive a set."""
     change = partial(telemetry_sets.archive_telemetry_set, actor=actor, set_id=set_id)
     outcome = await attempt(request, change)
     if outcome.refusal is not None:

@@ -13,7 +13,7 @@ from boresight.platform.db.sessions import Session
 
 
 def find_set_with_bytes(session: Session, sensor_id: int, original_sha256: str) -> TelemetrySet | None:
-    """Return the sensor's set that was uploaded as these bytes."""
+    """Return the sensor's set with this content."""
     query = sa.select(TelemetrySet).where(TelemetrySet.sensor_id == sensor_id)
     return session.scalar(query.where(TelemetrySet.original_sha256 == original_sha256))
 

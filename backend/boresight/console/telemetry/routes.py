@@ -55,7 +55,7 @@ FORM = {
 def _prepare(
     actor: Who, upload: Uploaded, forecast_sources: DryRunSources, settings: ServerSettings, engine: Database
 ) -> Iterator[telemetry_sets.PreparedUpload]:
-    """Read and check the file before the transaction: a large one takes seconds, and there is one writer."""
+    """Read and check the file before the writing transaction, because a large one takes seconds and there is one writer."""
     require_role(actor, "analyst")
     with open_reading(engine) as session:
         document = session.get_known(Sensor, upload.number("sensor_id")).document

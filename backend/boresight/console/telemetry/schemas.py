@@ -1,4 +1,4 @@
-"""Star trackers and their telemetry."""
+"""Telemetry sets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Telemetry sets: what was downlinked, kept as it came and as the table that is worked on.
+"""Telemetry sets: downlinked files, stored as uploaded and as working tables.
 
 A file is checked whole before anything is stored. That takes seconds and there is one writer, so `hold_prepared` comes
 before the transaction and `store_prepared` inside it.
@@ -39,7 +39,7 @@ PARQUET = "application/vnd.apache.parquet"
 
 @dataclass(frozen=True)
 class PreparedUpload:
-    """An uploaded file that was read, found usable and turned into the table that is worked on; nothing is stored yet."""
+    """An uploaded file that was checked and converted to a working table; nothing is stored yet."""
 
     original: Path
     table: Path
@@ -79,7 +79,7 @@ def hold_prepared(
 def _checked(
     path: Path, name: str, sensor: Sensor, catalogue: Catalogue | None, table: Path, limits: Limits
 ) -> dict[str, Any]:
-    """Read a file in chunks into the table that is worked on; returns its quality report. A large file is never whole in memory."""
+    """Read a file in chunks into its working table, never whole in memory; returns its quality report."""
     quality = QualityParts(sensor, catalogue)
     with WorkingTableParts(table) as parts:
         for chunk in read_chunks(path, name, limits=limits):
@@ -109,7 +109,7 @@ def add_telemetry_set(
 
 
 def _put_both(session: Session, blobs: BlobStore, upload: PreparedUpload) -> tuple[str, str]:
-    """Put the file and its table, or neither: a disk that is full after the first keeps nothing of the upload."""
+    """Store both the file and its table, or neither if the disk is full."""
     original = blobs.put(upload.original)
     try:
         return original, blobs.put(upload.table)
@@ -127,7 +127,7 @@ def store_prepared(
     upload: PreparedUpload,
     purpose: str = "calibration",
 ) -> TelemetrySet:
-    """Store what was prepared; the same bytes again are the set that is there."""
+    """Store a prepared upload; the same bytes again return the existing set."""
     _refuse_upload(actor, purpose)
     sensor_id = session.get_known(SensorRow, sensor_id).id
     if (existing := rows.find_set_with_bytes(session, sensor_id, upload.original_sha256)) is not None:
@@ -168,7 +168,7 @@ def _sha256_of_file(path: Path) -> str:
 
 
 def _use_again(session: Session, actor: Actor, row: TelemetrySet) -> TelemetrySet:
-    """Take a set out of the archive, where it is in it."""
+    """Restore a set if it is archived."""
     if row.archived_utc is not None:
         row.archived_utc = None
         audit.append(session, actor, "took out of the archive", _subject(row))
@@ -178,7 +178,7 @@ def _use_again(session: Session, actor: Actor, row: TelemetrySet) -> TelemetrySe
 def _base_name(file_name: str) -> str:
     """Return a sender's file name in its normal form, without the folders of either kind of path."""
     name = normal_name("file name", _without_folders(file_name))
-    return _without_folders(name) or "telemetry"  # once more: normal forms of other characters are slashes
+    return _without_folders(name) or "telemetry"  # split again, because other characters have slashes as normal forms
 
 
 def _without_folders(path: str) -> str:
@@ -202,7 +202,7 @@ def list_telemetry_sets(
 
 
 def archive_telemetry_set(session: Session, actor: Actor, set_id: int) -> TelemetrySet:
-    """Put a set out of sight; nothing is deleted, and runs that used it keep it."""
+    """Archive a set; nothing is deleted, and runs that used it keep it."""
     require_role(actor, "analyst")
     require_scope(actor, "telemetry-sets")
     row = session.get_known(TelemetrySet, set_id)

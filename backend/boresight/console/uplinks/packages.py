@@ -1,4 +1,4 @@
-"""Uplink packages: what an approved set, or the baseline, goes to the spacecraft as.
+"""Uplink packages: the files with which an approved set, or the baseline, goes to the spacecraft.
 
 `inputs` gathers everything that the bytes follow from, and only what lasts, into one document; so the same set under
 the same definition, signatures and way back is the package that exists already, byte for byte.
@@ -38,7 +38,7 @@ WAIVED = ("gate", "code", "reason", "printed_name", "made_utc", "expires_utc")
 
 
 def describe_set(session: Session, row: ParameterSet) -> dict[str, Any]:
-    """Return everything that a package says of a set."""
+    """Return a package's description of a set."""
     return {
         "id": row.id,
         "name": row.name,
@@ -53,7 +53,7 @@ def describe_set(session: Session, row: ParameterSet) -> dict[str, Any]:
 
 
 def describe_four_eyes(session: Session, row: ParameterSet, policy: Policy) -> dict[str, Any]:
-    """Say whether this installation asks for a second person, and whether one approved this set: None where nobody signed."""
+    """Return whether this installation requires a second person, and whether one approved this set, None where nobody signed."""
     approval = approval_rows.find_latest_approval(session, row.id, "APPROVED")
     second = None if approval is None else list_second_persons(session, approval, Policy())
     kept = None if approval is None or second is None else len(second) >= approval.needed
@@ -69,7 +69,7 @@ def describe_four_eyes(session: Session, row: ParameterSet, policy: Policy) -> d
 
 
 def _describe_run(session: Session, row: ParameterSet) -> dict[str, Any] | None:
-    """Say which run a set was made of, from which data; None for a ground calibration."""
+    """Return the run of a set and its data; None for a ground calibration."""
     run = None if row.run_id is None else session.get_one(Run, row.run_id)
     if run is None:
         return None
@@ -102,7 +102,7 @@ def _describe_telemetry(session: Session, telemetry_set_id: int | None) -> dict[
 
 
 def _describe_gates(session: Session, row: ParameterSet) -> dict[str, Any] | None:
-    """Say what the gate report that was signed found, with the waivers that the request binds; None when nothing was judged."""
+    """Return the signed gate report with the bound waivers; None where there was none."""
     approval = approval_rows.find_latest_approval(session, row.id, "APPROVED")
     bound = {} if approval is None else approval.bound
     report = approval_rows.find_newest_report(session, row.id, bound.get("gate_report_sha256"))
@@ -141,7 +141,7 @@ def _describe_approval(session: Session, row: ParameterSet) -> dict[str, Any] | 
 
 
 def _describe_signature(signature: Signature) -> dict[str, Any]:
-    """Say who signed what, and who else knew the password, where somebody did."""
+    """Return a signature, with who else knew the password."""
     said = {key: getattr(signature, key) for key in SIGNED}
     return said if signature.password_by is None else said | {"password_by": signature.password_by}
 
@@ -186,7 +186,7 @@ def build(
 
 
 def _refuse_unsigned(session: Session, actor: Actor, row: ParameterSet) -> None:
-    """Refuse an approved set that is not any more what was signed; a baseline stays what it became."""
+    """Refuse an approved set that has changed since it was signed; a baseline is not checked."""
     approval = (
         approval_rows.find_latest_approval(session, row.id, "APPROVED") if row.ground_state == "APPROVED" else None
     )
@@ -202,7 +202,7 @@ def _refuse_other_versions(
     flight_software_version: str | None,
     table_id: str | None,
 ) -> None:
-    """Refuse a table for other flight software, or another table, than the definition in force."""
+    """Refuse to build a package for another flight software or table than the definition in force."""
     said = {"flight_software_version": flight_software_version, "table_id": table_id}
     asked = {key: value for key, value in said.items() if value is not None}
     if not asked:
@@ -226,7 +226,7 @@ def _listed(versions: Mapping[str, str]) -> str:
 def _gather_inputs(
     session: Session, row: ParameterSet, definition: TableDefinition | None, policy: Policy
 ) -> dict[str, Any]:
-    """Gather what the bytes follow from, apart from when they were first built."""
+    """Gather the inputs of the package except the time when it was first built."""
     sensor = session.get_one(Sensor, row.sensor_id)
     baseline = set_rows.find_baseline(session, row.sensor_id)
     way_back = rows.find_baseline_before(session, row) if row.ground_state == "BASELINE" else baseline
@@ -255,7 +255,7 @@ def _find_existing(session: Session, row: ParameterSet, inputs: Mapping[str, Any
 
 
 def _keep(session: Session, blobs: BlobStore, package: Package) -> Package:
-    """Return a package, its bytes laid down again where the folder lost or spoiled them."""
+    """Return a package, rebuilding its file where that was lost or altered."""
     try:
         blobs.path(package.sha256)
     except (NotFoundError, CorruptFileError):
@@ -273,7 +273,7 @@ def _store(
     definition: TableDefinition | None,
     inputs: dict[str, Any],
 ) -> Package:
-    """Build the bytes and keep them with what they follow from."""
+    """Build the package and store it with its inputs."""
     sha256 = register_blob(session, blobs, blobs.put(rebuild(inputs)), MEDIA_TYPE).sha256
     package = Package(
         parameter_set_id=row.id,

@@ -1,4 +1,4 @@
-"""Queries on what was recorded about the sets on board, on uplink packages and on table definitions."""
+"""Queries on uplink records, packages and table definitions."""
 
 from __future__ import annotations
 
@@ -6,9 +6,22 @@ from collections.abc import Sequence
 
 import sqlalchemy as sa
 
-from boresight.console.parameter_sets.tables import ParameterSet, Promotion
+from boresight.console.fleet.tables import Sensor
+from boresight.console.parameter_sets.tables import ONBOARD_STATES, ParameterSet, Promotion
 from boresight.console.uplinks.tables import TableDefinition, Uplink
 from boresight.platform.db.sessions import Session
+
+# What is said of a sensor's board, with its level: of all that its sets tell, the first of these.
+BOARD_WORDS = {
+    "MISMATCH": "critical",
+    "DIFFERS": "caution",  # a set is active that is not the baseline
+    "VERIFIED": "standby",
+    "LOADED": "standby",
+    "SENT": "standby",
+    "THE SAME": "normal",
+    "UNKNOWN": "caution",
+    "NOT SENT": "off",
+}
 
 
 def list_records_until(session: Session, sensor_id: int, time_utc: str) -> Sequence[tuple[ParameterSet, Uplink]]:
@@ -24,19 +37,19 @@ def list_records_until(session: Session, sensor_id: int, time_utc: str) -> Seque
     return [(parameter_set, uplink) for parameter_set, uplink in rows]
 
 
-def read_newest_states(session: Session) -> dict[int, list[tuple[int, str]]]:
-    """Return of every sensor with records its sets and what was recorded last of each, by sensor, in the order of recording."""
-    newest = sa.select(sa.func.max(Uplink.id)).group_by(Uplink.parameter_set_id)
-    columns = (ParameterSet.sensor_id, ParameterSet.id, Uplink.onboard_state)
-    query = sa.select(*columns).join(Uplink, Uplink.parameter_set_id == ParameterSet.id)
-    found: dict[int, list[tuple[int, str]]] = {}
-    for sensor_id, set_id, state in session.execute(query.where(Uplink.id.in_(newest)).order_by(Uplink.id)):
-        found.setdefault(sensor_id, []).append((set_id, state))
-    return found
+def find_board_place() -> sa.ScalarSelect[int]:
+    """Return the expression of the place in `BOARD_WORDS` of what is known of a sensor's board."""
+    places = {word: place for place, word in enumerate(BOARD_WORDS)}
+    is_baseline = ParameterSet.ground_state == "BASELINE"
+    active = sa.case((is_baseline, places["THE SAME"]), else_=places["DIFFERS"])
+    recorded = [(ParameterSet.onboard_state == state, places[state]) for state in ONBOARD_STATES if state in places]
+    place = sa.case((ParameterSet.onboard_state == "ACTIVE", active), *recorded)
+    query = sa.select(sa.func.coalesce(sa.func.min(place), places["NOT SENT"]))
+    return query.where(ParameterSet.sensor_id == Sensor.id).correlate(Sensor).scalar_subquery()
 
 
 def find_newest_record(session: Session, parameter_set_id: int, onboard_state: str | None = None) -> Uplink | None:
-    """Return what was recorded last of a set, or last in a state."""
+    """Return the newest record of a set, of all or of one state."""
     query = sa.select(Uplink).where(Uplink.parameter_set_id == parameter_set_id).order_by(Uplink.id.desc()).limit(1)
     return session.scalar(query if onboard_state is None else query.where(Uplink.onboard_state == onboard_state))
 
@@ -48,7 +61,7 @@ def find_newest_compared(session: Session, parameter_set_id: int, method: str, a
 
 
 def list_other_sets(session: Session, row: ParameterSet) -> Sequence[ParameterSet]:
-    """Return the other sets of a set's sensor that were ever baseline, newest first: what may be on board instead."""
+    """Return the other sets of a set's sensor that were ever baseline and so may be on board, newest first."""
     query = sa.select(ParameterSet).where(ParameterSet.sensor_id == row.sensor_id, ParameterSet.id != row.id)
     return session.scalars(
         query.where(ParameterSet.baseline_from_utc.is_not(None)).order_by(ParameterSet.id.desc())

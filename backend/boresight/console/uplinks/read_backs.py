@@ -1,4 +1,4 @@
-"""Read-backs: the dump of a table, or the CRC that the spacecraft tells of it, held against what was sent.
+"""Read-backs: comparing the dump of a table, or the CRC that the spacecraft reports, with what was sent.
 
 Equal bytes make a set VERIFIED; so does an equal CRC, which is weaker: of w bits it passes one wrong table in 2^w.
 Anything else is MISMATCH, and one that bytes showed is taken back by bytes only, or by sending again.
@@ -50,12 +50,12 @@ class SentTable:
 
     @property
     def crc(self) -> str | None:
-        """The CRC that the spacecraft should tell, with all its digits; None where the definition names none."""
+        """The CRC that the spacecraft should report, with all its digits; None where the definition has none."""
         value = tables.table_crc(self.definition, self.content)
         return None if value is None or self.definition.crc is None else self.definition.crc.text(value)
 
     def document(self) -> dict[str, Any]:
-        """Say what was compared with."""
+        """Return the description of the reference."""
         named = {"definition": {"number": self.row.number, "sha256": self.row.sha256}}
         if self.package is not None:
             named["package"] = {"id": self.package.id, "sha256": self.package.sha256}
@@ -124,7 +124,7 @@ def read_back(
 
 
 def choose_dump_or_crc(dump: bytes | None, crc: str) -> bytes | str:
-    """Return the one that was given."""
+    """Return whichever was given, the dump or the CRC."""
     if (dump is None) == (not crc.strip()):
         raise RefusedInputError("Give the dump or the CRC that the spacecraft told: one of them.")
     if dump is not None and len(dump) > MOST_DUMP_BYTES:
@@ -133,7 +133,7 @@ def choose_dump_or_crc(dump: bytes | None, crc: str) -> bytes | str:
 
 
 def _refuse_unreadable(session: Session, row: ParameterSet, read: bytes | str) -> None:
-    """Refuse a read-back of what was not loaded, and a CRC against what a dump has shown."""
+    """Refuse a read-back of a set that was not loaded, and a CRC after a dump that differed."""
     if row.onboard_state not in READABLE:
         raise ConflictError(
             f"{row.name} is {row.onboard_state} on board; record it as LOADED before a read-back of it."
@@ -143,7 +143,7 @@ def _refuse_unreadable(session: Session, row: ParameterSet, read: bytes | str) -
 
 
 def _compare_crc(reference: SentTable, told: str) -> tuple[bool, dict[str, Any]]:
-    """Hold a typed CRC against the one that was sent."""
+    """Compare a typed CRC with that of the sent table."""
     checksum, expected = reference.definition.crc, reference.crc
     if checksum is None or expected is None:
         raise RefusedInputError("The table definition names no CRC, so a typed one says nothing; upload the dump.")
@@ -163,7 +163,7 @@ def _compare_crc(reference: SentTable, told: str) -> tuple[bool, dict[str, Any]]
 def _compare_bytes(
     session: Session, blobs: BlobStore, row: ParameterSet, reference: SentTable, dump: bytes
 ) -> tuple[bool, dict[str, Any]]:
-    """Hold a dump against the bytes that were sent; the dump is kept, and the evidence is its document."""
+    """Compare a dump with the bytes that were sent; stores the dump and returns the evidence."""
     definition = reference.definition
     image = table_image(definition.cfe, definition.length_bytes, dump)
     comparison = compare(definition, reference.content, image)
@@ -179,11 +179,11 @@ def _compare_bytes(
 def _find_identical_set(
     session: Session, row: ParameterSet, definition: tables.TableDefinition, image: bytes
 ) -> str | None:
-    """Return the name of another set of the sensor that a dump is the table of: most often the one before."""
+    """Return the name of another set of the sensor whose table the dump is, most often the former one."""
     for other in rows.list_other_sets(session, row):
         try:
             if tables.encode(definition, other.document["parameters"]) == image:
                 return other.name
         except RefusedInputError:
-            continue  # a set that does not fit in the table is not what was read from it
+            continue  # a set that does not fit in the table cannot be in the dump
     return None

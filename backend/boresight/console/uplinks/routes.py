@@ -24,7 +24,7 @@ from boresight.console.access.dependencies import (
 )
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.approvals.tables import GateProfile
-from boresight.console.change_proposals import service as second_person
+from boresight.console.change_proposals import service as proposals
 from boresight.console.change_proposals.routes import PROPOSED, in_force_or_proposed
 from boresight.console.operation import FORM_CONTENT, Answer, operations
 from boresight.console.schemas import Shape
@@ -42,7 +42,7 @@ router = operations("/uplinks", tags=["uplinks"])
 
 
 class Record(Shape):
-    """A step on board, and where it is known from."""
+    """An on-board state to record, and its source."""
 
     parameter_set_id: Id
     onboard_state: str = Field(examples=["SENT"])
@@ -56,12 +56,12 @@ class Record(Shape):
 
     @property
     def signed(self) -> bool:
-        """Whether it comes with anything of a signature."""
+        """Whether the body has any part of a signature."""
         return self.password is not None or self.meaning is not None
 
 
 def _entry(session: Session, actor: Actor, record: Record, proof: PasswordProof, seen: int | None) -> Uplink:
-    """Make the entry: a signed one as `:activate` does, any other by statement."""
+    """Record the entry: with a signature as `:activate` does, otherwise by statement."""
     set_id, happened = record.parameter_set_id, record.happened_utc
     if not record.signed:
         return uplinks.record(
@@ -142,7 +142,7 @@ FORM = {
 
 @dataclass(frozen=True)
 class ReadBack:
-    """What came: the fields, and the dump if there was one."""
+    """The body of a read-back: its fields, and the dump if there was one."""
 
     source: str
     crc: str
@@ -150,14 +150,14 @@ class ReadBack:
     dump: bytes | None
 
     def content(self) -> bytes:
-        """Return what came, to be digested: a form's text differs from one sending to the next, this does not."""
+        """Return the content for the digest of the request; the raw form differs each time it is sent."""
         return repr((self.source, self.crc, self.happened)).encode() + hashlib.sha256(self.dump or b"").digest()
 
 
 async def read_form(
     request: Request,
 ) -> ReadBack:
-    """Read the form; what is no file is a text, and a field that is left out is an empty one."""
+    """Read the form; a missing field counts as empty."""
     async with request.form(max_files=1, max_fields=MOST_FIELDS) as form:
         file = form.get("file")
         dump = await file.read() if isinstance(file, UploadFile) and file.filename else None
@@ -331,7 +331,7 @@ def set_table_definition(
     Where the setting `second_person` is on, the change is proposed, answered with 202, and moves nothing until another
     analyst or administrator confirms it.
     """
-    made = second_person.change(
+    made = proposals.change(
         session,
         actor,
         "table-definition",

@@ -1,4 +1,4 @@
-"""What is known to be on board, what held for a sensor at a time, table definitions and uplink packages."""
+"""Uplink records, the state of a sensor at a time, table definitions and uplink packages."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class Package(Row):
     @model_validator(mode="before")
     @classmethod
     def _from_row(cls, row: Any) -> Any:
-        """Take what is shown out of the inputs of a stored package."""
+        """Read the members from the inputs of a stored package."""
         if not hasattr(row, "inputs"):
             return row
         columns = ("id", "parameter_set_id", "table_definition_id", "sha256", "created_utc", "created_by")

@@ -37,7 +37,7 @@ from boresight.platform.web.text_validation import refuse_control_characters
 
 @dataclass(frozen=True)
 class EntryBasis:
-    """What an entry rests on; nothing but its source makes it a statement."""
+    """The basis of an entry; with a source alone it is a statement."""
 
     details: Mapping[str, Any] = field(default_factory=dict)
     method: str | None = None
@@ -51,7 +51,7 @@ STATEMENT = EntryBasis()
 def get_set_for_entry(
     session: Session, actor: Actor, parameter_set_id: int, source: str, seen_version: int | None
 ) -> ParameterSet:
-    """Return the set that an operator makes an entry for."""
+    """Return the set of an operator's entry, after checking role and version."""
     require_role(actor, "operator")
     require_scope(actor, "uplinks")
     require_user(actor, "record an uplink")
@@ -76,7 +76,7 @@ def has_shown_mismatch(session: Session, row: ParameterSet) -> bool:
 
 
 def refuse_shown_mismatch(session: Session, row: ParameterSet) -> None:
-    """Refuse what would take back, without bytes, a mismatch that bytes showed."""
+    """Refuse to leave a mismatch that a dump showed without another dump or sending again."""
     if has_shown_mismatch(session, row):
         raise ConflictError(
             f"A dump of {row.name} showed the mismatch; upload a dump that matches, or send the table again."
@@ -175,20 +175,20 @@ def activate(
 
 
 def compute_shown_sha256(session: Session, row: ParameterSet) -> str:
-    """Return the hash of what a signature that a set is active stands for: the set, and the record that verified it."""
+    """Return the hash that an activation's signature covers: the set and the record that verified it."""
     newest = lists.list_newest(session, Uplink, set=row.id, limit=1)
     verified = [{"record": it.id, "state": it.onboard_state, "method": it.method} for it in newest]
     return compute_sha256({"parameter_set": row.name, "set_sha256": row.sha256, "verified": verified})
 
 
 def list_next_statements(session: Session, row: ParameterSet) -> list[str]:
-    """Return the states that can be recorded next of a set by statement."""
+    """Return the states of a set that can be recorded next by statement."""
     told = [state for state in NEXT[row.onboard_state] if state in STATED]
     return [state for state in told if state != "LOADED"] if has_shown_mismatch(session, row) else told
 
 
 def _refuse_statement(actor: Actor, row: ParameterSet, onboard_state: str) -> None:
-    """Refuse what is nobody's to state, and name the door that it comes by."""
+    """Refuse a state that cannot be recorded by statement, and name the operation for it."""
     if onboard_state == "VERIFIED":
         raise ConflictError(
             f"VERIFIED is not recorded by statement: give the dump or the CRC of {row.name} to `:read-back`, which compares."
@@ -202,14 +202,14 @@ def _refuse_statement(actor: Actor, row: ParameterSet, onboard_state: str) -> No
 
 
 def _refuse_unread(session: Session, row: ParameterSet) -> None:
-    """Refuse to sign for a set that was recorded as VERIFIED by word alone, as earlier versions let it be."""
+    """Refuse to activate a set that was recorded as VERIFIED by statement alone, which earlier versions allowed."""
     newest = rows.find_newest_record(session, row.id)
     if newest is None or newest.method is None:
         raise ConflictError(f"{row.name} is VERIFIED by statement alone; read it back by dump or CRC, then sign.")
 
 
 def _refuse_step(row: ParameterSet, onboard_state: str) -> None:
-    """Refuse a step off the ladder."""
+    """Refuse a step that is not allowed from the current state."""
     if onboard_state not in NEXT:
         raise RefusedInputError(f"There is no on-board state {onboard_state!r}; the states are {', '.join(NEXT)}.")
     if onboard_state not in NEXT[row.onboard_state]:
@@ -224,7 +224,7 @@ def _refuse_step(row: ParameterSet, onboard_state: str) -> None:
 def _describe_package(
     session: Session, row: ParameterSet, package_id: int | None, onboard_state: str
 ) -> dict[str, Any]:
-    """Return what is kept of the package that was sent; refuse another set's, and to send one for another table."""
+    """Return the record's description of the sent package; refuse a package of another set or for another table."""
     if package_id is None:
         return {}
     package = session.get(Package, package_id)
@@ -254,7 +254,7 @@ def get_dump_digest(session: Session, uplink_id: int) -> str:
 
 
 def find_baseline_at(session: Session, sensor_id: int, time: str) -> ParameterSet | None:
-    """Return what was the sensor's baseline at a time; None before there was one."""
+    """Return the sensor's baseline at a time; None before the first one."""
     return set_rows.find_baseline_at(session, sensor_id, read_time(time))
 
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from boresight.cameras import CAMERA_MODELS
-from boresight.console.approvals import proposals, staleness
-from boresight.console.approvals.tables import ChangeProposal
+from boresight.console.approvals import staleness
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.transitions import DocumentInForce, require_change, require_seen_document
@@ -41,7 +41,7 @@ def list_definitions(session: Session, sensor_id: int) -> Sequence[TableDefiniti
 
 
 def parse_stored(session: Session, row: TableDefinition) -> table_definition.TableDefinition:
-    """Return what a stored definition says."""
+    """Return a stored definition, parsed."""
     sensor = session.get_one(Sensor, row.sensor_id)
     return table_definition.parse_definition(row.document, parse_sensor(sensor.document))
 
@@ -128,7 +128,7 @@ def put_into_force(
     reason: str,
     proposal: ChangeProposal | None = None,
 ) -> TableDefinition:
-    """Make a definition the one in force, of whoever proposed it where somebody did."""
+    """Put a definition into force, in the name of its proposer where there is one."""
     parse_for(session, sensor_id, document)
     sensor, current = session.get_known(Sensor, sensor_id), rows.find_definition_in_force(session, sensor_id)
     row = TableDefinition(
@@ -145,6 +145,5 @@ def put_into_force(
     after = {"sensor": sensor.name, "number": row.number, "sha256": row.sha256, "document": row.document}
     after |= {} if proposal is None else {"proposal": proposal.id}
     audit.append(session, actor, "defined", f"table-definitions/{row.id}", before, after, row.reason)
-    proposals.make_stale(session, actor, sensor_id, "table-definition", row.number)
     staleness.make_stale_of_sensor(session, actor, sensor_id, f"the table definition became version {row.number}")
     return row

@@ -1,4 +1,4 @@
-"""What goes to the spacecraft and what is known to be there: table definitions, packages, records."""
+"""Table definitions, uplink packages and on-board records."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from boresight.platform.db.documents import JsonText
 
 
 class Uplink(Base):
-    """What was exported or recorded as loaded on board, entry by entry; never edited."""
+    """A record of an on-board state; never edited."""
 
     __tablename__ = "uplinks"
     noun = "uplink record"
@@ -26,7 +26,7 @@ class Uplink(Base):
     recorded_by: Mapped[int] = mapped_column(sa.ForeignKey("users.id"))
     method: Mapped[str | None] = mapped_column(sa.Text)  # how a read-back was compared: bytes | crc
     evidence: Mapped[dict[str, Any] | None] = mapped_column(JsonText)  # package, dump, CRC, differing fields
-    printed_name: Mapped[str | None] = mapped_column(sa.Text)  # of who signed that it is active
+    printed_name: Mapped[str | None] = mapped_column(sa.Text)  # of the activation's signature
     meaning: Mapped[str | None] = mapped_column(sa.Text)
 
 

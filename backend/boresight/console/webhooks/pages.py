@@ -1,4 +1,4 @@
-"""Webhooks: who is told what happens, the trial, and the log of every message with its outcome."""
+"""Webhooks: the list, a trial message, and the log of every message with its outcome."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.console.access.dependencies import Reading, SecretKeeper, Who, csrf
-from boresight.console.jobs.webhook_sender import ServerWebhookSender
+from boresight.console.jobs.dependencies import ServerWebhookSender
 from boresight.console.pages.rendering import RefusalContext, attempt, make_change, read_again, redirect_refused, render
 from boresight.console.webhooks import service as webhooks
 from boresight.console.webhooks.secrets import get_state
@@ -29,7 +29,7 @@ ROWS_A_PAGE = 50
 
 @dataclass(frozen=True)
 class WebhooksContext:
-    """What a form left behind: its refusal, what was typed, a secret that is shown once."""
+    """The state of a form: its refusal, what was typed, a secret that is shown once."""
 
     refusal: RefusalContext | None = None
     typed: Mapping[str, str] = field(default_factory=dict)
@@ -138,14 +138,14 @@ async def renew_secret(
 
 @router.post("/webhooks/{webhook_id:int}/disable", response_class=HTMLResponse)
 async def disable(request: Request, actor: Who, webhook_id: int) -> Response:
-    """Tell an address nothing more."""
+    """Disable a webhook."""
     change = partial(webhooks.disable_webhook, actor=actor, webhook_id=webhook_id)
     return await make_change(request, change, f"/webhooks/{webhook_id}", "Disabled: it is told nothing more.")
 
 
 @router.post("/webhooks/{webhook_id:int}/enable", response_class=HTMLResponse)
 async def enable(request: Request, actor: Who, webhook_id: int) -> Response:
-    """Tell an address again."""
+    """Enable a webhook."""
     change = partial(webhooks.enable_webhook, actor=actor, webhook_id=webhook_id)
     return await make_change(
         request, change, f"/webhooks/{webhook_id}", "Enabled: it is told what happens from now on."

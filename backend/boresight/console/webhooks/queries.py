@@ -13,7 +13,7 @@ from boresight.platform.db.sessions import Engine, Session
 
 
 def list_webhooks(session: Session, *, enabled_only: bool = False) -> Sequence[Webhook]:
-    """Return every webhook, newest first, or those that are told things now."""
+    """Return every webhook, newest first, or the enabled ones only."""
     query = sa.select(Webhook).order_by(Webhook.id.desc())
     return session.scalars(query.where(Webhook.disabled_utc.is_(None)) if enabled_only else query).all()
 
@@ -30,7 +30,7 @@ def read_newest_audit_id(session: Session) -> int:
 
 
 def read_next_delivery_id(session: Session) -> int:
-    """Return the number that the next message will have: messages are numbered by their writer, of whom there is one at a time."""
+    """Return the number of the next message; the one writer at a time numbers them."""
     session.flush()
     return journals.newest(session, journals.AppendOnlyTable(WebhookDelivery))[0] + 1
 
@@ -38,7 +38,7 @@ def read_next_delivery_id(session: Session) -> int:
 def list_due(
     session: Session, now_utc: str, limit: int, of_each: int = 1, *, among: Collection[int]
 ) -> Sequence[tuple[WebhookDelivery, Webhook]]:
-    """Return what is to be delivered now to some webhooks that are told things, at most so many of each: one of each first."""
+    """Return the due messages of some enabled webhooks, at most so many of each, one of each first."""
     place = sa.func.row_number().over(
         partition_by=WebhookDelivery.webhook_id, order_by=(WebhookDelivery.due_utc, WebhookDelivery.id)
     )
@@ -56,7 +56,7 @@ def list_due(
 
 
 def put_off(session: Session, webhook_id: int, until_utc: str) -> None:
-    """Let everything that waits for a webhook wait until a time at least."""
+    """Postpone all waiting messages of a webhook to a time at least."""
     waits = (WebhookDelivery.webhook_id == webhook_id, WebhookDelivery.state == "PENDING")
     session.flush()
     session.execute(
@@ -65,7 +65,7 @@ def put_off(session: Session, webhook_id: int, until_utc: str) -> None:
 
 
 def is_any_untold(session: Session) -> bool:
-    """Whether there is an audit record that a webhook was not told of."""
+    """Whether there is an audit record without messages to a webhook yet."""
     newest = read_newest_audit_id(session)
     untold = sa.select(Webhook.id).where(Webhook.disabled_utc.is_(None), Webhook.told_audit_id < newest).limit(1)
     return session.scalar(untold) is not None
@@ -78,7 +78,7 @@ def overwrite_what_is_deleted(session: Session) -> None:
 
 
 def empty_journal(engine: Engine) -> None:
-    """Fold SQLite's write-ahead log into the file and empty it, unless somebody reads just now."""
+    """Checkpoint and truncate SQLite's write-ahead log, unless a reader is active."""
     if engine.dialect.name != "sqlite":
         return
     connection = engine.raw_connection()

@@ -1,4 +1,4 @@
-"""Webhooks: who is told what happens, and every message that was sent. For administrators in person."""
+"""Webhooks, and every message that was sent. For administrators in person."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from fastapi import Depends
 from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.console.access.dependencies import Reading, SecretKeeper, Who, Writing
-from boresight.console.jobs.webhook_sender import ServerWebhookSender
+from boresight.console.jobs.dependencies import ServerWebhookSender
 from boresight.console.operation import Answer, Beside, operations
 from boresight.console.schemas import Shape
 from boresight.console.webhooks import schemas
@@ -47,7 +47,7 @@ class Renewal(Shape):
 
 
 def _judge(wanted: WantedWebhook, actor: Who, sender: ServerWebhookSender) -> None:
-    """Look up where the address leads before the writing transaction: that takes time, and there is one writer."""
+    """Resolve and check the address before the writing transaction, because that takes time and there is one writer."""
     webhooks.judge_address(actor, wanted.url, sender.targets)
 
 

@@ -36,21 +36,21 @@ def decode_key(secret: str) -> bytes:
 
 
 def _standard(secret: str) -> str:
-    """Write the same key as libraries read it: older versions wrote it in the alphabet for addresses, unpadded."""
+    """Write the key in standard base64, as libraries expect; older versions wrote unpadded URL-safe base64."""
     bare = secret.removeprefix(PREFIX).replace("-", "+").replace("_", "/")
     return PREFIX + bare + "=" * (-len(bare) % 4)
 
 
 @dataclass(frozen=True)
 class SecretStorage:
-    """How the secrets of an installation are kept, after a look at all of them."""
+    """How many secrets of an installation are encrypted, plain or unreadable."""
 
     encrypted: int
     unreadable: Sequence[str]
 
     @property
     def sentence(self) -> str | None:
-        """Say what is to be done; None when nothing is."""
+        """Return a sentence on what to do; None when nothing is."""
         if not self.unreadable:
             return None
         return (
@@ -61,7 +61,7 @@ class SecretStorage:
 
 
 def encrypt_all(engine: Engine, box: SecretBox) -> SecretStorage:
-    """Encrypt every secret that is stored plain, and say which cannot be read here."""
+    """Encrypt every secret that is stored plain, and return how all are stored."""
     with open_reading(engine) as session:
         if not any(not is_sealed(row.secret) for row in rows.list_webhooks(session)):
             return _keep(session, box, 0)
@@ -83,7 +83,7 @@ def _keep(session: Session, box: SecretBox, encrypted: int) -> SecretStorage:
 
 
 def encrypt_anew(session: Session, box: SecretBox) -> int:
-    """Encrypt every secret that can be read with the newest key; return how many."""
+    """Encrypt every readable secret with the newest key; return how many."""
     found = [row for row in rows.list_webhooks(session) if box.open(row.secret) is not None]
     for row in found:
         row.secret = box.seal(str(box.open(row.secret)))
@@ -95,7 +95,7 @@ def encrypt_anew(session: Session, box: SecretBox) -> int:
 
 
 def list_readable_ids(session: Session, box: SecretBox) -> list[int]:
-    """Return the webhooks that are told things now and whose secret can be read here."""
+    """Return the enabled webhooks whose secret can be read here."""
     return [row.id for row in rows.list_webhooks(session, enabled_only=True) if box.open(row.secret) is not None]
 
 

@@ -51,7 +51,7 @@ def name_kind(record: AuditRecord) -> str:
 
 
 def make_message(record: AuditRecord) -> dict[str, object]:
-    """Tell an audit record to programs."""
+    """Make the webhook message of an audit record."""
     return {
         "type": name_kind(record),
         "at_utc": record.at_utc,
@@ -65,9 +65,9 @@ def make_message(record: AuditRecord) -> dict[str, object]:
 FIRST_WAIT_S = 5.0
 WAIT_GROWS = 4.0
 MOST_ATTEMPTS = 8
-LEASE_S = 60.0  # a message under way is not taken up by another server before this
+LEASE_S = 60.0  # no other server takes a message before this time is over
 RECORDS_A_TURN = 200
-MESSAGES_A_TURN = 5  # to one webhook, so that none takes the places of the others
+MESSAGES_A_TURN = 5  # per webhook, so that none delays the others
 LONGEST_OVERLAP_HOURS = 168.0
 HOUR_S = 3600.0
 TRIAL = "boresight.trial"
@@ -76,7 +76,7 @@ HEAD = "audit.head"
 
 @dataclass(frozen=True)
 class WebhookMessage:
-    """A message under way: where to, signed with which secrets, and what."""
+    """A message to be sent: its address, secrets and content."""
 
     delivery_id: int
     webhook_id: int
@@ -95,7 +95,7 @@ def judge_address(actor: Actor, url: str, targets: WebhookTargets) -> None:
 def create_webhook(
     session: Session, actor: Actor, box: SecretBox, *, label: str, url: str, actions: Collection[str] = ()
 ) -> tuple[Webhook, str]:
-    """Tell an address what happens from now on; return the webhook and its secret, which is stored encrypted."""
+    """Create a webhook for events from now on; return it and its secret, which is stored encrypted."""
     _require_administrator(actor)
     refuse_control_characters(label=label, url=url)
     if not label.strip():
@@ -136,7 +136,7 @@ def renew_secret(
 
 
 def _read_kind(action: str) -> str:
-    """Return a kind of event as it is compared."""
+    """Return the normalised name of a kind of event."""
     noun, dot, verb = action.strip().partition(".")
     if not (noun and dot and verb) or not action.strip().replace(".", "").replace("-", "").replace("*", "x").isalnum():
         raise RefusedInputError(
@@ -158,7 +158,7 @@ def list_webhooks(session: Session, actor: Actor) -> Sequence[Webhook]:
 
 
 def disable_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
-    """Tell an address nothing more; its log stays."""
+    """Disable a webhook; its log stays."""
     row = get_webhook(session, actor, webhook_id)
     if row.disabled_utc is None:
         row.disabled_utc = utc_now()
@@ -168,7 +168,7 @@ def disable_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
 
 
 def enable_webhook(session: Session, actor: Actor, webhook_id: int) -> Webhook:
-    """Tell an address again what happens from now on, not what happened meanwhile."""
+    """Enable a webhook for events from now on, without those that happened meanwhile."""
     row = get_webhook(session, actor, webhook_id)
     if row.disabled_utc is not None:
         row.disabled_utc = None
@@ -207,7 +207,7 @@ def redeliver(session: Session, actor: Actor, delivery_id: int) -> WebhookDelive
 
 
 def queue_new(session: Session) -> int:
-    """Make messages of the audit records that webhooks were not told of yet; returns how many."""
+    """Make messages from audit records that are new to webhooks; returns how many."""
     made = 0
     for webhook in rows.list_webhooks(session, enabled_only=True):
         for record in rows.list_records_after(session, webhook.told_audit_id, RECORDS_A_TURN):
@@ -219,19 +219,19 @@ def queue_new(session: Session) -> int:
 
 
 def is_any_due(session: Session, box: SecretBox) -> bool:
-    """Whether there is a message to be delivered from here, or one to be made."""
+    """Whether this server has a message to deliver or to make."""
     return rows.is_any_untold(session) or bool(
         rows.list_due(session, utc_now(), 1, among=list_readable_ids(session, box))
     )
 
 
 def is_head_told(session: Session, head: ExternalHead | None) -> bool:
-    """Whether every webhook that asked for heads of the audit log by name was told of this one."""
+    """Whether every webhook that subscribed to heads of the audit log has a message of this one."""
     return head is None or not _list_untold(session, head)
 
 
 def tell_head(session: Session, head: ExternalHead) -> int:
-    """Queue a message with a head of the audit log for whoever asked for it by name; returns how many."""
+    """Queue a message with a head of the audit log for each webhook that subscribed to heads; returns how many."""
     untold = _list_untold(session, head)
     content = {
         "type": HEAD,
@@ -247,13 +247,13 @@ def tell_head(session: Session, head: ExternalHead) -> int:
 
 
 def _list_untold(session: Session, head: ExternalHead) -> list[Webhook]:
-    """Return the webhooks that named heads and were not told of this one; who is told everything is not told of every minute."""
+    """Return the webhooks that subscribed to heads by name and have no message of this one."""
     named = (webhook for webhook in rows.list_webhooks(session, enabled_only=True) if HEAD in webhook.actions)
     return [webhook for webhook in named if webhook.told_head != head.hash]
 
 
 def take_due(session: Session, limit: int, box: SecretBox) -> list[WebhookMessage]:
-    """Take messages that are due and whose secret can be read here; they are not due again before their lease is over."""
+    """Claim due messages whose secret can be read here; they are not due again before their lease is over."""
     taken, now_utc = [], utc_now()
     readable = list_readable_ids(session, box)
     for delivery, webhook in rows.list_due(session, now_utc, limit, of_each=MESSAGES_A_TURN, among=readable):
@@ -266,7 +266,7 @@ def take_due(session: Session, limit: int, box: SecretBox) -> list[WebhookMessag
 
 
 def settle(session: Session, delivery_id: int, *, status: int | None, outcome: str) -> None:
-    """Keep what came of an attempt: delivered, due again later, or given up; without any answer all of its webhook waits."""
+    """Record the outcome of an attempt: delivered, due again later, or given up; without any answer the whole webhook waits."""
     delivery = session.get_one(WebhookDelivery, delivery_id)
     delivery.attempts += 1
     delivery.attempted_utc, delivery.status, delivery.outcome = utc_now(), status, outcome
@@ -286,7 +286,7 @@ def _wants(webhook: Webhook, kind: str) -> bool:
 
 
 def _queue(session: Session, webhook: Webhook, audit_id: int | None, content: dict[str, object]) -> WebhookDelivery:
-    """Add a message, due now, with its own id in its words."""
+    """Add a message that is due now, with its id in its content."""
     body = json.dumps({"id": make_message_id(rows.read_next_delivery_id(session)), **content}, ensure_ascii=False)
     delivery = WebhookDelivery(
         webhook_id=webhook.id, audit_id=audit_id, body=body, state="PENDING", due_utc=utc_now(), created_utc=utc_now()
@@ -305,7 +305,7 @@ def _refuse_disabled(row: Webhook) -> None:
 
 
 def _require_administrator(actor: Actor) -> None:
-    """Refuse keys too: a webhook is a way out for everything that happens."""
+    """Require an administrator in person, because a webhook sends every event outside."""
     refuse_key(actor, "manage webhooks")
     require_role(actor, "administrator")
 

@@ -12,7 +12,7 @@ DELIVERY_STATES = ("PENDING", "DELIVERED", "FAILED")
 
 
 class Webhook(Base):
-    """Where to tell what happened; `secret` signs each delivery, so it is kept, encrypted, and shown once."""
+    """A webhook; `secret` signs each delivery, is stored encrypted and shown once."""
 
     __tablename__ = "webhooks"
     noun = "webhook"

@@ -29,11 +29,11 @@ from plotly.subplots import make_subplots
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Calibration
 from boresight.figures.chart import Figure, Table, Trace
-from boresight.figures.history import History, free_names, read_history, settled_step
 from boresight.figures.live_traces import Panel, follow_column, follow_parameters
 from boresight.figures.style import theme
 from boresight.figures.style.axes import axis_title, counted, frame_grid, grid_place, offer_log, share_cursor
 from boresight.figures.style.thinning import keep_extremes
+from boresight.verdicts.history import History, free_names, read_history, settled_step
 from boresight.verdicts.numbers import change_label, quantity
 
 PANELS = 2

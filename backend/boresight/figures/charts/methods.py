@@ -28,10 +28,10 @@ from boresight.calibration.calibration import Calibration, Values
 from boresight.estimation.statistics.consistency import ChiSquare, chi_square, nees
 from boresight.figures.chart import Table, Trace
 from boresight.figures.factory import Part, make_figure
-from boresight.figures.history import History, read_history, settled_step
 from boresight.figures.style import theme
 from boresight.figures.style.axes import axis_title, counted, share_cursor
 from boresight.figures.style.thinning import keep_extremes
+from boresight.verdicts.history import History, read_history, settled_step
 from boresight.verdicts.numbers import number
 from boresight.verdicts.verdict import why_absent
 

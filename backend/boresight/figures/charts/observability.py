@@ -22,6 +22,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
+from boresight.calibration.advice import ENOUGH, MOST_TIMES
 from boresight.calibration.calibration import Calibration, Observability
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import Role
@@ -155,8 +156,6 @@ OBSERVABILITY = make_figure(
 )
 
 
-REACH_ENOUGH = 0.95  # of the way to the corner
-MOST_TIMES = 100.0  # more frames than so many times these are no advice
 _PARTS_THE_CENTRE = "stars far out on opposite sides of the detector: they part the principal point from the tilts"
 _PARTS_THE_FOCUS = "stars at all radii, near the centre and in the corners: they part focal length from distortion"
 ROLES = {
@@ -208,7 +207,7 @@ def _reach(result: Calibration) -> list[str]:
     said = []
     reached = result.radial.data_radius_px if result.radial else None
     corner = (result.radial.radius_px or [0.0])[-1] if result.radial else None
-    if reached is not None and corner is not None and corner > 0 and reached < REACH_ENOUGH * corner:
+    if reached is not None and corner is not None and corner > 0 and reached < ENOUGH * corner:
         said.append(f"Stars reach {percent(reached / corner, 0)} of the way to the farthest corner: go farther out.")
     counts = np.array(result.coverage.counts if result.coverage else [], dtype=np.float64)
     empty = int((counts == 0).sum())

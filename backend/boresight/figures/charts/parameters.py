@@ -13,8 +13,8 @@ from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Calibration, Values
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, make_figure
-from boresight.figures.history import free_names
 from boresight.figures.style import theme
+from boresight.verdicts.history import free_names
 from boresight.verdicts.numbers import quantity
 
 SIGNIFICANT = 3.0

@@ -13,6 +13,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from boresight.calibration.calibration import Calibration, ResidualOutliers
+from boresight.calibration.problem import UNMATCHED_REASON
 from boresight.figures.chart import Table
 from boresight.figures.charts.residual_against import folded
 from boresight.figures.factory import Part, column, part_figure
@@ -47,7 +48,7 @@ def reasons(result: Calibration) -> dict[str, int]:
     counts = dict(result.matching.row_reasons) if result.matching else {}
     for item in result.left_out:
         phrase = f"{item.what}: {item.reason}"
-        if not (counts and item.reason == "not matched to a catalogue star"):  # counted by matching's own reasons
+        if not (counts and item.reason == UNMATCHED_REASON):  # counted by matching's own reasons
             counts[phrase] = counts.get(phrase, 0) + item.count
     return dict(sorted(counts.items(), key=lambda pair: -pair[1])[:MOST_REASONS])
 

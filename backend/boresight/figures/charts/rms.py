@@ -6,7 +6,7 @@ A batch run has the error of the whole set at each iteration; beside sequential 
 
 The first frames fall from the initial error by hundreds of microradians and tail and aggregate then differ by a few, so
 a sequential run is drawn twice: whole on the left, and on the right what follows once it had settled, or from where a
-reader wants it. The band is what chance alone does to an RMS of so many arcs (`boresight.figures.history`).
+reader wants it. The band is what chance alone does to an RMS of so many arcs (`boresight.verdicts.history`).
 
 Residual RMS by axis: rows and columns of the detector, and along and across the radius; on the whole and as it runs.
 
@@ -30,11 +30,11 @@ from boresight.calibration.calibration import Calibration
 from boresight.cameras import CAMERA_MODELS
 from boresight.figures.chart import Figure, Table, Trace
 from boresight.figures.factory import Part, column, make_figure
-from boresight.figures.history import History, read_history, tail_start
 from boresight.figures.live_traces import follow_errors
 from boresight.figures.style import theme
 from boresight.figures.style.axes import axis_title, counted, share_cursor
 from boresight.figures.style.thinning import keep_extremes
+from boresight.verdicts.history import History, read_history, tail_start
 from boresight.verdicts.verdict import why_absent
 
 TITLE = "Tail and aggregate RMS"
@@ -201,8 +201,9 @@ RMS = Figure(
 )
 
 
-AXES = ("along rows", "along columns", "along the radius", "across the radius")
-RUNNING = {"along the radius": "solid", "across the radius": "dot"}
+ALONG_RADIUS, ACROSS_RADIUS = "along the radius", "across the radius"
+AXES = ("along rows", "along columns", ALONG_RADIUS, ACROSS_RADIUS)
+RUNNING = {ALONG_RADIUS: "solid", ACROSS_RADIUS: "dot"}
 MOST_BINS, LEAST_IN_BIN = 40, 20
 
 
@@ -245,7 +246,7 @@ def draw_rms_axes(drawn: Sequence[Part[AxisResiduals]]) -> go.Figure:
     figure = make_subplots(1, 2, column_widths=[0.35, 0.65], horizontal_spacing=0.08)
     for _, style, found in drawn:
         figure.add_trace(_points(found, style), row=1, col=1)
-        for axis in RUNNING if len(drawn) == 1 else ("along the radius",):
+        for axis in RUNNING if len(drawn) == 1 else (ALONG_RADIUS,):
             _rms_axes_draw_run(figure, found, axis, style, banded=len(drawn) <= 3)
     theme.dress(figure, title=_rms_axes_headline(drawn[0][2]), height_px=400, hovermode="closest", scattermode="group")
     figure.update_yaxes(rangemode="tozero")
@@ -287,7 +288,7 @@ def _rms_axes_draw_run(
     own = theme.RunStyle(style.label, style.colour, RUNNING[axis])
     frame, level, sigma = running(found, axis)
     place: dict[str, Any] = {"row": 1, "col": 2}
-    if banded and axis == "along the radius":
+    if banded and axis == ALONG_RADIUS:
         figure.add_trace(theme.band(own, frame, level - 3 * sigma, level + 3 * sigma), **place)
     hover = f"frame %{{x}}: %{{y:.4f}} px {axis}<extra>{style.label}</extra>"
     options = {"name": f"{style.label} · {axis}", "hovertemplate": hover, "legendgroup": f"{style.label} · {axis}"}

@@ -217,6 +217,7 @@ def _unscented(pooled: Pooled) -> Finding:
         f"At full rate: {described(pooled, 'ekf')}. {described(pooled, 'ukf')}. {pairs}, {smaller}",
         f"{once} {sparse}; {lost} {trade}.",
         f"Mean validation RMS, which tells them apart least: {errors}.",
+        is_timed=True,
     )
 
 

@@ -77,7 +77,7 @@ def _numbers(columns: Sequence[Sequence[float | None]]) -> np.ndarray[Any, np.dt
 
 
 def _figures_6(pooled: Pooled) -> list[Drawing]:
-    histories = {place: pooled.of(*place)[0]["course"] for place in LABELS}
+    histories = {place: pooled.of(*place)[0]["history"] for place in LABELS}
     svd, angular = (np.array(histories[key, "full"]["A"]) for key in ("svd-4-23", "angular"))
     ratio = svd / angular
     ended = {place: history["B"][-1] for place, history in histories.items()}
@@ -102,7 +102,7 @@ def _figures_6(pooled: Pooled) -> list[Drawing]:
 
 
 def _figure_8(pooled: Pooled) -> Drawing:
-    history = pooled.of("svd-4-23")[0]["course"]
+    history = pooled.of("svd-4-23")[0]["history"]
     states, sigmas = np.array(history["states"]), np.array(history["sigmas"], dtype=np.float64)
     curves = [
         {

@@ -257,7 +257,7 @@ def _judged(head: Record, arcs: ArcSet, judges: Judges) -> list[Record]:
         }  # fmt: skip
         drawn = head["set"] == 0 and head["magnitude_limit"] == 5.5 and head["noise_px"] == WU_IMPLIED_SIGMA_PX
         if drawn and estimator.key in {"svd-4-23", "angular"}:
-            record["course"] = _history(run, judges)
+            record["history"] = _history(run, judges)
         records.append(record)
     if head["set"] == 0 and head["magnitude_limit"] == 5.5 and head["noise_px"] == WU_IMPLIED_SIGMA_PX:
         truth["observability"] = _observability(arcs, len(judges.fields))

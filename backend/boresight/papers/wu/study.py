@@ -31,7 +31,7 @@ from boresight.papers.wu.timing import timing
 from boresight.simulation.sensors import WU_START, WU_TRUTH, WU_TYPICAL_SIGMA
 
 PAPER = "Wu, Xu, Heikkilä, Zhao, Liu, Niu, “A Star Sensor On-Orbit Calibration Method Based on SVD”, Sensors, 2019"
-DRAWN = ("course", "observability")
+DRAWN = ("history", "observability")
 CONSISTENT = (("svd-4-23", "full"), ("angular", "full"), ("svd-4-23", "diagonal"), ("angular", "diagonal"))
 
 

@@ -80,7 +80,7 @@ def verify(export: BinaryIO, expected_head: Optional[str] = None) -> Tuple[bool,
 
 
 def _follows(record: Dict[str, Any], previous: str, last_id: int) -> bool:  # noqa: UP006 - Python 3.8
-    """Whether a record is the one that comes next in the chain."""
+    """Whether a record is the next one in the chain."""
     number = record.get("id")
     if not isinstance(number, int) or number <= last_id:
         return False
@@ -90,7 +90,7 @@ def _follows(record: Dict[str, Any], previous: str, last_id: int) -> bool:  # no
 
 
 def _end(count: int, head: str, more: bool, met: bool) -> Tuple[bool, str]:  # noqa: UP006 - Python 3.8
-    """Say what came of a walk that found every line as it was exported."""
+    """Report the result when every line is as it was exported."""
     if more:
         return False, "Something was added after the last line."
     if not met:

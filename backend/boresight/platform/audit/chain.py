@@ -38,7 +38,7 @@ DOCUMENTS = ("before", "after", "rows", "roles")
 NUMBERS = ("id", "actor_id")
 COLUMNS = (*NUMBERS, *TEXTS, *DOCUMENTS, "previous_hash", "hash")
 HASHED = tuple(sorted({*COLUMNS} - {"id", "previous_hash", "hash"}))  # sorted as canonical JSON sorts its keys
-LEFT_OUT_WHEN_NULL = ("rows", "roles")  # absent from the records of before there were seals
+LEFT_OUT_WHEN_NULL = ("rows", "roles")  # absent from records written before seals existed
 SET_BACK_S = 2.0
 PENDING = "audit records that wait for the commit"
 WRITTEN = "audit records were written"
@@ -55,8 +55,8 @@ def compute_hash(previous_hash: str, raw: Mapping[str, Any]) -> str:
 
 
 def follows(last_id: int, previous_hash: str, raw: Mapping[str, Any]) -> bool:
-    """Whether a record, its columns as they are stored, is the next after one with this number and this hash."""
-    skipped = raw["roles"] is None and raw["id"] > last_id  # of before there were seals
+    """Whether a record, given by its stored columns, follows the one with this number and hash."""
+    skipped = raw["roles"] is None and raw["id"] > last_id  # written before seals existed
     numbered = raw["id"] == last_id + 1 or skipped
     return numbered and raw["previous_hash"] == previous_hash and raw["hash"] == compute_hash(previous_hash, raw)
 
@@ -74,14 +74,14 @@ def _value(name: str, value: Any) -> str:
 
 
 def append(session: Session, *, roles: Sequence[str], **values: Any) -> AuditRecord:
-    """Let a record wait for the commit of its transaction; `at_utc` is now, `roles` may be empty and is never NULL."""
+    """Queue a record for the commit of its transaction; `at_utc` is now, `roles` may be empty and is never NULL."""
     record = AuditRecord(at_utc=utc_now(), roles=list(roles), **values)
     session.info.setdefault(PENDING, []).append(record)
     return record
 
 
 def append_own(session: Session, action: str, subject: str, **values: Any) -> AuditRecord:
-    """Let a record of Boresight's own doing wait for the commit."""
+    """Queue a record of an action by Boresight itself for the commit."""
     return append(session, actor="Boresight", credential="system", action=action, object=subject, roles=[], **values)
 
 
@@ -91,7 +91,7 @@ def pending(session: Session) -> list[AuditRecord]:
 
 
 def write_out(session: Session) -> None:
-    """Write the records that wait, the last one with the digests of every row that was touched so far."""
+    """Write the waiting records, the last one with the digests of every row touched so far."""
     records = session.info.pop(PENDING, None)
     if not records:
         return
@@ -108,11 +108,11 @@ def write_out(session: Session) -> None:
 
 
 def _ran_back(session: Session, at_utc: str) -> AuditRecord | None:
-    """Return a record that the clock ran backwards, where it did since the newest one by more than clocks are set by."""
+    """Return a record that the clock ran backwards since the newest record by more than an ordinary correction; None otherwise."""
     before = session.scalar(sa.select(AuditRecord.at_utc).order_by(AuditRecord.id.desc()).limit(1))
     try:
         set_back_s = 0.0 if before is None else seconds_between(at_utc, before)
-    except (ValueError, TypeError):  # a time edited by hand: verification tells of it, and writing goes on
+    except (ValueError, TypeError):  # a time edited by hand is reported by verification and must not stop writing
         return None
     if set_back_s <= SET_BACK_S:
         return None
@@ -130,7 +130,7 @@ def _ran_back(session: Session, at_utc: str) -> AuditRecord | None:
 
 
 def write_before_reading(state: ORMExecuteState) -> None:
-    """Let a query of the log see what its own transaction appended."""
+    """Write the waiting records, so that a query of the log sees those of its own transaction."""
     if state.session.info.get(PENDING) and state.is_select and sa.inspect(AuditRecord) in state.all_mappers:
         write_out(state.session)
 
@@ -154,7 +154,7 @@ def head(session: Session) -> str:
 
 
 def seal(session: Session) -> None:
-    """Write what waits before a commit."""
+    """Write the waiting records before a commit."""
     session.flush()
     noted = session.info.get(journals.NOTED)
     if noted and not pending(session):
@@ -170,14 +170,14 @@ def _named(noted: Mapping[Any, Any]) -> str:
 
 
 def forget(session: Session) -> None:
-    """Forget, after a rollback, what was to be written and sealed."""
+    """Discard what was to be written and sealed, after a rollback."""
     for name in (PENDING, WRITTEN, journals.NOTED):
         session.info.pop(name, None)
     journals.forget(session)
 
 
 def seal_everything(session: Session) -> None:
-    """Seal every row there is, under records of their own: once, of a database from before there were seals."""
+    """Seal every existing row under records of their own, once, in a database from before seals existed."""
     for model in journals.list_sealed():
         key = model.__table__.columns["id"]
         for some in journals.portions(session.scalars(sa.select(key).order_by(key)).all()):

@@ -1,4 +1,4 @@
-"""The audit log as a file that others keep: JSON Lines, alone or in a ZIP with the program that verifies it."""
+"""Exports of the audit log: JSON Lines, alone or in a ZIP with the program that verifies them."""
 
 from __future__ import annotations
 

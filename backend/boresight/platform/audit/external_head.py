@@ -1,4 +1,4 @@
-"""The head of the audit log, kept outside the database, because the loss of the newest records shows nowhere else.
+"""The head of the audit log, kept outside the database, because nothing else reveals a loss of the newest records.
 
 A file of the operator's choice, outside the data folder and best on another machine's disk, gets a line when the head has moved::
 
@@ -24,7 +24,7 @@ HASH_DIGITS = 64
 
 @dataclass(frozen=True)
 class ExternalHead:
-    """Number, hash and time of a record that was the newest once."""
+    """Number, hash and time of a record that was once the newest."""
 
     id: int
     hash: str
@@ -32,7 +32,7 @@ class ExternalHead:
 
 
 def refuse_place(file: Path, data_folder: Path) -> None:
-    """Refuse a place that is lost together with the data."""
+    """Refuse a file that would be lost together with the data folder."""
     if file.resolve().is_relative_to(data_folder.resolve()):
         raise RefusedInputError(
             f"BORESIGHT_AUDIT_HEAD_FILE names {file}, which is in the data folder and would be lost with it: name a file elsewhere."
@@ -40,13 +40,13 @@ def refuse_place(file: Path, data_folder: Path) -> None:
 
 
 def write_head(file: Path, head: ExternalHead) -> None:
-    """Add a line, and have it on the disk."""
+    """Append a line and sync it to the disk."""
     line = json.dumps(asdict(head)).encode()
     try:
         handle = os.open(file, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o640)
         with closing(os.fdopen(handle, "r+b", buffering=0)) as stream:
             size = os.fstat(handle).st_size
-            torn = size > 0 and os.pread(handle, 1, size - 1) != b"\n"  # what a full disk left behind
+            torn = size > 0 and os.pread(handle, 1, size - 1) != b"\n"  # a partial line left by a full disk
             stream.write(b"\n" * torn + line + b"\n")
             os.fsync(handle)
     except OSError as error:
@@ -77,7 +77,7 @@ def read_head(file: Path) -> ExternalHead | None:
 
 
 def _head_in(line: bytes) -> ExternalHead | None:
-    """Read a line; None where it is torn."""
+    """Read a line; None where it is incomplete."""
     try:
         found = json.loads(line)
         head = ExternalHead(int(found["id"]), str(found["hash"]), str(found["at_utc"]))

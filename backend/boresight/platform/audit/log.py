@@ -1,4 +1,4 @@
-"""The audit log: append-only, hash-chained, and a seal on every row that it tells of.
+"""The audit log: append-only, hash-chained, with a seal on every row that it covers.
 
 `boresight.platform.audit.chain` says how records are chained, `boresight.platform.audit.seals` what a seal is. Changing, removing,
 reordering or renumbering a record breaks the chain at that record; changing, removing or inserting a sealed row by hand leaves it
@@ -29,7 +29,7 @@ from boresight.platform.db.times import read_time
 
 FIRST_HASH = chain.FIRST_HASH
 BAD_FILES_NAMED = 20
-HEAD_KEPT, HEAD_FILE = "head kept", "audit-head"  # the record that a file was given heads, and what it is about
+HEAD_KEPT, HEAD_FILE = "head kept", "audit-head"  # action and object of the record that heads are kept in a file
 
 
 @dataclass(frozen=True)
@@ -75,25 +75,25 @@ def append(
 
 
 def find_newest_head(session: Session) -> ExternalHead | None:
-    """Return number, hash and time of the newest record, to be kept elsewhere; None where there is none."""
+    """Return number, hash and time of the newest record, for the external file; None where there is none."""
     newest = next(iter(list_newest_rows(session, rows.RECORDS, limit=1)), None)
     return None if newest is None else ExternalHead(newest.id, newest.hash, newest.at_utc)
 
 
 def holds(session: Session, kept: ExternalHead) -> bool:
-    """Whether the record that a kept head is of is there, as it was."""
+    """Whether the record of a kept head exists unchanged."""
     record = rows.record(session, kept.id)
     return record is not None and record.hash == kept.hash
 
 
 def head_was_kept(session: Session, file: Path) -> bool:
-    """Whether the log says that heads were kept in a file: it must be there from then on."""
+    """Whether the log records that heads are kept in a file, which must exist from then on."""
     told = list_newest_rows(session, rows.RECORDS, object=HEAD_FILE, action=HEAD_KEPT)
     return any((record.after or {}).get("file") == str(file.absolute()) for record in told)
 
 
 def tell_head_kept(session: Session, file: Path) -> None:
-    """Put on record that heads are kept in a file, so that the chain misses it when it is gone."""
+    """Record that heads are kept in a file, so that verification notices when it is gone."""
     chain.append_own(session, HEAD_KEPT, HEAD_FILE, after={"file": str(file.absolute())})
 
 
@@ -104,7 +104,7 @@ def head(session: Session) -> str:
 
 
 def find_last_change(session: Session, subject: str) -> AuditRecord | None:
-    """Return who last changed an object, as its newest record."""
+    """Return the newest record about an object."""
     return rows.find_last_change(session, subject)
 
 
@@ -129,7 +129,7 @@ def get_record(session: Session, record_id: int) -> AuditRecord:
 
 
 def read_words(session: Session) -> tuple[Sequence[str], Sequence[str]]:
-    """Return who acted and what was done lately, to choose from."""
+    """Return recent actors and actions, as choices for filters."""
     return rows.read_words(session)
 
 
@@ -141,7 +141,7 @@ def sought(
     since: str | None = None,
     until: str | None = None,
 ) -> Mapping[str, str | None]:
-    """Say what a list of records is narrowed to; times in ISO 8601, UTC where they name no zone."""
+    """Return the filters of a list of records; times in ISO 8601, UTC where they name no zone."""
     return {
         "object": object,
         "actor": actor,
@@ -164,7 +164,7 @@ def verify(
     head_file: Path | None = None,
     again: bool = True,
 ) -> ChainReport:
-    """Walk the whole chain, every sealed row, journal and stored file, and name the first that is not as it was written."""
+    """Verify the whole chain, every sealed row, journal and stored file, and report the first that was altered."""
     found = verification.verify(session, expected_head, None if kept is None else kept.hash)
     looked_at = [] if blobs is None else list(files.bad_files(session, blobs, again=again))
     bad = [str(one) for one in looked_at if one is not None]
@@ -188,7 +188,7 @@ def verify(
 
 
 def _sentence(found: VerificationFindings, kept: ExternalHead | None, looked_at: int | None, bad: Sequence[str]) -> str:
-    """Say in words what was found, the worst of it."""
+    """Return the worst finding as a sentence."""
     count = found.records
     if found.broken_id is not None:
         return (
@@ -222,7 +222,7 @@ def _sentence(found: VerificationFindings, kept: ExternalHead | None, looked_at:
 
 
 def _absence(file: Path, *, is_lost: bool) -> str:
-    """Say that there is no kept head where one was looked for."""
+    """Return the sentence for a missing external head."""
     if not is_lost:
         return f" No head was kept in {file} yet, so nothing tells whether newer records were lost."
     return (

@@ -31,7 +31,7 @@ RECORDS = List(
 
 
 def find_last_change(session: Session, subject: str) -> AuditRecord | None:
-    """Return the newest record about an object, such as `parameter-sets/3`, written or still to be."""
+    """Return the newest record about an object, such as `parameter-sets/3`, written or waiting."""
     waiting = (record for record in reversed(chain.pending(session)) if record.object == subject)
     if (newest := next(waiting, None)) is not None:
         return newest
@@ -42,7 +42,7 @@ def find_last_change(session: Session, subject: str) -> AuditRecord | None:
 def find_newest(
     session: Session, subject: str, actions: Sequence[str], *, not_by: int | None = None
 ) -> AuditRecord | None:
-    """Return the newest record of one of these actions on an object, of all or of those that a person did not do."""
+    """Return the newest record of one of these actions on an object, optionally only those not by a person."""
     query = sa.select(AuditRecord).where(AuditRecord.object == subject, AuditRecord.action.in_(actions))
     if not_by is not None:
         query = query.where(AuditRecord.actor_id.is_distinct_from(not_by))
@@ -67,7 +67,7 @@ def record(session: Session, record_id: int) -> AuditRecord | None:
 
 
 def read_words(session: Session) -> tuple[Sequence[str], Sequence[str]]:
-    """Return who acted lately, and what was done lately: a long log is not read for two lists of words."""
+    """Return the actors and actions of recent records, without reading a long log in full."""
     newest = sa.select(AuditRecord.actor, AuditRecord.action).order_by(AuditRecord.id.desc()).limit(LATELY).subquery()
     actors = session.scalars(sa.select(newest.c.actor).distinct().order_by(newest.c.actor)).all()
     return actors, session.scalars(sa.select(newest.c.action).distinct().order_by(newest.c.action)).all()
@@ -87,10 +87,10 @@ def walk(session: Session) -> Generator[dict[str, Any], None, None]:
 
 
 def find_response(session: Session, key: str, actor: str) -> IdempotentResponse | None:
-    """Return what an actor was answered under a key."""
+    """Return the stored response of an actor under an idempotency key."""
     return session.get(IdempotentResponse, (key, actor))
 
 
 def forget_responses(session: Session, *, before_utc: str) -> None:
-    """Remove the answers of before a time."""
+    """Remove the responses from before a time."""
     session.execute(sa.delete(IdempotentResponse).where(IdempotentResponse.created_utc < before_utc))

@@ -46,7 +46,7 @@ NOTED = "sealed rows that changed"
 
 
 def list_tables() -> list[type[Base]]:
-    """Return every table, by name. A program that opens a store has imported the console, which knows them all."""
+    """Return every table, by name. A program that opens a store has imported the console, which declares them all."""
     models = sorted((mapper.class_ for mapper in Base.registry.mappers), key=lambda model: model.__tablename__)
     if all(model.__module__.startswith("boresight.platform.") for model in models):
         raise RuntimeError(
@@ -66,7 +66,7 @@ def lasting(model: type[Base]) -> tuple[str, ...]:
 
 
 def note(session: Session, model: type[Base], row_id: int) -> None:
-    """Remember that a row needs a new seal: what a bulk update changed."""
+    """Note that a row changed by a bulk update needs a new seal."""
     session.info.setdefault(NOTED, {}).setdefault(model, set()).add(row_id)
 
 
@@ -85,12 +85,12 @@ def _has_moved(row: Base) -> bool:
 
 
 def _left_out(model: type[Base], state: str | None) -> frozenset[str]:
-    """Return the lasting columns that a row in this state does not promise yet."""
+    """Return the lasting columns that are not sealed yet for a row in this state."""
     return frozenset() if state in model.sealing.settled else model.sealing.moving
 
 
 def refuse_bulk(state: ORMExecuteState) -> None:
-    """Refuse a bulk change of a sealed table that says nothing of its seals."""
+    """Refuse a bulk change of a sealed table that does not declare how it keeps the seals."""
     changes = state.is_insert or state.is_update or state.is_delete
     if not changes or state.bind_mapper is None or not BULK.items().isdisjoint(state.execution_options.items()):
         return
@@ -102,7 +102,7 @@ def refuse_bulk(state: ORMExecuteState) -> None:
 
 
 def take(session: Session) -> dict[str, str | None]:
-    """Return the digests of all rows that were noted, by `table/id`, and note them no longer; None is a removed row."""
+    """Return and clear the digests of all noted rows, by `table/id`; None stands for a removed row."""
     session.flush()
     noted: dict[type[Base], set[int]] = session.info.pop(NOTED, {})
     digests: dict[str, str | None] = {}
@@ -116,7 +116,7 @@ def take(session: Session) -> dict[str, str | None]:
 
 
 def portions(ids: Sequence[int]) -> Iterator[Sequence[int]]:
-    """Cut keys into portions that a statement, and a record, can hold."""
+    """Split keys into portions that fit into a statement and a record."""
     for start in range(0, len(ids), ROWS_AT_A_TIME):
         yield ids[start : start + ROWS_AT_A_TIME]
 
@@ -153,7 +153,7 @@ def find_orphans(session: Session, model: type[Base]) -> frozenset[int]:
 
 
 def _digest(model: type[Base], values: Mapping[str, Any]) -> str:
-    """Return the digest of a row's lasting columns; of a run under way, of what was launched."""
+    """Return the digest of a row's lasting columns, for a run that has not ended only those fixed at launch."""
     left_out = _left_out(model, values.get("state"))
     kept = {name: value for name, value in values.items() if value is not None and name not in left_out}
     return hashlib.sha256(canonical(kept).encode()).hexdigest()
@@ -166,7 +166,7 @@ MOST_STORES = 64
 
 @dataclass(frozen=True)
 class AppendOnlyTable:
-    """What of a table the chain's hash covers, and what the other one."""
+    """The columns of a journal that the chain's hash covers, and those that the outcome hash covers."""
 
     model: type[Base]
 
@@ -177,7 +177,7 @@ class AppendOnlyTable:
 
     @property
     def columns(self) -> Journal:
-        """What the table says of its columns."""
+        """The table's declaration of its columns."""
         if (journal := self.model.sealing.journal) is None:
             raise ValueError(f"Expected a table with a journal / Received {self.name}")
         return journal
@@ -196,7 +196,7 @@ def list_journals() -> list[AppendOnlyTable]:
     return [AppendOnlyTable(model) for model in list_tables() if model.sealing.journal]
 
 
-_anchored: dict[str, dict[str, str]] = {}  # by store and journal: the newest hash that a record of this process carries
+_anchored: dict[str, dict[str, str]] = {}  # by store and journal: the newest hash in a record written by this process
 
 
 def _hash(previous: str, row: Mapping[str, Any]) -> str:
@@ -213,7 +213,7 @@ def newest(session: Session, journal: AppendOnlyTable) -> tuple[int, str]:
 
 
 def chained(session: Session, model: type[Base], rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Number rows that are about to be added and chain them, in this order."""
+    """Number and chain rows that are about to be added, in this order."""
     journal = AppendOnlyTable(model)
     last_id, previous = newest(session, journal)
     made = []
@@ -225,7 +225,7 @@ def chained(session: Session, model: type[Base], rows: Sequence[Mapping[str, Any
 
 
 def chain_new(session: Session, context: Any, instances: Any) -> None:  # noqa: ARG001 - SQLAlchemy gives all three
-    """Number and chain the rows that a flush is about to write, and hash anew what it changes in others."""
+    """Number and chain the rows that a flush is about to write, and update the outcome hash of those that it changes."""
     added: dict[type[Base], list[Any]] = {}
     for row in sorted(filter(_is_of_journal, session.new), key=lambda row: sa.inspect(row).insert_order):
         added.setdefault(type(row), []).append(row)
@@ -244,14 +244,14 @@ def _is_of_journal(row: Base) -> bool:
 
 
 def _value(row: Base, name: str) -> Any:
-    """Return what will be stored in a column: its default where nothing was given."""
+    """Return the value that will be stored in a column, its default where none was given."""
     value = getattr(row, name)
     default = type(row).__table__.columns[name].default
     return default.arg if value is None and default is not None else value
 
 
 def heads(session: Session) -> dict[str, str]:
-    """Return the newest hash of each journal that has grown since the last record, by `table/id`, to be carried by the next."""
+    """Return the newest hash of each journal that has grown since the last record, by `table/id`, for the next record."""
     found = {}
     known = _anchored.setdefault(_store(session), {})
     while len(_anchored) > MOST_STORES:
@@ -264,7 +264,7 @@ def heads(session: Session) -> dict[str, str]:
 
 
 def forget(session: Session) -> None:
-    """Carry the newest hashes again: what carried them was not kept."""
+    """Have the next record carry the newest hashes again, after the record with them was rolled back."""
     _anchored.pop(_store(session), None)
 
 

@@ -1,4 +1,4 @@
-"""Holding the store against its audit log: first the chain, record by record, then every sealed row.
+"""Verifying the store against its audit log: first the chain, record by record, then every sealed row.
 
 The newest digest that the chain has of each row is gathered in a scratch file of SQLite's, ordered by table and key, and
 is then met by the tables in the same order, as two sorted lists are merged. So memory does not grow with the log, and
@@ -53,7 +53,7 @@ WHERE NOT t.tgisinternal AND c.relnamespace = current_schema()::regnamespace
 
 @dataclass(frozen=True)
 class Trigger:
-    """A trigger that there is: whether it works, and its words."""
+    """An existing trigger: whether it is enabled, and its definition."""
 
     name: str
     enabled: bool
@@ -65,7 +65,7 @@ class Trigger:
 def find_changed_triggers(
     connection: sa.Connection, migrated: Callable[[sa.Connection], None]
 ) -> list[tuple[str, str]]:
-    """Return the triggers that are not as the migrations make them, each with what was done: removed, inserted or changed."""
+    """Return the triggers that differ from the migrations, each with how: removed, inserted or changed."""
     expected, postgresql = _expected(migrated), connection.dialect.name == "postgresql"
     found = {trigger.name: trigger for trigger in _found(connection, postgresql=postgresql)}
     if postgresql:
@@ -112,7 +112,7 @@ def _fits_postgresql(found: Trigger, expected: str) -> bool:
 
 
 def _spelled(words: str) -> list[str]:
-    """Return the columns and literals of a condition, however it is spelled."""
+    """Return the columns and literals of a condition, independent of its formatting."""
     _, _, condition = words.partition(" WHEN ")
     condition = re.split(r"\bEXECUTE\b|\bBEGIN\b", condition)[0]
     return sorted(found.lower() for found in SPELLED.findall(condition))
@@ -134,7 +134,7 @@ Seal = tuple[int, str, int]  # key of a row, its digest, the record that it is i
 
 @dataclass(frozen=True)
 class RowMismatch:
-    """A row that is not as the chain has it."""
+    """A row that differs from its seal in the chain."""
 
     row: str
     what: str
@@ -143,7 +143,7 @@ class RowMismatch:
 
 @dataclass
 class VerificationFindings:
-    """What a walk along the chain and through the tables found."""
+    """The findings of a verification."""
 
     records: int = 0
     head: str = chain.FIRST_HASH
@@ -162,7 +162,7 @@ class VerificationFindings:
 
 
 def verify(session: Session, *expected_heads: str | None) -> VerificationFindings:
-    """Walk along the whole chain, then through every sealed table."""
+    """Verify the whole chain, then every sealed table."""
     found = VerificationFindings(
         unmet=[head for head in dict.fromkeys(expected_heads) if head is not None and head != chain.FIRST_HASH]
     )
@@ -205,7 +205,7 @@ def _seals_in(text: str, record_id: int) -> Iterator[tuple[str, int, str | None,
 def _misfits(
     session: Session, scratch: sqlite3.Connection, found: VerificationFindings, model: type[Base]
 ) -> Iterator[RowMismatch]:
-    """Meet a table's rows with their seals, both in the order of their keys."""
+    """Compare a table's rows with their seals, both in the order of their keys."""
     name = model.__tablename__
     sealed: Iterable[Seal] = scratch.execute(GET, (name,))
     waiting = iter(sealed)
@@ -232,7 +232,7 @@ def _misfits(
 def _gaps(
     session: Session, scratch: sqlite3.Connection, found: VerificationFindings, journal: AppendOnlyTable
 ) -> Iterator[RowMismatch]:
-    """Walk along a journal, and meet the hashes that the records carry of it."""
+    """Verify a journal along its chain and against the hashes in the audit records."""
     carried = {row_id: (digest, record) for row_id, digest, record in scratch.execute(GET, (journal.name,))}
     previous, last_id = journals.FIRST_HASH, 0
     for row in journals.iterate_rows(session, journal):
@@ -253,7 +253,7 @@ def _gaps(
 
 
 def _covering(scratch: sqlite3.Connection, journal: AppendOnlyTable, row_id: int) -> int | None:
-    """Return the first record that carries a hash into which a row went; None where none does yet."""
+    """Return the first record whose hash covers a row; None where there is none yet."""
     found = scratch.execute(COVERING, (journal.name, row_id)).fetchone()
     return None if found is None else int(found[0])
 

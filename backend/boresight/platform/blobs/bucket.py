@@ -33,15 +33,15 @@ from boresight.platform.blobs.folder import FolderBlobStore
 from boresight.platform.blobs.locations import BlobLocation
 from boresight.platform.blobs.store import CHUNK_BYTES, BlobStore, open_content, written_beside
 
-KEPT_S = 3600.0  # after it was last asked for
-MARK_S = KEPT_S / 12  # asked for so soon again, a file is not marked again
+KEPT_S = 3600.0  # after its last use
+MARK_S = KEPT_S / 12  # a file used again within this time is not marked again
 LOOK_AFTER = 20  # the folder is measured after a twentieth of what it may hold was added
 ANSWERS_WITHIN, ENDS_WITHIN, TRIED_FOR, LOOKS_FOR = (timedelta(seconds=number) for number in (5, 60, 20, 2))
 LOOKED_FOR = "is-it-there"
 
 
 class BucketBlobStore(BlobStore):
-    """The blobs of a bucket; `folder` holds what was fetched or put lately."""
+    """The blobs of a bucket; `folder` caches what was fetched or stored recently."""
 
     def __init__(self, place: BlobLocation, store: ObjectStore, looking: ObjectStore | None = None) -> None:
         super().__init__(place.cache_folder)
@@ -49,15 +49,15 @@ class BucketBlobStore(BlobStore):
         self.limit_bytes = place.cache_bytes
         self._here = FolderBlobStore(place.cache_folder, is_cache=True)
         self._store = store
-        self._looking = looking or store  # the same, without patience
-        self._added_bytes = self.limit_bytes  # measured once at first
+        self._looking = looking or store  # the same with short timeouts
+        self._added_bytes = self.limit_bytes  # measured at the first use
 
     def open(self, *, make: bool = True) -> None:
-        """Take the folder of what was fetched for the one to use."""
+        """Open the cache folder."""
         self._here.open(make=make)
 
     def put(self, content: bytes | Path) -> str:
-        """Put bytes, or a copy of a file, into the bucket, keep them here too, and return their address."""
+        """Store bytes, or a copy of a file, in bucket and cache, and return their address."""
         with (
             open_content(content) as source,
             self._here.writing(),
@@ -77,16 +77,16 @@ class BucketBlobStore(BlobStore):
         return sha256
 
     def send_ahead(self, *files: Path) -> None:
-        """Put files that will be put again, which then sends nothing."""
+        """Send files to the bucket in advance, so that `put` sends nothing."""
         for file in files:
             self.put(file)
 
     def discard(self, sha256: str) -> None:
-        """Remove the copy here; an object that no row names is harmless."""
+        """Remove the cached copy; an object that no row names is harmless."""
         self._here.discard(sha256)
 
     def refuse_unusable(self) -> None:
-        """Ask the store for something that is not there: who answers that is there and lets us in."""
+        """Check that the bucket answers, by asking for an object that does not exist."""
         self._here.refuse_unusable()
         with self._asking(""), suppress(FileNotFoundError):
             obstore.head(self._looking, LOOKED_FOR)
@@ -99,7 +99,7 @@ class BucketBlobStore(BlobStore):
             return None
 
     def path(self, sha256: str) -> Path:
-        """Return a file with the bytes of an address, fetched the first time, to be read only."""
+        """Return a read-only file with the bytes of an address, fetched the first time."""
         place = self._here.locate(sha256)
         try:
             if not integrity.is_intact(place, sha256):
@@ -113,10 +113,10 @@ class BucketBlobStore(BlobStore):
         return place
 
     def check(self, sha256: str, *, again: bool) -> int:
-        """Hold the bytes of an address in the bucket against it; return how many they are.
+        """Check an object against its address and return its size.
 
-        Reading them all again costs what the store asks for it; else the bucket says how many they are, and what lies here is
-        looked at when it is used.
+        Reading it in full has its price at the store; otherwise only its size is read, and the cached copy is checked when it is
+        used.
         """
         if not again:
             return self.size(sha256)
@@ -128,7 +128,7 @@ class BucketBlobStore(BlobStore):
         return size
 
     def size(self, sha256: str) -> int:
-        """Return how many bytes the bucket keeps of an address."""
+        """Return the size of an address's object."""
         with self._asking(self._missing(sha256)):
             return obstore.head(self._store, _key(sha256))["size"]
 
@@ -151,7 +151,7 @@ class BucketBlobStore(BlobStore):
             )
 
     def _fetch(self, sha256: str) -> None:
-        """Bring an object here, complete and right or not at all."""
+        """Fetch an object into the cache, complete and verified or not at all."""
         self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         digest = hashlib.sha256()
         with tempfile.TemporaryDirectory(prefix=".get-", dir=self.folder) as folder:
@@ -164,7 +164,7 @@ class BucketBlobStore(BlobStore):
             self._keep_here(written, sha256, written.stat().st_size)
 
     def _keep_here(self, written: Path, sha256: str, size: int) -> None:
-        """Keep a complete file in the folder, and let others go when it holds too much."""
+        """Move a complete file into the cache, and remove others when it holds too much."""
         self._here.keep(written, sha256)
         self._added_bytes += size
         if self._added_bytes > self.limit_bytes // LOOK_AFTER:
@@ -172,7 +172,7 @@ class BucketBlobStore(BlobStore):
             self._make_room()
 
     def _make_room(self) -> None:
-        """Remove what was asked for longest ago until the limit holds."""
+        """Remove the least recently used files until the limit holds."""
         found = sorted(_files(self.folder))
         too_much = sum(size for _, size, _ in found) - self.limit_bytes
         for asked_s, size, path in found:
@@ -183,7 +183,7 @@ class BucketBlobStore(BlobStore):
 
     @contextmanager
     def _asking(self, missing: str) -> Iterator[None]:
-        """Say in one sentence what the store refuses; its own words may hold addresses and headers and are not passed on."""
+        """Turn the store's errors into one sentence, without its message, which may contain addresses and headers."""
         try:
             yield
         except FileNotFoundError as error:
@@ -200,12 +200,12 @@ class BucketBlobStore(BlobStore):
 
 
 def _key(sha256: str) -> str:
-    """Name the object as the file in a folder of blobs, so that plain copying moves from one to the other."""
+    """Return the object's key, the same as the path in a folder of blobs, so that files can be copied between both."""
     return f"{sha256[:2]}/{sha256[2:4]}/{sha256}"
 
 
 def _files(folder: Path) -> Iterator[tuple[float, int, Path]]:
-    """Yield when each file here was asked for last, its size and itself; those that go meanwhile are left out."""
+    """Yield each cached file with its last use and size, without those that are removed meanwhile."""
     for path in folder.glob("[0-9a-f][0-9a-f]/[0-9a-f][0-9a-f]/*"):
         try:
             found = path.stat()
@@ -216,7 +216,7 @@ def _files(folder: Path) -> Iterator[tuple[float, int, Path]]:
 
 @cache
 def open_bucket(place: BlobLocation) -> BucketBlobStore:
-    """Open a bucket, once a process: connections are kept."""
+    """Open a bucket, once per process, because its connections are kept."""
     store = from_url(  # an endpoint without TLS is used only where the environment names one
         place.address,
         client_options={"allow_http": True, "connect_timeout": ANSWERS_WITHIN, "timeout": ENDS_WITHIN},

@@ -1,4 +1,4 @@
-"""The stored files that rows name, held against their addresses and against the size that their row says."""
+"""Checking the stored files that rows name against their addresses and the sizes in their rows."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ ALTERED, MISSING, RESIZED = "altered", "missing", "another size than its row say
 
 @dataclass(frozen=True)
 class BadFile:
-    """A file that is not what its row says, and whose it is."""
+    """A file that differs from its row, with the rows that use it."""
 
     sha256: str
     what: str
     used_by: tuple[str, ...]
 
     def __str__(self) -> str:
-        """Name the file as a person knows it."""
+        """Return a name for the file that people know."""
         return f"{self.sha256[:12]} ({', '.join(self.used_by) or 'of no row'}): {self.what}"
 
 
@@ -37,18 +37,18 @@ def list_registered(session: Session, after: str) -> Sequence[tuple[str, int]]:
 
 
 def list_sizes(session: Session, addresses: Sequence[str]) -> Sequence[tuple[str, int]]:
-    """Return addresses and sizes of those of some files that rows name."""
+    """Return addresses and sizes of those files that rows name."""
     query = sa.select(Blob.sha256, Blob.size_bytes).where(Blob.sha256.in_(addresses)).order_by(Blob.sha256)
     return [(sha256, size) for sha256, size in session.execute(query)]
 
 
 def count_bytes(session: Session) -> int:
-    """Return how many bytes the rows say are stored."""
+    """Return the total size of stored files by their rows."""
     return session.scalar(sa.select(sa.func.coalesce(sa.func.sum(Blob.size_bytes), 0))) or 0
 
 
 def wrong_with(blobs: BlobStore, sha256: str, size: int, *, again: bool) -> str | None:
-    """Say what is wrong with a file; None where nothing is. It is read again when asked, else once a process."""
+    """Return what is wrong with a file, or None; it is read once per process, or again on request."""
     try:
         found = blobs.check(sha256, again=again)
     except CorruptFileError:
@@ -59,7 +59,7 @@ def wrong_with(blobs: BlobStore, sha256: str, size: int, *, again: bool) -> str 
 
 
 def bad_files(session: Session, blobs: BlobStore, *, again: bool) -> Iterator[BadFile | None]:
-    """Look at every file that a row names; yields what is wrong with it, None where nothing is."""
+    """Check every file that a row names; yields what is wrong with each, or None."""
     last = ""
     while some := list_registered(session, last):
         for sha256, size in some:

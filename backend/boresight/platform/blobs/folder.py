@@ -29,10 +29,9 @@ class FolderBlobStore(BlobStore):
         return sha256
 
     def open(self, *, make: bool = True) -> None:
-        """Take the folder for the one to use from now on, made where there is none; it is never made again.
+        """Open the folder, created where there is none; it is never created again later.
 
-        A folder that comes back is used again; another in its place, such as the empty one under a disk that is not
-        mounted, is refused.
+        If the same folder returns it is used again; another one in its place, such as an empty mount point, is refused.
         """
         with self._said():
             if make:
@@ -41,7 +40,7 @@ class FolderBlobStore(BlobStore):
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Write in the folder that was opened, and refuse another; the first use opens it."""
+        """Check, before writing, that the folder is the one that was opened; the first use opens it."""
         with self._said():
             if self._is_cache:
                 self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -53,7 +52,7 @@ class FolderBlobStore(BlobStore):
 
     @contextmanager
     def _said(self) -> Iterator[None]:
-        """Say in one sentence that the folder cannot be written."""
+        """Turn an error into one sentence that the folder cannot be written."""
         try:
             yield
         except OSError as error:
@@ -63,21 +62,21 @@ class FolderBlobStore(BlobStore):
             ) from error
 
     def refuse_unusable(self) -> None:
-        """Refuse a folder that is not there any more, and write a file that is gone at once."""
+        """Check that the folder exists and can be written, with a temporary file."""
         with self.writing(), tempfile.TemporaryFile(dir=self.folder) as file:
             file.write(b"Boresight")
             file.flush()
         refuse_unwritable(self.folder / "file")
 
     def discard(self, sha256: str) -> None:
-        """Remove what was put and that no row will name, for what belongs to it could not be put."""
+        """Remove a stored file that no row will name, because a related file could not be stored."""
         self.locate(sha256).unlink(missing_ok=True)
 
     def send_ahead(self, *files: Path) -> None:
-        """Bring nothing: here there is no network."""
+        """Do nothing, because a folder needs no network transfer."""
 
     def keep(self, written: Path, sha256: str) -> None:
-        """Give a complete file its address, in the place of a corrupt one too, and make the name itself survive a power cut."""
+        """Rename a complete file to its address, also over a corrupt one, and sync the folder against a power cut."""
         location = self.locate(sha256)
         if location.exists() and integrity.is_intact(location, sha256):
             return
@@ -90,15 +89,15 @@ class FolderBlobStore(BlobStore):
             os.close(folder)
 
     def locate(self, sha256: str) -> Path:
-        """Where the bytes of an address belong."""
+        """Return the path for the bytes of an address."""
         return self.folder / sha256[:2] / sha256[2:4] / sha256
 
     def path(self, sha256: str) -> Path:
-        """Return the file of an address, which has its bytes, to be read only."""
+        """Return the read-only file of an address, with its content checked."""
         return self._checked(self._located(sha256), sha256)
 
     def _located(self, sha256: str) -> Path:
-        """Return the file of an address, whatever is in it."""
+        """Return the file of an address without checking its content."""
         location = self.locate(sha256)
         if not location.is_file():
             if self._opened is not None:
@@ -109,7 +108,7 @@ class FolderBlobStore(BlobStore):
         return location
 
     def _checked(self, location: Path, sha256: str, *, again: bool = False) -> Path:
-        """Return a file that has the bytes of its address."""
+        """Return a file after checking that its bytes match its address."""
         try:
             intact = integrity.is_intact(location, sha256, again=again)
         except OSError as error:
@@ -127,9 +126,9 @@ class FolderBlobStore(BlobStore):
         return location
 
     def check(self, sha256: str, *, again: bool) -> int:
-        """Hold the bytes of an address against it; return how many they are."""
+        """Check a file against its address and return its size."""
         return self._checked(self._located(sha256), sha256, again=again).stat().st_size
 
     def size(self, sha256: str) -> int:
-        """Return how many bytes are kept of an address, whatever they are; refuses as `path` what is missing."""
+        """Return the size of an address's file without checking it; refuses a missing one as `path` does."""
         return self._located(sha256).stat().st_size

@@ -13,7 +13,7 @@ SCHEMES = ("s3", "gs", "az", "abfs", "memory")
 
 @dataclass(frozen=True)
 class BlobLocation:
-    """An address, and the folder in which a machine keeps what it fetched from there."""
+    """The address of a blob store, and a machine's cache folder for it."""
 
     address: str
     cache_folder: Path
@@ -21,7 +21,7 @@ class BlobLocation:
 
     @property
     def is_folder(self) -> bool:
-        """Whether it is a folder, which every machine that computes must see under the same path."""
+        """Whether it is a folder, which every worker's machine must see under the same path."""
         return "://" not in self.address
 
 

@@ -1,4 +1,4 @@
-"""Opening the files of an installation wherever they are kept: folder and bucket know nothing of each other's choice."""
+"""Opening the blob store of an installation, a folder or a bucket."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from boresight.platform.blobs.store import BlobStore
 
 
 def open_blobs(place: BlobLocation, *, make: bool = True) -> BlobStore:
-    """Open the files at a place; those of an object store are opened once a process."""
+    """Open the blob store at a location; an object store is opened once per process."""
     if place.is_folder:
         blobs = FolderBlobStore(Path(place.address))
         if not make:

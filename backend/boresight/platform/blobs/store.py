@@ -1,4 +1,4 @@
-"""Where files are kept under the SHA-256 of their bytes: what every store of them does, in a folder or in a bucket."""
+"""The interface of a blob store, which keeps files under the SHA-256 of their bytes, in a folder or a bucket."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ PARSED_BYTES = 64 << 20  # of JSON: twenty results of 100,000 frames; in memory 
 class BlobStore(ABC):
     """Files by their addresses; many threads and processes may use it at once."""
 
-    kept_at: str | None = None  # the object store that holds what the folder may lack
+    kept_at: str | None = None  # the object store behind the cache folder
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder  # of this machine: all files, or those used lately
+        self.folder = folder  # on this machine: all files, or those used recently
         self.tell_corrupt: Callable[[str], None] = lambda _sha256: None
         self._parsed: SizeLimitedCache[Any] = SizeLimitedCache(PARSED_BYTES)
 
     @abstractmethod
     def open(self, *, make: bool = True) -> None:
-        """Take the folder for the one to use from now on, made where there is none."""
+        """Open the folder, created where there is none."""
 
     @abstractmethod
     def refuse_unusable(self) -> None:
-        """Refuse a place that cannot be written, or does not answer."""
+        """Refuse a store that cannot be written or does not answer."""
 
     @abstractmethod
     def put(self, content: bytes | Path) -> str:
@@ -47,32 +47,32 @@ class BlobStore(ABC):
 
     @abstractmethod
     def send_ahead(self, *files: Path) -> None:
-        """Bring files over the network before the transaction that puts them, which holds others up."""
+        """Send files over the network before the transaction that stores them, to keep it short."""
 
     @abstractmethod
     def discard(self, sha256: str) -> None:
-        """Remove what was put and that no row will name, for what belongs to it could not be put."""
+        """Remove a stored file that no row will name, because a related file could not be stored."""
 
     @abstractmethod
     def path(self, sha256: str) -> Path:
-        """Return a file with the bytes of an address, to be read only."""
+        """Return a read-only file with the bytes of an address."""
 
     @abstractmethod
     def check(self, sha256: str, *, again: bool) -> int:
-        """Hold the bytes of an address against it; return how many they are."""
+        """Check a file against its address and return its size."""
 
     @abstractmethod
     def size(self, sha256: str) -> int:
-        """Return how many bytes are kept of an address, whatever they are; refuses as `path` what is missing."""
+        """Return the size of an address's file without checking it; refuses a missing one as `path` does."""
 
     def read(self, sha256: str) -> bytes:
-        """Return the bytes of an address; refuses as `path`."""
+        """Return the bytes of an address; refuses as `path` does."""
         return self.path(sha256).read_bytes()
 
     def document(self, sha256: str) -> Any:
-        """Return a JSON document, parsed once for all who ask while it is among the recent ones: nobody may change it.
+        """Return a JSON document, parsed once and cached while recently used; callers must not change it.
 
-        Refuses as `path`. A file that was altered on the disk is held against its address anew.
+        Refuses as `path` does. A file that was altered on the disk is checked again.
         """
         location = self.path(sha256)
         written = location.stat()
@@ -90,7 +90,7 @@ def open_content(content: bytes | Path) -> BinaryIO:
 
 @contextmanager
 def written_beside(source: BinaryIO, folder: Path) -> Iterator[tuple[Path, str]]:
-    """Write what is read to the disk under a passing name; gives the file, to be renamed, and its address."""
+    """Write what is read to a temporary file; yields the file, to be renamed, and its address."""
     digest = hashlib.sha256()
     handle, name = tempfile.mkstemp(prefix=".put-", dir=folder)
     try:
@@ -106,7 +106,7 @@ def written_beside(source: BinaryIO, folder: Path) -> Iterator[tuple[Path, str]]
 
 
 def register_blob(session: Session, blobs: BlobStore, sha256: str, media_type: str) -> Blob:
-    """Return the row of stored bytes, made now when there is none; rows that refer to the bytes need it."""
+    """Return the row of a blob, created if needed, for rows that refer to it."""
     row = session.scalar(sa.select(Blob).where(Blob.sha256 == sha256))
     if row is None:
         row = Blob(sha256=sha256, size_bytes=blobs.size(sha256), media_type=media_type, created_utc=utc_now())

@@ -1,4 +1,4 @@
-"""Star trackers, their telemetry and the files behind it."""
+"""Stored files."""
 
 from __future__ import annotations
 

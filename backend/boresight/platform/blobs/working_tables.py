@@ -1,4 +1,4 @@
-"""The table of a stored set as it is mapped, whenever it came."""
+"""Working tables of stored sets as memory-mapped files, converted from Parquet where an older version stored that."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CONVERTED = "converted"
 
 
 def working_table(blobs: BlobStore, sha256: str) -> tuple[Path, str]:
-    """Return the mapped table of an address, and the SHA-256 of its bytes."""
+    """Return the memory-mapped table of an address, and the SHA-256 of its bytes."""
     path = blobs.path(sha256)
     if is_working_table(path):
         return path, sha256
@@ -28,12 +28,12 @@ def working_table(blobs: BlobStore, sha256: str) -> tuple[Path, str]:
 
 
 def table_path(blobs: BlobStore, sha256: str) -> Path:
-    """Return the mapped table of an address; refuses as `working_table`."""
+    """Return the path of the memory-mapped table of an address; refuses as `working_table` does."""
     return working_table(blobs, sha256)[0]
 
 
 def _converted(path: Path, sha256: str, folder: Path) -> tuple[Path, str]:
-    """Write a table of Parquet as one that is mapped; whoever finds it finds all of it."""
+    """Convert a Parquet table to one that can be mapped, written atomically."""
     folder.mkdir(mode=0o700, exist_ok=True)
     unfinished = folder / f"unfinished-{secrets.token_hex(8)}"
     try:

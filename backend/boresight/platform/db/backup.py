@@ -28,7 +28,7 @@ from boresight.platform.db.declared import Base
 from boresight.platform.db.sessions import Engine, migrate, open_engine
 from boresight.platform.db.times import utc_now
 
-ROWS = 500  # at once
+ROWS = 500  # rows copied at once
 
 
 def copy_rows(source: Engine, target: Engine) -> int:
@@ -48,14 +48,14 @@ def copy_rows(source: Engine, target: Engine) -> int:
 
 
 def _seen_in_one_state(engine: Engine) -> Engine:
-    """Return the engine so that a connection sees one state; on SQLite every transaction does."""
+    """Return the engine with an isolation level under which a transaction sees one state; SQLite's always do."""
     return (
         engine.execution_options(isolation_level="REPEATABLE READ") if engine.dialect.name == "postgresql" else engine
     )
 
 
 def _copy_table(origin: sa.Connection, copy: sa.Connection, table: sa.Table) -> int:
-    """Copy one table, some rows at a time."""
+    """Copy one table in portions."""
     plain = sa.table(
         table.name, *(sa.column(column.name) for column in table.columns)
     )  # no type: values as they are stored
@@ -71,7 +71,7 @@ def _copy_table(origin: sa.Connection, copy: sa.Connection, table: sa.Table) -> 
 
 
 def _count_on(copy: sa.Connection, table: sa.Table) -> None:
-    """Let PostgreSQL number the next row after the last one, where it numbers them itself."""
+    """Set PostgreSQL's sequence of ids to follow the last row, where the table has one."""
     for column in table.primary_key:
         sequence = copy.scalar(sa.select(sa.func.pg_get_serial_sequence(table.name, column.name)))
         newest = copy.scalar(sa.select(sa.func.max(column))) if sequence else None
@@ -101,7 +101,7 @@ class BackupSummary:
 
 @dataclass(frozen=True)
 class BackupManifest:
-    """What a backup says of itself."""
+    """The manifest of a backup."""
 
     taken_utc: str
     database_sha256: str
@@ -162,7 +162,7 @@ def _is_address(value: object) -> bool:
 
 
 def _find_file(url: str) -> Path | None:
-    """Return the file of a SQLite database at an address, without opening it; None of another engine."""
+    """Return the file of a SQLite database at an address, without opening it; None for another engine."""
     address = sa.make_url(url)
     sqlite = address.get_backend_name() == "sqlite" and address.database
     return Path(str(address.database)).expanduser() if sqlite else None
@@ -189,7 +189,7 @@ def write_backup(url: str, blobs: BlobStore, head: str, archive: Path, *, keep_g
                 try:
                     intact = _pack(backup, stored[sha256], sha256)
                 except FileNotFoundError:
-                    missing |= {sha256} & registered.keys()  # what no row names may go again
+                    missing |= {sha256} & registered.keys()  # files that no row names may disappear meanwhile
                     continue
                 count += intact
                 corrupt |= set() if intact else {sha256}
@@ -210,7 +210,7 @@ def _registered(database: Path) -> dict[str, int]:
 
 
 def _stored(blobs: BlobStore) -> dict[str, Path]:
-    """Return the files of the folder by address; none of an object store, whose files stay there."""
+    """Return the files of the folder by address; none for an object store, whose files stay there."""
     if blobs.kept_at is not None:
         return {}
     found = blobs.folder.glob("[0-9a-f][0-9a-f]/[0-9a-f][0-9a-f]/*")
@@ -218,7 +218,7 @@ def _stored(blobs: BlobStore) -> dict[str, Path]:
 
 
 def _bad_files(blobs: BlobStore, registered: dict[str, int], stored: dict[str, Path]) -> tuple[set[str], set[str]]:
-    """Return the corrupt and the missing files; an object store is asked for sizes, a folder is read."""
+    """Return the corrupt and the missing files; in an object store only sizes are checked."""
     corrupt, missing = set(), set()
     in_folder = blobs.kept_at is None
     for sha256 in sorted(registered.keys() | stored):
@@ -231,7 +231,7 @@ def _bad_files(blobs: BlobStore, registered: dict[str, int], stored: dict[str, P
 
 
 def _refuse_bad(corrupt: set[str], missing: set[str], count: int) -> None:
-    """Refuse to back up what could not be restored."""
+    """Refuse a backup with corrupt or missing files."""
     told = ((corrupt, "corrupt"), (missing, "missing"))
     parts = [f"{len(bad)} of {count} stored files are {what}: {named(sorted(bad))}" for bad, what in told if bad]
     if parts:
@@ -243,7 +243,7 @@ def _refuse_bad(corrupt: set[str], missing: set[str], count: int) -> None:
 
 
 def _pack(backup: zipfile.ZipFile, path: Path, sha256: str) -> bool:
-    """Put a file into the archive; False where its bytes, as they went in, are not those of its address."""
+    """Add a file to the archive; False where its bytes do not match its address."""
     digest = hashlib.sha256()
     with path.open("rb") as file:
         member = zipfile.ZipInfo.from_file(path, f"blobs/{sha256}", strict_timestamps=False)
@@ -275,7 +275,7 @@ def _copy_rows(source: str, target: str) -> None:
 
 
 def read_backup(archive: Path, url: str, blobs: BlobStore) -> BackupSummary:
-    """Lay a backup down where nothing is yet; the database appears last, when all else is there.
+    """Restore a backup into an empty location; the database appears last, when everything else is there.
 
     The database at the address may be on the other engine than that of the backup; of PostgreSQL it must exist, empty.
     """
@@ -302,7 +302,7 @@ def read_backup(archive: Path, url: str, blobs: BlobStore) -> BackupSummary:
 
 @contextmanager
 def _opened(archive: Path) -> Iterator[zipfile.ZipFile]:
-    """Open an archive, and say in one sentence that it cannot be read."""
+    """Open an archive, or refuse in one sentence one that cannot be read."""
     try:
         with zipfile.ZipFile(archive) as backup:
             yield backup
@@ -311,7 +311,7 @@ def _opened(archive: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def is_of_now(archive: Path, engine: Engine) -> bool:
-    """Whether an archive holds, whole, the database as it is: the audit log and the journals end alike."""
+    """Whether an archive is complete and current: its audit log and journals end like those of the database."""
     with _opened(archive) as backup, tempfile.TemporaryDirectory(prefix="boresight-") as folder:
         manifest = _manifest(backup)
         _refuse_too_large(backup, Path(folder))
@@ -326,7 +326,7 @@ def is_of_now(archive: Path, engine: Engine) -> bool:
 
 
 def _ends(engine: Engine) -> list[tuple[object, ...] | None]:
-    """Return where the audit log and the journals end, as far as the schema has them."""
+    """Return the ends of the audit log and of the journals, as far as the schema has them."""
     tables = ("audit", *(journal.name for journal in journals.list_journals()))
     with engine.connect() as connection:
         there = sa.inspect(connection)
@@ -341,13 +341,13 @@ def _ends(engine: Engine) -> list[tuple[object, ...] | None]:
 
 
 def named(addresses: Sequence[str]) -> str:
-    """Name files, the first of many."""
+    """Return a list of file names as text, shortened if there are many."""
     more = f" and {len(addresses) - NAMED} more" if len(addresses) > NAMED else ""
     return ", ".join(sha256[:12] for sha256 in addresses[:NAMED]) + more
 
 
 def _manifest(backup: zipfile.ZipFile) -> BackupManifest:
-    """Read what the backup says of itself, once every member is known to be of a kind that Boresight writes."""
+    """Read the manifest, after checking that every member is of a kind that Boresight writes."""
     names = backup.namelist()
     for member in backup.infolist():
         stored = member.compress_type == zipfile.ZIP_STORED
@@ -371,7 +371,7 @@ def _manifest(backup: zipfile.ZipFile) -> BackupManifest:
 
 
 def _members(backup: zipfile.ZipFile, manifest: BackupManifest) -> list[tuple[str, str]]:
-    """Return name and address of the stored files, which must be as many as the manifest counts."""
+    """Return name and address of the stored files, as many as the manifest counts."""
     names = backup.namelist()
     matches = [(name, match[1]) for name in names if (match := BLOB.fullmatch(name)) is not None]
     unknown = [name for name in names if not BLOB.fullmatch(name) and name not in {DATABASE, MANIFEST}]
@@ -398,7 +398,7 @@ def _refuse_too_large(backup: zipfile.ZipFile, folder: Path) -> None:
 
 
 def _lay_down_blob(backup: zipfile.ZipFile, name: str, sha256: str, blobs: BlobStore) -> bool:
-    """Put one blob under the address of its bytes; False where they are not those."""
+    """Restore one blob; False where its bytes do not match its address."""
     blobs.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".restore-", dir=blobs.folder) as folder:
         written = Path(folder) / "blob"
@@ -410,7 +410,7 @@ def _lay_down_blob(backup: zipfile.ZipFile, name: str, sha256: str, blobs: BlobS
 
 
 def _lay_down_database(backup: zipfile.ZipFile, sha256: str, database: Path | None, url: str) -> None:
-    """Give the database its name once it is known to be whole, or copy its rows to where the address says."""
+    """Rename the database once it is verified, or copy its rows to the other engine."""
     if database is not None:
         database.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".restore-", dir=database and database.parent) as folder:
@@ -429,7 +429,7 @@ def _lay_down_database(backup: zipfile.ZipFile, sha256: str, database: Path | No
 
 
 def _extracted(backup: zipfile.ZipFile, name: str, place: Path) -> str:
-    """Write a member to the disk piece by piece, no more than it states, and return the SHA-256 of its bytes."""
+    """Extract a member in pieces, no more than its stated size, and return the SHA-256 of its bytes."""
     digest = hashlib.sha256()
     with backup.open(name) as packed, place.open("wb") as file:
         while chunk := packed.read(CHUNK_BYTES):

@@ -24,7 +24,7 @@ from boresight.platform.db.sessions import Engine
 
 T = TypeVar("T")
 Value = TypeVar("Value")
-DataVersion = tuple[int, int | str]  # the number of the connection that it was seen over, and what was seen
+DataVersion = tuple[int, int | str]  # the number of the connection, and the value read over it
 QUESTIONS = {"sqlite": "PRAGMA data_version", "postgresql": "SELECT pg_current_snapshot()::text"}
 
 
@@ -41,11 +41,11 @@ class DataVersionReader:
 
     @property
     def at_once(self) -> bool:
-        """Whether a look is so short that it needs no thread."""
+        """Whether reading is so fast that it needs no thread."""
         return self._engine.dialect.name == "sqlite"
 
     def look(self) -> DataVersion | None:
-        """Return the version of now; None where the store cannot say."""
+        """Return the current version; None where the store does not answer."""
         with self._lock:
             try:
                 if self._connection is None:
@@ -58,7 +58,7 @@ class DataVersionReader:
             return self._opened, seen
 
     def row(self, question: str, given: Mapping[str, int | str]) -> tuple[Any, ...] | None:
-        """Return the one row that answers a question, as it is now; None where there is none or it takes a thread."""
+        """Return the first row of a query; None where there is none or the query needs a thread."""
         if not self.at_once:
             return None
         with self._lock:
@@ -73,11 +73,11 @@ class DataVersionReader:
             return found
 
     def _connect(self) -> Any:
-        """Open a connection outside the pool and outside transactions, which waits for nobody."""
+        """Open a connection outside the pool and outside transactions, which waits for no lock."""
         self._opened += 1
         pooled = self._engine.raw_connection()
         self._file = pooled.info.get(OPENED)
-        pooled.detach()  # ours from now on, and open for as long as it is held
+        pooled.detach()  # detached from the pool, and open for as long as it is held
         connection: Any = pooled.dbapi_connection
         if self.at_once:
             connection.execute("PRAGMA busy_timeout=0").close()
@@ -87,12 +87,12 @@ class DataVersionReader:
         return pooled
 
     def _refuse_another_file(self) -> None:
-        """Refuse to look into a file that was moved away."""
+        """Refuse to read a file that was moved away."""
         if self._file is not None:
             self._file.refuse_another()
 
     def _let_go(self) -> None:
-        """Close what is left of a connection; the next look opens another, whose versions are others too."""
+        """Close a broken connection; the next call opens another, whose versions differ."""
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.close()
@@ -117,7 +117,7 @@ class DataVersionPoller:
         self._next: asyncio.Task[DataVersion | None] | None = None
 
     async def now(self) -> DataVersion | None:
-        """Return a version that was looked for after this was called; None where the store cannot say."""
+        """Return a version that was read after this call began; None where the store does not answer."""
         if self._reader.at_once:
             return self._reader.look()
         loop = asyncio.get_running_loop()
@@ -126,7 +126,7 @@ class DataVersionPoller:
         return await asyncio.shield(self._next)
 
     async def _ask(self, before: asyncio.Task[DataVersion | None] | None) -> DataVersion | None:
-        """Wait for the question before, then ask."""
+        """Wait for the query under way, then start another."""
         if before is not None and before.get_loop() is asyncio.get_running_loop():
             await asyncio.wait([before])
         self._under_way, self._next = self._next, None
@@ -146,13 +146,13 @@ class VersionedCache(Generic[T]):
         self._last: tuple[Hashable, DataVersion, float, T] | None = None
 
     def answer(self, question: Hashable, read: Callable[[], T]) -> T:
-        """Return what `read` finds, or what it found the last time."""
+        """Return the result of `read`, cached until the next commit."""
         return self.answer_to(question, read, math.inf)[0]
 
     def answer_to(self, question: Hashable, read: Callable[[], T], asked_s: float) -> tuple[T, bool]:
-        """Return the same for who asked at a time of the monotonic clock, and whether it was read before the newest commit."""
+        """Return the same for a request that came at a monotonic time, and whether it is older than the newest commit."""
         began_s, last = time.monotonic(), self._last
-        data_version = self._reader.look()  # before reading: what is committed in between is read twice, and not missed
+        data_version = self._reader.look()  # before reading, so that no commit is missed
         if last is not None and last[0] == question and data_version is not None:
             if data_version == last[1]:
                 return last[3], False
@@ -167,7 +167,7 @@ LARGEST_SHARE = 4  # of the limit, so that one large thing does not push everyth
 
 
 class SizeLimitedCache(Generic[Value]):
-    """The values used last, by key; many threads may ask at once, and two that ask for the same at once both make it."""
+    """A thread-safe cache of recently used values by key; two threads that miss at once both compute the value."""
 
     def __init__(self, limit_bytes: int) -> None:
         self.limit_bytes = limit_bytes
@@ -176,7 +176,7 @@ class SizeLimitedCache(Generic[Value]):
         self._lock = threading.Lock()
 
     def get(self, key: Hashable, make: Callable[[], tuple[Value, int]]) -> Value:
-        """Return what stands under a key; make it, as value and size in bytes, where nothing does."""
+        """Return the value of a key, computed with its size in bytes where it is missing."""
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)
@@ -187,7 +187,7 @@ class SizeLimitedCache(Generic[Value]):
         return value
 
     def _keep(self, key: Hashable, value: Value, size: int) -> None:
-        """Keep a value, and let the oldest go until the limit holds."""
+        """Store a value, and remove the oldest until the limit holds."""
         with self._lock:
             if key in self._kept:
                 self.held_bytes -= self._kept.pop(key)[1]

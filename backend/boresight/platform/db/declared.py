@@ -1,4 +1,4 @@
-"""What every table has in common: one declarative base, STRICT tables, words and rows that are limited, what is sealed of it."""
+"""What every table has in common: one declarative base, STRICT tables, constraints, and which columns are sealed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sqlalchemy.orm import DeclarativeBase
 
 @dataclass(frozen=True)
 class Journal:
-    """The columns of an append-only table that its chain of hashes covers, and those that move, which have a hash of their own."""
+    """The columns of an append-only table that its hash chain covers, and the changing ones, which have a hash of their own."""
 
     lasting: tuple[str, ...]
     others: tuple[str, ...]
@@ -20,11 +20,11 @@ class Journal:
 
 @dataclass(frozen=True)
 class Sealing:
-    """What the audit log (`boresight.platform.audit.seals`) vouches for in the rows of a table: everything, but what this says."""
+    """Which parts of a table's rows the audit log does not seal (`boresight.platform.audit.seals`); everything else is sealed."""
 
-    unsealed: str = ""  # why for none of it
-    fleeting: Mapping[str, str] = field(default_factory=dict)  # for which columns not, and why
-    moving: frozenset[str] = frozenset()  # for which columns only once the row's state is one of these
+    unsealed: str = ""  # why the table is not sealed at all
+    fleeting: Mapping[str, str] = field(default_factory=dict)  # columns that are not sealed, and why
+    moving: frozenset[str] = frozenset()  # columns that are sealed only in these states of the row
     settled: Collection[str] = ()
     journal: Journal | None = None
 
@@ -32,7 +32,7 @@ class Sealing:
 class Base(DeclarativeBase):
     """All tables share one naming convention, so that migrations can name what they drop."""
 
-    noun: ClassVar[str]  # what a row is called where there is none of a number
+    noun: ClassVar[str]  # name of a row in refusals of an unknown id
     sealing: ClassVar[Sealing] = Sealing()
     metadata = sa.MetaData(
         naming_convention={
@@ -49,10 +49,10 @@ STRICT = {"sqlite_strict": True}
 
 
 def allow_only(column: str, values: tuple[str, ...]) -> sa.CheckConstraint:
-    """Allow only these words in a column."""
+    """Return a constraint that allows only these words in a column."""
     return sa.CheckConstraint(f"{column} IN ({', '.join(repr(value) for value in values)})", name=column)
 
 
 def only_one(name: str, column: str, where: str) -> sa.Index:
-    """Allow one row for each value of a column among the rows that meet a condition."""
+    """Return a unique index on a column among the rows that meet a condition."""
     return sa.Index(name, column, unique=True, sqlite_where=sa.text(where), postgresql_where=sa.text(where))

@@ -1,4 +1,4 @@
-"""Opening the database on either engine, and what is said when it does not answer."""
+"""Opening the database on either engine, and turning its failures into sentences."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ PRAGMAS = (
     "PRAGMA journal_size_limit=67108864",
 )
 MEMORY = ":memory:"
-OPENED = "opened"  # in what is known of a connection to a file
+OPENED = "opened"  # key in a connection's info
 WRITER_LOCK = 0x626F7265  # "bore": the advisory lock that makes one writer at a time on PostgreSQL
-WAIT_S = 30  # for the writer before; a migration waits longer
-IDLE_S = 600  # in a transaction that holds the lock, after which its server is taken for dead
+WAIT_S = 30  # wait for another writer; a migration waits longer
+IDLE_S = 600  # idle time in a transaction that holds the lock, after which its server counts as dead
 CONNECTIONS, MORE_AT_TIMES = 8, 16  # of one server; PostgreSQL allows a hundred in all unless told otherwise
 CONNECT = {
     "connect_timeout": 10,
@@ -45,7 +45,7 @@ OF_DISK = {
     "SQLITE_IOERR": failing,
     "SQLITE_READONLY": read_only,
     "SQLITE_CANTOPEN": absent,
-}  # what SQLite calls it, and what we do
+}  # SQLite's error name, and our sentence
 DISK_FULL = "53100"  # of PostgreSQL
 BUSY = "The database is held by another writer for longer than usual; try again in a moment."
 
@@ -79,9 +79,9 @@ def _open_sqlite(address: sa.URL) -> Engine:
         opened = Opened(path)
     except OSError as error:
         raise storage_error(error, path) or error from error
-    with suppress(OSError):  # of a file that another account owns and shares
+    with suppress(OSError):  # a file owned and shared by another account
         path.chmod(0o600)  # it holds password hashes; SQLite gives its journals the same mode
-    engine = sa.create_engine(address, hide_parameters=True)  # an error shows no values: some are secrets
+    engine = sa.create_engine(address, hide_parameters=True)  # errors must not show values, because some are secrets
     sa.event.listen(engine, "do_connect", partial(_connect_to, opened))
     sa.event.listen(engine, "connect", partial(_remember, opened))
     sa.event.listen(engine, "begin", lambda _connection: opened.refuse_another())
@@ -89,7 +89,7 @@ def _open_sqlite(address: sa.URL) -> Engine:
 
 
 def _listening(engine: Engine, path: Path) -> Engine:
-    """Have an engine of SQLite set its pragmas, begin as asked, and say in words what it lacks."""
+    """Attach the listeners of a SQLite engine: pragmas, BEGIN, and sentences for failures."""
     sa.event.listen(engine, "connect", _on_sqlite_connect)
     sa.event.listen(engine, "begin", _on_sqlite_begin)
     sa.event.listen(engine, "handle_error", partial(_say_what_sqlite_lacks, path))
@@ -98,34 +98,34 @@ def _listening(engine: Engine, path: Path) -> Engine:
 
 
 def _connect_to(opened: Opened, dialect: Any, record: Any, _arguments: Any, options: dict[str, Any]) -> Any:  # noqa: ARG001 - SQLAlchemy gives all
-    """Connect to the file that was opened, and never make one."""
+    """Connect to the existing file, and never create one."""
     opened.refuse_another()
     return dialect.connect(f"{opened.place.as_uri()}?mode=rw", **options, uri=True)
 
 
 def _remember(opened: Opened, connection: Any, record: Any) -> None:  # noqa: ARG001 - SQLAlchemy gives both
-    """Keep with a connection what it is to, for who uses it outside transactions."""
+    """Store the database file in a connection's info, for use outside transactions."""
     record.info[OPENED] = opened
 
 
 def _on_sqlite_connect(connection: Any, record: Any) -> None:  # noqa: ARG001 - SQLAlchemy gives both
-    """Set the pragmas, and take transactions out of the driver's hands: it would begin them too late."""
+    """Set the pragmas, and turn off the driver's own transactions, which would begin too late."""
     connection.isolation_level = None
     for pragma in PRAGMAS:
         connection.execute(pragma).close()
 
 
 def _on_sqlite_begin(connection: sa.Connection) -> None:
-    """Begin as the session asked: a writer takes the lock now, not at its first write, when it might be too late."""
+    """Begin the transaction; a writer takes the lock now and not at its first write, when that could fail."""
     connection.exec_driver_sql(f"BEGIN {connection.get_execution_options().get('begin', 'DEFERRED')}")
 
 
 def _say_what_sqlite_lacks(path: Path, context: sa.engine.ExceptionContext) -> UnavailableError | None:
-    """Put a wait in vain, and a disk that takes no write, into words."""
+    """Turn lock timeouts and disk failures into sentences."""
     name = getattr(context.original_exception, "sqlite_errorname", "")
     if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
         return UnavailableError(BUSY)
-    if name.startswith("SQLITE_CANTOPEN"):  # says so of a disk for reading only too
+    if name.startswith("SQLITE_CANTOPEN"):  # also the error of a read-only disk
         try:
             refuse_unwritable(path)
         except StorageError as error:
@@ -135,7 +135,7 @@ def _say_what_sqlite_lacks(path: Path, context: sa.engine.ExceptionContext) -> U
 
 
 def _say_what_cannot_be_held(context: sa.engine.ExceptionContext) -> NotFoundError | RefusedInputError | None:
-    """Put a value into words that no column can hold: a number beyond 64 bits, half a character, a NUL on PostgreSQL."""
+    """Refuse in a sentence a value that no column can hold: a number beyond 64 bits, a lone surrogate, a NUL on PostgreSQL."""
     error = context.original_exception
     state = getattr(error, "sqlstate", None)
     if isinstance(error, OverflowError) or state == NUMBER_OUT_OF_RANGE:
@@ -163,7 +163,7 @@ def _open_postgresql(address: sa.URL) -> Engine:
 
 
 def _say_what_postgresql_lacks(context: sa.engine.ExceptionContext) -> UnavailableError | None:
-    """Put a lost or refused connection, and a wait in vain, into words; states are those of SQL (class 08, 57, 53)."""
+    """Turn lost or refused connections and lock timeouts into sentences, by their SQL state (class 08, 57, 53)."""
     state = getattr(context.original_exception, "sqlstate", None)
     if state == "55P03":  # lock not available
         return UnavailableError(BUSY)
@@ -175,7 +175,7 @@ def _say_what_postgresql_lacks(context: sa.engine.ExceptionContext) -> Unavailab
 
 
 def be_the_only_writer(connection: sa.Connection, *, wait_s: int = WAIT_S) -> None:
-    """Wait until no other writer is at work; SQLite's `BEGIN IMMEDIATE` already did."""
+    """Wait for the lock of the one writer on PostgreSQL; SQLite's `BEGIN IMMEDIATE` has it already."""
     if connection.dialect.name != "postgresql":
         return
     limits = {"lock_timeout": wait_s, "idle_in_transaction_session_timeout": IDLE_S}

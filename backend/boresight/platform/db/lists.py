@@ -1,4 +1,4 @@
-"""What a list in the database is made of, and its newest rows; the lists themselves stand with their nouns."""
+"""What a list in the database is made of, and its newest rows; the lists themselves are `LISTS` of `console.list_queries`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Condition = Callable[[Any], sa.ColumnElement[bool]]
 
 @dataclass(frozen=True)
 class List:
-    """What a list is made of."""
+    """The definition of a list."""
 
     table: Any
     keys: Mapping[str, Any]
@@ -33,7 +33,7 @@ def equals(column: Any) -> Condition:
 
 
 def _equals_one(column: Any) -> Condition:
-    """Compare a column with a value; one of numbers with a number, however it came, for PostgreSQL compares no text with it."""
+    """Compare a column with a value, for a numeric column as a number, because PostgreSQL does not compare it with text."""
     if not isinstance(column.type, sa.Integer):
         return lambda value: column == value
     return lambda value: column == number if abs(number := int(value)) < MOST_NUMBER else sa.false()

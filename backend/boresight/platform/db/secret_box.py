@@ -46,7 +46,7 @@ class SecretBox:
         return SEALED + keys.encrypt(secret.encode()).decode()
 
     def open(self, stored: str | None) -> str | None:
-        """Decrypt a secret; None when there is none or the key is not here. One stored by an older version is plain."""
+        """Decrypt a secret; None without a secret or without its key. A secret of an older version is plain."""
         if stored is None or not is_sealed(stored):
             return stored
         keys = self._keys()
@@ -58,8 +58,8 @@ class SecretBox:
             return None
 
     def add_key(self) -> None:
-        """Make a new key the first; what the others encrypted can still be read."""
-        self._keys()  # refuse a file that cannot be read before it is written over
+        """Add a new key in first place; secrets encrypted with older keys remain readable."""
+        self._keys()  # refuse an unreadable file before it is overwritten
         known = self._lines() if self.file.exists() else []
         self._write([Fernet.generate_key().decode(), *known])
 
@@ -71,7 +71,7 @@ class SecretBox:
         return max(len(known) - 1, 0)
 
     def _keys(self) -> MultiFernet | None:
-        """Return the keys as the file has them now, None where there is no file."""
+        """Return the keys in the file, None where there is no file."""
         try:
             changed = self.file.stat().st_mtime_ns
         except FileNotFoundError:
@@ -88,7 +88,7 @@ class SecretBox:
         return [line for line in lines if line and not line.startswith("#")]
 
     def _make_file(self) -> None:
-        """Make the file with its first key, complete or not at all; an existing one is never replaced."""
+        """Create the file with its first key, atomically; an existing one is never replaced."""
         self.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         written = self._written([Fernet.generate_key().decode()])
         try:
@@ -98,7 +98,7 @@ class SecretBox:
             written.unlink()
 
     def _write(self, lines: Sequence[str]) -> None:
-        """Replace the file, complete or not at all."""
+        """Replace the file atomically."""
         self.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._written(lines).replace(self.file)
 

@@ -1,6 +1,6 @@
 """The database's transactions; the schema is brought up to date here too.
 
-One request or job is one transaction: the door that starts it opens `open_reading` or `open_writing`, and everything inside sees
+One request or job is one transaction: the code that starts it opens `open_reading` or `open_writing`, and everything inside sees
 one state of the database. There is one writer at a time in both engines (`BEGIN IMMEDIATE` on SQLite, an advisory lock
 on PostgreSQL), so that a rule proven by reading and then writing inside one transaction holds, whoever else is at work.
 """
@@ -53,27 +53,25 @@ __all__ = [
 T = TypeVar("T")
 R = TypeVar("R", bound=Base)
 
-MIGRATION_WAIT_S = 600  # for another server that starts at the same time and migrates
+MIGRATION_WAIT_S = 600  # time to wait for another server that migrates at the same time
 KEPT = "kept despite refusal"
-DRY_RUN = "only tried"
+DRY_RUN = "dry run"
 FIRST_WITH_SEALS = "0003"
-_ONE_MIGRATION = (
-    threading.Lock()
-)  # Alembic's context is of the process: the expected schema may be made while a server starts
+_ONE_MIGRATION = threading.Lock()  # Alembic's context belongs to the process
 
 
 class Session(OrmSession):
     """A transaction on the store; its commit seals in the audit log what it changed."""
 
     def get_known(self, table: type[R], row_id: int, advice: str = "") -> R:
-        """Return a row by its number; refuse where there is none."""
+        """Return a row by its id; refuse an unknown one."""
         row = self.get(table, row_id)
         if row is None:
             raise NotFoundError(f"There is no {table.noun} {row_id}{advice}.")
         return row
 
     def put(self, row: T) -> T:
-        """Write a new row now, which gives it its number."""
+        """Insert a new row at once, which assigns its id."""
         self.add(row)
         self.flush()
         return row
@@ -89,7 +87,7 @@ sa.event.listen(Session, "after_rollback", forget)
 
 @contextmanager
 def open_store(url: str) -> Iterator[Engine]:
-    """Open the store at an address for one command, its schema brought up to date; it is closed at the end."""
+    """Open the store at an address for one command, with its schema upgraded, and close it at the end."""
     engine = open_engine(url)
     try:
         migrate(engine)
@@ -126,7 +124,7 @@ def open_writing(engine: Engine) -> Iterator[Session]:
 
 
 def _end(session: Session) -> None:
-    """Commit what was written; what was only tried is checked against the schema and rolled back."""
+    """Commit what was written; a dry run is checked against the schema and rolled back."""
     if session.info.get(DRY_RUN):
         seal(session)
         session.rollback()
@@ -135,14 +133,14 @@ def _end(session: Session) -> None:
 
 
 def mark_dry_run(session: Session) -> None:
-    """Make this transaction a trial: every check is made, and nothing of it is kept at its end."""
+    """Make this transaction a dry run: every check is made, and it is rolled back at its end."""
     session.info[DRY_RUN] = True
 
 
 def keep_despite_refusal(session: Session) -> None:
-    """Keep what this transaction wrote although a refusal is about to be raised, unless it only tries.
+    """Commit this transaction although a refusal is about to be raised, unless it is a dry run.
 
-    For the refusals whose trace must survive: a request found stale or overdue.
+    For refusals that must leave a trace: a request found stale or overdue.
     """
     if not session.info.get(DRY_RUN):
         session.info[KEPT] = True
@@ -158,7 +156,7 @@ def _config(connection: sa.Connection | None = None) -> Config:
 
 @contextmanager
 def _changing_schema(engine: Engine) -> Iterator[sa.Connection]:
-    """Open a transaction for a migration: alone, all or nothing, with SQLite's foreign keys checked at its end.
+    """Open an exclusive transaction for a migration, with SQLite's foreign keys checked at its end.
 
     SQLite alters a table by copying and dropping it, which with foreign keys on would take the rows that refer to it.
     """
@@ -190,11 +188,11 @@ def migrate(engine: Engine) -> None:
         if before is not None and before < FIRST_WITH_SEALS:
             with Session(connection, join_transaction_mode="rollback_only") as session:
                 seal_everything(session)
-                session.commit()  # its own part; the connection's transaction goes on
+                session.commit()  # commits the session; the connection's transaction goes on
 
 
 def upgrade_tables(connection: sa.Connection) -> None:
-    """Bring every table, index and trigger to the newest schema, from wherever a database is."""
+    """Upgrade every table, index and trigger from any revision to the newest schema."""
     with _ONE_MIGRATION:
         command.upgrade(_config(connection), "head")
 
@@ -208,7 +206,7 @@ def downgrade(engine: Engine, revision: str) -> None:
 
 @dataclass(frozen=True)
 class DowngradeLoss:
-    """What a way back would remove: the rows of a table, or what is in a column."""
+    """What a downgrade would remove: the rows of a table, or the values of a column."""
 
     table: str
     column: str | None
@@ -224,11 +222,11 @@ class DowngradeLoss:
 
 
 class _DryRunError(Exception):
-    """Ends a trial, so that nothing of it is kept."""
+    """Raised to roll back a trial."""
 
 
 def list_downgrade_losses(engine: Engine, revision: str) -> list[DowngradeLoss]:
-    """Go back to a revision, see what is gone, and undo it: both engines do so with tables too."""
+    """Downgrade to a revision, compare what is left, and roll back, which both engines can with tables too."""
     found: list[DowngradeLoss] = []
     _refuse_unknown_revision(engine, revision)
     with suppress(_DryRunError), _changing_schema(engine) as connection:
@@ -247,7 +245,7 @@ def list_downgrade_losses(engine: Engine, revision: str) -> list[DowngradeLoss]:
 
 
 def _contents(connection: sa.Connection) -> dict[str, dict[str, int]]:
-    """Count the rows of each table, under an empty name, and what is not NULL in each of its columns."""
+    """Count the rows of each table, under an empty name, and the values that are not NULL in each column."""
     inspector, found = sa.inspect(connection), {}
     for name in sorted(set(inspector.get_table_names()) - {"alembic_version"}):
         columns = [column["name"] for column in inspector.get_columns(name)]
@@ -265,7 +263,7 @@ def _refuse_unknown_revision(engine: Engine, revision: str) -> None:
 
 
 def _revisions_behind(current: str | None) -> list[str]:
-    """Return the revisions from `base` to the schema's own; all there are where the schema's own is not known."""
+    """Return the revisions from `base` to the schema's own; all of them where that is unknown."""
     known = [script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions()][::-1]
     if current is None:
         return ["base"]

@@ -8,7 +8,7 @@ from boresight.errors import RefusedInputError
 
 
 def utc_now() -> str:
-    """Return the time as the store writes it, `2026-11-21T03:04:05.123456Z`; sorts as time."""
+    """Return the current time in the store's form, `2026-11-21T03:04:05.123456Z`; sorts as time."""
     return utc_after(0.0)
 
 
@@ -24,13 +24,13 @@ def seconds_between(earlier: str, later: str) -> float:
 
 
 def utc_text(moment: datetime) -> str:
-    """Return a moment as the store writes it; one without a zone is UTC already."""
+    """Return a datetime in the store's form; one without a zone is taken as UTC."""
     moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
     return f"{moment.replace(tzinfo=None).isoformat(timespec='microseconds')}Z"  # strftime writes the year 33 with two digits
 
 
 def read_time(text: str) -> str:
-    """Read a time that was given, ISO 8601 and UTC where it names no zone, as the store writes it."""
+    """Convert a time in ISO 8601, UTC where it names no zone, to the store's form."""
     try:
         return utc_text(datetime.fromisoformat(text.strip()))
     except (ValueError, OverflowError) as error:

@@ -1,4 +1,4 @@
-"""Forecasts of runs, kept by what they follow from: the table's content address, the sensor's document, the settings."""
+"""Forecasts of runs, cached by their inputs: the table's content address, the sensor's document and the settings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ KEPT = 500
 
 @dataclass(frozen=True)
 class ForecastSources:
-    """What a dry run may look at besides the rows: stored tables and the star catalogue."""
+    """The inputs of a forecast besides the rows: stored tables and the star catalogue."""
 
     blobs: BlobStore
     catalogue: Callable[[], Catalogue | None]
@@ -35,7 +35,7 @@ class ForecastSources:
     def forecast(
         self, table_sha256: str, sensor_document: Mapping[str, Any], settings: CalibrationSettings
     ) -> Forecast:
-        """Foretell a run; see `calibration.evaluation.forecast`. Without a forecast `at` is None and `sentence` says why."""
+        """Forecast a run; see `calibration.evaluation.forecast`. Without a forecast `at` is None and `sentence` says why."""
         key = compute_sha256([table_sha256, dict(sensor_document), settings.document()])
         with self._lock:
             if key in self._made:
@@ -54,7 +54,7 @@ class ForecastSources:
     def _forecast(
         self, table_sha256: str, sensor_document: Mapping[str, Any], settings: CalibrationSettings
     ) -> Forecast:
-        """Read the sample and foretell, or say why not."""
+        """Read the sample and compute the forecast, or return why that is not possible."""
         try:
             sample = read_sample(table_path(self.blobs, table_sha256), MOST_FRAMES, MOST_STARS)
             if (catalogue := self.catalogue()) is None:

@@ -29,7 +29,7 @@ class PeriodicThread:
         return self._closing.is_set()
 
     def start(self) -> None:
-        """Begin; the first round is at once."""
+        """Start the thread; the first round is at once."""
         self._closing.clear()
         self._thread = threading.Thread(target=self._run, name=f"boresight-{self._name}", daemon=True)
         self._thread.start()
@@ -39,7 +39,7 @@ class PeriodicThread:
         self._nudge.set()
 
     def close(self, patience_s: float | None = None) -> None:
-        """Stop after the step that is under way, waiting for it so long at most; safe to call twice."""
+        """Stop after the step that is under way, waiting for it at most for a given time; safe to call twice."""
         self._closing.set()
         self._nudge.set()
         if self._thread is not None and self._thread is not threading.current_thread():
@@ -47,7 +47,7 @@ class PeriodicThread:
             self._thread = None
 
     def take(self, step: Callable[[], None]) -> None:
-        """Take a step; an error is logged."""
+        """Run a step; an error is logged."""
         try:
             step()
         except Exception:

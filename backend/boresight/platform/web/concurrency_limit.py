@@ -5,10 +5,10 @@ patience is over before their turn comes, and the server would work for people w
 within seconds, and the rest know it within a millisecond: 503 and `Retry-After`. Cached answers, files of the pages, event
 streams and the routes by which the server is watched need no thread of the few, and are always let in.
 
-There are three kinds of places, and no kind takes another's. Requests of somebody known; requests of nobody known, of which each
-address has a share; and large bodies, of which each person has a share, for these are read while their place is held. Every other
-body is read before a place is taken, so that whoever sends half of one holds none. A credential that is forged or has ended is
-none. Who is not known sends no more than a form.
+There are three kinds of slots, and no kind takes another's. Requests of somebody known; requests of nobody known, of which each
+address has a share; and large bodies, of which each person has a share, for these are read while their slot is held. Every other
+body is read before a slot is taken, so that whoever sends half of one holds none. A forged or ended credential counts as none, and
+an unknown client may send no more than a form.
 
 Of those let in few run at once, writers apart from readers (`RequestQueue`).
 """
@@ -40,7 +40,7 @@ LENT_S = 0.25
 
 
 class RequestQueue:
-    """Who runs at once and who comes next: the request for whose answer, summed over all who will have it, was waited longest.
+    """A queue that limits the requests that run at once; next is the one with the longest total wait of all clients of its answer.
 
     An endpoint and each of its dependencies need a thread, one after the other. Were all let at the threads together, each would
     wait for one again and again, and a writer would hold the store's write lock meanwhile. So a request waits once, for its turn.
@@ -55,7 +55,7 @@ class RequestQueue:
 
     @asynccontextmanager
     async def turn(self, waited_s: Callable[[float], float] | None = None) -> AsyncIterator[None]:
-        """Wait for a turn, and have it."""
+        """Wait for a turn, and hold it within the block."""
         if self._free:
             self._free -= 1
         else:
@@ -83,12 +83,12 @@ class RequestQueue:
             await mine
         except asyncio.CancelledError:
             if mine.done() and not mine.cancelled():
-                self._next()  # it had just been given
+                self._next()  # the turn had just been given
             self._waiting.pop(mine, None)
             raise
 
     def _next(self) -> None:
-        """Give a turn that is over to what was waited for longest."""
+        """Give a free turn to the request with the longest total wait."""
         now_s = time.monotonic()
         while self._waiting:
             waiting = max(self._waiting, key=lambda one: self._waiting[one](now_s))
@@ -104,7 +104,7 @@ SMALL_BODY_BYTES = 64_000
 ALWAYS = ("/static/", "/healthz", "/readyz", "/metrics", "/api/v1/events")
 Refuse = Callable[[Request, Exception], Response]
 Begin = Callable[[Scope], Awaitable[None]]
-READERS, WRITERS = 2, 2  # worked on at once; of the writers, all but one wait for the store
+READERS, WRITERS = 2, 2  # run at once; all writers but one wait for the store
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class Slots:
         self._by_key: Counter[str] = Counter()
 
     def take(self, key: str) -> bool:
-        """Take a place, if there is one."""
+        """Take a slot, if there is one."""
         if self.taken >= self.most or self._by_key[key] >= self.most_each:
             return False
         self.taken += 1
@@ -137,7 +137,7 @@ class Slots:
         return True
 
     def give_back(self, key: str) -> None:
-        """Free a place that was taken."""
+        """Free a slot that was taken."""
         self.taken -= 1
         self._by_key[key] -= 1
         if not self._by_key[key]:
@@ -168,17 +168,17 @@ class ConcurrencyLimit:
             _mark_connection(scope, known=person is not None)
             body = _AnnouncedBody.of(scope)
             if person is None:
-                places, key = self.unknown, _address(scope)
+                slots, key = self.unknown, _address(scope)
                 buffered = await self._small(body, receive) if body.comes else receive
             elif body.is_large:
-                places, key, buffered = self.large, str(person), receive
+                slots, key, buffered = self.large, str(person), receive
             else:
-                places, key = self.known, ""
+                slots, key = self.known, ""
                 buffered = await read_body(receive) if body.comes else receive
             if buffered is None:
-                return  # who asked has left
-            if not places.take(key):
-                raise _make_refusal(places)
+                return  # the client has left
+            if not slots.take(key):
+                raise _make_refusal(slots)
         except (BoresightError, HTTPException) as error:
             await self._refuse(Request(scope), error)(scope, receive, send)
             return
@@ -187,7 +187,7 @@ class ConcurrencyLimit:
                 await self._begin(scope)
                 await self.app(scope, buffered, send)
         finally:
-            places.give_back(key)
+            slots.give_back(key)
 
     async def _small(self, body: _AnnouncedBody, receive: Receive) -> Receive | None:
         if body.is_large:
@@ -204,7 +204,7 @@ class ConcurrencyLimit:
 
 @dataclass(frozen=True)
 class _AnnouncedBody:
-    """What a request's head says of its body: whether one comes, and whether it may be large."""
+    """What a request's headers announce: whether it has a body, and whether that may be large."""
 
     comes: bool
     is_large: bool
@@ -220,7 +220,7 @@ class _AnnouncedBody:
 
 
 def _mark_connection(scope: Scope, *, known: bool) -> None:
-    """Tell the connection whose request it carries; there is none where no server is between."""
+    """Tell the connection whether its request is of a known actor; in tests there is no connection."""
     connection: Connection | None = scope["state"].get(CONNECTION)
     if connection is not None:
         connection.known = known
@@ -232,8 +232,8 @@ def _address(scope: Scope) -> str:
     return get_network(client[0]) if client else ""
 
 
-def _make_refusal(places: Slots) -> OverloadedError:
-    said = f"{places.most} requests of its kind are under way, as many as this server takes"
-    if places.taken < places.most:
-        said = f"{places.most_each} requests of yours are under way, as many as one address or person may have"
+def _make_refusal(slots: Slots) -> OverloadedError:
+    said = f"{slots.most} requests of its kind are under way, as many as this server takes"
+    if slots.taken < slots.most:
+        said = f"{slots.most_each} requests of yours are under way, as many as one address or person may have"
     return OverloadedError(f"{said}; ask again in {COME_BACK_S} s.", COME_BACK_S)

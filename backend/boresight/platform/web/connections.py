@@ -1,4 +1,4 @@
-"""Connections: how long each may take over what it sends, and how many there may be."""
+"""Connections: deadlines for what each sends, and a limit on their number."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from boresight.platform.web.origins import get_network
 from boresight.platform.web.problems import MEDIA_TYPE
 
-CONNECTION = "connection"  # in the request's state: over which it came
+CONNECTION = "connection"  # in the request's state: its connection
 MOST_OPEN = 4096
-OTHER_FILES = 256  # of the store, blobs, workers, libraries
+OTHER_FILES = 256  # file descriptors of the store, blobs, workers, libraries
 COME_BACK_S = 2
 LONGEST_HEAD_BYTES = 64 << 10
 
@@ -35,7 +35,7 @@ class Deadlines:
 
     @property
     def look_s(self) -> float:
-        """How often to look."""
+        """How often deadlines are checked."""
         return min(0.5, min(self.head_s, self.linger_s, self.stuck_s) / 5)
 
 
@@ -49,16 +49,16 @@ class Connections:
         self._look: asyncio.TimerHandle | None = None
 
     def protocol(self) -> type[asyncio.Protocol]:
-        """Return what uvicorn makes a connection's protocol with."""
+        """Return the protocol class for uvicorn."""
         return cast("type[asyncio.Protocol]", partial(Connection, self))
 
     @property
     def count(self) -> int:
-        """How many are open."""
+        """The number of open connections."""
         return len(self._open)
 
     def join(self, connection: Connection) -> None:
-        """Take a new connection, in another's place where all are taken; or turn it away."""
+        """Accept a new connection, closing another where the limit is reached, or refuse it."""
         if len(self._open) >= self.most:
             other = self._least()
             (other or connection).refuse(
@@ -77,13 +77,13 @@ class Connections:
         self._open.discard(connection)
 
     def _least(self) -> Connection | None:
-        """Return the connection that goes first when all are taken."""
+        """Return the connection to close first when the limit is reached."""
         waiting = [one for one in self._open if one.is_dispensable()]
         counts = Counter(one.address for one in waiting)
         return min(waiting, key=lambda one: (-counts[one.address], one.since_s), default=None)
 
     def _judge(self, loop: asyncio.AbstractEventLoop) -> None:
-        """End the connections whose time is over."""
+        """Close the connections past their deadline."""
         now_s = loop.time()
         for connection in list(self._open):
             connection.judge(now_s)
@@ -97,7 +97,7 @@ class Connection(HttpToolsProtocol):
         super().__init__(**given)
         self.timeout_keep_alive = connections.deadlines.idle_s  # type: ignore[assignment]  # any number of seconds will do
         self.address = ""
-        self.known = False  # whether its last request was of somebody known
+        self.known = False  # whether its last request was of a known actor
         self.since_s = 0.0  # since when it is in its phase
         self._connections = connections
         self._phase: Hashable = None
@@ -114,7 +114,7 @@ class Connection(HttpToolsProtocol):
         self._connections.join(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Make its place free."""
+        """Remove the connection."""
         self._connections.leave(self)
         super().connection_lost(exc)
 
@@ -140,7 +140,7 @@ class Connection(HttpToolsProtocol):
         self._begin_head()
 
     def on_headers_complete(self) -> None:
-        """Take the head; the body may follow."""
+        """Handle the head; a body may follow."""
         if len(self.url) + sum(len(name) + len(value) for name, value in self.headers) > LONGEST_HEAD_BYTES:
             self._refuse_head()
             raise ValueError("Expected a head within its limit")  # the parser reads no further
@@ -156,12 +156,12 @@ class Connection(HttpToolsProtocol):
     def on_response_complete(self) -> None:
         """Wait for the next request from now on."""
         super().on_response_complete()
-        if self._head_since_s is not None:  # a further one has begun to come meanwhile
+        if self._head_since_s is not None:  # another request has begun already
             self._head_since_s = self.loop.time()
             self._unset_keepalive_if_required()  # it is not idle
 
     def send_400_response(self, msg: str) -> None:  # noqa: ARG002 - ours says more
-        """Refuse what is no request."""
+        """Answer an invalid request."""
         self.refuse(HTTPStatus.BAD_REQUEST, "This is no HTTP request; ask by http://, or the proxy that speaks HTTPS.")
 
     def _begin_head(self) -> None:
@@ -169,11 +169,11 @@ class Connection(HttpToolsProtocol):
             self._head_since_s, self._head_bytes = self.loop.time(), 0
 
     def is_dispensable(self) -> bool:
-        """Whether nobody known is waiting for it: it has sent no whole request that is being answered."""
+        """Whether it may be closed: it has no complete request of a known actor under way."""
         return not self.known and (self._in_body or self.cycle is None or self.cycle.response_complete)
 
     def judge(self, now_s: float) -> None:
-        """End it where its time is over."""
+        """Close the connection if it is past its deadline."""
         deadlines = self._connections.deadlines
         phase, longest_s, end = self._state(deadlines)
         if phase != self._phase:
@@ -183,7 +183,7 @@ class Connection(HttpToolsProtocol):
             end()
 
     def _state(self, deadlines: Deadlines) -> tuple[tuple[str, int], float, Callable[[], None] | None]:
-        """Return the phase, how long it may last, and how it is ended; None where others see to that."""
+        """Return the start of the phase, its deadline and how it is ended; None where other code enforces one."""
         waiting = self.transport.get_write_buffer_size()
         if self.transport.is_closing() or self.flow.write_paused:
             return ("sending", waiting), deadlines.stuck_s, self.transport.abort
@@ -201,7 +201,7 @@ class Connection(HttpToolsProtocol):
         )
 
     def refuse(self, status: HTTPStatus, sentence: str) -> None:
-        """Answer what cannot be a request, and close."""
+        """Answer an invalid request, and close."""
         if self.transport.is_closing():
             return
         if self.cycle is None or not self.cycle.response_started or self.cycle.response_complete:

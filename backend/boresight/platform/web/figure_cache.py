@@ -15,13 +15,13 @@ from boresight import figures
 from boresight.platform.db.data_version import SizeLimitedCache
 
 KEPT_BYTES = 64 << 20
-ASK_AGAIN = {"Cache-Control": "private, no-cache"}  # keep it, but ask whether it still holds
+ASK_AGAIN = {"Cache-Control": "private, no-cache"}  # the browser caches it, but revalidates
 NOT_MODIFIED = 304
 
 
 @cache
 def figures_version() -> str:
-    """Return the hash of everything that figures are drawn by."""
+    """Return the hash of the code and data that figures depend on."""
     digest = hashlib.sha256(plotly.__version__.encode())
     for source in sorted(Path(figures.__file__).parent.rglob("*.py")):
         digest.update(source.read_bytes())
@@ -29,13 +29,13 @@ def figures_version() -> str:
 
 
 class FigureCache:
-    """The figures that were drawn last, as bytes."""
+    """A cache of recently drawn figures as bytes."""
 
     def __init__(self) -> None:
         self._recent: SizeLimitedCache[bytes] = SizeLimitedCache(KEPT_BYTES)
 
     def answer(self, request: Request, parts: Sequence[str] | None, draw: Callable[[], bytes]) -> Response:
-        """Answer with a figure."""
+        """Return the response with a figure."""
         if parts is None:
             return Response(draw(), media_type="application/json", headers={"Cache-Control": "no-store"})
         digest = hashlib.sha256("\0".join((figures_version(), *parts)).encode()).hexdigest()[:32]

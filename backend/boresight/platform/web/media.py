@@ -26,7 +26,7 @@ class ZipFile(Response):
 
 
 class StoredFile(FileResponse):
-    """Bytes as somebody uploaded them: never guessed to be a page, whatever their name says."""
+    """Uploaded bytes, always sent as a download and never as a page."""
 
     media_type = "application/octet-stream"
 

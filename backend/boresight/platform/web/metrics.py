@@ -1,4 +1,4 @@
-"""What a monitoring system scrapes: requests by route, time they took, runs by state, open event streams."""
+"""Metrics: requests by route, their durations, runs by state, open event streams."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ UNROUTED = "none"
 
 
 class _RunsByState(Collector):
-    """Counts the runs when asked."""
+    """A collector that counts the runs when scraped."""
 
     def __init__(self, count: Callable[[], dict[str, int]]) -> None:
         self._count = count
@@ -56,7 +56,7 @@ class Metrics:
         took.observe(seconds)
 
     def _series(self, method: str, route: str, status: int) -> tuple[Counter, Histogram]:
-        """Return the two series of one kind of answer; there are as many as routes and codes."""
+        """Return the two series for a route and status code."""
         kind = method, route, status
         if kind not in self._by_kind:
             labelled = self._requests.labels(method, route, str(status)), self._seconds.labels(method, route)
@@ -72,7 +72,7 @@ LOOK_AGAIN_S = 5.0
 
 
 class CachedCheck:
-    """Something that is usable or not."""
+    """A check whose result is cached for some seconds."""
 
     def __init__(self, refuse: Callable[[], None]) -> None:
         self._refuse = refuse
@@ -80,7 +80,7 @@ class CachedCheck:
         self._looked_s = float("-inf")
 
     def fault(self) -> str:
-        """Return what is wrong, as it was some seconds ago at most; empty where nothing is."""
+        """Return the fault found by the check, at most some seconds old; empty where there is none."""
         if time.monotonic() - self._looked_s > LOOK_AGAIN_S:
             try:
                 self._refuse()

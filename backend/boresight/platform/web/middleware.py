@@ -1,10 +1,10 @@
-"""What holds for every answer: a request id, security headers, a limit on the body, HEAD and `Allow`, and no bare failure.
+"""The middleware for every request: request id, security headers, body limit, HEAD and `Allow`, and a problem for every failure.
 
 The policy allows nothing but what this server sends: no inline script, no other host, no framing. Styles have three
 exceptions, all for Plotly and none of which can load anything, for `default-src` is this server. Plotly makes an empty
 `<style>` element that it fills through the CSSOM, and one with the style of its maps: each is admitted by the hash of its
-text. It sets `style` attributes on the SVG that it draws: `style-src-attr` admits them. HEAD is a GET whose answer is broken
-off at its first piece, for the event stream would never end.
+text. It sets `style` attributes on the SVG that it draws: `style-src-attr` admits them. HEAD is a GET whose answer is cut off at
+its first piece, because the event stream would never end.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ SECURITY_HEADERS = {
 STRICT_TRANSPORT = (b"strict-transport-security", b"max-age=31536000; includeSubDomains")
 SECURITY_PAIRS = tuple((name.lower().encode(), value.encode()) for name, value in SECURITY_HEADERS.items())
 FOUR_EYES = "Boresight-Four-Eyes"
-ALONE = "four-eyes-off-"  # begins the names of files
+ALONE = "four-eyes-off-"  # prefix of file names
 FILE_NAME = re.compile(r"""(filename\*?=(?:"|utf-8''|))""")
 USABLE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
-BODY_LIMIT_BYTES = 1_000_000  # JSON and plain forms, and what a multipart form says around its file
+BODY_LIMIT_BYTES = 1_000_000  # for JSON, plain forms, and the other parts of a multipart form
 UPLOADED = ("/telemetry-sets", "/telemetry")  # paths that take a file
 
 HeaderPairs = tuple[tuple[bytes, bytes], ...]
@@ -77,7 +77,7 @@ def get_request_id(headers: Mapping[bytes, bytes]) -> str:
 
 
 class RequestMiddleware:
-    """The outermost layer."""
+    """The outermost middleware."""
 
     def __init__(
         self,
@@ -113,7 +113,7 @@ class RequestMiddleware:
             self.observe(scope, answer.status, time.perf_counter() - answer.began_s)
 
     def _limited(self, scope: Scope, headers: Mapping[bytes, bytes], receive: Receive) -> Receive:
-        """Refuse a body that is over the limit, whether or not its length was announced, or too slow."""
+        """Limit a body's size, announced or not, and its duration."""
         if b"content-length" not in headers and b"transfer-encoding" not in headers:
             return receive  # there is none (RFC 9112, 6.3)
         limit, sentence = BODY_LIMIT_BYTES, f"The request is over {BODY_LIMIT_BYTES:,} bytes; send less at once."
@@ -154,7 +154,7 @@ class _Response:
         await self._send(message)
 
     async def fail(self, error: Exception, refuse: Refuse) -> None:
-        """Log what nobody foresaw and answer with a problem, unless an answer is already on its way."""
+        """Log an unexpected error and answer with a problem, unless an answer has begun."""
         log.error("Request %s failed", self._state["request_id"], exc_info=error)
         if self.status:
             raise error
@@ -163,7 +163,7 @@ class _Response:
 
 
 def _add_isolation_headers(headers: MutableHeaders) -> None:
-    """Say in an answer, and in the name of a file, that one person may submit and sign alone here."""
+    """Mark an answer, and the name of its file, where four-eyes is off."""
     headers[FOUR_EYES] = "off"
     named = headers.get("content-disposition")
     if named is not None:
@@ -171,7 +171,7 @@ def _add_isolation_headers(headers: MutableHeaders) -> None:
 
 
 async def _nothing() -> Message:
-    """Receive nothing more: the answer needs no body."""
+    """Receive an empty body."""
     return {"type": "http.disconnect"}
 
 
@@ -180,7 +180,7 @@ NOT_ALLOWED = 405
 
 
 def allowed(request: Request) -> list[str]:
-    """Return the methods that the address of a request takes."""
+    """Return the methods that a request's address allows."""
     routes: list[BaseRoute] = request.app.router.routes
     scope = {name: value for name, value in request.scope.items() if name not in {"route", "endpoint", "path_params"}}
     takes = [
@@ -192,14 +192,14 @@ def allowed(request: Request) -> list[str]:
 
 
 def answer_options(request: Request, error: Exception) -> Response | None:
-    """Answer OPTIONS of an address that there is; None where that is not what was asked."""
+    """Answer OPTIONS of an existing address; None for any other request."""
     if request.method != "OPTIONS" or getattr(error, "status_code", None) != NOT_ALLOWED:
         return None
     return Response(status_code=204, headers={"Allow": ", ".join(allowed(request))})
 
 
 def with_allow(request: Request, error: Exception) -> Exception:
-    """Return an error with every method of the address in its `Allow`, where it says that the one asked is none of them."""
+    """Return the error, with a complete `Allow` header if it is 405."""
     if not isinstance(error, HTTPException) or error.status_code != NOT_ALLOWED:
         return error
     takes = ", ".join(allowed(request))
@@ -208,7 +208,7 @@ def with_allow(request: Request, error: Exception) -> Exception:
 
 
 class HeadMiddleware:
-    """The layer that answers HEAD."""
+    """The middleware that answers HEAD."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -218,7 +218,7 @@ class HeadMiddleware:
         if scope["type"] != "http" or scope["method"] != "HEAD":
             await self.app(scope, receive, send)
             return
-        inner = {**scope, "method": "GET"}  # the server looks at the method in its own when it sends
+        inner = {**scope, "method": "GET"}  # the server reads the method from its own scope when it sends
         head = _HeadResponse(send)
         answering = asyncio.ensure_future(self.app(inner, receive, head.send))
         answering.add_done_callback(lambda _: head.over.set())
@@ -226,12 +226,12 @@ class HeadMiddleware:
             await head.over.wait()
         finally:
             if "route" in inner:
-                scope["route"] = inner["route"]  # by which it is counted
+                scope["route"] = inner["route"]  # used for metrics
             await _cancel(answering)
 
 
 class _HeadResponse:
-    """The head of one answer on its way out; `over` once there is no need to wait for the rest."""
+    """The head of an outgoing answer; `over` is set once the rest is not needed."""
 
     def __init__(self, send: Send) -> None:
         self.over = asyncio.Event()
@@ -239,7 +239,7 @@ class _HeadResponse:
         self._is_sent = False
 
     async def send(self, message: Message) -> None:
-        """Send the start, and an end in the place of the body's first piece."""
+        """Send the start, and an empty end instead of the body."""
         if message["type"] == "http.response.start":
             await self._send(message)
         elif message["type"] == "http.response.body" and not self._is_sent:
@@ -250,7 +250,7 @@ class _HeadResponse:
 
 
 async def _cancel(answering: asyncio.Future[None]) -> None:
-    """Break off what still answers; what it failed with is passed on."""
+    """Cancel the endpoint; an error of its own is raised."""
     answering.cancel()
     with suppress(asyncio.CancelledError):
         await answering
@@ -261,9 +261,9 @@ GZIP = b"gzip"
 SPELLINGS = (b"gzip", b"x-gzip")  # RFC 9110, 8.4.1.3
 
 
-@lru_cache(maxsize=64)  # browsers and programs send few different ones
+@lru_cache(maxsize=64)  # few different values occur
 def takes_gzip(accepted: bytes) -> bool:
-    """Say whether an answer may be sent with gzip."""
+    """Return whether the client accepts gzip."""
     weights = dict(_parse_coding(element) for element in accepted.lower().split(b","))
     named = [weights[name] for name in SPELLINGS if name in weights]
     weight = max(named) if named else weights.get(b"*", 0.0)
@@ -283,7 +283,7 @@ def _parse_coding(element: bytes) -> tuple[bytes, float]:
 
 
 class AcceptEncodingMiddleware:
-    """The layer that writes `Accept-Encoding` as what is done about it: `gzip`, or not there at all."""
+    """The middleware that normalises `Accept-Encoding` to `gzip` or removes it."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app

@@ -1,4 +1,4 @@
-"""What the OpenAPI document says besides the routes: the rules that hold for all of them, and the shape of refusals."""
+"""Additions to the OpenAPI document: rules that apply to all routes, and the schema of refusals."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ Noted = TypeVar("Noted", bound=Callable[..., Any])
 
 
 def refuses(*statuses: int) -> Callable[[Noted], Noted]:
-    """Note on a dependency, or on an operation, which refusals it makes besides those that every operation has."""
+    """Declare the refusals of a dependency or operation, besides those that every operation has."""
 
     def noted(dependency: Noted) -> Noted:
         dependency.refuses = statuses  # type: ignore[attr-defined]  # read by `dependency_refusals`
@@ -149,7 +149,7 @@ def refuses(*statuses: int) -> Callable[[Noted], Noted]:
 
 
 def dependency_refusals(dependant: Dependant) -> dict[int | str, dict[str, Any]]:
-    """List the refusals that an operation and its dependencies note."""
+    """List the refusals that an operation and its dependencies declare."""
     noted = {status for call in _calls(dependant) for status in getattr(call, "refuses", ())}
     return {status: {**answer, "model": None} for status, answer in refusals(*sorted(noted)).items()}
 
@@ -161,7 +161,7 @@ def _calls(dependant: Dependant) -> Iterator[Any]:
 
 
 def corrected(document: dict[str, Any], cookie_name: str) -> dict[str, Any]:
-    """Say in an OpenAPI document what the framework cannot know: what holds for every operation of a kind."""
+    """Complete an OpenAPI document with rules for all operations of a kind, which the framework does not know."""
     components = document["components"]
     components["headers"] = HEADERS
     for scheme in components.get("securitySchemes", {}).values():
@@ -185,7 +185,7 @@ def _parameters(operation: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def _describe_dry_run(operation: dict[str, Any]) -> None:
-    """Say that `If-Match` must be there, which the framework leaves to the 428, and what a trial answers."""
+    """Mark `If-Match` as required and describe the answer to a dry run."""
     named, answers = _parameters(operation), operation["responses"]
     if "If-Match" in named and "428" in answers:
         named["If-Match"] |= {"required": True, "schema": {"type": "string", "title": "If-Match"}}
@@ -196,7 +196,7 @@ def _describe_dry_run(operation: dict[str, Any]) -> None:
 
 
 def _refused(path: str, method: str, operation: dict[str, Any]) -> Iterator[int]:
-    """Yield the refusals that follow from what an operation takes and touches."""
+    """Yield the refusals that follow from an operation's inputs."""
     named, has_body = _parameters(operation), "requestBody" in operation
     yield from (400, 401, 403, 408, 422, 431, 503)
     if has_body:
@@ -211,7 +211,7 @@ def _refused(path: str, method: str, operation: dict[str, Any]) -> Iterator[int]
 
 
 def _describe_answer(method: str, operation: dict[str, Any], status: str, answer: dict[str, Any]) -> None:
-    """Say what an answer carries besides its body; a refusal is a problem and nothing else."""
+    """Describe an answer's headers, and the media type of refusals."""
     content, named = answer.get("content", {}), _parameters(operation)
     if MEDIA_TYPE in content:
         answer["content"] = {MEDIA_TYPE: content[MEDIA_TYPE]}

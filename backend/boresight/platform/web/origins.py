@@ -26,7 +26,7 @@ SENTENCE = "This request was made by a page of another site; make it from Boresi
 
 
 class OriginCheck:
-    """The layer that refuses what pages of other sites send."""
+    """The middleware that refuses requests from pages of other sites."""
 
     def __init__(self, app: ASGIApp, refuse: Callable[[Request, Exception], Response], public_url: str = "") -> None:
         self.app = app
@@ -61,7 +61,7 @@ def is_foreign(headers: Headers, public_url: str = "") -> bool:
         return False
     origin = _split(origins[0])
     if len(origins) > 1 or origin is None or origin.scheme not in DEFAULT_PORTS:
-        return True  # "null" is a page that hides where it is from
+        return True  # "null" is the origin of a page that hides its own
     if public_url and origin.geturl() == _parse_origin(public_url):
         return False
     hosts = [headers.get("host", ""), *headers.get("x-forwarded-host", "").split(",")[:1]]
@@ -69,7 +69,7 @@ def is_foreign(headers: Headers, public_url: str = "") -> bool:
 
 
 def _split(address: str) -> SplitResult | None:
-    """Read an origin; None where it is none."""
+    """Parse an origin; None where it is invalid."""
     try:
         parts = urlsplit(address.lower())
         port = parts.port
@@ -107,7 +107,7 @@ def is_loopback(host: str | None) -> bool:
 
 
 def get_network(address: str) -> str:
-    """Return what an address counts as: itself, or for IPv6 its /64, of which one subscriber has every address."""
+    """Return the network by which an address is counted: itself, or for IPv6 its /64, which belongs to one subscriber."""
     try:
         number = ipaddress.ip_address(address)
     except ValueError:
@@ -129,5 +129,5 @@ def is_local(request: Request) -> bool:
         request.app.state.settings.host,
         client,
         request.url.hostname,
-    )  # the last: a name of another site may lead here
+    )  # checked last, because the name of another site may resolve to this machine
     return not forwarded and all(map(is_loopback, hosts))

@@ -24,7 +24,7 @@ Id = Annotated[int, Ge(1), Le(GREATEST_ID)]
 
 
 def parse_row_id(text: str) -> int | None:
-    """Read the number of a row; None where the text is none, or greater than any row's."""
+    """Parse a row's id; None where the text is no number, or too large."""
     text = text.strip()
     if not text.isdecimal() or len(text.lstrip("0")) > MOST_DIGITS:
         return None
@@ -34,7 +34,7 @@ def parse_row_id(text: str) -> int | None:
 
 USUAL_LENGTH = 50
 LONGEST = 200
-PLACING = ("cursor", "limit")  # parameters that say which page, not what is listed
+PLACING = ("cursor", "limit")  # parameters that select the page, not the rows
 
 T = TypeVar("T")
 
@@ -64,17 +64,21 @@ class Paging:
 
     @property
     def rows(self) -> dict[str, int | None]:
-        """What a list is asked for: one row more than the page holds, to know whether there is another."""
+        """The number of rows to query: one more than the page holds, to know whether there is another page."""
         return {"before_id": self.last_id, "limit": self.limit + 1}
 
     def cut(self, rows: Sequence[T], show: Callable[[T], Any] = lambda row: row) -> Listing[Any]:
-        """Make a page of `limit + 1` or fewer rows; the one too many only says that there is a next page."""
+        """Make a page of at most `limit + 1` rows; the extra row only shows that there is a next page."""
         kept = rows[: self.limit]
         cursor = _cursor(kept[-1].id, self.filters) if len(rows) > self.limit else None  # type: ignore[attr-defined]  # every row has a number
         return Listing([show(row) for row in kept], cursor)
 
     def cut_whole(self, rows: Sequence[T], show: Callable[[T], Any] = lambda row: row) -> Listing[Any]:
-        """Make a page of a list that is read whole, which only short lists are."""
+        """Make a page of a list that is read whole.
+
+        Only lists that people alone make longer are: users, their keys, webhooks, and one sensor's versions of its gate
+        profile and of its table definition.
+        """
         ids = [row.id for row in rows]  # type: ignore[attr-defined]  # every row has a number
         begin = ids.index(self.last_id) + 1 if self.last_id is not None and self.last_id in ids else 0
         return self.cut(rows[begin : begin + self.limit + 1], show)
@@ -118,12 +122,12 @@ class TextConvertor(StringConvertor):
 
 
 class NumberConvertor(IntegerConvertor):
-    """A number that a row could have."""
+    """A number that a row's id could be."""
 
     regex = "[0-9]{1,19}"
 
 
 def register() -> None:
-    """Let every path that is compiled from now on take these."""
+    """Register the converters for paths that are compiled from now on."""
     register_url_convertor("str", TextConvertor())
     register_url_convertor("int", NumberConvertor())

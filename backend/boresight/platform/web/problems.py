@@ -20,8 +20,8 @@ MEDIA_TYPE = "application/problem+json"
 
 
 @dataclass(frozen=True)
-class Kind:
-    """How one kind of error is told over HTTP."""
+class ProblemKind:
+    """How one kind of error is reported over HTTP."""
 
     status: int
     title: str
@@ -32,32 +32,32 @@ class Kind:
         return "urn:boresight:problem:" + self.title.lower().replace(" ", "-")
 
 
-KINDS: Mapping[type[Exception], Kind] = {
-    errors.RefusedInputError: Kind(422, "Refused input"),
-    errors.NotFoundError: Kind(404, "Not found"),
-    errors.ConflictError: Kind(409, "Conflict"),
-    errors.CorruptFileError: Kind(409, "Corrupt file"),  # no 5xx: to ask again helps nobody before it is restored
-    errors.StaleError: Kind(412, "Stale"),
-    errors.PreconditionRequiredError: Kind(428, "Precondition required"),
-    errors.ForbiddenError: Kind(403, "Forbidden"),
-    errors.PasswordDueError: Kind(403, "Password to be set"),
-    errors.UnauthenticatedError: Kind(401, "Unauthenticated"),
-    errors.SessionEndedError: Kind(401, "Session ended"),
-    errors.TooManyAttemptsError: Kind(429, "Too many attempts"),
-    errors.TooLargeError: Kind(413, "Too large"),
-    errors.OverloadedError: Kind(503, "Overloaded"),
-    errors.UnavailableError: Kind(503, "Unavailable"),
-    errors.StorageError: Kind(503, "Storage unavailable"),
-    errors.CancelledError: Kind(409, "Cancelled"),
+KINDS: Mapping[type[Exception], ProblemKind] = {
+    errors.RefusedInputError: ProblemKind(422, "Refused input"),
+    errors.NotFoundError: ProblemKind(404, "Not found"),
+    errors.ConflictError: ProblemKind(409, "Conflict"),
+    errors.CorruptFileError: ProblemKind(409, "Corrupt file"),  # not a 5xx: a retry does not help
+    errors.StaleError: ProblemKind(412, "Stale"),
+    errors.PreconditionRequiredError: ProblemKind(428, "Precondition required"),
+    errors.ForbiddenError: ProblemKind(403, "Forbidden"),
+    errors.PasswordDueError: ProblemKind(403, "Password to be set"),
+    errors.UnauthenticatedError: ProblemKind(401, "Unauthenticated"),
+    errors.SessionEndedError: ProblemKind(401, "Session ended"),
+    errors.TooManyAttemptsError: ProblemKind(429, "Too many attempts"),
+    errors.TooLargeError: ProblemKind(413, "Too large"),
+    errors.OverloadedError: ProblemKind(503, "Overloaded"),
+    errors.UnavailableError: ProblemKind(503, "Unavailable"),
+    errors.StorageError: ProblemKind(503, "Storage unavailable"),
+    errors.CancelledError: ProblemKind(409, "Cancelled"),
 }
-UNFORESEEN = Kind(500, "Unforeseen error")
+UNFORESEEN = ProblemKind(500, "Unforeseen error")
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One refusal, ready to be told as JSON or as a page."""
+    """A refusal, to be sent as JSON or as a page."""
 
-    kind: Kind
+    kind: ProblemKind
     detail: str
     errors: Sequence[Mapping[str, Any]] = ()
     headers: Mapping[str, str] | None = None
@@ -69,7 +69,7 @@ class Problem:
 
 
 def make_problem(error: Exception) -> Problem:
-    """Tell any exception as a problem; one that is not a refusal keeps its words to the server's log."""
+    """Make the problem of an exception; the message of one that is not a refusal goes to the server's log only."""
     if isinstance(error, RequestValidationError):
         return _malformed(error)
     if isinstance(error, HTTPException):
@@ -82,13 +82,15 @@ def make_problem(error: Exception) -> Problem:
     return Problem(UNFORESEEN, "The server failed in a way nobody foresaw; report the request id with what you did.")
 
 
-def _find_kind(status: int) -> Kind:
-    """Name a status that the framework chose: no such address, no such method, an unreadable body."""
-    return next((kind for kind in KINDS.values() if kind.status == status), Kind(status, HTTPStatus(status).phrase))
+def _find_kind(status: int) -> ProblemKind:
+    """Return the kind for a status of the framework: unknown address, wrong method, unreadable body."""
+    return next(
+        (kind for kind in KINDS.values() if kind.status == status), ProblemKind(status, HTTPStatus(status).phrase)
+    )
 
 
 def _malformed(error: RequestValidationError) -> Problem:
-    """Say which members of the request are wrong, each by its JSON pointer."""
+    """Make the problem of an invalid request, with a JSON pointer to each wrong member."""
     places = [
         {
             "pointer": "".join(f"/{part}" for part in found["loc"][1:]),
@@ -101,7 +103,9 @@ def _malformed(error: RequestValidationError) -> Problem:
     ]
     first = places[0] if places else {"pointer": "", "where": "body", "detail": "it cannot be read"}
     place = first["pointer"] or first["where"]
-    return Problem(Kind(422, "Malformed request"), f"The request is malformed at {place}: {first['detail']}.", places)
+    return Problem(
+        ProblemKind(422, "Malformed request"), f"The request is malformed at {place}: {first['detail']}.", places
+    )
 
 
 def _faults(error: Exception) -> list[dict[str, Any]]:
@@ -110,7 +114,7 @@ def _faults(error: Exception) -> list[dict[str, Any]]:
 
 
 def _headers(error: Exception) -> dict[str, str] | None:
-    """Say how to authenticate where that is what is missing, and how long to wait where that helps."""
+    """Return `WWW-Authenticate` and `Retry-After` where they apply."""
     if isinstance(error, errors.TooManyAttemptsError | errors.OverloadedError | errors.StorageError):
         return {"Retry-After": str(error.wait_s)}
     return {"WWW-Authenticate": "Bearer"} if isinstance(error, errors.UnauthenticatedError) else None

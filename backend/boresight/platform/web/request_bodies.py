@@ -18,7 +18,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-CLOSE = {"Connection": "close"}  # what still comes is not read
+CLOSE = {"Connection": "close"}  # the rest is not read
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class RequestBody:
     async def receive(self) -> Message:
         """Return the next piece."""
         if self._ended:
-            return await self._receive()  # now it is told when the asker leaves, which has no deadline
+            return await self._receive()  # from now on only the client's disconnect is awaited, without a deadline
         if self._received > self._limit_bytes:
             raise self._refusal()
         message = await self._in_time()
@@ -66,10 +66,10 @@ class RequestBody:
     def _refusal(self) -> HTTPException:
         return HTTPException(
             HTTPStatus.REQUEST_ENTITY_TOO_LARGE, self._too_large
-        )  # what still comes is read away for a while
+        )  # the rest is read and discarded for a while
 
     async def _in_time(self) -> Message:
-        """Wait for the next piece for as long as there is time."""
+        """Wait for the next piece until the deadline."""
         clock = asyncio.get_running_loop().time
         began_s = clock()
         try:
@@ -88,7 +88,7 @@ class RequestBody:
 
 
 async def read_body(receive: Receive) -> Receive | None:
-    """Read a body before anybody works on it; None where its sender has left."""
+    """Read a whole body; None where the client has left."""
     pieces = bytearray()
     while True:
         message = await receive()
@@ -117,7 +117,7 @@ Refuse = Callable[[Request, Exception], Awaitable[Response]]
 
 
 class RequestValidation:
-    """The layer that turns away what is no text and no JSON."""
+    """The middleware that refuses invalid UTF-8 and invalid JSON."""
 
     def __init__(self, app: ASGIApp, refuse: Refuse) -> None:
         self.app = app
@@ -138,7 +138,7 @@ class RequestValidation:
 
 
 async def _checked(scope: Scope, receive: Receive) -> Receive:
-    """Return what the request's body is received by; refuse a request that cannot be read."""
+    """Return the receive function for a request's body; refuse an invalid request."""
     if NUL in scope["path"]:
         raise HTTPException(HTTPStatus.NOT_FOUND)
     if b"\0" in unquote_to_bytes(scope["query_string"]):
@@ -152,12 +152,12 @@ async def _checked(scope: Scope, receive: Receive) -> Receive:
 
 
 async def _strict(receive: Receive) -> Receive:
-    """Read a JSON body whole, and give it again as it was understood."""
+    """Read a whole JSON body, and return a receive function with its normalised form."""
     pieces: list[bytes] = []
     while True:
         message = await receive()
         if message["type"] != "http.request":
-            return _giving(message, receive)  # whoever sent it has left
+            return _giving(message, receive)  # the client has left
         pieces.append(message.get("body", b""))
         if not message.get("more_body", False):
             break
@@ -167,7 +167,7 @@ async def _strict(receive: Receive) -> Receive:
 
 
 def _giving(first: Message, receive: Receive) -> Receive:
-    """Receive one message that is there already, then what comes."""
+    """Return a receive function that gives one message first and then the original ones."""
     waiting = [first]
 
     async def given() -> Message:
@@ -177,7 +177,7 @@ def _giving(first: Message, receive: Receive) -> Receive:
 
 
 def read_json(body: bytes) -> Any:
-    """Read JSON as RFC 8259 has it."""
+    """Parse JSON strictly by RFC 8259."""
     try:
         document = orjson.loads(body.removeprefix(BYTE_ORDER_MARK))
     except orjson.JSONDecodeError as error:
@@ -187,7 +187,7 @@ def read_json(body: bytes) -> Any:
 
 
 def _refuse_unkeepable(document: Any) -> None:
-    """Refuse NUL in any text, and nesting that a reader further in could not follow."""
+    """Refuse NUL in any text, and nesting too deep for later parsers."""
     level, depth = [document], 0
     while level:
         if depth > DEEPEST:
@@ -202,5 +202,5 @@ def _refuse_unkeepable(document: Any) -> None:
 
 
 def _malformed(where: str, sentence: str) -> RequestValidationError:
-    """Return a refusal in the form of the framework's own."""
+    """Return a refusal in the form of the framework's validation errors."""
     return RequestValidationError([{"loc": (where,), "msg": sentence, "type": "malformed"}])

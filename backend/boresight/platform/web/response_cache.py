@@ -1,4 +1,4 @@
-"""The response cache: answers given again, behind authentication, without running the endpoint while nothing was committed.
+"""The response cache: stored answers, sent after authentication without running the endpoint while nothing was committed.
 
 Whoever asks has been found out by then, as for every request (`boresight.console.access.credentials`). An endpoint whose answer
 follows from the address and the rows of the store says so, and for whom it is the same (`share`): for all, for people of the same
@@ -58,18 +58,18 @@ VARY = b"Accept-Encoding, Authorization, Cookie"
 FOR_ALL, FOR_ROLES, FOR_ONE = "all", "roles", "one"
 
 # In the state of a request:
-DATA_VERSION = "data_version"  # as of which it is known who asks
-SHARING = "sharing"  # whose answers may be given to who asks; absent where nobody is known
-ASKED, COMING = "asked", "coming"  # what decides its answer, and the answer that it makes for others too
-SAME_FOR = "same_for"  # whom its answer is the same for
-GAPS = "gaps"  # whether the page was written with gaps for who asks
-OLDER = "is_older"  # whether part of its answer was read before a commit that its data version counts
+DATA_VERSION = "data_version"  # the data version at which the actor was identified
+SHARING = "sharing"  # whose answers the client may be given; absent without an actor
+ASKED, COMING = "asked", "coming"  # its cache key, and the pending response that it computes for others too
+SAME_FOR = "same_for"  # for whom its answer is the same
+GAPS = "gaps"  # whether the page was written with gaps for the actor
+OLDER = "is_older"  # whether part of its answer is older than its data version
 WHOLE = "tag_is_whole"  # whether the tag changes with everything that is shown
 
 HEAD = b"\x1f\x8b\x08\x00\x00\x00\x00\x00\x00\xff"
 LAST = b"\x01\x00\x00\xff\xff"  # an empty stored block that ends the stream
 MOST_STORED = 0xFFFF
-TOKEN_GAP, NAME_GAP = (f"gap-{secrets.token_hex(16)}" for _ in range(2))  # sent to nobody, so nobody can write one
+TOKEN_GAP, NAME_GAP = (f"gap-{secrets.token_hex(16)}" for _ in range(2))  # never sent, so no content can contain it
 
 Address = tuple[str, bytes, bool]
 
@@ -83,7 +83,7 @@ class CompressedPage:
         self._packed = [_compress(text) for text in self._texts] if compressed else []
 
     def __len__(self) -> int:
-        """Return how many bytes it takes to keep."""
+        """Return its size in bytes."""
         return sum(map(len, self._texts)) + sum(map(len, self._packed))
 
     def filled(self, values: Sequence[bytes]) -> bytes:
@@ -100,12 +100,12 @@ class CompressedPage:
 
 
 def _interleave(texts: Sequence[bytes], fills: Sequence[bytes]) -> list[bytes]:
-    """Put what fills the gaps between the texts; there is one text more."""
+    """Interleave texts and gap values; there is one text more."""
     return [piece for pair in zip(texts, (*fills, b""), strict=True) for piece in pair]
 
 
 def _compress(text: bytes) -> bytes:
-    """Compress a text so that any other block may stand before and after it."""
+    """Compress a text as a block independent of those before and after it."""
     packing = zlib.compressobj(COMPRESSION_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
     return packing.compress(text) + packing.flush(zlib.Z_FULL_FLUSH)
 
@@ -117,16 +117,16 @@ def _store_blocks(text: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Sharing:
-    """Whose answers somebody may be given: those made for the same person, or the same roles; and what fills their gaps."""
+    """Whose answers a client may be given: those for the same person or the same roles; and the values for their gaps."""
 
     person: Hashable
     roles: Hashable
-    gaps: tuple[bytes, ...] = ()  # none with a key: its pages are written whole
+    gaps: tuple[bytes, ...] = ()  # none for an API key, whose pages are written without gaps
 
 
 @dataclass
 class CacheRequest:
-    """What decides a request's answer besides who asks."""
+    """The parts of a request that determine its answer, besides the actor."""
 
     address: Address
     known_tags: bytes
@@ -143,7 +143,7 @@ class CacheRequest:
 
 @dataclass(frozen=True)
 class CachedResponse:
-    """An answer as it is sent."""
+    """A stored answer."""
 
     headers: tuple[tuple[bytes, bytes], ...]
     body: bytes | CompressedPage
@@ -156,7 +156,7 @@ class CachedResponse:
     is_older: bool = False
 
     async def send(self, send: Send, known_tags: bytes, gaps: tuple[bytes, ...] = ()) -> None:
-        """Send it, its gaps filled, or say that the copy which the asker has is still right."""
+        """Send it with its gaps filled, or answer 304 if the client's copy is current."""
         if self.whole and self.tag and matches_tag(known_tags, self.tag):
             headers = [pair for pair in self.headers if pair[0] in {b"etag", b"vary", b"cache-control"}]
             await send({"type": "http.response.start", "status": 304, "headers": headers})
@@ -176,7 +176,7 @@ def matches_tag(known_tags: bytes, tag: bytes) -> bool:
 
 @dataclass(eq=False)
 class PendingResponse:
-    """An answer that is being made, or waits for its turn, and how long who asked for it has waited."""
+    """An answer that is being computed or queued, with the waiting time of its clients."""
 
     key: Hashable
     answer: asyncio.Future[CachedResponse | None]
@@ -185,29 +185,29 @@ class PendingResponse:
     came_s: float = 0.0  # the times at which they came, summed up
 
     def joined(self) -> None:
-        """Count one more who waits."""
+        """Count one more waiting client."""
         self.waiting += 1
         self.newest_s = time.monotonic()
         self.came_s += self.newest_s
 
     def waited_s(self, now_s: float) -> float:
-        """Return how long all who wait for it have waited until now, summed up."""
+        """Return the total waiting time of its clients."""
         return self.waiting * now_s - self.came_s
 
 
 def waited_s(scope: Scope) -> Callable[[float], float] | None:
-    """Return what tells how long those have waited, in sum, who will have the answer to a request."""
+    """Return a function for the total waiting time of all clients of a request's answer."""
     pending: PendingResponse | None = scope["state"].get(COMING)
     return None if pending is None else pending.waited_s
 
 
 def share(request: Request, same_for: str) -> None:
-    """Say that an answer follows from address and store, from whom it is the same for, and from what pages show of this server."""
+    """Declare for whom an answer is the same; besides, it depends on address, store and what pages show of this server."""
     request.scope["state"][SAME_FOR] = same_for
 
 
 def has_gaps(request: Request) -> bool:
-    """Whether a page is to be written with gaps for the name and the token of who asks: it will be filled on its way out."""
+    """Whether a page is written with gaps for the actor's name and token, which are filled when it is sent."""
     state = request.scope["state"]
     log_in = ASKED in state and SHARING in state and bool(state[SHARING].gaps)
     state[GAPS] = log_in and state.get(SAME_FOR) in {FOR_ROLES, FOR_ONE}
@@ -215,12 +215,12 @@ def has_gaps(request: Request) -> bool:
 
 
 def mark_outdated(request: Request) -> None:
-    """Say that something was committed since part of an answer was read: it is good for who asked before, and not given again."""
+    """Mark an answer as partly older than the newest commit: it is sent to the clients that wait for it, and not stored."""
     request.scope["state"][OLDER] = True
 
 
 def cover_with_tag(request: Request, *, holds: bool = True) -> None:
-    """Say that the row's tag changes whenever anything in the answer does."""
+    """Declare that the row's tag changes whenever anything in the answer does."""
     request.scope["state"][WHOLE] = holds
 
 
@@ -245,7 +245,7 @@ class ResponseCache:
         self._pending: dict[tuple[Hashable, DataVersion], PendingResponse] = {}
 
     async def find(self, scope: Scope, asked: CacheRequest) -> CachedResponse | None:
-        """Return the answer that is kept for who asks, waiting for it when it is being made."""
+        """Return the stored answer for a request, waiting for it if it is being computed."""
         asked.data_version = scope["state"].get(DATA_VERSION)
         key = self._key(scope, asked)
         if key is None or asked.data_version is None:
@@ -266,18 +266,18 @@ class ResponseCache:
     async def _wait(
         self, scope: Scope, asked: CacheRequest, pending: PendingResponse, *, has_begun: bool
     ) -> CachedResponse | None:
-        """Wait for an answer that is coming, or has begun to be made under our data version, and authenticate again."""
+        """Wait for an answer that is queued, or computed at our data version, and authenticate again."""
         pending.joined()
         cached = await asyncio.shield(pending.answer)
         if cached is None:
             return None
         await self._authenticate(scope)
-        if cached.is_older and has_begun:  # part of it is of before a commit that who came so late may know of
+        if cached.is_older and has_begun:  # part of it is older than a commit that a late client may know of
             return await self.find(scope, asked)
         return cached if self._key(scope, asked) == pending.key else None
 
     def _key(self, scope: Scope, asked: CacheRequest) -> Hashable:
-        """Return under what the answer to who asks is kept; None where nobody is known, or nobody knows yet whose it will be."""
+        """Return the cache key of the answer for a client; None without an actor, or where its sharing is not known yet."""
         sharing: Sharing | None = scope["state"].get(SHARING)
         same_for = self._same_for.get(asked.address)
         if sharing is None or same_for is None:
@@ -287,11 +287,11 @@ class ResponseCache:
         return asked.address, same_for, sharing.roles if same_for == FOR_ROLES else sharing.person
 
     def _is_young(self, cached: CachedResponse) -> bool:
-        """Whether an answer is not too old, and what it depends on besides the store is as it was."""
+        """Whether an answer is recent enough and its inputs besides the store are unchanged."""
         return time.monotonic() - cached.made_s < HELD_S and cached.beside in {None, self.beside()}
 
     def keep(self, scope: Scope, asked: CacheRequest, cached: CachedResponse, same_for: str) -> None:
-        """Keep an answer, and give it to those who wait for it."""
+        """Store an answer, and give it to the waiting clients."""
         self._same_for[asked.address] = same_for
         self._same_for.move_to_end(asked.address)
         if len(self._same_for) > MOST_ADDRESSES:
@@ -314,10 +314,10 @@ class ResponseCache:
         self.held_bytes -= 0 if cached is None else len(cached.body)
 
     async def begin(self, scope: Scope) -> None:
-        """Begin to make an answer: it will tell of everything that is committed by now, and of nothing later for sure.
+        """Begin to compute an answer, which will reflect everything committed by now.
 
-        Who asks is authenticated again, for they may have waited for the turn. Others who asked meanwhile wait for the answer; who
-        asks from now on does so only if nothing is committed before.
+        The client is authenticated again, because it may have waited for its turn. Clients that asked before wait for this
+        answer; later ones do only if nothing is committed before they ask.
         """
         pending: PendingResponse | None = scope["state"].get(COMING)
         if pending is not None and self._coming.get(pending.key) is pending:
@@ -327,13 +327,13 @@ class ResponseCache:
         if asked is None:
             return
         asked.data_version, asked.beside = scope["state"].get(DATA_VERSION), self.beside()
-        if pending is not None:  # what is read for all of them must tell what the last to come may know
+        if pending is not None:  # the answer must include every commit that the last client may know of
             scope["state"]["came_s"] = pending.newest_s
             if asked.data_version is not None:
                 self._pending.setdefault((pending.key, asked.data_version), pending)
 
     def over(self, scope: Scope) -> None:
-        """Say that a request was answered, however: who still waits for its answer makes one."""
+        """End a request, answered or failed; a client that still waits computes its own answer."""
         pending: PendingResponse | None = scope["state"].get(COMING)
         if pending is None:
             return
@@ -347,7 +347,7 @@ class ResponseCache:
 
 
 class CacheLookupMiddleware:
-    """The layer after authentication: answers from the cache, and passes on what is not in it."""
+    """The middleware after authentication: answers from the cache, or passes the request on."""
 
     def __init__(self, app: ASGIApp, cache: ResponseCache) -> None:
         self.app = app
@@ -372,7 +372,7 @@ class CacheLookupMiddleware:
 
 
 class CacheStoreMiddleware:
-    """The layer nearest to the endpoints: takes their answers as they are, before anything is added or compressed."""
+    """The innermost middleware: stores the endpoints' answers before anything is added or compressed."""
 
     def __init__(self, app: ASGIApp, cache: ResponseCache) -> None:
         self.app = app
@@ -386,7 +386,7 @@ class CacheStoreMiddleware:
 
 
 class _OutgoingResponse:
-    """One answer on its way out."""
+    """One outgoing answer."""
 
     def __init__(self, cache: ResponseCache, scope: Scope, send: Send) -> None:
         self._cache = cache
@@ -396,7 +396,7 @@ class _OutgoingResponse:
         self._pieces: list[bytes] = []
 
     async def send(self, message: Message) -> None:
-        """Hold back an answer that is tagged or kept until it is whole; let every other pass."""
+        """Hold back an answer to be tagged or stored until it is complete; pass any other on."""
         if message["type"] == "http.response.start" and self._is_taken(message):
             self._start = message
         elif self._start is not None and message["type"] == "http.response.body":
@@ -407,7 +407,7 @@ class _OutgoingResponse:
             await self._send(message)
 
     def _is_taken(self, message: Message) -> bool:
-        """Whether an answer is whole at once, for nobody else to see, and worth it."""
+        """Return whether to hold back an answer for a tag or the cache, from its first message."""
         headers = dict(message["headers"])
         if message["status"] != 200 or b"set-cookie" in headers or b"content-length" not in headers:
             return False
@@ -415,7 +415,7 @@ class _OutgoingResponse:
         return SAME_FOR in self._scope["state"] or (document and not headers.keys() & {b"etag", b"cache-control"})
 
     async def _finish(self, start: Message, body: bytes) -> None:
-        """Tag the answer, keep it where it may be, and send it."""
+        """Tag the answer, store it if allowed, and send it."""
         state = self._scope["state"]
         asked: CacheRequest = state[ASKED]
         same_for, sharing = state.get(SAME_FOR), state.get(SHARING)

@@ -26,7 +26,7 @@ SHIPPED = {
     "swagger-ui.css": SWAGGER / "swagger-ui.css",
 }
 COMPRESS_FROM_BYTES = 1024
-CACHED = "public, no-cache"  # keep it, but ask whether it is still so
+CACHED = "public, no-cache"  # the browser caches it, but revalidates
 TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".woff2": "font/woff2"}
 COMPRESSED_TYPES = ("text/javascript", "text/css", "image/svg+xml")
 
@@ -35,7 +35,7 @@ router = APIRouter(include_in_schema=False)
 
 @dataclass(frozen=True)
 class Content:
-    """A file as it is sent."""
+    """A static file's content."""
 
     plain: bytes
     compressed: bytes | None
@@ -45,7 +45,7 @@ class Content:
 
 @lru_cache(maxsize=256)
 def _content(path: Path, changed_ns: int) -> Content:  # noqa: ARG001 - the time of change is part of the key
-    """Read, hash and compress a file once for each time it changes."""
+    """Read, hash and compress a file, again only after it changed."""
     plain = path.read_bytes()
     media_type = TYPES.get(path.suffix) or mimetypes.guess_type(path.name)[0] or "application/octet-stream"
     worth = media_type in COMPRESSED_TYPES and len(plain) >= COMPRESS_FROM_BYTES
@@ -54,14 +54,14 @@ def _content(path: Path, changed_ns: int) -> Content:  # noqa: ARG001 - the time
 
 
 def _place(name: str) -> Path:
-    """Return the file of a name inside the static folder, and nothing outside it."""
+    """Return the file of a name inside the static folder; refuse names outside it."""
     if name in SHIPPED:
         return SHIPPED[name]
     top = (folder("frontend") / "static").resolve()
     try:
         place = (top / name).resolve()
         is_ours = place.is_relative_to(top) and place.is_file()
-    except (OSError, ValueError):  # no file can have such a name
+    except (OSError, ValueError):  # an impossible file name
         is_ours = False
     if not is_ours:
         raise NotFoundError("There is no such file here.")
@@ -70,7 +70,7 @@ def _place(name: str) -> Path:
 
 @router.get("/static/{name:path}", name="static")
 def static_file(name: str, request: Request) -> Response:
-    """Send a file of the pages, or say that the browser's copy is still right."""
+    """Send a static file, or 304 if the browser's copy is current."""
     place = _place(name)
     content = _content(place, place.stat().st_mtime_ns)
     zipped = content.compressed is not None and takes_gzip(request.headers.get("accept-encoding", "").encode())

@@ -1,7 +1,7 @@
 """Which addresses a webhook's messages may go to.
 
-A webhook must not become a way to what only the server can reach. So a host is judged by every address that its name leads
-to now: when a webhook is made, and again before each attempt, when the connection goes to an address that was judged.
+A webhook must not give access to what only the server can reach. So a host is checked by every address that its name resolves to:
+when a webhook is made, and again before each attempt, when the connection goes to an address that was checked.
 
 =========================== ====================================================================================
 refused always              metadata of clouds, multicast, reserved, benchmarking and documentation networks,
@@ -58,7 +58,7 @@ GLOBAL_UNICAST = ipaddress.IPv6Network("2000::/3")
 
 
 def addresses_of_this_machine() -> frozenset[Address]:
-    """Return every address that an interface of this machine has now."""
+    """Return the current addresses of this machine's interfaces."""
     import psutil  # noqa: PLC0415 - settings are read by every command, and few ask this
 
     families = {socket.AF_INET, socket.AF_INET6}
@@ -72,7 +72,7 @@ def addresses_of_this_machine() -> frozenset[Address]:
 
 @dataclass(frozen=True)
 class WebhookTargets:
-    """What an installation lets its webhooks reach."""
+    """The addresses that an installation allows for webhooks."""
 
     local: bool = False
     private: bool = False
@@ -89,7 +89,7 @@ class WebhookTargets:
             )
 
     def addresses(self, host: str, port: int) -> list[str]:
-        """Return every address that a name leads to now, if all of them are allowed."""
+        """Return every address that a name resolves to, if all of them are allowed."""
         self.refuse_host(host)
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
         texts = list(dict.fromkeys(str(known[4][0]) for known in found))
@@ -99,7 +99,7 @@ class WebhookTargets:
         return texts
 
     def why_not(self, text: str) -> str | None:
-        """Say what an address is that is not allowed, and which setting would allow it; None when it is allowed."""
+        """Return why an address is not allowed and which setting would allow it; None if it is allowed."""
         address = _unmapped(ipaddress.ip_address(text.partition("%")[0]))
         if (form := _carried(address)) is not None:
             return f"an IPv4 address in {form} form, which is not allowed: give the IPv4 address itself"
@@ -119,7 +119,7 @@ class WebhookTargets:
         """Return this machine's addresses, with the one that the server listens on."""
         try:
             return self.own() | {_unmapped(ipaddress.ip_address(self.listening))}
-        except ValueError:  # a name, whose addresses the interfaces have
+        except ValueError:  # a host name, whose addresses are those of the interfaces
             return self.own()
 
 
@@ -134,7 +134,7 @@ def read_hosts(text: str) -> tuple[str, ...]:
 
 
 def plain_host(host: str) -> str:
-    """Write a host in one way: small letters, without brackets and the last dot, other alphabets as the DNS has them."""
+    """Normalise a host: lower case, without brackets and final dot, in the DNS form of international names."""
     bare = host.strip().strip("[]").rstrip(".").lower()
     try:
         return str(ipaddress.ip_address(bare))
@@ -147,12 +147,12 @@ def plain_host(host: str) -> str:
 
 
 def _matches(host: str, entry: str) -> bool:
-    """Whether a host is the one that an entry of the list names, or below its suffix."""
+    """Whether a host matches an entry of the list, a name or a suffix."""
     return host.endswith(entry[1:]) and host != entry[2:] if entry.startswith("*.") else host == entry
 
 
 def _unmapped(address: Address) -> Address:
-    """Return the IPv4 address that an IPv4-mapped one is."""
+    """Return the IPv4 address of an IPv4-mapped one; any other unchanged."""
     return (address.version == 6 and address.ipv4_mapped) or address
 
 
@@ -191,10 +191,10 @@ def parsed(url: str) -> tuple[str, int]:
 
 
 def refuse_address(url: str, targets: WebhookTargets) -> None:
-    """Refuse an address that cannot be used, or that leads where messages may not go.
+    """Refuse an invalid address, or one that resolves to where messages may not go.
 
-    A name that leads nowhere now may lead somewhere when there is something to tell, and is judged again then. This looks
-    names up, so it belongs outside a writing transaction.
+    A name that does not resolve now is accepted, because it is checked again before each message. This makes DNS queries, so
+    call it outside writing transactions.
     """
     host, port = parsed(url)
     targets.refuse_host(host)

@@ -1,4 +1,4 @@
-"""Text validation of labels, reasons, comments and names, which stand in lists, logs and signed records."""
+"""Validation of labels, reasons, comments and names, which appear in lists, logs and signed records."""
 
 from __future__ import annotations
 
@@ -7,14 +7,22 @@ import unicodedata
 from boresight.errors import RefusedInputError
 
 LAYOUT = "\t\n\r"
-LONGEST_NAME = 255  # characters, as file systems count at most
-_HIDDEN_CATEGORIES = {"Cc", "Cf", "Cs", "Cn", "Co", "Zl", "Zp"}  # Cf has the marks that turn the direction of writing
-_BLANKS = frozenset({0x034F, 0x115F, 0x1160, 0x17B4, 0x17B5, 0x2800, 0x3164, 0xFFA0})  # letters that show nothing
+LONGEST_NAME = 255  # characters, the usual limit of file systems
+_HIDDEN_CATEGORIES = {
+    "Cc",
+    "Cf",
+    "Cs",
+    "Cn",
+    "Co",
+    "Zl",
+    "Zp",
+}  # Cf contains the marks that change the direction of writing
+_BLANKS = frozenset({0x034F, 0x115F, 0x1160, 0x17B4, 0x17B5, 0x2800, 0x3164, 0xFFA0})  # invisible letters
 _VARIATION_SELECTORS = (range(0x180B, 0x1810), range(0xFE00, 0xFE10), range(0xE0100, 0xE01F0))
 
 
 def refuse_control_characters(**texts: str) -> None:
-    """Refuse control characters other than tab and line ends: nobody sees them, and they end a text early elsewhere."""
+    """Refuse control characters other than tab and line ends, which are invisible and may truncate a text elsewhere."""
     for name, text in texts.items():
         for place, letter in enumerate(text, start=1):
             if unicodedata.category(letter) in {"Cc", "Cs"} and letter not in LAYOUT:
@@ -30,7 +38,7 @@ def normal_name(what: str, text: str, longest: int = LONGEST_NAME) -> str:
     Two names that look alike because one is composed, full-width or spaced differently have the same form, so a
     constraint on what is stored keeps them apart.
     """
-    if len(text) <= 4 * longest:  # longer ones are refused anyhow: no work for them
+    if len(text) <= 4 * longest:  # longer names are refused anyhow
         text = _normal_form(text)
     if len(text) > longest:
         raise RefusedInputError(f"The {what} has {len(text)} characters; shorten it to {longest} at most.")
@@ -44,7 +52,7 @@ def normal_name(what: str, text: str, longest: int = LONGEST_NAME) -> str:
 
 
 def comparison_key(name: str) -> str:
-    """Return the form in which two names are equal that a person takes for one: normal, and without regard to case."""
+    """Return the form for comparing names that people would confuse: normal form, without regard to case."""
     return _normal_form(_normal_form(name).casefold())
 
 
@@ -55,7 +63,7 @@ def _normal_form(text: str) -> str:
 
 
 def is_hidden(letter: str) -> bool:
-    """Whether a character is not seen, or changes the direction of writing."""
+    """Whether a character is invisible, or changes the direction of writing."""
     code = ord(letter)
     if unicodedata.category(letter) in _HIDDEN_CATEGORIES:
         return True

@@ -45,7 +45,7 @@ _EXPORT = "write its table of stars as CSV, JSON Lines or Parquet"
 _OTHER_FILE = "give the telemetry itself, as CSV, JSON Lines or Parquet"
 
 
-class Kind(NamedTuple):
+class FileKind(NamedTuple):
     """What a file is, with its article, and what to make telemetry of it by."""
 
     name: str
@@ -65,47 +65,47 @@ _IMAGES = {
     b"GIF89a": "GIF",
 }
 _SIGNATURES = {
-    **{magic: Kind(f"a {name} image", _CENTROIDS) for magic, name in _IMAGES.items()},
-    b"\x1f\x8b": Kind("compressed by gzip", _UNPACK),
-    b"BZh": Kind("compressed by bzip2", _UNPACK),
-    b"\xfd7zXZ\0": Kind("compressed by xz", _UNPACK),
-    b"\x28\xb5\x2f\xfd": Kind("compressed by Zstandard", _UNPACK),
-    b"7z\xbc\xaf\x27\x1c": Kind("a 7-Zip archive", _UNPACK),
-    b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1": Kind("an old Office document, as Excel's .xls", _SAVE_SHEET),
-    b"%PDF-": Kind("a PDF document", _OTHER_FILE),
-    b"\x89HDF\r\n\x1a\n": Kind("an HDF5 file", _EXPORT),
-    b"CDF\x01": Kind("a NetCDF file", _EXPORT),
-    b"CDF\x02": Kind("a NetCDF file", _EXPORT),
-    b"MATLAB 5.0 MAT-file": Kind("a MATLAB file", _EXPORT),
-    b"\x93NUMPY": Kind("a NumPy array", _EXPORT),
-    b"ARROW1\0\0": Kind("an Arrow (Feather) file", "write it as Parquet"),
-    b"FEA1": Kind("a Feather file", "write it as Parquet"),
-    b"ORC": Kind("an ORC file", "write it as Parquet"),
-    b"Obj\x01": Kind("an Avro file", "write it as Parquet"),
-    b"SQLite format 3\0": Kind("an SQLite database", _EXPORT),
-    b"\x7fELF": Kind("a program (ELF)", _OTHER_FILE),
+    **{magic: FileKind(f"a {name} image", _CENTROIDS) for magic, name in _IMAGES.items()},
+    b"\x1f\x8b": FileKind("compressed by gzip", _UNPACK),
+    b"BZh": FileKind("compressed by bzip2", _UNPACK),
+    b"\xfd7zXZ\0": FileKind("compressed by xz", _UNPACK),
+    b"\x28\xb5\x2f\xfd": FileKind("compressed by Zstandard", _UNPACK),
+    b"7z\xbc\xaf\x27\x1c": FileKind("a 7-Zip archive", _UNPACK),
+    b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1": FileKind("an old Office document, as Excel's .xls", _SAVE_SHEET),
+    b"%PDF-": FileKind("a PDF document", _OTHER_FILE),
+    b"\x89HDF\r\n\x1a\n": FileKind("an HDF5 file", _EXPORT),
+    b"CDF\x01": FileKind("a NetCDF file", _EXPORT),
+    b"CDF\x02": FileKind("a NetCDF file", _EXPORT),
+    b"MATLAB 5.0 MAT-file": FileKind("a MATLAB file", _EXPORT),
+    b"\x93NUMPY": FileKind("a NumPy array", _EXPORT),
+    b"ARROW1\0\0": FileKind("an Arrow (Feather) file", "write it as Parquet"),
+    b"FEA1": FileKind("a Feather file", "write it as Parquet"),
+    b"ORC": FileKind("an ORC file", "write it as Parquet"),
+    b"Obj\x01": FileKind("an Avro file", "write it as Parquet"),
+    b"SQLite format 3\0": FileKind("an SQLite database", _EXPORT),
+    b"\x7fELF": FileKind("a program (ELF)", _OTHER_FILE),
 }
 _ZIP = b"PK\x03\x04"
 #: What the names of an archive's first members say it is.
 _ZIP_MEMBERS = {
-    b"xl/": Kind("an Excel workbook", _SAVE_SHEET),
-    b"opendocument.spreadsheet": Kind("an OpenDocument spreadsheet", _SAVE_SHEET),
-    b"[Content_Types].xml": Kind("an Office document, as an Excel workbook", _SAVE_SHEET),
-    b".npy": Kind("an archive of NumPy arrays", _EXPORT),
+    b"xl/": FileKind("an Excel workbook", _SAVE_SHEET),
+    b"opendocument.spreadsheet": FileKind("an OpenDocument spreadsheet", _SAVE_SHEET),
+    b"[Content_Types].xml": FileKind("an Office document, as an Excel workbook", _SAVE_SHEET),
+    b".npy": FileKind("an archive of NumPy arrays", _EXPORT),
 }
 _PARQUET = b"PAR1"
 
 
-def detect_kind(head: bytes) -> Kind | None:
+def detect_kind(head: bytes) -> FileKind | None:
     """Say what a file is that is not telemetry, by its first bytes; None where no signature is known."""
     if head.startswith(_ZIP):
         members = head[:_FIRST_MEMBERS_BYTES]
         for word, kind in _ZIP_MEMBERS.items():
             if word in members:
                 return kind
-        return Kind("a ZIP archive", f"{_UNPACK}, or save a spreadsheet as CSV")
+        return FileKind("a ZIP archive", f"{_UNPACK}, or save a spreadsheet as CSV")
     if head[_TAR_OFFSET : _TAR_OFFSET + 5] == b"ustar":
-        return Kind("a tar archive", _UNPACK)
+        return FileKind("a tar archive", _UNPACK)
     for magic, kind in _SIGNATURES.items():
         # a text may well begin as a short signature does, a binary file is not text for long
         if head.startswith(magic) and not (magic.isalnum() and _is_text(head)):
@@ -121,7 +121,7 @@ def refuse_other_kinds(name: str, head: bytes) -> None:
 
 def refuse_no_json(name: str, head: bytes) -> None:
     """Refuse a file that is known to be no JSON text, by its first bytes."""
-    kind = Kind("a Parquet file", "") if head.startswith(_PARQUET) else detect_kind(head)
+    kind = FileKind("a Parquet file", "") if head.startswith(_PARQUET) else detect_kind(head)
     if kind is not None:
         raise RefusedInputError(f"{name} is {kind.name}, where a JSON text is expected: give the JSON file.")
 

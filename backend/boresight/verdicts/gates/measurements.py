@@ -51,6 +51,7 @@ from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
 from boresight.telemetry.sensors import Sensor
 from boresight.uplink import table_definition
+from boresight.verdicts.verdict import UNSEEN_TYPICAL_SIGMAS
 
 Document = Mapping[str, Any]
 Ends = tuple[float | None, float | None]
@@ -412,6 +413,11 @@ class Gate:
     limit: float | None = None
     marginal: float | None = None
 
+    @property
+    def is_share(self) -> bool:
+        """Tell whether its number is a share of a whole, which ends at 1."""
+        return self.highest == 1.0
+
 
 GATES = {
     gate.name: gate
@@ -525,7 +531,7 @@ GATES = {
             "below",
             "σ",
             measure=parameter_shift,
-            marginal=15.0,
+            marginal=15.0,  # of the difference's own sigmas, not of typical ones as `FAR_TYPICAL_SIGMAS`
         ),
         Gate(
             "arc-uncertainty",
@@ -551,7 +557,7 @@ GATES = {
             "below",
             "typical σ",
             measure=weak_directions,
-            marginal=1.0,
+            marginal=UNSEEN_TYPICAL_SIGMAS,
         ),
         Gate(
             "coverage",

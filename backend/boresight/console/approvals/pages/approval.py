@@ -15,14 +15,16 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.calibration.calibration import Calibration
+from boresight.cameras.model import FAR_TYPICAL_SIGMAS
 from boresight.console.access.dependencies import Reading, Who, csrf, get_client, get_server
 from boresight.console.access.password_checks import PasswordWorker
 from boresight.console.access.passwords import PasswordProof
-from boresight.console.approvals import gates, proposals
+from boresight.console.approvals import gates
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.approvals.pages.gates import make_gates_panel
 from boresight.console.approvals.tables import Approval, Opening, Signature
+from boresight.console.change_proposals import service as proposals
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
 from boresight.console.pages.rendering import RefusalContext, attempt, read_texts, redirect, render, seen_version
@@ -43,7 +45,7 @@ from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import read_names
 from boresight.errors import NotFoundError
 from boresight.figures import FIGURES, WIDE
-from boresight.figures.tables import UNEXPECTED_TYPICAL_SIGMAS, ParameterRow, set_rows
+from boresight.figures.tables import ParameterRow, set_rows
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
@@ -59,7 +61,7 @@ MEANINGS = {
 
 @dataclass(frozen=True)
 class EvidenceItem:
-    """A piece of evidence: its name in the store, what it is called, where it is, and who opened it first when."""
+    """A piece of evidence: its name in the store, its title, its address, and who first opened it when."""
 
     name: str
     title: str
@@ -70,7 +72,7 @@ class EvidenceItem:
 def list_evidence(
     session: Session, approval: Approval, row: ParameterSet, incumbent: ParameterSet | None
 ) -> list[EvidenceItem]:
-    """Return what an approver can open, with who has."""
+    """Return the evidence that an approver can open, with who has opened it."""
     opened = approvals.list_openings(session, approval.id)
     return [
         EvidenceItem(name, title, address, [one for one in opened if one.evidence == name])
@@ -109,11 +111,11 @@ class TypedText:
 
 
 def list_warnings(result: Calibration | None, rows: Sequence[ParameterRow], *, is_ground: bool) -> list[str]:
-    """Gather what an approver should have read before signing."""
+    """List the warnings that an approver should read before signing."""
     said = [*result.advice] if result else []
     said += [
         f"{row.name} moves by {abs(row.delta_over_typical or 0.0):.1f} typical sigmas, more than"
-        f" {UNEXPECTED_TYPICAL_SIGMAS:g}: look at the matches before believing it."
+        f" {FAR_TYPICAL_SIGMAS:g}: look at the matches before believing it."
         for row in rows
         if row.unexpected and row.estimated
     ]
@@ -253,7 +255,7 @@ def approvals_csv(request: Request, session: Reading, actor: Who) -> Response:
 
 
 def _narrowed(show: str, actor: Actor) -> dict[str, Any]:
-    """Say what an inbox holds, as the list takes it; what one may sign is found among what waits."""
+    """Return the filters of an inbox view; requests that the actor may sign are chosen among the open ones."""
     return {
         "show": None,
         "state": "OPEN" if show in {"waiting", "mine"} else None,
@@ -356,7 +358,7 @@ async def open_evidence(
     opening = partial(approvals.record_opening, actor=actor, approval_id=approval_id, evidence=evidence)
     outcome = await attempt(request, opening)
     if outcome.refusal is not None and outcome.refusal.is_ours:
-        raise outcome.refusal.error  # what was not kept would not count as opened
+        raise outcome.refusal.error  # an opening that was not stored would not count
     return redirect(known[evidence][1])
 
 

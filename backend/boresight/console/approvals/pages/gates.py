@@ -18,12 +18,13 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.console.access.dependencies import Who, csrf, get_server
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.access.tables import User
-from boresight.console.approvals import gate_profiles, gates, proposals
+from boresight.console.approvals import gate_profiles, gates
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals.gate_profiles import TriedProfile
 from boresight.console.approvals.gates import read_gate_inputs
-from boresight.console.approvals.tables import ChangeProposal, GateProfile, GateReport, Waiver
-from boresight.console.change_proposals import service as second_person
+from boresight.console.approvals.tables import GateProfile, GateReport, Waiver
+from boresight.console.change_proposals import service as proposals
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import (
     RefusalContext,
@@ -63,7 +64,7 @@ class TypedWaiver:
 
 @dataclass(frozen=True)
 class GatesPanel:
-    """Everything that the panel shows."""
+    """The contents of the gates panel."""
 
     set: ParameterSet
     report: GateReport | None
@@ -151,7 +152,7 @@ def _page(
 
 @router.post("/parameter-sets/{set_id:int}/assess", response_class=HTMLResponse)
 async def assess(request: Request, actor: Who, set_id: int) -> Response:
-    """Hold a set against its gates and show what was found."""
+    """Assess a set's gates and show the report."""
     examined = await run_in_threadpool(ask, partial(_examine, request, actor, set_id))
     if examined.value is None:
         return await run_in_threadpool(_page, request, actor, set_id, examined.refusal)
@@ -191,7 +192,7 @@ def _waived(
         raise RefusedInputError(
             f"{typed.days.strip()[:20]!r} is not a number of days up to {gates.LONGEST_DAYS}; type one, such as 7."
         )
-    expires_utc = utc_after(days * gates.DAY_S - 1.0)  # a waiver of the longest time is within it
+    expires_utc = utc_after(days * gates.DAY_S - 1.0)  # so that a waiver of the longest allowed time is accepted
     version = seen_version(given)
     return gates.waive(session, actor, set_id, typed.gate, typed.code, typed.reason, expires_utc, proof, version)
 
@@ -306,7 +307,7 @@ def _number(gate: Gate, key: str, text: str) -> float | None:
 
 
 def describe_changes(row: GateProfile, earlier: GateProfile | None) -> list[str]:
-    """Say what a version changed."""
+    """Describe what a version changed."""
     if earlier is None:
         return []
     changes = []
@@ -361,7 +362,7 @@ def _set(
 ) -> GateProfile | TableDefinition | ChangeProposal:
     seen = parse_row_id(typed.get("number", ""))
     asked = ("gate-profile", sensor_id, read_profile_form(typed), typed.get("reason", ""), seen)
-    return second_person.change(session, actor, *asked, policy=policy)
+    return proposals.change(session, actor, *asked, policy=policy)
 
 
 def _try(request: Request, actor: Actor, sensor_id: int, typed: Mapping[str, str]) -> HTMLResponse:

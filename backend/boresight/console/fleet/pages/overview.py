@@ -1,4 +1,4 @@
-"""The fleet at a glance: every sensor's worst status with its reason, the queue, what waits for me, what happened."""
+"""The fleet at a glance: every sensor's worst status with its reason, the queue, tasks for the reader, and recent events."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse
 
 from boresight.console import list_queries as lists
-from boresight.console.access.dependencies import Reading, ServerPolicy, Who, Workers, of_server, same_for_one
+from boresight.console.access.dependencies import Reading, ServerPolicy, Who, Workers, depend_on_server, same_for_one
 from boresight.console.alarms import service as alarms
 from boresight.console.alarms.tables import Alarm
-from boresight.console.approvals import proposals
 from boresight.console.approvals import queries as approval_queries
 from boresight.console.approvals import service as approvals
 from boresight.console.audit.pages import make_audit_line
-from boresight.console.change_proposals import service as second_person
+from boresight.console.change_proposals import queries as proposal_queries
+from boresight.console.change_proposals import service as proposals
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import status as fleet
 from boresight.console.fleet.status import SensorStatus, SensorTile
@@ -40,7 +40,7 @@ RECENT_EVENTS = 12
 MOST_ACTIONS = 8
 MOST_TILES = 120
 RUNS_IN_A_SPARKLINE = 16
-CAME_BACK = ("STALE", "REJECTED")  # states of a request that its submitter is told of
+CAME_BACK = ("STALE", "REJECTED")  # states of a request that its submitter is shown
 
 router = APIRouter()
 
@@ -57,7 +57,7 @@ class WaitingAction:
 
 @dataclass(frozen=True)
 class WaitingItems:
-    """What of one kind waits: how much, and the first of it."""
+    """The waiting items of one kind: their number and the first few."""
 
     count: int
     first: Sequence[WaitingAction]
@@ -88,7 +88,7 @@ def _proposals(session: Session, actor: Actor) -> WaitingItems:
     able = [
         row
         for row in proposals.list_open_proposals(session)
-        if second_person.explain_why_not_decide(session, actor, row) is None
+        if proposals.explain_why_not_decide(session, actor, row) is None
     ]
     first = [
         WaitingAction(
@@ -114,7 +114,7 @@ def _alarms(session: Session, actor: Actor, names: Mapping[int, str]) -> Waiting
 
 
 def _promotions(session: Session, actor: Actor) -> Iterator[WaitingItems]:
-    """Yield what an operator may do: promote what is approved, record what became of a new baseline."""
+    """Yield the tasks of an operator: promote approved sets, and record the uplink of a new baseline."""
     if "operator" not in actor.roles:
         return
     yield _sets(session, {"state": "APPROVED"}, "is approved and can be promoted", "Promote")
@@ -137,7 +137,7 @@ def _own_requests(session: Session, actor: Actor) -> Iterator[WaitingItems]:
 
 
 def _calibrations(session: Session, standings: Sequence[SensorStatus], actor: Actor) -> WaitingItems:
-    """Find what an analyst may do about any sensor: launch a first run, look at a failed one, make a set of a good one."""
+    """Find the tasks of an analyst: launch a first run, look at a failed one, make a set from a good one."""
     if "analyst" not in actor.roles:
         return NOTHING
     converged = {one.last_run.id for one in standings if _converged(one)}
@@ -147,7 +147,7 @@ def _calibrations(session: Session, standings: Sequence[SensorStatus], actor: Ac
 
 
 def _next_step(one: SensorStatus, unused: Collection[int]) -> WaitingAction | None:
-    """Say what a sensor's newest run asks for; `unused` are converged runs that no set was made of."""
+    """Return the next step after a sensor's newest run; `unused` are converged runs from which no set was made."""
     run = one.last_run
     if run is None:
         address = f"/runs/new?sensor={one.sensor_id}"
@@ -167,7 +167,7 @@ def _converged(one: SensorStatus) -> bool:
 
 @dataclass(frozen=True)
 class RecentCalibrations:
-    """How a sensor's calibrations went lately."""
+    """A sensor's recent calibrations."""
 
     rms: Sparkline | None
     availability: float | None
@@ -176,7 +176,7 @@ class RecentCalibrations:
 
 @dataclass(frozen=True)
 class RecentEvent:
-    """Something that happened: somebody did it, or a run ended."""
+    """A recent event: an action by a person, or the end of a run."""
 
     at_utc: str
     who: str
@@ -188,7 +188,7 @@ class RecentEvent:
 
 @dataclass(frozen=True, eq=False)
 class FleetView:
-    """What the overview shows to everybody; read once after a commit, whoever looks."""
+    """The part of the overview that is the same for everybody; read once after a commit."""
 
     standings: Sequence[SensorStatus]
     tiles: Sequence[SensorTile]
@@ -208,12 +208,12 @@ class FleetView:
 
     @property
     def unjudged(self) -> int:
-        """Of how many sensors it is not known yet whether the ground calibration holds."""
+        """The number of sensors whose ground calibration has not been checked yet."""
         return sum(not one.is_judged for one in self.standings)
 
 
 def choose_drawn_sensors(standings: Sequence[SensorStatus]) -> Sequence[SensorStatus]:
-    """Choose the sensors that a page has room for: all by name, or of a large fleet those that stand worst, the worst first."""
+    """Choose the sensors that a page has room for: all by name, or in a large fleet those with the worst status."""
     return _shown_first(standings)[:MOST_TILES]
 
 
@@ -237,7 +237,7 @@ def _read_recent_calibrations(summaries: Sequence[RunSummary], drift: Alarm | No
 
 
 def _recorded(session: Session) -> Iterator[RecentEvent]:
-    """Yield the newest records of the audit log, but for the ends of runs, which tell more by their rows."""
+    """Yield the newest audit records except the ends of runs, whose rows say more."""
     for record in audit.list_records(session, limit=RECENT_EVENTS):
         if record.action == "ended":
             continue
@@ -253,7 +253,7 @@ def _ended_runs(session: Session, names: Mapping[int, str]) -> Iterator[RecentEv
 
 
 def _events(session: Session, standings: Sequence[SensorStatus]) -> list[RecentEvent]:
-    """Return what happened last, newest first."""
+    """Return the most recent events, newest first."""
     names = {one.sensor_id: one.name for one in standings}
     found = [*_recorded(session), *_ended_runs(session, names)]
     return sorted(found, key=lambda event: event.at_utc, reverse=True)[:RECENT_EVENTS]
@@ -270,27 +270,27 @@ def _fleet(session: Session) -> FleetView:
         runs.count_by_state(session),
         _events(session, standings),
         lists.count(session, "approvals", {"state": "OPEN"}),
-        approval_queries.count_open_proposals(session),
+        proposal_queries.count_open_proposals(session),
         approval_queries.list_submitter_ids(session, CAME_BACK),
     )
 
 
-def _ours(session: Session, actor: Actor, desk: FleetView) -> tuple[WaitingItems, Sequence[WaitingItems]]:
-    """Gather what waits for everybody of the same roles: alarms, and promotions with the calibrations."""
-    found = desk.by_roles.get(actor.roles)
+def _ours(session: Session, actor: Actor, overview: FleetView) -> tuple[WaitingItems, Sequence[WaitingItems]]:
+    """Gather the tasks that are the same for everybody with these roles: alarms, promotions and calibrations."""
+    found = overview.by_roles.get(actor.roles)
     if found is None:
-        rest = (*_promotions(session, actor), _calibrations(session, desk.standings, actor))
-        names = {one.sensor_id: one.name for one in desk.standings}
-        found = desk.by_roles[actor.roles] = (_alarms(session, actor, names), rest)
+        rest = (*_promotions(session, actor), _calibrations(session, overview.standings, actor))
+        names = {one.sensor_id: one.name for one in overview.standings}
+        found = overview.by_roles[actor.roles] = (_alarms(session, actor, names), rest)
     return found
 
 
-def _mine(session: Session, actor: Actor, policy: Policy, desk: FleetView) -> tuple[WaitingItems, WaitingItems]:
-    """Gather what waits for a person: requests to sign, and everything; what cannot be there is not asked for."""
-    signatures = _signatures(session, actor, policy) if desk.open_requests else NOTHING
-    own = _own_requests(session, actor) if actor.user_id in desk.submitters else ()
-    decisions = _proposals(session, actor) if desk.open_proposals else NOTHING
-    alarming, (*promotions, calibrations) = _ours(session, actor, desk)
+def _mine(session: Session, actor: Actor, policy: Policy, overview: FleetView) -> tuple[WaitingItems, WaitingItems]:
+    """Gather a person's tasks, and separately the requests to sign; queries that can find nothing are skipped."""
+    signatures = _signatures(session, actor, policy) if overview.open_requests else NOTHING
+    own = _own_requests(session, actor) if actor.user_id in overview.submitters else ()
+    decisions = _proposals(session, actor) if overview.open_proposals else NOTHING
+    alarming, (*promotions, calibrations) = _ours(session, actor, overview)
     kinds = [alarming, signatures, decisions, *promotions, *own, calibrations]
     first = [action for kind in kinds for action in kind.first][:MOST_ACTIONS]
     return signatures, WaitingItems(sum(kind.count for kind in kinds), first)
@@ -301,7 +301,7 @@ def _counts(standings: Sequence[SensorStatus]) -> dict[str, int]:
     return {level: sum(one.status == level for one in standings) for level in reversed(LEVELS)}
 
 
-OverviewCache = Annotated[VersionedCache[FleetView], of_server("overview")]
+OverviewCache = Annotated[VersionedCache[FleetView], depend_on_server("overview")]
 
 
 @router.get("/", response_class=HTMLResponse, dependencies=[Depends(same_for_one)])
@@ -309,24 +309,24 @@ def overview_page(
     request: Request, session: Reading, actor: Who, policy: ServerPolicy, cache: OverviewCache, dispatcher: Workers
 ) -> HTMLResponse:
     """Show the fleet."""
-    ages = time.monotonic() // HELD_S  # what the rows say of time is read anew with these
-    desk, is_older = cache.answer_to(
+    ages = time.monotonic() // HELD_S  # times in the rows are recomputed when this changes
+    overview, is_older = cache.answer_to(
         ages, partial(_fleet, session), request.state.came_s
     )  # before anything else is read
     if is_older:
         mark_outdated(request)
-    signatures, actions = _mine(session, actor, policy, desk)
+    signatures, actions = _mine(session, actor, policy, overview)
     workers = dispatcher.state() if dispatcher else None
     return render(
         request,
         "fleet/overview.html",
-        follows_from=(desk, signatures.count, actions.count, tuple(actions.first), tuple((workers or {}).items())),
-        desk=desk,
-        counts=_counts(desk.standings),
+        follows_from=(overview, signatures.count, actions.count, tuple(actions.first), tuple((workers or {}).items())),
+        overview=overview,
+        counts=_counts(overview.standings),
         actions=actions.first,
         more_actions=actions.count - len(actions.first),
         waiting_for_me=signatures.count,
-        events=desk.events,
+        events=overview.events,
         workers=workers,
         may_register=bool({"analyst", "administrator"} & actor.roles),
     )

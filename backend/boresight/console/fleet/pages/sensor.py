@@ -50,9 +50,6 @@ from boresight.platform.db.sessions import Session, open_reading, utc_now
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, fixed, is_number, urad
 
-#: How many of the newest finished runs are looked at for one with a validation set.
-LOOKED_AT = 20
-
 
 @dataclass(frozen=True)
 class ScoreRow:
@@ -78,7 +75,7 @@ class BeforeAfter:
 
 def before_after(session: Session, blobs: BlobStore, sensor_id: int) -> BeforeAfter | None:
     """Return what the newest finished run of a sensor would change, one with a validation set first; None without a run."""
-    for run in run_queries.list_newest_finished(session, sensor_id, LOOKED_AT):
+    for run in run_queries.iterate_newest_finished(session, sensor_id):
         try:
             result = runs.find_calibration(session, blobs, run.id)
         except (ConflictError, NotFoundError):  # its file is gone or no calibration; an older run may still have one
@@ -90,7 +87,7 @@ def before_after(session: Session, blobs: BlobStore, sensor_id: int) -> BeforeAf
 
 
 def judged_on(result: Calibration) -> tuple[str, Evaluation] | None:
-    """Return the set that a result is judged on and its scores, in the shape of an evaluation; None where nothing is."""
+    """Return the purpose of the set that a result is judged on, and its scores; None where there are none."""
     if result.validation is not None:
         return "validation", result.validation
     if result.evaluation is not None:
@@ -103,7 +100,7 @@ def judged_on(result: Calibration) -> tuple[str, Evaluation] | None:
 
 
 def scores(evaluation: Evaluation) -> list[ScoreRow]:
-    """Print the scores of an evaluation, those that it has."""
+    """Print the scores that an evaluation has."""
     reach, unknown = evaluation.intervals, IntervalChange(initial=[], final=[])
     ratio = Change(initial=1.0, final=evaluation.matched_star_ratio)
     reach_of_ratio = IntervalChange(initial=[], final=reach.matched_star_ratio) if reach else unknown
@@ -130,7 +127,7 @@ def _number(value: float | None, factor: float, decimals: int) -> str:
 
 
 def _interval(ends: Sequence[float | None], factor: float, decimals: int) -> str:
-    """Print an interval; nothing where none is known, one end where the other is not."""
+    """Print an interval, or the end of it that is known; empty where neither is."""
     if not ends or not is_number(ends[0]):
         return ""
     if not is_number(ends[1]):
@@ -255,7 +252,7 @@ def baseline_values(sensor: Sensor, baseline: ParameterSet | None) -> list[Basel
 
 @dataclass(frozen=True)
 class AsOf:
-    """What was baseline and what was on board at a time, or why that cannot be said."""
+    """The baseline and the set on board at a time, or why they are not known."""
 
     time: str
     baseline: ParameterSet | None
@@ -275,7 +272,7 @@ def _read_as_of(session: Session, sensor_id: int, time: str) -> AsOf | None:
 
 @dataclass(frozen=True)
 class SensorContext:
-    """What the edit form left behind."""
+    """The state of the edit form."""
 
     text: str = ""
     refusal: RefusalContext | None = None
@@ -360,7 +357,7 @@ EVENTS_A_PAGE = 50
 def timeline_page(
     request: Request, session: Reading, actor: Who, sensor_id: int, at: str = "", before: str = ""
 ) -> HTMLResponse:
-    """Show what held at a time, now where none is asked for, and the events."""
+    """Show the state of a sensor at a time, by default now, and its events."""
     sensor = session.get_known(Sensor, sensor_id)
     answer, refusal = _answer(session, sensor_id, at.strip())
     before_id = parse_row_id(before)

@@ -111,7 +111,7 @@ def read_document(text: str) -> dict[str, Any]:
 
 
 async def typed_document(form: FormData) -> str:
-    """Return what the form holds as text: the chosen file where there is one, else what was typed."""
+    """Return the text of the chosen file, else the typed text."""
     chosen = form.get("file")
     if isinstance(chosen, UploadFile) and chosen.filename:
         content = await chosen.read()
@@ -123,7 +123,7 @@ async def typed_document(form: FormData) -> str:
 
 @dataclass(frozen=True)
 class SensorsContext:
-    """What the form left behind: its text and its refusal."""
+    """The state of the form: its text and its refusal."""
 
     text: str = ""
     refusal: RefusalContext | None = None
@@ -143,7 +143,7 @@ def sensors_csv(request: Request, session: Reading) -> Response:
 
 
 def _standing(session: Session, view: TableView) -> dict[int, SensorStatus] | None:
-    """Return the sensors that stand as a view asks, which only looking at each of the fleet tells; None where it does not ask."""
+    """Return the sensors with the status that a view asks for, computed over the whole fleet; None where it asks for none."""
     if (status := view.where.get("status")) is None:
         return None
     return {one.sensor_id: one for one in fleet.list_sensor_statuses(session) if one.status == status}
@@ -154,7 +154,7 @@ def _where(chosen: Mapping[int, SensorStatus] | None) -> dict[str, Any]:
 
 
 def _tiles(session: Session, sensor_ids: Sequence[int], chosen: Mapping[int, SensorStatus] | None) -> list[SensorTile]:
-    """Return the tiles of some sensors, in this order, as they were found to stand when they were chosen."""
+    """Return the tiles of some sensors, in this order, with the status that was computed when they were chosen."""
     stand = chosen or {one.sensor_id: one for one in fleet.list_sensor_statuses(session, sensor_ids)}
     return fleet.list_tiles(session, [stand[sensor_id] for sensor_id in sensor_ids])
 
@@ -240,6 +240,6 @@ def _register(actor: Actor, text: str, session: Session) -> Sensor:
 def list_sensor_choices(
     session: Session, view: TableView, *, find: str = "", keep: Iterable[int] = ()
 ) -> SensorChoices:
-    """Return what the filter by sensor of a list offers, the one that the view is narrowed to among it."""
+    """Return the choices of a list's sensor filter, including the sensor that is selected."""
     narrowed = parse_row_id(view.where.get("sensor", ""))
     return sensors.list_choices(session, find=find, keep=[*keep, *([narrowed] if narrowed else [])])

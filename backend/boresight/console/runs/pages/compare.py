@@ -28,12 +28,12 @@ from boresight.estimation.filters import FILTERS
 from boresight.figures import FIGURES, WIDE
 from boresight.figures.charts import radial as radial_contrast
 from boresight.figures.charts.methods import MethodScores, method_scores
-from boresight.figures.history import SETTLED_SIGMAS
 from boresight.figures.style.axes import ALIGNMENTS
 from boresight.platform.web.paging import parse_row_id
+from boresight.verdicts.history import SETTLED_SIGMAS
 from boresight.verdicts.numbers import MISSING, count, fixed, number, parameter, plus_minus, sigmas, urad
 
-#: From here on a difference is marked: one of 370 is so large by chance.
+#: Differences from here on are marked; chance makes one of 370 as large.
 FAR_SIGMAS = 3.0
 #: Correlations that differ by less look alike.
 ALIKE = 0.05
@@ -44,7 +44,7 @@ SMALLEST_P = 1e-300
 
 @dataclass(frozen=True)
 class ComparedCell:
-    """One parameter of one run: its value, what it is against the reference, and whether that is far."""
+    """One parameter of one run: its value, its difference from the reference, and whether that is large."""
 
     value: str
     note: str
@@ -53,7 +53,7 @@ class ComparedCell:
 
 @dataclass(frozen=True)
 class ParameterLine:
-    """One parameter, a cell a run."""
+    """One parameter, with a cell for each run."""
 
     name: str
     cells: Sequence[ComparedCell]
@@ -62,7 +62,7 @@ class ParameterLine:
 
 @dataclass(frozen=True)
 class CorrelationLine:
-    """A pair of parameters, a printed correlation a run."""
+    """A pair of parameters, with a printed correlation for each run."""
 
     names: tuple[str, str]
     values: Sequence[str]
@@ -109,7 +109,7 @@ def correlation_lines(found: Comparison) -> list[CorrelationLine]:
 
 
 def together(found: Comparison) -> list[ComparedCell]:
-    """Print, a run, whether all its parameters together differ from the reference's."""
+    """Print for each run whether all its parameters together differ from the reference's."""
     cells = []
     for k, against in enumerate(found.contrasts):
         test = joint(against)
@@ -127,7 +127,7 @@ def together(found: Comparison) -> list[ComparedCell]:
 
 
 def _chance(p: float) -> str:
-    """Print a p-value; of one too small for a float, a bound, for no chance is nought."""
+    """Print a p-value; one too small for a float is printed as an upper bound, because no p-value is zero."""
     return f"p = {number(p, 2)}" if p >= SMALLEST_P else "p < 10⁻³⁰⁰"
 
 
@@ -137,7 +137,7 @@ OWN = {"method", *(name for name, option in OPTIONS.items() if option.methods !=
 
 @dataclass(frozen=True)
 class MethodLine:
-    """One row of the table: what is compared, its unit, a text a run, and how to read it."""
+    """One row of the table: a quantity, its unit, a text for each run, and how to read it."""
 
     name: str
     unit: str
@@ -147,7 +147,7 @@ class MethodLine:
 
 @dataclass(frozen=True)
 class MethodPanel:
-    """What the panel shows."""
+    """The contents of the panel of methods."""
 
     refusal: str | None
     unlike: str
@@ -156,7 +156,7 @@ class MethodPanel:
 
 
 def method_panel(compared: Sequence[ComparedRun]) -> MethodPanel | None:
-    """Set the methods of several runs beside each other; None where there is but one."""
+    """Compare the methods of several runs; None where there is only one run."""
     used = {one.run.method for one in compared}
     if len(used) < 2:
         return None
@@ -168,7 +168,7 @@ def method_panel(compared: Sequence[ComparedRun]) -> MethodPanel | None:
 
 
 def _refusal(compared: Sequence[ComparedRun]) -> str | None:
-    """Say why the runs tell nothing of their methods, or None."""
+    """Return why the methods of these runs cannot be compared, or None."""
     by_set = {one.run.telemetry_set_id: one.run.id for one in compared}
     if len(by_set) > 1:
         first, second = list(by_set.values())[:2]
@@ -182,7 +182,7 @@ def _refusal(compared: Sequence[ComparedRun]) -> str | None:
 
 
 def _unlike(compared: Sequence[ComparedRun]) -> list[str]:
-    """Name the settings beyond the methods' own that are not the same in all runs."""
+    """List the settings, other than the methods' own, that differ between the runs."""
     names = sorted({name for one in compared for name in one.run.settings} - OWN - {"free"})
     found = [words(name) for name in names if len({str(one.run.settings.get(name)) for one in compared}) > 1]
     free = {str(one.calibration.free) for one in compared if one.calibration.free}
@@ -235,7 +235,7 @@ def _lines(compared: Sequence[ComparedRun]) -> list[MethodLine]:
 
 
 def _against_truth(scores: Sequence[MethodScores]) -> list[MethodLine]:
-    """Lay out what only a simulated sensor can tell."""
+    """Return the rows that compare with the truth of a simulated sensor."""
     if all(score.honesty is None for score in scores):
         return []
     return [
@@ -281,7 +281,7 @@ router = APIRouter(dependencies=[Depends(get_actor)])
 
 @dataclass(frozen=True)
 class CompareView:
-    """Everything that the address of the page says."""
+    """The view that the page's address describes."""
 
     run_ids: Sequence[int]
     reference: int
@@ -290,7 +290,7 @@ class CompareView:
     overlay: str
 
     def query(self, **changed: Any) -> str:
-        """Write the view as an address's query, with changes; what is as it is by default is left out."""
+        """Return the query string of the view, with changes; defaults are left out."""
         view = replace(self, **changed)
         named = {
             "reference": "" if view.reference == view.run_ids[0] else view.reference,
@@ -303,7 +303,7 @@ class CompareView:
 
     @property
     def figures_query(self) -> str:
-        """Write the part of the view that figures are asked with, behind their runs; empty where all is by default."""
+        """Return the part of the query string that figures take; empty where all is default."""
         named = {"align": self.align, "overlay": self.overlay}
         usual = {"align": "frame", "overlay": "lines"}
         return "".join(f"&{name}={value}" for name, value in named.items() if value != usual[name])
@@ -315,7 +315,7 @@ class CompareView:
 
 
 def read_view(run_ids: Sequence[int], reference: str, everything: str, align: str, overlay: str) -> CompareView:
-    """Read the view from the address; what is no choice is as by default."""
+    """Read the view from the address; invalid values are replaced by defaults."""
     chosen = named if (named := parse_row_id(reference)) is not None and named in run_ids else run_ids[0]
     return CompareView(
         run_ids,
@@ -328,19 +328,19 @@ def read_view(run_ids: Sequence[int], reference: str, everything: str, align: st
 
 @dataclass(frozen=True)
 class DifferenceRow:
-    """One row of the table of settings and outcomes: a name and a text a run."""
+    """One row of the table of settings and outcomes: a name and a text for each run."""
 
     name: str
     values: Sequence[str]
 
     @property
     def differs(self) -> bool:
-        """Tell whether the runs do not all have the same."""
+        """Whether the runs differ."""
         return len(set(self.values)) > 1
 
 
 def differences(compared: Sequence[ComparedRun], names: RunNames) -> list[DifferenceRow]:
-    """Set settings and outcomes of the runs beside each other."""
+    """Return the settings and outcomes of the runs, a row each."""
     described = [_description(one, names) for one in compared]
     rows = list(dict.fromkeys(name for description in described for name in description))
     return [DifferenceRow(name, [description.get(name, "–") for description in described]) for name in rows]
@@ -370,7 +370,7 @@ def _description(one: ComparedRun, names: RunNames) -> dict[str, str]:
 
 
 def _chosen(one: ComparedRun) -> dict[str, Any]:
-    """Return a run's settings but its method, with the free parameters that the sensor's own list stood for."""
+    """Return a run's settings except its method, with the sensor's free parameters filled in where it named none."""
     settings = {name: value for name, value in one.run.settings.items() if name != "method"}
     return {**settings, "free": one.calibration.free or settings.get("free")}
 
@@ -393,7 +393,7 @@ def compare_page(
     align: str = "",
     overlay: str = "",
 ) -> HTMLResponse:
-    """Show several runs over one another, or say what to choose."""
+    """Show a comparison of runs, or what to choose for one."""
     blobs = get_server(request).blobs
     try:
         run_ids = comparisons.read_run_ids(asked or [])

@@ -1,4 +1,4 @@
-"""The frames of a run: one on the detector with its residuals at a stated scale, as tables too, and the worst ones to go to.
+"""The frames of a run: one on the detector with its residuals at a stated scale, also as tables, and links to the worst ones.
 
 All of the view is in the address: `frame`, `exposure`, `scale`, `show`. A residual points from the measured centroid to
 the predicted place; the circle is three of its sigmas, drawn to the same scale.
@@ -32,7 +32,7 @@ TICKS = 6
 
 @dataclass(frozen=True)
 class Vector:
-    """A residual: under which parameters, its components and the mean of its two sigmas, px (x along columns)."""
+    """A residual: its parameters (old or new), its components and the mean of its two sigmas, px (x along columns)."""
 
     name: str
     dx: float
@@ -42,7 +42,7 @@ class Vector:
 
 @dataclass(frozen=True)
 class DetectionSymbol:
-    """A detection: its place (x along columns), its fate, what its tooltip says, and its residuals."""
+    """A detection: its position (x along columns), its state, its tooltip, and its residuals."""
 
     row: int
     x: float
@@ -160,13 +160,13 @@ class FramePage:
     address: Mapping[str, str] | None = None
 
     def to(self, **changes: Any) -> str:
-        """Return the address of this view with something changed; None takes it out."""
+        """Return the address of this view with changes; None removes a parameter."""
         kept = {"part": "frames", **(self.address or {}), **changes}
         return "?" + urlencode({name: value for name, value in kept.items() if value is not None})
 
 
 def make_frames_part(session: Session, request: Request, run: Run) -> dict[str, Any]:
-    """Gather the frames part of a run page; whatever stands against showing a frame is a sentence in it."""
+    """Gather the frames part of a run page; where no frame can be shown a sentence says why."""
     asked = {name: request.query_params[name] for name in ("exposure", "scale", "show") if name in request.query_params}
     state = get_server(request)
     try:
@@ -188,7 +188,7 @@ def _page(page: FramePage) -> dict[str, Any]:
 
 
 def _asked_frame(text: str | None) -> str | None:
-    """Read which frame is asked for, None where none is; a refusal of what is no number."""
+    """Read the requested frame's number, None where there is none; refuse a text that is no number."""
     if not text:
         return None
     if not text.removeprefix("-").isdecimal() or len(text) > 18:
@@ -210,7 +210,7 @@ def _laid_out(view: Mapping[str, Any], worst: Sequence[FrameLine], address: Mapp
     show = address.get("show", "new")
     names = [name for name in UNDER.get(show, UNDER["new"]) if exposure["attitude"][name]]
     if not names and view["why_no_new"]:
-        names = ["old"]  # nothing else there is
+        names = ["old"]  # there are no other frames
     scale = _read_scale(address.get("scale")) or usual_scale(exposure["stars"], names, view["columns"])
     return FramePage(
         view=view,
@@ -224,7 +224,7 @@ def _laid_out(view: Mapping[str, Any], worst: Sequence[FrameLine], address: Mapp
 
 
 def _chosen(exposures: Sequence[Mapping[str, Any]], asked: str | None) -> Mapping[str, Any] | None:
-    """The exposure asked for by its number, else the first."""
+    """Return the requested exposure, else the first."""
     by_number = {str(exposure["exposure"]): exposure for exposure in exposures}
     return by_number.get(asked or "", next(iter(exposures), None))
 
@@ -234,13 +234,13 @@ def _read_scale(text: str | None) -> int | None:
 
 
 def attitude_rows(attitude: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Write an exposure's attitude under the old and the new parameters, a line a quantity."""
+    """Return an exposure's attitude under the old and the new parameters, one row per quantity."""
     old, new = ([*_written(attitude[name])] if attitude[name] else [MISSING] * len(ATTITUDE) for name in ("old", "new"))
     return list(zip(ATTITUDE, old, new, strict=True))
 
 
 def _written(attitude: Mapping[str, Any]) -> Iterator[str]:
-    """An attitude in the order of `ATTITUDE`."""
+    """Yield the numbers of an attitude as text, in the order of `ATTITUDE`."""
     yield fixed(attitude["ra_deg"], 6)
     yield fixed(attitude["dec_deg"], 6)
     yield fixed(attitude["roll_deg"], 5)
@@ -279,7 +279,7 @@ def star_row(star: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _why(star: Mapping[str, Any]) -> str:
-    """The reason of a star that was not used, what the catalogue says against it, and another name it had."""
+    """Return why a star was not used, its flags in the catalogue, and another identity it was given."""
     renamed = star["star_id"] and star["given_star_id"] not in {None, star["star_id"]}
     said = [star["reason"], *star["flags"], f"named {star['given_star_id']} in the file" if renamed else None]
     if star["star_id"] and star["old_star_id"] is None:
@@ -288,7 +288,7 @@ def _why(star: Mapping[str, Any]) -> str:
 
 
 def _residual(under: Mapping[str, Any] | None) -> tuple[str, str]:
-    """Residual with its sigma along rows and columns, px."""
+    """Return the residual with its sigma along rows and columns, px."""
     if under is None:
         return MISSING, MISSING
     row, col = (

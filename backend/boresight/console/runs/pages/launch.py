@@ -1,4 +1,4 @@
-"""Launching a run, in steps on one page: where to begin, data, method, parameters, the dry run, the queue.
+"""Launching a run, in steps on one page: starting point, data, method, parameters, dry run, queue.
 
 The dry run is the service's own (`validate_only`). The address holds where the form begins: `?sensor=`, `?set=`,
 `?method=`, `?preset=`, `?clone=` a run, what was sought of a large fleet (`?find=`), and every field that was changed
@@ -48,7 +48,7 @@ from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.paging import parse_row_id
 from boresight.verdicts.numbers import count, duration
 
-#: The choices that have a field each; free parameters have one a sensor.
+#: The settings with one form field each; free parameters have one per sensor.
 FIELDS = tuple(name for name in OPTIONS if name != "free")
 
 
@@ -62,7 +62,7 @@ DEFAULTS = typed_settings(CalibrationSettings().document())
 
 @dataclass(frozen=True)
 class TypedForm:
-    """The form as it was typed: text, so that a refused form comes back as it was; a setting is `typed[name]`."""
+    """The form as typed text, so that a refused form comes back unchanged; a setting is `typed[name]`."""
 
     sensor_id: str = ""
     telemetry_set_id: str = ""
@@ -76,20 +76,21 @@ class TypedForm:
         return self.chosen[name]
 
     def with_settings(self, texts: Mapping[str, str]) -> TypedForm:
-        """Return the form with other texts for some settings."""
+        """Return the form with some settings replaced."""
         return replace(self, chosen={**self.chosen, **texts})
 
     def under(self, settings: Mapping[str, Any]) -> TypedForm:
-        """Return the form with other settings, data and label as typed; free parameters too where the settings name none."""
+        """Return the form with new settings, keeping data and label, and the free parameters where the settings name none."""
         free = dict(self.free)
         if settings.get("free") and (sensor_id := parse_row_id(self.sensor_id)) is not None:
             free[sensor_id] = list(settings["free"])
         return replace(self.with_settings(typed_settings(settings)), free=free)
 
     def amended(self, address: QueryParams) -> TypedForm:
-        """Return the form with what an address says of it, by the names of its fields; an empty `free-<sensor>` frees none.
+        """Return the form with the fields that an address names; an empty `free-<sensor>` frees no parameter.
 
-        An address that says the validation set is the form's own, and says all the data; else its set is only a beginning.
+        An address with a validation set was written by this form and names all its data; otherwise its set is only a
+        starting point.
         """
         said: dict[str, Any] = {name: address[name] for name in ("validation_set_id", "label") if name in address}
         if "validation_set_id" in address:
@@ -106,7 +107,7 @@ class TypedForm:
 
     @property
     def query(self) -> str:
-        """The fields as an address's query, for the page to tell what was changed since."""
+        """The fields as a query string, from which the page finds what was changed since."""
         texts = [("validation_set_id", self.validation_set_id), ("label", self.label)]
         texts += [(name, self[name]) for name in FIELDS if name != "method"]
         ticks = [(f"free-{sensor}", name) for sensor, names in self.free.items() for name in names]
@@ -125,7 +126,7 @@ class TypedForm:
         return {**self.settings_of_any(), "free": free}
 
     def settings_of_any(self) -> dict[str, Any]:
-        """Return the settings document for whatever sensor, whose own parameters are free; refuses as `settings`."""
+        """Return the settings document for any sensor, with the sensor's own free parameters; refuses as `settings`."""
         method = self["method"]
         mine = [name for name in FIELDS if name == "method" or method in OPTIONS[name].methods]
         if self["variant"] == "no-q" and "process_noise_sigma" in mine:
@@ -154,12 +155,12 @@ def typed_form(form: FormData) -> TypedForm:
 
 MOST_SETS = 100
 LONGEST_NUMBER = 9  # digits of a row's number
-OF_A_SENSOR = ("set", "validation_set_id")  # what an address says of the data besides the sensor
+OF_A_SENSOR = ("set", "validation_set_id")  # parameters of the address about data, besides the sensor
 
 
 @dataclass(frozen=True)
 class LaunchOrigin:
-    """Where the form began: the address's own words, as far as they name something."""
+    """The starting point of the form: the valid parameters of the address."""
 
     sensor: int | None = None
     set_id: int | None = None
@@ -170,25 +171,25 @@ class LaunchOrigin:
 
     @property
     def kept(self) -> dict[str, str]:
-        """What an address says of it; what is sought aside."""
+        """Its parameters in an address, without the search text."""
         named = {"sensor": self.sensor, "set": self.set_id, "clone": self.clone, "method": self.method}
         key = self.preset.key if self.preset else None
         return {name: str(value) for name, value in {**named, "preset": key}.items() if value}
 
     @property
     def query(self) -> str:
-        """The same as an address's query."""
+        """The same as a query string."""
         return urlencode(self.kept | ({"find": self.find} if self.find else {}))
 
     def with_preset(self, key: str) -> str:
-        """The address's query with a preset, whose method takes the place of the one named."""
+        """The query string with a preset, whose method replaces the one in the address."""
         named = {"sensor": self.sensor, "set": self.set_id, "clone": self.clone, "preset": key, "find": self.find}
         return urlencode({name: value for name, value in named.items() if value})
 
 
 @dataclass(frozen=True)
 class OfferedData:
-    """What the form offers."""
+    """The choices that the form offers."""
 
     choices: SensorChoices
     fleet: Sequence[Sensor]
@@ -197,18 +198,18 @@ class OfferedData:
 
     @property
     def shown(self) -> int | None:
-        """The sensor whose sets and parameters alone the form holds."""
+        """The sensor whose sets and parameters the form shows."""
         return None if self.is_whole or not self.fleet else self.fleet[0].id
 
 
 def offer(session: Session, find: str, sensor_id: int | None, set_ids: Sequence[str] = ()) -> OfferedData:
-    """Read what a form offers that is about a sensor, by default the first by name, and names these sets."""
+    """Read the choices of a form for a sensor, by default the first by name, including these sets."""
     choices = sensors.list_choices(session, find=find, keep=[] if sensor_id is None else [sensor_id])
     if choices.is_all:
         sets = telemetry_sets.list_telemetry_sets(session, limit=MOST_SETS + 1)
         if len(sets) <= MOST_SETS:
             return OfferedData(choices, sensor_queries.list_sensors(session), sets, is_whole=True)
-    if not choices.names:  # nothing holds what is sought
+    if not choices.names:  # no name contains the search text
         choices = replace(choices, names=dict(list(sensors.list_choices(session).names.items())[:1]))
     chosen = next(number for number in (sensor_id, *choices.names) if number is not None and number in choices.names)
     sets = telemetry_sets.list_telemetry_sets(session, sensor_id=chosen, limit=MOST_SETS)
@@ -217,7 +218,7 @@ def offer(session: Session, find: str, sensor_id: int | None, set_ids: Sequence[
 
 
 def _older(session: Session, set_ids: Sequence[str], sensor_id: int, known: set[int]) -> Iterator[TelemetrySet]:
-    """Yield the sets named that are the sensor's and in use, but not among the newest."""
+    """Yield the named sets of the sensor that are in use but not among the newest."""
     for number in {number for text in set_ids for number in _number(text)} - known:
         try:
             row = session.get_known(TelemetrySet, number)
@@ -232,7 +233,7 @@ def _number(text: str) -> list[int]:
 
 
 def sensor_meant(session: Session, origin: LaunchOrigin, address: Mapping[str, str]) -> int | None:
-    """Return the sensor that a form is about that begins there; None where nothing says which."""
+    """Return the sensor of a form with this starting point; None where that determines none."""
     of_set = origin.set_id is not None and origin.clone is None and "validation_set_id" not in address
     if origin.sensor is not None and not of_set:
         return origin.sensor
@@ -244,7 +245,7 @@ def sensor_meant(session: Session, origin: LaunchOrigin, address: Mapping[str, s
 
 
 def sets_of_clone(session: Session, origin: LaunchOrigin) -> list[str]:
-    """Return the numbers of the sets of the run that the form began from, which may be older than all that it offers besides."""
+    """Return the set numbers of the cloned run, which may be older than the other choices."""
     if origin.clone is None:
         return []
     run = runs.get_run(session, origin.clone)
@@ -252,7 +253,7 @@ def sets_of_clone(session: Session, origin: LaunchOrigin) -> list[str]:
 
 
 def found_alone(offered: OfferedData, address: QueryParams) -> str | None:
-    """Return the query of the form about the only sensor that is found; None where it is about that one, or several are found."""
+    """Return the query of the form for the only sensor found; None where it is shown already or several were found."""
     choices = offered.choices
     alone = list(choices.names)[-1] if choices.find and choices.found == choices.fitting == 1 else None
     if offered.is_whole or choices.is_all or alone in {None, offered.shown}:
@@ -262,14 +263,14 @@ def found_alone(offered: OfferedData, address: QueryParams) -> str | None:
 
 
 def _of_sensor(name: str) -> bool:
-    """Whether a part of the address holds for one sensor only."""
+    """Whether a parameter of the address applies to one sensor only."""
     return name in {"sensor", *OF_A_SENSOR} or name.startswith("free-")
 
 
 def first_choice(
     session: Session, fleet: Sequence[Sensor], clone: int | None, sensor_id: int | None, set_id: int | None
 ) -> TypedForm:
-    """Fill the form anew: from a run to clone, with a set, or with a sensor's newest sets, by default the first one's."""
+    """Fill a new form: from a run to clone, with a set, or with the newest sets of a sensor, by default the first."""
     free = {sensor.id: list_free_parameters(sensor) for sensor in fleet}
     if clone is None and set_id is not None:
         return TypedForm(**_sets_with(session, set_id), free=free)
@@ -288,7 +289,7 @@ def first_choice(
 
 
 def about_its_sensor(session: Session, typed: TypedForm) -> TypedForm:
-    """Return a form with the newest sets of the sensor that it names and that sensor's own free parameters."""
+    """Return the form with the newest sets and the own free parameters of the sensor that it names."""
     fleet = sensor_queries.list_sensors(session, _number(typed.sensor_id))
     free = {sensor.id: list_free_parameters(sensor) for sensor in fleet}
     return replace(typed, **newest_sets(session, next(iter(free), None)), free=free)
@@ -314,7 +315,7 @@ def _sets_with(session: Session, set_id: int) -> dict[str, Any]:
 
 
 def list_free_parameters(sensor: Sensor) -> list[str]:
-    """Return the parameters that a sensor's file frees; all where it names none."""
+    """Return the free parameters of a sensor's file; all where it names none."""
     return list(sensor.document.get("free") or list_parameter_names(sensor))
 
 
@@ -325,7 +326,7 @@ def list_parameter_names(sensor: Sensor) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class PredictedSigma:
-    """A free parameter's predicted one-sigma beside what was known before, both SI; `share` is their ratio."""
+    """A free parameter's predicted sigma and its typical sigma, both SI; `share` is their ratio."""
 
     name: str
     predicted: float | None
@@ -339,7 +340,7 @@ class PredictedSigma:
 
 @dataclass(frozen=True)
 class DryRunView:
-    """What would run: facts to read, the forecast, and warnings to think about."""
+    """A dry run as the page shows it: facts, forecast and warnings."""
 
     facts: Sequence[tuple[str, str]]
     warnings: Sequence[str]
@@ -348,7 +349,7 @@ class DryRunView:
 
     @property
     def level(self) -> str:
-        """How good the forecast is: normal where every direction is known, serious where nothing can be foretold."""
+        """The level of the forecast: normal where every direction is determined, serious where nothing can be predicted."""
         if self.forecast is None or self.forecast.weak is None:
             return "serious"
         return "caution" if self.forecast.weak else "normal"
@@ -378,7 +379,7 @@ def make_dry_run_view(summary: Mapping[str, Any]) -> DryRunView:
 
 
 def _expected(summary: Mapping[str, Any]) -> str:
-    """Write the expected duration with its spread, and how it is known."""
+    """Write the expected duration with its spread and its basis."""
     low, high = map(duration, summary["predicted_range_s"])
     runs = summary["paced_by"]
     known = f"by the last {runs} of this method" if runs > 1 else "by the one run of this method"
@@ -395,7 +396,7 @@ def _other_choices(settings: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class ChangedChoice:
-    """A choice that is not what one began from, in words."""
+    """A setting that differs from the starting point, in words."""
 
     title: str
     before: str
@@ -403,7 +404,7 @@ class ChangedChoice:
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[ChangedChoice]:
-    """Compare two settings documents, choice by choice; absent ones are at their defaults."""
+    """List the differences of two settings documents; absent settings are at their defaults."""
     usual = CalibrationSettings().document()
     return [
         ChangedChoice(
@@ -440,7 +441,7 @@ def _saved(session: Session, actor: Actor, typed: TypedForm, name: str, sentence
 
 
 def read_origin(request: Request, session: Session) -> LaunchOrigin:
-    """Read where the form begins from the address; what names nothing is left out, except a preset, which is refused."""
+    """Read the starting point from the address; unknown names are ignored, except a preset, which is refused."""
     given = request.query_params
     texts = {name: given.get(name, "") for name in ("sensor", "set", "clone")}
     numbers = {name: int(text) for name, text in texts.items() if text.isdecimal() and len(text) <= LONGEST_NUMBER}
@@ -456,7 +457,7 @@ def read_origin(request: Request, session: Session) -> LaunchOrigin:
 
 
 def _begun(session: Session, offered: OfferedData, origin: LaunchOrigin) -> TypedForm:
-    """Fill the form anew from where it begins: data first, then the preset's settings, then the method."""
+    """Fill a new form from its starting point: data first, then the preset's settings, then the method."""
     typed = first_choice(session, offered.fleet, origin.clone, offered.shown or origin.sensor, origin.set_id)
     typed = typed if origin.preset is None else typed.under(origin.preset.settings)
     return typed.with_settings({"method": origin.method}) if origin.method else typed
@@ -541,14 +542,14 @@ def _page(
 
 
 def _changes(session: Session, typed: TypedForm, origin: LaunchOrigin) -> list[ChangedChoice] | None:
-    """Say what differs from the run that is cloned, or from the preset; None where the form began from neither."""
+    """List the differences from the cloned run or from the preset; None where the form began from neither."""
     sensor_id = parse_row_id(typed.sensor_id)
     if (origin.clone is None and origin.preset is None) or sensor_id is None:
         return None
     try:
         now = CalibrationSettings.parse(typed.settings()).document()
     except RefusedInputError:
-        return []  # the refusal stands beside
+        return []  # the refusal is shown beside
     before = dict(origin.preset.settings) if origin.preset else {}
     if origin.clone is not None:
         before = runs.get_run(session, origin.clone).settings
@@ -559,6 +560,6 @@ def _changes(session: Session, typed: TypedForm, origin: LaunchOrigin) -> list[C
 
 
 def _in_order(now: Mapping[str, Any], before: Mapping[str, Any], sensor: Sensor) -> dict[str, Any]:
-    """Write the free parameters in the order of before where they are the same ones."""
+    """Keep the former order of the free parameters where they are the same."""
     free = before.get("free") or list_free_parameters(sensor)
     return {**now, "free": free if set(now["free"]) == set(free) else now["free"]}

@@ -16,7 +16,6 @@ from boresight.console.access.credentials import get_actor
 from boresight.console.access.dependencies import Reading, Who, csrf, same_for_roles
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet.pages.sensors import list_sensor_choices
-from boresight.console.fleet.status import judge_result
 from boresight.console.operation import Beside
 from boresight.console.pages.formats import instant, seconds_since
 from boresight.console.pages.rendering import make_change, render
@@ -37,7 +36,7 @@ from boresight.console.runs.tables import RUN_STATES, Run, parse_progress
 from boresight.console.telemetry import queries as telemetry_rows
 from boresight.platform.db.sessions import Session
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, number, urad
-from boresight.verdicts.verdict import WORD_OF_LEVEL, parse_run_summary
+from boresight.verdicts.verdict import WORD_OF_LEVEL, judge_result, parse_run_summary
 
 RUNS = Table(
     "runs",
@@ -106,14 +105,14 @@ router = APIRouter(dependencies=[Depends(get_actor)])
 
 @dataclass(frozen=True)
 class RunNames:
-    """What the numbers in a run's row are called."""
+    """The names behind the ids in a run's row."""
 
     sensors: Mapping[int, str]
     sets: Mapping[int, str]
     people: Mapping[int, str]
 
     def person(self, user_id: int | None) -> str:
-        """Return a person's printed name; what nobody in person launched was launched by the system."""
+        """Return a person's printed name, or the system's for a run that no person launched."""
         return self.people.get(user_id, f"user {user_id}") if user_id is not None else "system"
 
 
@@ -157,7 +156,7 @@ class RunLine:
 
 
 def make_run_line(run: Run, names: RunNames) -> RunLine:
-    """Lay out a run; what it has not computed is a dash."""
+    """Lay out a run; missing values are a dash."""
     summary = parse_run_summary(run.summary)
     before, after = summary.rms_initial_arc_rad, summary.rms_final_arc_rad
     level = judge_result(summary)
@@ -181,7 +180,7 @@ def make_run_line(run: Run, names: RunNames) -> RunLine:
 
 
 def _fit(status: str | None, level: str) -> str | None:
-    """Say how a fit ended; of one that converged, in the words of its page, what its level shows."""
+    """Describe how a fit ended, a converged one by the verdict of its page."""
     return WORD_OF_LEVEL.get(level, status) if status == "converged" else status
 
 
@@ -264,7 +263,7 @@ def presets_page(request: Request, session: Reading, actor: Who) -> HTMLResponse
 
 @preset_router.post("/presets/{preset_id:int}/archive", response_class=HTMLResponse)
 async def archive(request: Request, actor: Who, preset_id: int) -> Response:
-    """Take a version out of the choice."""
+    """Archive a version."""
     change = partial(presets.archive_preset, actor=actor, preset_id=preset_id)
     said = "Archived: it is not offered any more. Runs that used it still name it."
     return await make_change(request, change, "/presets", said)

@@ -1,4 +1,4 @@
-"""The live part of the run page: its state and what that means, how far it is, its log, stopping it, files to take along.
+"""The live part of the run page: its state with an explanation, its progress, its log, cancelling it, and files to download.
 
 A filter comes to its fraction frame by frame, so what is left can be told; of a batch only the time so far is.
 """
@@ -51,8 +51,8 @@ class StateNotice:
 def list_notices(
     session: Session, run: Run, log: Sequence[RunEvent], workers: Mapping[str, Any] | None = None
 ) -> list[StateNotice]:
-    """Say what a run's state means."""
-    telling = {
+    """Return the notices that explain a run's state."""
+    notices_by_state = {
         "QUEUED": lambda: [StateNotice("standby", _queue_sentence(session, run, workers)), *_of_attempts(log)],
         "RUNNING": lambda: [*_of_attempts(log), *_of_silence(run)],
         "CANCELLING": lambda: [StateNotice("caution", _stopping_sentence(run, log))],
@@ -60,11 +60,11 @@ def list_notices(
         "LOST": lambda: [StateNotice("serious", _lost_sentence(run), links=_again(run)), *_of_partial(run)],
         "CANCELLED": lambda: [StateNotice("off", _reason(run) or "This run was cancelled."), *_of_partial(run)],
     }
-    return telling.get(run.state, list)()
+    return notices_by_state.get(run.state, list)()
 
 
 def heard_s(run: Run, log: Sequence[RunEvent]) -> float | None:
-    """Return how long ago anything was heard of a run: a report of its worker, or a line of its log."""
+    """Return the seconds since the last sign of a run: a report of its worker, or a line of its log."""
     times = [line.at_utc for line in log[-1:]] + [parse_progress(run.progress).at_utc or ""]
     return seconds_since(max(times, default=""))
 
@@ -78,7 +78,7 @@ def _again(run: Run) -> tuple[tuple[str, str], ...]:
 
 
 def _of_failure(run: Run, log: Sequence[RunEvent]) -> list[StateNotice]:
-    """Say the cause, show the end of the log, and what to try."""
+    """Explain a failure: its cause, the end of the log, and what to try."""
     cause = _reason(run) or "The run failed and gave no cause; its log has the last lines."
     lines = tuple(line for line in log if line.state != "FAILED")
     return [
@@ -107,7 +107,7 @@ def _of_attempts(log: Sequence[RunEvent]) -> list[StateNotice]:
 
 
 def _of_silence(run: Run) -> list[StateNotice]:
-    """Say that a worker that should report does not."""
+    """Explain that a worker has stopped reporting."""
     silent_s = seconds_since(parse_progress(run.progress).at_utc or run.started_utc)
     if silent_s is None or silent_s < SILENT_S:
         return []
@@ -125,7 +125,7 @@ def _stopping_sentence(run: Run, log: Sequence[RunEvent]) -> str:
 
 
 def _lost_sentence(run: Run) -> str:
-    """Say when the worker was last heard of, and that nothing of it counts."""
+    """Describe when the worker was last heard of, and that its partial result is void."""
     heard = parse_progress(run.progress).at_utc or run.lease_until_utc or run.ended_utc
     told = f"The worker stopped reporting at {clock(heard)}; no result is trusted."
     return " ".join(filter(None, [told, _reason(run), "Run it again to have one."]))
@@ -137,7 +137,7 @@ def clock(text: str | None) -> str:
 
 
 def _queue_sentence(session: Session, run: Run, workers: Mapping[str, Any] | None) -> str:
-    """Say how many runs are in front, and what the first of them waits for."""
+    """Describe how many runs are ahead, and what the first of them waits for."""
     before = run_queries.count_queued_before(session, run.id)
     place = f"Position {before + 1} in the queue." if before else "Next in the queue."
     return f"{place} {_waits_for(session, workers)}"
@@ -184,7 +184,7 @@ def frames_to_come(session: Session, run: Run) -> int | None:
 
 
 def describe_progress(session: Session, run: Run) -> str:
-    """Say how quick a computing run is, and how long it will still take."""
+    """Describe the speed of a computing run, and its remaining time."""
     told = parse_progress(run.progress)
     fraction, elapsed_s = told.fraction or 0.0, told.elapsed_s or 0.0
     if not elapsed_s:

@@ -1,4 +1,4 @@
-"""The run page, the review desk: head and verdict always, below them one of its parts, of which only that is loaded.
+"""The run page: head and verdict, and below them one of its parts, the only one that is loaded.
 
 While a run computes the page is marked PARTIAL and follows the event stream. It never shows a parameter without its
 sigma. The word of a tab is the worst that its part shows; the keys 1 to 9 open the first nine.
@@ -44,7 +44,6 @@ from boresight.figures import CHAPTERS, WIDE
 from boresight.figures.charts.matching import MATCHING, why_no_matching
 from boresight.figures.charts.observability import helpful_data, weakest_words
 from boresight.figures.charts.shadow import SHADOW
-from boresight.figures.history import RmsTail, read_history, settled_step, summarise_tail
 from boresight.figures.report import calibrate_command
 from boresight.figures.tables import (
     flight_rows,
@@ -61,22 +60,22 @@ from boresight.figures.tables import (
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session
 from boresight.verdicts.gates.judgement import gate_rows
+from boresight.verdicts.history import RmsTail, read_history, settled_step, sigma_of_rms, summarise_tail
 from boresight.verdicts.numbers import MISSING, count, duration, number, percent, urad
 from boresight.verdicts.verdict import (
+    PartVerdict,
+    judge_parts,
     make_verdict,
     make_verdict_marks,
     parse_run_summary,
     prospects,
-    sigma_of_rms,
-    trust_doubts,
-    trust_level,
     trust_marks,
     why_absent,
 )
 
 
 def list_provenance(run: Run, result: Calibration | None) -> list[tuple[str, Any]]:
-    """Lay out the addresses and versions that make the run again what it was."""
+    """List the content addresses and versions that reproduce the run."""
     inputs = result.inputs if result else Inputs()
     hashes = [(f"{name} SHA-256", _hash(value)) for name, value in inputs.sha256s.items()]
     versions = ", ".join(f"{name} {value}" for name, value in inputs.versions.items())
@@ -116,7 +115,7 @@ SCALES = ("log", "linear")
 
 @dataclass(frozen=True)
 class RunView:
-    """What the address asks for, as far as it can be had."""
+    """The view that the address asks for, as far as it exists."""
 
     align: str
     aligns: Mapping[str, str]
@@ -125,7 +124,7 @@ class RunView:
 
     @property
     def query(self) -> str:
-        """Return what a figure's address needs of it."""
+        """Return the part of the view for a figure's address."""
         asked = {"align": self.align if self.align != "frame" else None, "tail_from": self.tail_from}
         return urlencode(
             {name: f"{value:g}" if isinstance(value, float) else value for name, value in asked.items() if value}
@@ -133,7 +132,7 @@ class RunView:
 
 
 def read_run_view(query: QueryParams, result: Calibration | None) -> RunView:
-    """Read the view; what cannot be had falls back to the usual one."""
+    """Read the view; invalid values fall back to the defaults."""
     history = result.history if result else None
     aligns = {name: words for name, words in ALIGNS.items() if history and (name != "time" or history.time_utc)}
     align, scale = query.get("align", "frame"), query.get("scale", "log")
@@ -218,7 +217,7 @@ def _with_reach(rms_rad: float | None, arcs: float | None) -> str:
 
 
 def sight_facts(result: Calibration | None) -> tuple[Rows, list[str]]:
-    """Say what the data see least of, and what would help."""
+    """Describe what the data determine worst, and what would help."""
     seen = result.observability if result else None
     if result is None or seen is None or not seen.singular_values:
         return [], []
@@ -239,7 +238,7 @@ def sight_facts(result: Calibration | None) -> tuple[Rows, list[str]]:
 
 @dataclass(frozen=True)
 class RunReview:
-    """What a part is gathered from: who looks at which run, and what it has found so far."""
+    """The inputs of a part: the request, the actor, the run and its result so far."""
 
     request: Request
     session: Session
@@ -252,7 +251,7 @@ class RunReview:
 
     @property
     def is_void(self) -> bool:
-        """Tell whether what was computed does not count."""
+        """Whether the partial result of the run is void."""
         return self.run.state in TERMINAL_RUN_STATES and self.run.result_sha256 is None
 
     @property
@@ -264,47 +263,47 @@ class RunReview:
         }.get(self.run.state, f"the run ended as {self.run.state} before it had a result.")
 
 
-def make_summary_part(desk: RunReview) -> dict[str, Any]:
-    """Gather old and new values; while the run computes its history stands beside them."""
-    live = () if desk.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
+def make_summary_part(review: RunReview) -> dict[str, Any]:
+    """Gather old and new values, and the history while the run computes."""
+    live = () if review.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
     return {
-        "rows": parameter_rows(desk.result) if desk.result and desk.result.parameters else [],
-        "figures": () if desk.is_void else (*live, *CHAPTERS["summary"]),
+        "rows": parameter_rows(review.result) if review.result and review.result.parameters else [],
+        "figures": () if review.is_void else (*live, *CHAPTERS["summary"]),
     }
 
 
-def make_charts_part(desk: RunReview, name: str) -> dict[str, Any]:
+def make_charts_part(review: RunReview, name: str) -> dict[str, Any]:
     """Gather the figures of a chapter."""
-    return {"figures": () if desk.is_void else CHAPTERS[name]}
+    return {"figures": () if review.is_void else CHAPTERS[name]}
 
 
-def make_convergence_part(desk: RunReview) -> dict[str, Any]:
+def make_convergence_part(review: RunReview) -> dict[str, Any]:
     """Gather the history of the estimate."""
-    view = read_run_view(desk.request.query_params, desk.result)
-    return {**make_charts_part(desk, "convergence"), "view": view, "facts": list_history_facts(desk.result)}
+    view = read_run_view(review.request.query_params, review.result)
+    return {**make_charts_part(review, "convergence"), "view": view, "facts": list_history_facts(review.result)}
 
 
-def make_rms_part(desk: RunReview) -> dict[str, Any]:
+def make_rms_part(review: RunReview) -> dict[str, Any]:
     """Gather tail, aggregate and validation errors."""
-    view = read_run_view(desk.request.query_params, desk.result)
-    tail, facts = tail_facts(desk.result, view)
-    return {**make_charts_part(desk, "rms"), "view": view, "facts": facts, "tail": tail}
+    view = read_run_view(review.request.query_params, review.result)
+    tail, facts = tail_facts(review.result, view)
+    return {**make_charts_part(review, "rms"), "view": view, "facts": facts, "tail": tail}
 
 
-def make_observability_part(desk: RunReview) -> dict[str, Any]:
-    """Gather what the data see, and which would help."""
-    facts, helpful = sight_facts(desk.result)
-    return {**make_charts_part(desk, "observability"), "facts": facts, "helpful": helpful}
+def make_observability_part(review: RunReview) -> dict[str, Any]:
+    """Gather what the data determine, and which data would help."""
+    facts, helpful = sight_facts(review.result)
+    return {**make_charts_part(review, "observability"), "facts": facts, "helpful": helpful}
 
 
-def make_provenance_part(desk: RunReview) -> dict[str, Any]:
+def make_provenance_part(review: RunReview) -> dict[str, Any]:
     """Gather where the numbers come from, and the command that makes them again."""
     return {
-        "provenance": list_provenance(desk.run, desk.result),
-        "validation": desk.validation,
-        "data": desk.data,
-        "command": write_command(desk.run, desk.data, desk.validation),
-        "settings_json": json.dumps(desk.run.settings, indent=2, sort_keys=True),
+        "provenance": list_provenance(review.run, review.result),
+        "validation": review.validation,
+        "data": review.data,
+        "command": write_command(review.run, review.data, review.validation),
+        "settings_json": json.dumps(review.run.settings, indent=2, sort_keys=True),
     }
 
 
@@ -342,108 +341,57 @@ def make_matching_part(result: Calibration | None, why_nothing: str) -> dict[str
 
 
 def list_verdict_marks(result: Calibration | None) -> list[Any]:
-    """Answer the verdict strip's questions, none where nothing was estimated."""
+    """Return the marks of the verdict strip; none where nothing was estimated."""
     return make_verdict_marks(result) if result and result.parameters else []
 
 
-Standing = tuple[str, str]
-
 FORMER = {"estimate": "summary"}  # what a part was called in older links
-NOTHING: Standing = ("off", "")
 
 
 @dataclass(frozen=True)
 class RunTab:
-    """A part's name, title and address, and in a word how things stand there; no word where there is nothing to judge."""
+    """A part's name, title and address, and the level and word of its verdict; no word where there is nothing to judge."""
 
     part: str
     title: str
     href: str
     current: bool
-    level: str = "off"
-    word: str = ""
+    level: str
+    word: str
 
 
 def list_tabs(run_id: int, chosen: str, result: Calibration | None, notes: int = 0) -> list[RunTab]:
     """Lay out the tabs of a run; `notes` is how many there are."""
-    tabs = []
+    tabs, judged = [], judge_parts(result)
+    if notes:
+        judged["notes"] = PartVerdict("standby", count(notes))
     for name, part in PARTS.items():
-        standing = part.judge(result) if result and result.parameters else NOTHING
-        if name == "notes" and notes:
-            standing = "standby", count(notes)
+        verdict = judged.get(name, PartVerdict())
         address = f"/runs/{run_id}" if name == "summary" else f"/runs/{run_id}?part={name}"
-        tabs.append(RunTab(name, part.title, address, name == chosen, *standing))
+        tabs.append(RunTab(name, part.title, address, name == chosen, verdict.level, verdict.word))
     return tabs
 
 
-def _fit(result: Calibration) -> Standing:
-    level = make_verdict(result).level
-    return level, {"normal": "no reservation", "standby": "partial"}.get(level, "reservations")
-
-
-def _judge_history(result: Calibration) -> Standing:
-    if result.status == "running":
-        return "standby", "moving"
-    at = settled_step(result)
-    return ("normal", "settled") if at is not None else ("caution", "not settled")
-
-
-def _rms(result: Calibration) -> Standing:
-    rms = result.validation.rms_arc_rad if result.validation else result.rms_arc_rad
-    before, after = rms.initial, rms.final
-    if before is None or after is None:
-        return NOTHING
-    return ("normal" if after < before else "serious"), f"{urad(after, 3)} µrad"
-
-
-def _observability(result: Calibration) -> Standing:
-    mark = next(mark for mark in make_verdict_marks(result) if mark.question == "Weakest direction")
-    return (mark.level, mark.word) if mark.word != "NO DATA" else NOTHING
-
-
-def _residuals(result: Calibration) -> Standing:
-    chi2, per_dof = result.chi2, result.chi2_per_dof
-    if per_dof is None or chi2 is None:
-        return NOTHING
-    return ("normal" if chi2.consistent else "caution"), f"χ² {number(per_dof, 3)}"
-
-
-def _trust(result: Calibration) -> Standing:
-    if result.trust is None:
-        return NOTHING
-    doubts = len(trust_doubts(result))
-    return trust_level(result), f"{doubts} doubt{'s' * (doubts != 1)}" if doubts else "no doubt"
-
-
-def _matching(result: Calibration) -> Standing:
-    if result.matching is None:
-        return NOTHING
-    return ("normal", "rested") if result.matching.rested else ("caution", "not at rest")
-
-
 class RunPart(NamedTuple):
-    """A part of the page: its tab, what gathers what its template names, and what judges how things stand there."""
+    """A part of the page: its tab, and what gathers what its template names."""
 
     title: str
     gather: Callable[[RunReview], dict[str, Any]]
-    judge: Callable[[Calibration], Standing] = lambda _: NOTHING
 
 
 PARTS = {
-    "summary": RunPart("Summary", make_summary_part, _fit),
-    "convergence": RunPart("Convergence", make_convergence_part, _judge_history),
-    "rms": RunPart("RMS", make_rms_part, _rms),
+    "summary": RunPart("Summary", make_summary_part),
+    "convergence": RunPart("Convergence", make_convergence_part),
+    "rms": RunPart("RMS", make_rms_part),
     "distortion": RunPart("Distortion", partial(make_charts_part, name="distortion")),
-    "observability": RunPart("Observability", make_observability_part, _observability),
-    "residuals": RunPart("Residuals", partial(make_charts_part, name="residuals"), _residuals),
-    "trust": RunPart("Trust", lambda desk: {"trust": make_trust_part(desk.result, desk.why_nothing)}, _trust),
-    "matching": RunPart(
-        "Matching", lambda desk: {"matching": make_matching_part(desk.result, desk.why_nothing)}, _matching
-    ),
-    "frames": RunPart("Frames", lambda desk: make_frames_part(desk.session, desk.request, desk.run)),
-    "log": RunPart("Log", lambda desk: make_log_part(desk.request, desk.session, desk.run)),
+    "observability": RunPart("Observability", make_observability_part),
+    "residuals": RunPart("Residuals", partial(make_charts_part, name="residuals")),
+    "trust": RunPart("Trust", lambda review: {"trust": make_trust_part(review.result, review.why_nothing)}),
+    "matching": RunPart("Matching", lambda review: {"matching": make_matching_part(review.result, review.why_nothing)}),
+    "frames": RunPart("Frames", lambda review: make_frames_part(review.session, review.request, review.run)),
+    "log": RunPart("Log", lambda review: make_log_part(review.request, review.session, review.run)),
     "provenance": RunPart("Provenance", make_provenance_part),
-    "notes": RunPart("Notes", lambda desk: {"notes": notes.list_notes(desk.session, "runs", desk.run.id)}),
+    "notes": RunPart("Notes", lambda review: {"notes": notes.list_notes(review.session, "runs", review.run.id)}),
 }
 
 
@@ -459,7 +407,7 @@ class RunAction:
 
 
 def list_run_actions(run: Run, actor: Actor) -> dict[str, RunAction]:
-    """Say what may be done with a run, and by whom."""
+    """List the actions on a run, each with why the actor may not take it."""
     lacking = None if "analyst" in actor.roles else "Only an analyst may {}; ask an administrator for the role."
     create = lacking.format("create parameter sets") if lacking else _why_no_set(run)
     return {
@@ -469,7 +417,7 @@ def list_run_actions(run: Run, actor: Actor) -> dict[str, RunAction]:
 
 
 def _why_no_set(run: Run) -> str | None:
-    """Say why no parameter set can be made of a run that ended, or None where one can."""
+    """Return why no parameter set can be made from a finished run, or None where one can."""
     status = parse_run_summary(run.summary).status
     if status is None or status in parameter_sets.USABLE_STATUSES:
         return None
@@ -501,16 +449,16 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
     part = FORMER.get(part, part)
     if part not in PARTS:
         raise NotFoundError(f"A run has no part {part[:40]}; choose from {', '.join(PARTS)}.")
-    desk = get_run_review(request, session, actor, run_id)
-    run, result = desk.run, desk.result
+    review = get_run_review(request, session, actor, run_id)
+    run, result = review.run, review.result
     return render(
         request,
         "runs/run.html",
         run=run,
         terminal=run.state in TERMINAL_RUN_STATES,
-        sensor=desk.sensor,
+        sensor=review.sensor,
         method=get_method_title(run.method),
-        **make_run_head(desk),
+        **make_run_head(review),
         **make_live_part(request, session, run),
         result=result,
         partial=run.result_sha256 is None,
@@ -519,9 +467,9 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         part=part,
         tabs=list_tabs(run_id, part, result, note_queries.count_notes(session, "runs", run_id)),
         advice=result.advice if result else [],
-        no_result=desk.why_nothing,
+        no_result=review.why_nothing,
         wide=WIDE,
-        **PARTS[part].gather(desk),
+        **PARTS[part].gather(review),
     )
 
 
@@ -543,17 +491,17 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
     )
 
 
-def make_run_head(desk: RunReview) -> dict[str, Any]:
-    """Gather what stands above the tabs: who ran what, what may be done with it, and the runs beside it."""
-    actions, made = list_run_actions(desk.run, desk.actor), find_parameter_set(desk.session, desk.run)
-    by = read_names(desk.session).person(desk.run.launched_by)
+def make_run_head(review: RunReview) -> dict[str, Any]:
+    """Gather what is above the tabs: the run's header, its actions, and its neighbours."""
+    actions, made = list_run_actions(review.run, review.actor), find_parameter_set(review.session, review.run)
+    by = read_names(review.session).person(review.run.launched_by)
     return {
         "actions": actions,
         "blocked": sorted({action.blocked for action in actions.values() if action.offered and action.blocked}),
         "parameter_set": made,
-        "gates": list_run_gates(desk.session, made),
-        "header": make_run_header(desk.run, by, desk.data, desk.validation),
-        "neighbours": run_queries.read_neighbours(desk.session, desk.run.id),
+        "gates": list_run_gates(review.session, made),
+        "header": make_run_header(review.run, by, review.data, review.validation),
+        "neighbours": run_queries.read_neighbours(review.session, review.run.id),
     }
 
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
-from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, Response
@@ -24,8 +23,7 @@ from boresight.console.access.dependencies import Blobs, Reading, ServerPolicy, 
 from boresight.console.access.passwords import PasswordProof
 from boresight.console.fleet import timeline
 from boresight.console.fleet.tables import Sensor
-from boresight.console.fleet.timeline import AsOf, SensorSituation, describe_source
-from boresight.console.pages.formats import LEVELS
+from boresight.console.fleet.timeline import AsOf, describe_source
 from boresight.console.pages.rendering import (
     RefusalContext,
     attempt,
@@ -36,11 +34,12 @@ from boresight.console.pages.rendering import (
     render,
     seen_version,
 )
-from boresight.console.pages.tables import LONGEST_FILTER
+from boresight.console.pages.tables import Table, TableColumn, accept_one, is_text, read_page, read_view
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.pages.list import RunNames, read_names
 from boresight.console.uplinks import packages, read_backs
 from boresight.console.uplinks import service as uplinks
+from boresight.console.uplinks.queries import BOARD_WORDS
 from boresight.console.uplinks.tables import Package, Uplink
 from boresight.errors import BoresightError
 from boresight.platform.actors import Actor
@@ -50,10 +49,23 @@ from boresight.platform.web.paging import parse_row_id
 
 board_router = APIRouter()
 
-UNDER_WAY = ("SENT", "LOADED", "VERIFIED")
-WORDS = ("MISMATCH", "DIFFERS", "UNKNOWN", *UNDER_WAY, "THE SAME", "NOT SENT")
-ROWS_A_PAGE = 50
-LONGEST_NUMBER = 8
+BOARDS = Table(
+    "sensors",
+    "Sensors, the worst first",
+    (
+        TableColumn("sensor", "Sensor", "sensor", "nowrap", head=True),
+        TableColumn("status", "Status", "board", "tight"),
+        TableColumn("baseline", "Baseline on the ground", "baseline"),
+        TableColumn("board", "On board"),
+        TableColumn("source", "Known from", "", "said"),
+        TableColumn("recorded", "Recorded", "", "tight"),
+        TableColumn("next", "Next", "", "tight"),
+    ),
+    {"q": is_text, "status": accept_one(BOARD_WORDS)},
+    "board",
+    kind="events",
+    path="/uplink",
+)
 
 
 @dataclass(frozen=True)
@@ -68,7 +80,7 @@ class UplinkLine:
 
 
 def make_uplink_line(known: AsOf) -> UplinkLine:
-    """Lay out a sensor by what is known of it."""
+    """Lay out a sensor's ground and on-board state."""
     by_state = {record.onboard_state: (row, record) for row, record in known.on_board}
     newest = known.on_board[-1] if known.on_board else None
     shown = by_state.get("MISMATCH") or known.active or newest
@@ -79,71 +91,28 @@ def make_uplink_line(known: AsOf) -> UplinkLine:
 
 def find_worst_known(baseline_id: int | None, on_board: Sequence[tuple[int, str]]) -> tuple[str, str]:
     """Return the worst of what is known, as a level and a word."""
-    states = {state for _, state in on_board}
+    said = {state for _, state in on_board}
     active = next((set_id for set_id, state in on_board if state == "ACTIVE"), None)
-    if "MISMATCH" in states:
-        return "critical", "MISMATCH"
-    if active is not None and active != baseline_id:
-        return "caution", "DIFFERS"
-    if any(state in states for state in UNDER_WAY):
-        return "standby", next(state for state in reversed(UNDER_WAY) if state in states)
     if active is not None:
-        return "normal", "THE SAME"
-    return ("caution", "UNKNOWN") if states else ("off", "NOT SENT")
-
-
-@dataclass(frozen=True)
-class UplinkContext:
-    """Which sensors are looked at: those whose name holds `q` and that stand as `word` says, and which page of them."""
-
-    q: str
-    word: str
-    page: int
-
-    def address(self, **changes: Any) -> str:
-        """Return the address of this view, with changes; what is as on a first visit is left out."""
-        held = {"q": self.q, "status": self.word, "page": self.page if self.page > 1 else ""} | changes
-        query = urlencode({name: value for name, value in held.items() if value})
-        return f"/uplink?{query}" if query else "/uplink"
-
-
-def read_context(request: Request) -> UplinkContext:
-    """Read the address; nonsense is left out."""
-    asked = request.query_params
-    word, page = asked.get("status", ""), asked.get("page", "")
-    number = int(page) if page.isdecimal() and len(page) < LONGEST_NUMBER else 1
-    return UplinkContext(asked.get("q", "").strip()[:LONGEST_FILTER], word if word in WORDS else "", max(number, 1))
-
-
-def ordered(boards: Iterable[SensorSituation], shown: UplinkContext) -> list[int]:
-    """Return the sensors of a view, the worst first and then by name."""
-    found = []
-    for board in boards:
-        level, word = find_worst_known(board.baseline_id, board.on_board)
-        if shown.q.casefold() in board.name.casefold() and shown.word in {"", word}:
-            found.append((-LEVELS.index(level), board.name, board.sensor_id))
-    return [sensor_id for _, _, sensor_id in sorted(found)]
+        said.add("THE SAME" if active == baseline_id else "DIFFERS")
+    word = next((one for one in BOARD_WORDS if one in said), "NOT SENT")
+    return BOARD_WORDS[word], word
 
 
 @board_router.get("/uplink", response_class=HTMLResponse)
 def uplink_page(request: Request, session: Reading, actor: Who) -> HTMLResponse:
     """Show a page of the fleet on the ground and on board."""
-    shown = read_context(request)
-    found = ordered(timeline.read_situations(session), shown)
-    start = (shown.page - 1) * ROWS_A_PAGE
-    lines = [
-        make_uplink_line(timeline.get_state_at(session, sensor_id)) for sensor_id in found[start : start + ROWS_A_PAGE]
-    ]
+    view = read_view(request, BOARDS)
+    where = {name: view.where[asked] for name, asked in (("q", "q"), ("board", "status")) if asked in view.where}
+    found = read_page(session, view, status=None, **where)
     return render(
         request,
         "uplinks/uplink.html",
-        lines=lines,
-        shown=shown,
-        words=WORDS,
-        following=shown.address(page=shown.page + 1) if len(found) > start + ROWS_A_PAGE else None,
-        previous=shown.address(page=shown.page - 1 if shown.page > 2 else "") if shown.page > 1 else None,
-        start=start,
-        found=len(found),
+        view=view,
+        lines=[make_uplink_line(timeline.get_state_at(session, sensor.id)) for sensor in found.rows],
+        last=found.last,
+        words=BOARD_WORDS,
+        found=lists.count(session, "sensors", where),
         names=read_names(session),
         actor=actor,
     )
@@ -154,7 +123,7 @@ LADDER = ("SENT", "LOADED", "VERIFIED", "ACTIVE")
 
 @dataclass(frozen=True)
 class UplinkStep:
-    """One rung of the ladder."""
+    """A step of a set's way to the spacecraft."""
 
     name: str
     level: str
@@ -166,7 +135,7 @@ class UplinkStep:
 
 
 def list_steps(exported: Package | None, records: Sequence[Uplink], names: RunNames) -> list[UplinkStep]:
-    """Lay out how far the set has come since it was last sent."""
+    """Return the steps of a set since it was last sent."""
     progress = find_uplink_progress(records)
     taken = [_exported(exported, names), *(_taken(progress, state, names) for state in LADDER)]
     following = next((place for place, step in enumerate(taken) if step is None), len(taken))
@@ -187,7 +156,7 @@ def find_uplink_progress(records: Sequence[Uplink]) -> Sequence[Uplink]:
 
 
 def find_exported_package(packages: Sequence[Package], records: Sequence[Uplink]) -> Package | None:
-    """Return the package that was sent, before that the newest; None where none is."""
+    """Return the package that was sent, else the newest; None where there is none."""
     named = [
         (row.evidence or {}).get("package") for row in find_uplink_progress(records) if row.onboard_state == "SENT"
     ]
@@ -243,7 +212,7 @@ NO_ROLE = (
 
 @dataclass(frozen=True)
 class UplinkStepsContext:
-    """What a form left behind: which one, what was typed, and why it was refused."""
+    """The state of a refused form: which one, what was typed, and why it was refused."""
 
     form: str = ""
     typed: dict[str, str] = field(default_factory=dict)
@@ -306,7 +275,7 @@ def _members(session: Session, blobs: BlobStore, exported: Package | None) -> li
 
 
 def _reference(session: Session, blobs: BlobStore, row: ParameterSet) -> tuple[read_backs.SentTable | None, str | None]:
-    """Return what a read-back would be held against, or why there is nothing."""
+    """Return the reference of a read-back, or why there is none."""
     try:
         return read_backs.get_sent_table(session, blobs, row), None
     except BoresightError as refusal:
@@ -332,14 +301,14 @@ async def _taken_step(
     said: str,
     prepare: Callable[[], Awaitable[Sequence[object]]] | None = None,
 ) -> Response:
-    """Take a step and show where the set is now, or show why it was refused with what was typed."""
+    """Record a step and redirect to the page, or show why it was refused with what was typed."""
     set_id = request.path_params["set_id"]
     outcome = await attempt(request, change, prepare)
     if outcome.value is None:
         kept = {name: value for name, value in typed.items() if name != "password"}
         shown = UplinkStepsContext(form, kept, outcome.refusal)
         return await read_again(request, partial(_page, request, actor, blobs, set_id, shown))
-    matched = getattr(outcome.value, "onboard_state", "") != "MISMATCH"  # the page itself says of a mismatch what it is
+    matched = getattr(outcome.value, "onboard_state", "") != "MISMATCH"  # the page itself explains a mismatch
     return redirect(f"/parameter-sets/{set_id}/uplink", flash=said if matched else "")
 
 

@@ -13,9 +13,9 @@ from fastapi.responses import HTMLResponse, Response
 
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.access.dependencies import Reading, ServerPolicy, Who, csrf
-from boresight.console.approvals import proposals
-from boresight.console.approvals.tables import ChangeProposal, GateProfile
-from boresight.console.change_proposals import service as second_person
+from boresight.console.approvals.tables import GateProfile
+from boresight.console.change_proposals import service as proposals
+from boresight.console.change_proposals.tables import ChangeProposal
 from boresight.console.fleet.pages.sensors import read_document, typed_document
 from boresight.console.fleet.tables import Sensor
 from boresight.console.pages.rendering import RefusalContext, attempt, read_again, redirect, render
@@ -65,7 +65,7 @@ class LayoutLine:
 
 @dataclass(frozen=True)
 class TableDefinitionContext:
-    """What a form left behind on the page."""
+    """The state of the form after a refusal or a trial."""
 
     text: str = ""
     reason: str = ""
@@ -74,7 +74,7 @@ class TableDefinitionContext:
 
 
 def written_as_text(document: Mapping[str, Any]) -> str:
-    """Write a definition for people: a line a field."""
+    """Write a definition for people, one line per field."""
     lines = [f'  "{key}": {json.dumps(value)}' for key, value in document.items() if key != "fields"]
     fields = ",\n".join(f"    {json.dumps(entry)}" for entry in document.get("fields", ()))
     at = list(document).index("fields") if "fields" in document else len(lines)
@@ -148,7 +148,7 @@ def _page(
 
 
 def _laid_out(session: Session, sensor_id: int, text: str) -> tuple[Layout | None, RefusalContext | None]:
-    """Lay the baseline out by what the text says, or say why that cannot be."""
+    """Lay out the baseline by the typed definition, or return why that is not possible."""
     try:
         return table_definitions.lay_out(session, sensor_id, read_document(text)), None
     except NotFoundError:
@@ -186,4 +186,4 @@ def _set(
     if not text.strip():
         raise RefusedInputError("There is no table definition: type its JSON, or begin with the example.")
     asked = ("table-definition", sensor_id, read_document(text), reason, seen)
-    return second_person.change(session, actor, *asked, policy=policy)
+    return proposals.change(session, actor, *asked, policy=policy)

@@ -17,10 +17,8 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.calibration import calibration as tree
 from boresight.calibration.calibration import Calibration
-from boresight.figures.chart import Trace
-from boresight.verdicts.verdict import sigma_of_rms
 
-SETTLED_SIGMAS = 3.0
+SETTLED_SIGMAS = 3.0  # of the end, within which a parameter that has settled stays
 
 
 def _nothing() -> FloatArray:
@@ -138,9 +136,9 @@ class RmsTail:
     chosen: bool
 
 
-def tailed(traces: Sequence[Trace], tail_from: float | None) -> list[Trace]:
-    """Tell every run where a reader wants its tail to begin."""
-    return [replace(trace, tail_from=tail_from) for trace in traces]
+def sigma_of_rms(rms_rad: float | None, arcs: float | None) -> float | None:
+    """Return one sigma of an RMS over so many arcs, in its unit."""
+    return None if rms_rad is None or not arcs else float(rms_rad / np.sqrt(2 * arcs))
 
 
 def tail_start(result: Calibration, history: History, tail_from: float | None) -> float:
