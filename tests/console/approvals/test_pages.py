@@ -107,8 +107,8 @@ def test_a_change_beyond_what_such_sensors_make_and_a_result_without_validation_
 def test_an_approver_is_warned_where_the_advice_and_the_readme_say_it_is_far(results, typical_sigmas, warned):
     result = results["batch"]
     start = result["parameters"]["f_m"] - typical_sigmas * result["typical_sigma"]["f_m"]
-    moved = {**result, "initial": {**result["initial"], "f_m": start}}
-    said = list_warnings(moved, parameter_rows(parse_calibration(moved)), is_ground=False)
+    moved = parse_calibration({**result, "initial": {**result["initial"], "f_m": start}})
+    said = list_warnings(moved, parameter_rows(moved), is_ground=False)
     assert any(sentence.startswith("f_m moves by") and "more than 15:" in sentence for sentence in said) == warned
 
 
