@@ -13,12 +13,16 @@ from boresight.calibration.calibration import compute_json_schema, parse_calibra
 from boresight.calibration.options import METHODS
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
+from boresight.figures import FIGURES
+from boresight.figures.chart import Trace
 from boresight.figures.example_calibration import get_example_calibrations
 from tests.console.operations import OPENAPI
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "docs" / "calibration.schema.json"
 VALIDATOR = Draft202012Validator(json.loads(PUBLISHED.read_text()))
 EXAMPLES = get_example_calibrations()
+#: Files as earlier versions wrote them, their longest lists cut short.
+EARLIER = json.loads((Path(__file__).parent / "earlier_calibrations.json").read_text())
 #: Members that the first version of the schema had not.
 NEWER = (
     "alignment", "coverage", "delta_over_sigma", "evaluation", "frame_observability", "frames_in_set", "judged_on", "matching",
@@ -125,6 +129,25 @@ def test_a_file_of_the_first_version_loads_without_what_came_later():
     found = parse_calibration(json.dumps(old))
     assert found.parameters.to_dict() == BATCH["parameters"]
     assert (found.trust, found.matching, found.robust, found.shadow.validation) == (None, None, None, None)
+
+
+@pytest.mark.parametrize("name", EARLIER)
+def test_a_file_that_an_earlier_version_wrote_loads_and_is_drawn(name):
+    found = parse_calibration(json.dumps(EARLIER[name]))
+    assert found.parameters.to_dict() == EARLIER[name]["parameters"]
+    assert parse_calibration(found.to_json()) == found
+    for figure in FIGURES.values():
+        assert figure.draw([Trace("earlier", found)]).layout.title.text
+        figure.table(found)
+
+
+def test_outliers_of_an_earlier_version_are_drawn_on_the_whole_detector():
+    found = parse_calibration(EARLIER["without the size of the detector"])
+    assert found.trust.residual_outliers.rows is None
+    layout = FIGURES["residual-outliers"].draw([Trace("earlier", found)]).layout
+    edges = found.trust.residual_field
+    assert layout.xaxis.range == (-0.5, edges.col_edges_px[-1])
+    assert layout.yaxis.range == (edges.row_edges_px[-1], -0.5)
 
 
 def test_members_of_a_later_version_are_passed_over():

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.calibration import to_plain
+from boresight.calibration.calibration import Calibration, to_plain
 from boresight.calibration.estimate import Parameters
 from boresight.calibration.evaluation import result_evaluation as observabilities
 from boresight.calibration.evaluation.alignment import (
@@ -74,6 +74,9 @@ def reader(telemetry, frame):
     return read
 
 
+NOTHING = Calibration(status="running")
+
+
 def make_view(telemetry, sensor, catalogue, result, frame, **settings):
     states = read_run_states(result, sensor, CalibrationSettings(**{"match": "given", **settings}))
     return frame_view(states, reader(telemetry, frame), catalogue)
@@ -86,7 +89,7 @@ def rows_under(view, name):
 @pytest.mark.parametrize("parity", [1, -1])
 def test_residuals_of_a_frame_are_those_that_trust_takes_of_the_set(parity, sensor, catalogue):
     telemetry, sensor = field(1, frames=12, parity=parity), replace(sensor, parity=parity)
-    result = calibrate(telemetry, sensor, catalogue, CalibrationSettings(match="given")).to_dict()
+    result = calibrate(telemetry, sensor, catalogue, CalibrationSettings(match="given"))
     found = compute_star_residuals(case(telemetry, sensor, catalogue).ground)
     view = make_view(telemetry, sensor, catalogue, result, 5)
     of_frame = found.arcs.source_row[found.frame == 5]
@@ -99,7 +102,7 @@ def test_residuals_of_a_frame_are_those_that_trust_takes_of_the_set(parity, sens
 @pytest.mark.parametrize("parity", [1, -1])
 def test_at_the_true_parameters_residuals_over_their_sigmas_are_the_centroid_noise(parity, sensor, catalogue):
     telemetry, sensor = field(2, frames=60, parity=parity), replace(sensor, parity=parity, initial=np.asarray(TRUTH))
-    views = [make_view(telemetry, sensor, catalogue, {}, frame) for frame in range(60)]
+    views = [make_view(telemetry, sensor, catalogue, NOTHING, frame) for frame in range(60)]
     z = np.array([star["old"]["normalised"] for view in views for _, star in rows_under(view, "old")])
     assert np.mean(z**2) == pytest.approx(1, abs=4 * np.sqrt(2 / z.size))
     chi2 = [attitude["old"]["chi2"] for view in views for attitude in (e["attitude"] for e in view["exposures"])]
@@ -114,7 +117,7 @@ def test_a_predicted_position_is_the_projection_of_the_star_by_the_printed_quate
         [np.cos(telemetry.dec_rad) * np.cos(telemetry.ra_rad), np.cos(telemetry.dec_rad) * np.sin(telemetry.ra_rad),
          np.sin(telemetry.dec_rad)]
     )  # fmt: skip
-    view = make_view(telemetry, sensor, catalogue, {}, 0)
+    view = make_view(telemetry, sensor, catalogue, NOTHING, 0)
     for exposure, star in rows_under(view, "old"):
         row = star["row"]
         seen = Rotation.from_quat(exposure["attitude"]["old"]["quaternion"]).apply(s_i[row]) * [1, parity, 1]
@@ -131,7 +134,7 @@ def test_a_predicted_position_is_the_projection_of_the_star_by_the_printed_quate
 def test_the_attitudes_of_a_frame_scatter_about_the_truth_as_their_sigmas_say(catalogue):
     telemetry = simulate(calibration_scenario(1, 60), np.random.default_rng(4), catalogue)
     sensor = replace(st16_sensor(1), initial=st16_truth(1))
-    views = [make_view(telemetry, sensor, catalogue, {}, int(frame)) for frame in np.unique(telemetry.frame)]
+    views = [make_view(telemetry, sensor, catalogue, NOTHING, int(frame)) for frame in np.unique(telemetry.frame)]
     turns = [
         np.array(e["attitude"]["old"]["from_telemetry_arcsec"]) / e["attitude"]["old"]["sigma_arcsec"]
         for view in views for e in view["exposures"] if e["attitude"]["old"]
@@ -153,7 +156,7 @@ def test_pointing_is_the_boresight_and_the_position_angle_of_the_rows():
 def test_a_frame_matched_alone_has_the_stars_that_the_whole_set_gives_it(catalogue):
     telemetry = simulate(calibration_scenario(2, 40), np.random.default_rng(5), catalogue)
     settings, sensor = CalibrationSettings(), st16_sensor(2)
-    result = calibrate(telemetry, sensor, catalogue, settings).to_dict()
+    result = calibrate(telemetry, sensor, catalogue, settings)
     states = read_run_states(result, sensor, settings)
     P = np.diag((settings.initial_sigma_scale * sensor.typical_sigma) ** 2)
     P[np.ix_(states.parameters.free, states.parameters.free)] = states.P * np.outer(
@@ -173,7 +176,7 @@ def test_a_wrong_name_in_the_file_is_rejected_and_its_star_shown_far_away(catalo
     rows = np.flatnonzero((telemetry.frame == 3) & (telemetry.exposure == 0) & (star_id > 0))
     star_id[rows[0]] = star_id[rows[1]]
     wrong = replace(telemetry, star_id=star_id)
-    result = calibrate(wrong, st16_sensor(1), catalogue, CalibrationSettings()).to_dict()
+    result = calibrate(wrong, st16_sensor(1), catalogue, CalibrationSettings())
     view = make_view(wrong, st16_sensor(1), catalogue, result, 3, match="rematch")
     star = view["exposures"][0]["stars"][int(rows[0] - np.flatnonzero(telemetry.frame == 3)[0])]
     assert star["given_star_id"] == star_id[rows[1]]
@@ -187,7 +190,7 @@ def test_a_detection_whose_star_is_not_there_is_rejected_with_how_far_away_it_is
     row_px = telemetry.row_px.copy()
     row_px[rows[0]] += 30 if row_px[rows[0]] < 900 else -30
     wrong = replace(telemetry, row_px=row_px)
-    result = calibrate(wrong, st16_sensor(1), catalogue, CalibrationSettings()).to_dict()
+    result = calibrate(wrong, st16_sensor(1), catalogue, CalibrationSettings())
     view = make_view(wrong, st16_sensor(1), catalogue, result, 3, match="rematch")
     star = view["exposures"][0]["stars"][int(rows[0] - np.flatnonzero(telemetry.frame == 3)[0])]
     assert (star["fate"], star["star_id"]) == ("rejected", None)
@@ -199,7 +202,7 @@ def test_a_detection_whose_star_is_not_there_is_rejected_with_how_far_away_it_is
 def test_an_exposure_with_one_star_says_why_it_has_no_attitude(sensor, catalogue):
     telemetry = field(7, frames=3, exposures=1)
     star_id = np.where((telemetry.frame == 1) & (np.arange(len(telemetry)) % 12 > 0), 0, telemetry.star_id)
-    view = make_view(replace(telemetry, star_id=star_id), sensor, catalogue, {}, 1)
+    view = make_view(replace(telemetry, star_id=star_id), sensor, catalogue, NOTHING, 1)
     exposure = view["exposures"][0]
     assert exposure["attitude"] == {"old": None, "new": None}
     assert exposure["why_no_attitude"].startswith("1 of its detections is matched and an attitude needs 2")
@@ -212,7 +215,7 @@ def test_undetected_stars_are_bright_stars_of_the_field_without_a_detection(cata
     brightest = rows[np.argmin(telemetry.magnitude[rows])]
     kept = np.arange(len(telemetry)) != brightest
     without = rows_of_mask(telemetry, kept)
-    result = calibrate(telemetry, st16_sensor(1), catalogue, CalibrationSettings()).to_dict()
+    result = calibrate(telemetry, st16_sensor(1), catalogue, CalibrationSettings())
     view = make_view(without, st16_sensor(1), catalogue, result, 2, match="rematch")
     missed = {star["star_id"]: star for star in view["exposures"][0]["undetected"]}
     lost = missed[int(telemetry.star_id[brightest])]

@@ -21,11 +21,20 @@ BLOCKS = re.findall(r"```python\n(.*?)```", REFERENCE, re.DOTALL)
 TYPES = """
 from typing import assert_type
 
+import polars
+
 assert_type(cal, bs.Calibration)
-assert_type(cal.parameters.f_m, float | None)
+assert_type(cal.parameters.f_m * 1e3, float)
+assert_type(cal.sigma.f_m, float | None)
 assert_type(cal.advice, list[str])
 assert_type(scores, bs.Evaluation)
 assert_type(found, list[bs.Calibration])
+assert_type(cal.to_frame("polars"), polars.DataFrame)
+bs.calibrate("esa-5-frames.csv", "esa.sensor.json", fre="f_m")  # type: ignore[call-arg]
+bs.calibrate("esa-5-frames.csv", "esa.sensor.json", minimum_stars="few")  # type: ignore[arg-type]
+bs.choose("esa-5-frames.csv", "esa.sensor.json", mach="given")  # type: ignore[call-arg]
+bs.Client("https://boresight.example").launch(1, metod="sqrf")  # type: ignore[call-arg]
+cal.sigma.f_m * 2  # type: ignore[operator]
 """
 
 

@@ -4,13 +4,15 @@ import copy
 import dataclasses
 import json
 import sys
+from collections.abc import Sequence
+from typing import get_type_hints
 
 import numpy as np
 import plotly.graph_objects as go
 import pytest
 
 import boresight as bs
-from boresight.calibration.options import OPTIONS
+from boresight.calibration.options import OPTIONS, Choices
 from boresight.figures import FIGURES
 
 
@@ -92,6 +94,17 @@ def test_a_setting_that_does_not_exist_is_refused_in_one_sentence(settings, simu
     with pytest.raises(bs.RefusedInputError) as refused:
         bs.calibrate(simulated.telemetry, simulated.sensor, **settings)
     assert "\n" not in str(refused.value)
+
+
+def test_every_setting_is_typed_by_its_kind():
+    typed = get_type_hints(Choices)
+    kinds = {
+        "word": str, "whole": int, "number": float, "yes or no": bool, "names": str | Sequence[str],
+        "wholes": str | Sequence[int],
+    }  # fmt: skip
+    assert typed == {
+        name: kinds[one.kind] | None if one.default is None else kinds[one.kind] for name, one in OPTIONS.items()
+    }
 
 
 def test_help_shows_every_setting():

@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import orjson
@@ -10,25 +10,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.workers.link import LINE_EVERY_S, POINTS_AN_EVENT, ProgressInbox, Report, points_after, thinned
+from boresight.calibration.calibration import Calibration, History
+from boresight.workers.link import LINE_EVERY_S, POINTS_AN_EVENT, ProgressInbox, Report, encoded, points_after, thinned
 
 HELD = (7, 1)
 
 
-def make_history(frames: list[int]) -> dict[str, Any]:
-    return {
-        "frame": frames,
-        "parameters": [[float(frame), 0.0] for frame in frames],
-        "sigma": [[1.0 / frame, None] for frame in frames],
-        "tail_rms_rad": [2.0 * frame for frame in frames],
-        "aggregate_rms_rad": None,
-        "nis": [6.0] * len(frames),
-        "nis_dof": [3] * len(frames),
-    }
+def make_history(frames: list[int]) -> History:
+    return History(
+        frame=frames,
+        parameters=[[float(frame), 0.0] for frame in frames],
+        sigma=[[1.0 / frame, None] for frame in frames],
+        tail_rms_rad=[2.0 * frame for frame in frames],
+        aggregate_rms_rad=[3.0 * frame for frame in frames],
+        nis=[6.0] * len(frames),
+        nis_dof=[3] * len(frames),
+    )
 
 
 def report(frames: list[int], fraction: float = 0.5, held: tuple[int, int] = HELD) -> Report:
-    partial = orjson.dumps({"status": "running", "history": make_history(frames) if frames else None})
+    partial = encoded(Calibration(status="running", history=make_history(frames) if frames else None))
     return Report(*held, fraction, f"frame {frames[-1:]}", 1.0, partial)
 
 
@@ -36,7 +37,7 @@ def report(frames: list[int], fraction: float = 0.5, held: tuple[int, int] = HEL
 def test_points_follow_one_another_whichever_reports_were_replaced(steps: list[int], data: st.DataObject) -> None:
     reports, told, last = ProgressInbox(), [], None
     for end in itertools.accumulate(steps):
-        reports.hear(report(thinned(make_history(list(range(1, end + 1))))["frame"]))
+        reports.hear(report(thinned(make_history(list(range(1, end + 1)))).frame))
         if end == sum(steps) or data.draw(st.booleans()):
             for held, newest in reports.take({HELD}).items():
                 points = reports.news(held, newest)["history"]
@@ -56,13 +57,16 @@ def test_every_column_has_a_value_for_every_frame_told() -> None:
     assert [row[0] for row in points["parameters"]] == frames
     assert points["tail_rms_rad"] == [2.0 * frame for frame in frames]
     assert points["nis_per_dof"] == [2.0] * len(frames)
-    assert "aggregate_rms_rad" not in points
+    assert points_after(replace(make_history([1, 2]), nis=[], nis_dof=[]), None).keys() == points.keys() - {
+        "nis_per_dof"
+    }
+    assert points["aggregate_rms_rad"] == [3.0 * frame for frame in frames]
 
 
 def test_the_innovations_so_far_are_the_mean_over_all_points_before() -> None:
-    history = make_history([1, 2, 3]) | {"nis": [3.0, None, 9.0], "nis_dof": [3, 0, 3]}
+    history = replace(make_history([1, 2, 3]), nis=[3.0, None, 9.0], nis_dof=[3, 0, 3])
     assert points_after(history, 2)["nis_per_dof"] == [2.0]
-    assert np.isnan(np.array(points_after(history | {"nis_dof": [0, 0, 0]}, 2)["nis_per_dof"], float)).all()
+    assert np.isnan(np.array(points_after(replace(history, nis_dof=[0, 0, 0]), 2)["nis_per_dof"], float)).all()
 
 
 def test_nothing_new_and_no_history_are_told_as_nothing() -> None:

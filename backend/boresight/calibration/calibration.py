@@ -30,25 +30,30 @@ Status = Literal["converged", "max_iterations", "rank_deficient", "diverged", "t
 #: The status of an estimate that may be used.
 USABLE: Status = "converged"
 T = TypeVar("T")
+#: A number of `Values`, or one that may be unknown.
+Number_co = TypeVar("Number_co", bound="float | None", covariant=True)
 #: Numbers of a series; None is unknown.
 Numbers = list[float | None]
 #: Rows of numbers.
 Matrix = list[Numbers]
 
 
-class Values(Mapping[str, float | None]):
-    """Numbers by parameter name, in parameter order, read as `values.f_m` or `values["f_m"]`; None is unknown."""
+class Values(Mapping[str, Number_co]):
+    """Numbers by parameter name, in parameter order, read as `values.f_m` or `values["f_m"]`; None is unknown.
+
+    To type checkers `Values[float]` are known numbers: only an estimate that diverged has none of a parameter.
+    """
 
     __slots__ = ("_numbers",)
 
-    def __init__(self, numbers: Mapping[str, float | None] | None = None) -> None:
-        self._numbers: dict[str, float | None] = dict(numbers or {})
+    def __init__(self, numbers: Mapping[str, Number_co] | None = None) -> None:
+        self._numbers: dict[str, Number_co] = dict(numbers or {})
 
-    def __getitem__(self, name: str) -> float | None:
+    def __getitem__(self, name: str) -> Number_co:
         """Return a number by the parameter's name."""
         return self._numbers[name]
 
-    def __getattr__(self, name: str) -> float | None:
+    def __getattr__(self, name: str) -> Number_co:
         """Return a number by the parameter's name, as an attribute."""
         if name in Values.__slots__:  # not set yet, while a copy is being made
             raise AttributeError(name)
@@ -73,11 +78,11 @@ class Values(Mapping[str, float | None]):
         """Show the numbers as a dict shows them."""
         return f"Values({self._numbers!r})"
 
-    def __reduce__(self) -> tuple[type[Values], tuple[dict[str, float | None]]]:
+    def __reduce__(self) -> tuple[type[Values[Number_co]], tuple[dict[str, Number_co]]]:
         """Copy and pickle by the numbers."""
         return Values, (self._numbers,)
 
-    def to_dict(self) -> dict[str, float | None]:
+    def to_dict(self) -> dict[str, Number_co]:
         """Return the numbers as they stand in JSON."""
         return dict(self._numbers)
 
@@ -193,7 +198,7 @@ class InnovationTest:
 class WeakestDirection:
     """The combination of parameters that the data know least, by name, and what to do about it."""
 
-    direction: Values
+    direction: Values[float | None]
     sentence: str
 
 
@@ -217,8 +222,8 @@ class Robust:
     downweighted: int
     share: float
     expected_share: float
-    parameters_without: Values
-    shift_in_sigma: Values
+    parameters_without: Values[float]
+    shift_in_sigma: Values[float | None]
     sentence: str
 
 
@@ -430,8 +435,8 @@ class Efficiency:
     """Claimed sigmas over the Cramér-Rao bound of the centroids, by parameter and over all directions."""
 
     names: list[str]
-    cramer_rao_sigma: Values
-    ratio: Values
+    cramer_rao_sigma: Values[float | None]
+    ratio: Values[float | None]
     overall_ratio: float
     frames_used: int
     sentence: str
@@ -444,7 +449,7 @@ class MoreData:
     frames: int
     further_frames: list[int]
     sigma: dict[str, Numbers]
-    relative_uncertainty: Values | None
+    relative_uncertainty: Values[float | None] | None
     sentence: str
 
 
@@ -497,7 +502,7 @@ class Whiteness:
     bound: float
     name: str
     ljung_box: LjungBox
-    p_of_parameters: Values
+    p_of_parameters: Values[float | None]
     white: bool
     sentence: str
 
@@ -594,7 +599,7 @@ class ResidualDistribution:
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualOutliers:
-    """Single sightings beyond `limit` spreads along either axis, the worst first."""
+    """Single sightings beyond `limit` spreads along either axis, the worst first; `rows`, `columns`: of the detector."""
 
     frame: list[int]
     exposure: list[int]
@@ -604,8 +609,8 @@ class ResidualOutliers:
     d_row_px: Numbers
     d_col_px: Numbers
     normalised: Numbers
-    rows: int
-    columns: int
+    rows: int | None = None
+    columns: int | None = None
     limit: float
     stars_in_all: int
     in_all: int
@@ -904,11 +909,11 @@ class Calibration:
     camera_model: str = ""
     parameter_names: list[str] = field(default_factory=list)
     free: list[str] = field(default_factory=list)
-    initial: Values = field(default_factory=Values)
-    typical_sigma: Values = field(default_factory=Values)
+    initial: Values[float] = field(default_factory=Values)
+    typical_sigma: Values[float] = field(default_factory=Values)
     units: dict[str, str] = field(default_factory=dict)
     symbols: dict[str, str] = field(default_factory=dict)
-    truth: Values | None = None
+    truth: Values[float] | None = None
     frames: int = 0
     exposures: int = 0
     stars: int = 0
@@ -916,9 +921,9 @@ class Calibration:
     frames_in_set: int | None = None
     left_out: list[LeftOut] = field(default_factory=list)
     inputs: Inputs = field(default_factory=Inputs)
-    parameters: Values = field(default_factory=Values)
-    sigma: Values = field(default_factory=Values)
-    delta_over_sigma: Values = field(default_factory=Values)
+    parameters: Values[float] = field(default_factory=Values)
+    sigma: Values[float | None] = field(default_factory=Values)
+    delta_over_sigma: Values[float | None] = field(default_factory=Values)
     covariance: Covariance = field(default_factory=Covariance)
     status: Status
     iterations: int = 0

@@ -42,6 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.calibration.calibration import Calibration, Covariance
 from boresight.calibration.estimate import Parameters
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, PixelResiduals, pixel_residuals
 from boresight.calibration.matching.match_report import NOT_ACCEPTED
@@ -91,18 +92,18 @@ class RunStates:
     noise: float
 
 
-def read_run_states(result: Mapping[str, Any], sensor: Sensor, settings: CalibrationSettings) -> RunStates:
+def read_run_states(result: Calibration, sensor: Sensor, settings: CalibrationSettings) -> RunStates:
     """Read the states of a run."""
     names = CAMERA_MODELS[sensor.camera_model].parameter_names
     wanted = sensor.free if settings.free is None else settings.free
     free = np.array([place for place, name in enumerate(names) if name in wanted], np.int64)
     scale = sensor.typical_sigma[free]
-    P = _covariance(result, [names[place] for place in free], scale, settings.initial_sigma_scale)
+    P = _covariance(result.covariance, [names[place] for place in free], scale, settings.initial_sigma_scale)
     nothing = FreeCovariance(free, scale, np.zeros_like(P))
     # only a batch's covariance is that of this very fit, see `frame_view`
-    fitted = nothing if settings.sequential else FreeCovariance(free, scale, _known(result, P))
+    fitted = nothing if settings.sequential else FreeCovariance(free, scale, _known(result.covariance, P))
     x = _estimate(result, names)
-    excess = 1.0 if settings.sequential else max(1.0, float(result.get("chi2_per_dof") or 1.0))
+    excess = 1.0 if settings.sequential else max(1.0, result.chi2_per_dof or 1.0)
     return RunStates(
         sensor=sensor,
         settings=settings,
@@ -114,29 +115,27 @@ def read_run_states(result: Mapping[str, Any], sensor: Sensor, settings: Calibra
     )
 
 
-def _estimate(result: Mapping[str, Any], names: tuple[str, ...]) -> FloatArray | None:
+def _estimate(result: Calibration, names: tuple[str, ...]) -> FloatArray | None:
     """The result's parameters, (n_parameters,); None where there are none to show anything under."""
-    values = result.get("parameters")
-    if not values or result.get("status") == "diverged" or any(values.get(name) is None for name in names):
+    known = [value for name in names if (value := result.parameters.get(name)) is not None]
+    if len(known) < len(names) or result.status == "diverged":
         return None
-    return np.array([values[name] for name in names], np.float64)
+    return np.array(known, np.float64)
 
 
-def _covariance(result: Mapping[str, Any], names: list[str], scale: FloatArray, start: float) -> FloatArray:
+def _covariance(known: Covariance, names: list[str], scale: FloatArray, start: float) -> FloatArray:
     """Covariance of the free parameters in typical sigmas; one that the result does not know is as uncertain as at the start."""
-    known = result.get("covariance") or {"names": [], "matrix": []}
     P = np.eye(len(names)) * start**2
-    places = [names.index(name) for name in known["names"] if name in names]
-    if places and len(places) == len(known["names"]):
-        matrix = np.array(known["matrix"], np.float64) / np.outer(scale[places], scale[places])
+    places = [names.index(name) for name in known.names if name in names]
+    if places and len(places) == len(known.names):
+        matrix = np.array(known.matrix, np.float64) / np.outer(scale[places], scale[places])
         P[np.ix_(places, places)] = matrix
     return P
 
 
-def _known(result: Mapping[str, Any], P: FloatArray) -> FloatArray:
+def _known(known: Covariance, P: FloatArray) -> FloatArray:
     """The same as far as data decided it; zero where the result leaves a parameter open."""
-    complete = len((result.get("covariance") or {}).get("names") or ()) == len(P)
-    return P if complete else np.zeros_like(P)
+    return P if len(known.names) == len(P) else np.zeros_like(P)
 
 
 Read = Callable[[int], tuple[Telemetry, slice]]

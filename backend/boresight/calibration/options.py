@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 from boresight.errors import RefusedInputError
 from boresight.estimation import MINIMUM_STARS
@@ -417,6 +417,32 @@ def _kept(declared: Option, value: Any) -> Any:
 
 #: Every choice by its name, in the order of a settings document.
 OPTIONS = {item.name: Option(name=item.name, **item.metadata) for item in fields(CalibrationSettings)}
+
+
+class Choices(TypedDict, total=False):
+    """The choices as keywords, so that type checkers know their names; lists may be one text with commas."""
+
+    method: str
+    variant: str
+    free: str | Sequence[str] | None
+    match: str
+    match_parameters: str
+    match_rule: str
+    flight_tolerance_urad: float | None
+    leave_out_doubles: bool
+    minimum_stars: int
+    max_iterations: int
+    error: str
+    robust: str
+    huber_threshold: float
+    linearisations: int
+    process_noise_sigma: float
+    forgetting_factor: float
+    initial_sigma_scale: float
+    star_model: int
+    singular_values: str | Sequence[int]
+    gain_form: str
+    replay_frames_per_s: float
 
 
 @dataclass(frozen=True)

@@ -159,10 +159,24 @@ def read_residual_spline(found: ResidualSpline) -> ResidualSplineFit:
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Trust:
+    residual_spline: ResidualSpline | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Document:
+    """Where a parameter set's JSON has the spline, and where a calibration's has it."""
+
+    residual_spline: ResidualSpline | None = None
+    trust: _Trust | None = None
+
+
 def find_in(document: Mapping[str, Any]) -> ResidualSplineFit | None:
     """Read the residual spline of a calibration's or a parameter set's JSON; None where there is none, or noise alone."""
-    found = document.get("residual_spline") or (document.get("trust") or {}).get("residual_spline")
-    spline = None if not found else read_residual_spline(parse_part(ResidualSpline, found, RefusedInputError))
+    said = parse_part(_Document, document, RefusedInputError)
+    found = said.residual_spline or (said.trust.residual_spline if said.trust else None)
+    spline = None if found is None else read_residual_spline(found)
     return spline if spline is not None and spline.structure else None
 
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.metadata import version
 from typing import Any
@@ -246,7 +246,7 @@ def begin_calibration(
     )
 
 
-def _values(names: Sequence[str], numbers_of: FloatArray) -> Values:
+def _values(names: Sequence[str], numbers_of: FloatArray) -> Values[Any]:
     """Put numbers beside the names of parameters; what is not finite is unknown."""
     return Values(dict(zip(names, numbers(numbers_of), strict=True)))
 
@@ -411,13 +411,13 @@ class TrendEntry:
     sentence on that factor; None where it is one. `left_out`: why it takes no part in tests; None where it does.
     """
 
-    camera_model: str
-    names: list[str]
-    parameters: Values
-    covariance: Matrix
-    variance_factor: float
-    said: str | None
-    left_out: str | None
+    camera_model: str = ""
+    names: list[str] = field(default_factory=list)
+    parameters: Values[float | None] = field(default_factory=Values)
+    covariance: Matrix = field(default_factory=list)
+    variance_factor: float = 1.0
+    said: str | None = None
+    left_out: str | None = None
 
 
 def trend_entry(result: Calibration) -> TrendEntry | None:

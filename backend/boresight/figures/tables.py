@@ -10,7 +10,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
 from decimal import Decimal
-from typing import Any
 
 from boresight.calibration.calibration import (
     Calibration,
@@ -22,6 +21,7 @@ from boresight.calibration.calibration import (
     Matching,
     ShadowOfSet,
 )
+from boresight.calibration.parameter_set import ParameterSetDocument
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import FAR_TYPICAL_SIGMAS
 from boresight.verdicts.numbers import (
@@ -129,13 +129,12 @@ def _lay_out(
 
 
 def set_rows(
-    document: Mapping[str, Any], incumbent: Mapping[str, Any] | None, sensor: Mapping[str, Any]
+    found: ParameterSetDocument, incumbent: ParameterSetDocument | None, typical_sigma: Mapping[str, float]
 ) -> list[ParameterRow]:
     """Lay out a parameter set's values against the set it replaces, on the scale of its sensor's typical sigmas."""
-    old = (incumbent or {}).get("parameters") or {}
-    new, sigma = document["parameters"], document.get("sigma") or {}
-    names = _model_order(str(document.get("camera_model")), new)
-    return _lay_out(names, old, new, sigma, sensor.get("typical_sigma") or {}, document.get("truth") or {})
+    old = incumbent.parameters if incumbent else {}
+    names = _model_order(found.camera_model, found.parameters)
+    return _lay_out(names, old, found.parameters, found.sigma or {}, typical_sigma, found.truth or {})
 
 
 LARGE = 1e5  # the width of a terminal's column

@@ -13,7 +13,7 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self, Unpack
 from urllib.parse import urlsplit
 
 import httpx
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
     from boresight.calibration.choice.result import Choice
+    from boresight.calibration.options import Choices
     from boresight.library.inputs import SensorSource, TelemetrySource
     from boresight.library.results import Calibration
 
@@ -156,7 +157,7 @@ class Client(_Connection):
         *,
         validate: TelemetrySet | int | None = None,
         label: str = "",
-        **settings: Any,
+        **settings: Unpack[Choices],
     ) -> Run:
         """Queue a calibration; settings as `boresight.calibrate` has them."""
         return self._run(remote.launch(telemetry, validate, label, settings))
@@ -243,7 +244,7 @@ class Client(_Connection):
         validate: TelemetrySource | TelemetrySet | int | None = None,
         label: str = "",
         progress: Wanted = None,
-        **settings: Any,
+        **settings: Unpack[Choices],
     ) -> Calibration:
         """Calibrate on the server: upload what is not there, launch, wait, fetch. Arguments as `boresight.calibrate`.
 
@@ -342,7 +343,7 @@ class AsyncClient(_Connection):
         *,
         validate: TelemetrySet | int | None = None,
         label: str = "",
-        **settings: Any,
+        **settings: Unpack[Choices],
     ) -> Run:
         """Queue a calibration; settings as `boresight.calibrate` has them."""
         return await self._run(remote.launch(telemetry, validate, label, settings))
@@ -429,7 +430,7 @@ class AsyncClient(_Connection):
         validate: TelemetrySource | TelemetrySet | int | None = None,
         label: str = "",
         progress: Wanted = None,
-        **settings: Any,
+        **settings: Unpack[Choices],
     ) -> Calibration:
         """Calibrate on the server: upload what is not there, launch, wait, fetch. Arguments as `boresight.calibrate`.
 

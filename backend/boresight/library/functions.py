@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, Unpack
 
 from boresight.calibration.options import OPTIONS, CalibrationSettings
 from boresight.errors import RefusedInputError
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
     from boresight.calibration.choice.result import Choice
+    from boresight.calibration.options import Choices
     from boresight.library.inputs import ParameterSource, SensorSource, TelemetrySource
     from boresight.library.results import Assessment, Calibration, Evaluation, Matches, Quality, Simulation
     from boresight.sky.catalogue import Catalogue
@@ -106,7 +107,7 @@ def calibrate(
     *,
     validate: TelemetrySource | None = None,
     progress: Wanted = None,
-    **settings: Any,
+    **settings: Unpack[Choices],
 ) -> Calibration:
     """Estimate a sensor's camera parameters from the stars it saw.
 
@@ -166,7 +167,7 @@ def choose(
     *,
     validate: TelemetrySource | None = None,
     progress: Wanted = None,
-    **settings: Any,
+    **settings: Unpack[Choices],
 ) -> Choice:
     """Choose the least camera model that suffices for telemetry: every model and its terms, tested on the same stars.
 
@@ -248,7 +249,7 @@ def evaluate(
     against: ParameterSource | None = None,
     shadow: bool = False,
     progress: Wanted = None,
-    **settings: Any,
+    **settings: Unpack[Choices],
 ) -> Evaluation:
     """Compare two parameter sets on telemetry: availability, matched stars, RMS on common pairs.
 

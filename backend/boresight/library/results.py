@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 
 from boresight.calibration import calibration as tree
 from boresight.calibration.calibration import ShadowOfSet, StarsOffDetector, Values, to_plain
@@ -19,7 +19,9 @@ from boresight.errors import RefusedInputError
 from boresight.library.text import summary_lines
 
 if TYPE_CHECKING:
+    import pandas as pd
     import plotly.graph_objects as go
+    import polars as pl
     import pyarrow as pa
 
     from boresight.telemetry.schema import Telemetry
@@ -51,8 +53,30 @@ def make_frame(columns: Mapping[str, Any] | pa.Table, kind: FrameKind | None) ->
     return table.to_pandas() if kind == "pandas" else library.DataFrame(table)
 
 
+class Tabular:
+    """What has a table of numbers."""
+
+    def _columns(self) -> Mapping[str, Any] | pa.Table:
+        raise NotImplementedError
+
+    @overload
+    def to_frame(self, kind: Literal["pandas"]) -> pd.DataFrame: ...
+    @overload
+    def to_frame(self, kind: Literal["polars"]) -> pl.DataFrame: ...
+    @overload
+    def to_frame(self, kind: Literal["pyarrow"]) -> pa.Table: ...
+    @overload
+    def to_frame(self, kind: None = None) -> Any: ...
+    def to_frame(self, kind: FrameKind | None = None) -> Any:
+        """Return a DataFrame: of a calibration a row a parameter, SI; of telemetry its rows, with `star_id` as matched.
+
+        `kind`: pandas, polars or pyarrow; left out, the first of them that is installed.
+        """
+        return make_frame(self._columns(), kind)
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Calibration(tree.Calibration):
+class Calibration(Tabular, tree.Calibration):
     """A calibration: every number of its JSON as a typed member, with tables and drawings.
 
     `parameters`, `sigma`: by name, SI, as `parameters.f_m`. `covariance`: `names` and `matrix`; `numpy.asarray` makes an array.
@@ -82,8 +106,8 @@ class Calibration(tree.Calibration):
 
         return tuple(FIGURES)
 
-    def draw(self, name: str, *, theme: str = "light") -> go.Figure:
-        """Draw a figure; `figures` lists the names. `theme`: light, dark or contrast."""
+    def draw(self, name: str, *, theme: Literal["light", "dark", "contrast"] = "light") -> go.Figure:
+        """Draw a figure; `figures` lists the names."""
         from boresight.figures.notebook import draw
 
         return draw(self, name, theme=theme)
@@ -94,14 +118,10 @@ class Calibration(tree.Calibration):
 
         return table(self, name)
 
-    def to_frame(self, kind: FrameKind | None = None) -> Any:
-        """Return the parameters as a DataFrame, a row a parameter, SI.
-
-        `kind`: pandas, polars or pyarrow; left out, the first of them that is installed.
-        """
+    def _columns(self) -> Mapping[str, Any]:
         names = list(self.parameters)
         initial, final = ([values.get(name) for name in names] for values in (self.initial, self.parameters))
-        columns = {
+        return {
             "parameter": names,
             "unit": [self.units.get(name, "") for name in names],
             "initial": initial,
@@ -112,7 +132,6 @@ class Calibration(tree.Calibration):
             "typical_sigma": [self.typical_sigma.get(name) for name in names],
             "free": [name in self.free for name in names],
         }
-        return make_frame(columns, kind)
 
     def report(self, path: str | Path) -> None:
         """Write the report, one HTML file that stands alone."""
@@ -173,7 +192,7 @@ class Quality:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Matches:
+class Matches(Tabular):
     """Telemetry with its stars matched again, how many of the given identities stood, and why others did not."""
 
     telemetry: Telemetry = field(repr=False)
@@ -192,9 +211,8 @@ class Matches:
         """Return the whole report, `boresight.matching/1`, every exposure with its attitude, as plain lists, numbers and None."""
         return self.document
 
-    def to_frame(self, kind: FrameKind | None = None) -> Any:
-        """Return the rows of the telemetry with `star_id` as matched."""
-        return telemetry_frame(self.telemetry, kind)
+    def _columns(self) -> pa.Table:
+        return tabulate(self.telemetry)
 
     def save(self, path: str | Path) -> None:
         """Write the rows with `star_id` as matched, as CSV or Parquet by the name's ending."""
@@ -202,18 +220,17 @@ class Matches:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Simulation:
+class Simulation(Tabular):
     """Telemetry whose truth is known: a calibration set, and a validation set of another part of the sky."""
 
     sensor: Sensor
     telemetry: Telemetry = field(repr=False)
     validation: Telemetry = field(repr=False)
-    truth: Values
+    truth: Values[float]
     scenario: dict[str, Any] = field(repr=False)
 
-    def to_frame(self, kind: FrameKind | None = None) -> Any:
-        """Return the rows of the calibration set."""
-        return telemetry_frame(self.telemetry, kind)
+    def _columns(self) -> pa.Table:
+        return tabulate(self.telemetry)
 
     def save(self, folder: str | Path, suffix: Literal["csv", "parquet"] = "csv") -> None:
         """Write both sets, sensor.json, truth.json and scenario.json into a folder, which is made."""
@@ -257,11 +274,11 @@ def parse_report(kind: type[Any], document: Mapping[str, Any], **others: Any) ->
     return kind(**{name: value for name, value in document.items() if name in names}, **others, document=dict(document))
 
 
-def telemetry_frame(telemetry: Telemetry, kind: FrameKind | None) -> Any:
-    """Return telemetry as a DataFrame of the columns of the telemetry format."""
+def tabulate(telemetry: Telemetry) -> pa.Table:
+    """Return telemetry as a table of the columns of the telemetry format."""
     from boresight.telemetry.read.readers import contract_table
 
-    return make_frame(contract_table(telemetry), kind)
+    return contract_table(telemetry)
 
 
 def save_telemetry(telemetry: Telemetry, path: Path) -> None:

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from boresight.calibration.calibration import ResidualSpline, parse_part
+from boresight.calibration.calibration import to_plain
 from boresight.calibration.residual_spline import ResidualSplineFit, read_residual_spline
-from boresight.errors import RefusedInputError
 from boresight.uplink.archive import csv_bytes, json_bytes
+from boresight.uplink.parameter_files import read_document
 
 SCHEMA = "boresight.correction-table/1"
 NAMES = ("correction_table.json", "correction_table.csv")
@@ -31,10 +31,10 @@ INTERPOLATION = (
 
 def correction_files(subject: Mapping[str, Any]) -> dict[str, bytes]:
     """Return the files of a set's correction table by name; none where its calibration found nothing left over."""
-    document = subject["document"].get("residual_spline")
-    if not document:
+    found = read_document(subject).residual_spline
+    if found is None:
         return {}
-    spline = read_residual_spline(parse_part(ResidualSpline, document, RefusedInputError))
+    spline = read_residual_spline(found)
     table = {
         "schema": SCHEMA,
         "what": "displacement that the camera model leaves over after its calibration, estimated from the same stars",
@@ -45,12 +45,14 @@ def correction_files(subject: Mapping[str, Any]) -> dict[str, bytes]:
         "pixel_origin": "the centre of the top-left pixel is row 0, column 0; rows count down, columns to the right",
         "interpolation": INTERPOLATION,
         **{
-            name: document[name]
+            name: getattr(found, name)
             for name in ("row_px", "col_px", "d_row_px", "d_col_px", "sigma_row_px", "sigma_col_px")
         },
-        "spline": {name: document[name] for name in ("degree", "row_knots_px", "col_knots_px", "coefficients")},
-        "test": document["test"],
-        "noise": document["noise"],
+        "spline": {
+            name: to_plain(getattr(found, name)) for name in ("degree", "row_knots_px", "col_knots_px", "coefficients")
+        },
+        "test": to_plain(found.test),
+        "noise": found.noise,
         "stars": spline.stars,
         "sentence": spline.sentence,
     }
@@ -67,5 +69,5 @@ def _rows(spline: ResidualSplineFit) -> Iterator[list[float]]:
 
 def describe_correction(subject: Mapping[str, Any]) -> dict[str, Any]:
     """Say in the manifest that a table is there, and what it is; nothing for a set without one."""
-    document = subject["document"].get("residual_spline")
-    return {"correction_table": {"files": list(NAMES), "sentence": document["sentence"]}} if document else {}
+    found = read_document(subject).residual_spline
+    return {} if found is None else {"correction_table": {"files": list(NAMES), "sentence": found.sentence}}

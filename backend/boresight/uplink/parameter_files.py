@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from boresight.calibration.calibration import Values
+from boresight.calibration.parameter_set import ParameterSetDocument, parse_parameter_set
 from boresight.cameras import CAMERA_MODELS
 from boresight.telemetry.sensors import Sensor
 from boresight.uplink.archive import csv_bytes, json_bytes
@@ -32,14 +34,19 @@ COLUMNS = (
 Set = Mapping[str, Any]  # one set of the package's inputs
 
 
+def read_document(subject: Set) -> ParameterSetDocument:
+    """Read what a set says."""
+    return parse_parameter_set(subject["document"])
+
+
 def changes(subject: Set, before: Set | None) -> list[dict[str, Any]]:
     """Return each parameter's row: name, symbol, unit, old, new, delta, sigma, three_sigma and delta_over_sigma, SI."""
-    document = subject["document"]
-    model = CAMERA_MODELS[document["camera_model"]]
+    found, replaced = read_document(subject), None if before is None else read_document(before)
+    model = CAMERA_MODELS[found.camera_model]
     rows = []
     for name, symbol, unit in zip(model.parameter_names, model.symbols, model.units, strict=True):
-        new, sigma = document["parameters"][name], (document.get("sigma") or {}).get(name)
-        old = None if before is None else before["document"]["parameters"][name]
+        new, sigma = found.parameters[name], (found.sigma or Values()).get(name)
+        old = None if replaced is None else replaced.parameters[name]
         delta = None if old is None else new - old
         row = {"name": name, "symbol": symbol, "unit": unit, "old": old, "new": new, "delta": delta, "sigma": sigma}
         row["three_sigma"] = None if sigma is None else 3 * sigma
@@ -61,9 +68,8 @@ def parameters_csv(subject: Set, before: Set | None, held: Mapping[str, DecodedF
 
 def parameters_json(sensor: Sensor, subject: Set, held: Mapping[str, DecodedField]) -> bytes:
     """Write the normative document."""
-    document = subject["document"]
-    model = CAMERA_MODELS[document["camera_model"]]
-    free = document.get("free") or ()
+    found = read_document(subject)
+    model, free = CAMERA_MODELS[found.camera_model], found.free or ()
     return json_bytes(
         {
             "schema": SCHEMA,
@@ -89,7 +95,7 @@ def parameters_json(sensor: Sensor, subject: Set, held: Mapping[str, DecodedFiel
                 }
                 for row in changes(subject, None)
             ],
-            "covariance": document.get("covariance"),
+            "covariance": found.covariance,
             "validity": _validity(sensor, subject),
             "provenance": _provenance(subject),
         }
@@ -99,20 +105,21 @@ def parameters_json(sensor: Sensor, subject: Set, held: Mapping[str, DecodedFiel
 def _validity(sensor: Sensor, subject: Set) -> dict[str, Any]:
     """Say for what these numbers hold: the detector, the stretch of time, the temperatures that were seen."""
     model = CAMERA_MODELS[sensor.camera_model]
-    x = np.array([subject["document"]["parameters"][name] for name in model.parameter_names])
+    x = np.array([read_document(subject).parameters[name] for name in model.parameter_names])
     cone = model.cone_rad(x, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
-    telemetry = (subject.get("run") or {}).get("telemetry") or {}
+    telemetry = subject["run"]["telemetry"] if subject["run"] else {"epoch_utc": None, "temperature_c": None}
     return {
         "field": {"rows": [-0.5, sensor.rows - 0.5], "columns": [-0.5, sensor.columns - 0.5], "radius_rad": cone},
-        "epoch_utc": telemetry.get("epoch_utc"),
-        "temperature_c": telemetry.get("temperature_c"),
+        "epoch_utc": telemetry["epoch_utc"],
+        "temperature_c": telemetry["temperature_c"],
     }
 
 
 def _provenance(subject: Set) -> dict[str, Any]:
-    document = subject["document"]
+    found = read_document(subject)
     kept = ("method", "variant", "status", "frames", "stars", "rms_arc_rad", "chi2_per_dof", "advice", "inputs")
-    return {key: document.get(key) for key in kept} | {"run": subject.get("run"), "created_utc": subject["created_utc"]}
+    said = {key: getattr(found, key) for key in kept}
+    return said | {"run": subject["run"], "created_utc": subject["created_utc"]}
 
 
 def alignment_json(subject: Set, before: Set | None) -> bytes:
@@ -121,9 +128,9 @@ def alignment_json(subject: Set, before: Set | None) -> bytes:
     The turn was found against the parameters that the run started from; where the set that is replaced has others, it is no
     answer, and the document says so instead of giving an update.
     """
-    found = subject["document"].get("alignment")
-    started = (subject.get("run") or {}).get("started_from")
-    replaced = None if before is None else before["document"]["parameters"]
+    found = read_document(subject).alignment
+    started = subject["run"]["started_from"] if subject["run"] else None
+    replaced = None if before is None else read_document(before).parameters.to_dict()
     answer: dict[str, Any] = {"schema": "boresight.c-sd/1", "parameter_set": subject["name"], "alignment": None}
     answer["replaces"] = None if before is None else before["name"]
     if found is None:

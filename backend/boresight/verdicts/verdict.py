@@ -9,9 +9,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.calibration.calibration import Calibration, ChiSquareTest, InnovationTest, Trust
+from boresight.calibration.calibration import Calibration, ChiSquareTest, InnovationTest, Trust, parse_part
 from boresight.calibration.result import TrendEntry, trend_entry
 from boresight.calibration.trust.advice import TOO_SMALL
+from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
 from boresight.estimation.statistics.observability import WEAK
 from boresight.verdicts.history import settled_step, sigma_of_rms
@@ -363,28 +364,38 @@ def _why_not_made(trust: Trust, part: str) -> str:
 
 @dataclass(frozen=True)
 class RunSummary:
-    """What lists show of a calibration; what it does not have is None.
+    """What lists show of a run; what its calibration does not have, or what was not kept yet when it ended, is None.
 
-    `weak_directions`: how many the data hardly determine, or not at all. `tail_rms_rad`: of a filter, at its end.
+    `weak_directions`: how many the data hardly determine, or not at all. `tail_rms_rad`: of a filter, at its end. `seconds`,
+    `cpu_seconds`: what a worker took for it.
     """
 
-    status: str
-    level: str
-    advice: str | None
-    chi2_consistent: bool | None
-    weak_directions: int | None
-    rms_initial_arc_rad: float | None
-    rms_final_arc_rad: float | None
-    chi2_per_dof: float | None
-    iterations: int
-    frames: int
-    stars: int
-    weakest: str | None
-    tail_rms_rad: float | None
-    availability: float | None
-    trend: TrendEntry | None
-    validation_rms_initial_arc_rad: float | None
-    validation_rms_final_arc_rad: float | None
+    status: str | None = None
+    level: str | None = None
+    advice: str | None = None
+    chi2_consistent: bool | None = None
+    weak_directions: int | None = None
+    rms_initial_arc_rad: float | None = None
+    rms_final_arc_rad: float | None = None
+    chi2_per_dof: float | None = None
+    iterations: int | None = None
+    frames: int | None = None
+    stars: int | None = None
+    weakest: str | None = None
+    tail_rms_rad: float | None = None
+    availability: float | None = None
+    trend: TrendEntry | None = None
+    validation_rms_initial_arc_rad: float | None = None
+    validation_rms_final_arc_rad: float | None = None
+    seconds: float | None = None
+    cpu_seconds: float | None = None
+
+
+def parse_run_summary(document: Mapping[str, Any] | None) -> RunSummary:
+    """Read the summary in a run's row, whatever version wrote it; one that tells nothing where the row has none."""
+    return parse_part(
+        RunSummary, document or {}, lambda fault: RefusedInputError(f"A run's summary is damaged: {fault}.")
+    )
 
 
 def summarise_run(result: Calibration) -> RunSummary:
@@ -413,9 +424,8 @@ def summarise_run(result: Calibration) -> RunSummary:
     )
 
 
-def judge_result(summary: Mapping[str, Any]) -> str:
+def judge_result(summary: RunSummary) -> str:
     """Judge a finished run by its summary: the verdict of its page, and no better than caution where it gave advice."""
-    status = str(summary.get("status") or "converged")
-    level = str(summary.get("level") or LEVEL_OF_STATUS.get(status, "serious"))
-    doubted = summary.get("advice") or summary.get("weak_directions") or summary.get("chi2_consistent") is False
+    level = summary.level or LEVEL_OF_STATUS.get(summary.status or "converged", "serious")
+    doubted = summary.advice or summary.weak_directions or summary.chi2_consistent is False
     return max(level, "caution" if doubted else "normal", key=LEVELS.index)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import threading
 import time
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
 from typing import Any
@@ -16,6 +16,7 @@ import orjson
 from distributed import Event, get_worker
 
 from boresight.calibration.calibrate import Progress
+from boresight.calibration.calibration import Calibration, History, parse_calibration
 from boresight.console.runs.queries import HeldRun, Line
 from boresight.errors import CancelledError
 
@@ -41,6 +42,11 @@ class Report:
     def calibration(self) -> dict[str, Any] | None:
         """The calibration so far."""
         return None if self.partial is None else orjson.loads(self.partial)
+
+    @cached_property
+    def history(self) -> History | None:
+        """The history so far, of a filter."""
+        return None if self.calibration is None else parse_calibration(self.calibration).history
 
     def told(self) -> dict[str, Any]:
         """Return the progress event that is broadcast."""
@@ -82,7 +88,7 @@ class ProgressInbox:
 
     def news(self, held: HeldRun, report: Report) -> dict[str, Any]:
         """Return the event of a report with the new points of its history, and mark these as sent."""
-        points = points_after((report.calibration or {}).get("history") or {}, self._told_frame.get(held))
+        points = points_after(report.history, self._told_frame.get(held))
         if points is not None:
             self._told_frame[held] = points["frame"][-1]
         return report.told() | {"history": points}
@@ -108,16 +114,18 @@ class ProgressInbox:
         return lines
 
 
-def points_after(history: Mapping[str, Any], after: int | None) -> dict[str, Any] | None:
+def points_after(history: History | None, after: int | None) -> dict[str, Any] | None:
     """Return the points of a history after a frame, or None where there are none."""
-    frames: Sequence[int] = history.get("frame") or ()
+    if history is None:
+        return None
+    frames = history.frame
     if after is not None and frames and frames[-1] < after:
         after = None
     first = 0 if after is None else bisect_right(frames, after)
     if first >= len(frames):
         return None
     kept = _spread(first, len(frames) - 1)
-    columns = {name: history.get(name) for name in COLUMNS} | {"nis_per_dof": _nis_per_dof(history)}
+    columns = {name: getattr(history, name) for name in COLUMNS} | {"nis_per_dof": _nis_per_dof(history)}
     told = {name: [column[k] for k in kept] for name, column in columns.items() if column is not None}
     return {"after": after, "frame": [frames[k] for k in kept]} | told
 
@@ -128,11 +136,11 @@ def _spread(first: int, last: int) -> list[int]:
     return [last] if most == 1 else [first + round(k * (last - first) / (most - 1)) for k in range(most)]
 
 
-def _nis_per_dof(history: Mapping[str, Any]) -> list[float | None] | None:
+def _nis_per_dof(history: History) -> list[float | None] | None:
     """Average the normalised innovation squared over the points so far, per degree of freedom."""
-    if not history.get("nis"):
+    if not history.nis:
         return None
-    nis, dof = (accumulate(value or 0 for value in history.get(name) or ()) for name in ("nis", "nis_dof"))
+    nis, dof = accumulate(value or 0.0 for value in history.nis), accumulate(history.nis_dof)
     return [total / count if count else None for total, count in zip(nis, dof, strict=False)]
 
 
@@ -165,7 +173,7 @@ class Link:
         if now_s - self._reported_s < REPORT_EVERY_S:
             return
         self._reported_s = now_s
-        partial = None if progress.partial is None else encoded(progress.partial.to_dict())
+        partial = None if progress.partial is None else encoded(progress.partial)
         elapsed_s = round(now_s - self._begun_s, 3)
         report = Report(self.run_id, self.attempt, float(progress.fraction), progress.message, elapsed_s, partial)
         get_worker().log_event(TOPIC, {"report": vars(report)})  # the worker adds its own address beside it
@@ -184,20 +192,20 @@ class Link:
             raise CancelledError("Stopped on request before it began.")
 
 
-def encoded(partial: dict[str, Any]) -> bytes:
+def encoded(partial: Calibration) -> bytes:
     """Write a partial calibration as JSON, its history thinned to what a chart can show."""
-    history = partial.get("history")
-    thin = {**partial, "history": thinned(history)} if isinstance(history, dict) else partial
-    return orjson.dumps(thin, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
+    thin = partial if partial.history is None else replace(partial, history=thinned(partial.history))
+    return orjson.dumps(thin.to_dict(), option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS)
 
 
-def thinned(history: dict[str, Any]) -> dict[str, Any]:
+def thinned(history: History) -> History:
     """Keep at most `HISTORY_POINTS` of every column of a history, evenly spread, the last always among them."""
-    length = len(history.get("frame") or ())
+    length = len(history.frame)
     if length <= HISTORY_POINTS:
         return history
     kept = [round(i * (length - 1) / (HISTORY_POINTS - 1)) for i in range(HISTORY_POINTS)]
-    return {
-        name: [column[k] for k in kept] if column is not None and len(column) == length else column
-        for name, column in history.items()
+    columns = {name: column for name, column in vars(history).items() if name != "between" and column is not None}
+    thin: dict[str, Any] = {
+        name: [column[k] for k in kept] for name, column in columns.items() if len(column) == length
     }
+    return replace(history, **thin)

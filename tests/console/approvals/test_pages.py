@@ -95,11 +95,11 @@ def test_a_request_of_before_a_promotion_is_stale_and_cannot_be_signed(site, req
 
 
 def test_a_change_beyond_what_such_sensors_make_and_a_result_without_validation_are_warnings(results):
-    moved = {**results["batch"], "initial": {**results["batch"]["initial"], "f_m": 0.0150}}
-    said = list_warnings(moved, parameter_rows(parse_calibration(moved)), is_ground=False)
+    moved = parse_calibration({**results["batch"], "initial": {**results["batch"]["initial"], "f_m": 0.0150}})
+    said = list_warnings(moved, parameter_rows(moved), is_ground=False)
     assert any(sentence.startswith("f_m moves by") for sentence in said)
     assert not any("g_y" in sentence for sentence in said)
-    said = list_warnings({**results["batch"], "validation": None}, [], is_ground=False)
+    said = list_warnings(parse_calibration({**results["batch"], "validation": None}), [], is_ground=False)
     assert "No validation set" in said[-1]
 
 
@@ -107,8 +107,8 @@ def test_a_change_beyond_what_such_sensors_make_and_a_result_without_validation_
 def test_an_approver_is_warned_where_the_advice_and_the_readme_say_it_is_far(results, typical_sigmas, warned):
     result = results["batch"]
     start = result["parameters"]["f_m"] - typical_sigmas * result["typical_sigma"]["f_m"]
-    moved = {**result, "initial": {**result["initial"], "f_m": start}}
-    said = list_warnings(moved, parameter_rows(parse_calibration(moved)), is_ground=False)
+    moved = parse_calibration({**result, "initial": {**result["initial"], "f_m": start}})
+    said = list_warnings(moved, parameter_rows(moved), is_ground=False)
     assert any(sentence.startswith("f_m moves by") and "more than 15:" in sentence for sentence in said) == warned
 
 

@@ -37,6 +37,7 @@ from boresight.console.parameter_sets.pages import SETS as PARAMETER_SETS
 from boresight.console.runs.pages.list import RUNS
 from boresight.console.telemetry.pages import SETS as TELEMETRY
 from boresight.console.uplinks.pages.steps import BOARDS
+from boresight.telemetry.quality.report import DetectorCoverage, Distribution
 from boresight.verdicts import numbers as verdict_numbers
 from boresight.verdicts.numbers import MINUS
 
@@ -317,7 +318,8 @@ def test_an_axis_reaches_the_corner_though_the_data_end_before():
 
 
 def test_an_empty_cell_is_marked_and_a_full_one_is_opaque():
-    coverage = {"row_edges_px": [-0.5, 9.5, 19.5], "col_edges_px": [-0.5, 9.5, 19.5], "counts": [[0, 4], [2, 1]]}
+    edges = [-0.5, 9.5, 19.5]
+    coverage = DetectorCoverage(row_edges_px=edges, col_edges_px=edges, counts=[[0, 4], [2, 1]])
     bars = detector_map(coverage).bars
     assert [bar.opacity for bar in bars][:2] == [0.0, 1.0]
     assert bars[2].opacity > bars[3].opacity > 0
@@ -325,7 +327,7 @@ def test_an_empty_cell_is_marked_and_a_full_one_is_opaque():
 
 
 def test_a_number_that_never_occurs_keeps_its_place():
-    drawing = number_bars({"stars": [3, 6], "exposures": [10, 20]}, **WORDS)
+    drawing = number_bars(Distribution(smallest=3, median=6.0, largest=6, stars=[3, 6], exposures=[10, 20]), **WORDS)
     assert drawing.rows == [("3", 10), ("4", 0), ("5", 0), ("6", 20)]
 
 

@@ -4,6 +4,7 @@ from html import unescape
 
 import pytest
 
+from boresight.calibration.parameter_set import parse_parameter_set
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
 from boresight.console.approvals import service as approvals
@@ -41,6 +42,22 @@ def test_a_candidate_says_all_that_it_is_and_is_named_by_its_hash(engine, candid
     assert (document["run_id"], document["result_sha256"]) == (run.id, run.result_sha256)
     assert document["units"]["f_m"] == "m"
     assert {"sensor", "camera_model", "sigma", "covariance", "inputs", "status", "advice", "name"} <= set(document)
+
+
+def test_a_document_is_read_whoever_wrote_it_and_a_damaged_one_is_refused_by_member(engine, candidate):
+    numbers = (1, candidate().id)
+    with open_reading(engine) as session:
+        ground, made = (session.get_known(ParameterSet, number).document for number in numbers)
+    for document in (ground, made):
+        found = parse_parameter_set(document)
+        assert found.parameters.to_dict() == document["parameters"]
+        assert found.sigma.to_dict() == document["sigma"]
+        for name in ("covariance", "method", "status", "advice", "inputs"):
+            assert getattr(found, name) == document[name]
+    old = parse_parameter_set({"camera_model": "inverted_wang", "parameters": made["parameters"]})
+    assert (old.sigma, old.alignment, old.residual_spline) == (None, None, None)
+    with pytest.raises(RefusedInputError, match=r"document is damaged: parameters\.f_m"):
+        parse_parameter_set(made | {"parameters": {"f_m": "long"}})
 
 
 def test_what_the_camera_leaves_goes_with_its_parameters_where_it_is_more_than_noise(

@@ -9,7 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as arrow_parquet
 import pytest
 
+from boresight.calibration.calibration import parse_calibration, to_plain
 from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.result import TrendEntry
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import service as parameter_sets
@@ -19,13 +21,14 @@ from boresight.console.runs import service as runs
 from boresight.console.runs.comparisons import UnlikeModelsError, compare, document, read_run_ids, table
 from boresight.console.runs.dry_runs import estimate_seconds_per_star, predict_duration_s
 from boresight.console.runs.presets import BUILT_IN
-from boresight.console.runs.tables import Run
+from boresight.console.runs.tables import RecordedProgress, Run, parse_progress
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import COMMAND_LINE
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs.store import register_blob
 from boresight.platform.db.sessions import open_writing, utc_now
+from boresight.verdicts.verdict import RunSummary, parse_run_summary, summarise_run
 from tests.console.conftest import _result
 
 
@@ -191,6 +194,18 @@ def test_the_result_is_what_there_is_so_far_and_then_the_stored_file(session, bl
     rows.finish(session, run.id, 1, "SUCCEEDED", None, blobs.put(content), {"status": "converged"}, len(content))
     assert runs.find_result(session, blobs, run.id) == _result()
     assert session.get_one(Run, run.id).summary == {"status": "converged"}
+
+
+def test_rows_of_older_versions_read_as_what_they_say_and_damaged_ones_are_refused_by_member(launch):
+    old = {"status": "converged", "trend": {"camera_model": "inverted_wang"}, "moonlight": 1}
+    assert parse_run_summary(old) == RunSummary(status="converged", trend=TrendEntry(camera_model="inverted_wang"))
+    assert parse_run_summary(None) == RunSummary()
+    assert parse_progress({"fraction": 0.5}) == RecordedProgress(fraction=0.5)
+    assert parse_progress(launch().progress) == RecordedProgress()
+    with pytest.raises(RefusedInputError, match=r"summary is damaged: trend\.names"):
+        parse_run_summary({"trend": {"names": 1}})
+    whole = summarise_run(parse_calibration(_result()))
+    assert parse_run_summary(orjson.loads(orjson.dumps(to_plain(whole)))) == whole
 
 
 def test_the_log_tells_the_run_in_order_and_can_be_followed(session, launch):

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
+from boresight.calibration.calibration import to_plain
 from boresight.console.fleet.tables import Sensor
 from boresight.console.telemetry import service as telemetry_sets
-from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.tables import TelemetrySet, parse_quality
 from boresight.errors import ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.audit import log as audit
@@ -19,6 +20,7 @@ from boresight.platform.audit.tables import AuditRecord
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import Engine, open_reading, open_writing
+from boresight.telemetry.quality.report import QualityReport
 from boresight.telemetry.working_table import WorkingTable, is_working_table
 
 People = Mapping[str, Actor]
@@ -190,3 +192,15 @@ def test_sets_are_listed_by_purpose(engine, people, blobs, file):
         assert [row.id for row in telemetry_sets.list_telemetry_sets(session, purpose="validation")] == [second.id]
         with pytest.raises(NotFoundError, match="no telemetry set 99"):
             session.get_known(TelemetrySet, 99)
+
+
+def test_a_quality_report_is_read_as_it_was_written_and_one_that_says_less_as_far_as_it_goes(
+    engine, people, blobs, file
+):
+    quality = _add(engine, people["ana"], blobs, file).quality
+    said = to_plain(parse_quality(quality))
+    assert {"verdict", "findings", "stars_per_exposure", "detector_coverage", "radial_coverage"} <= said.keys()
+    assert said == {name: quality[name] for name in said}
+    assert parse_quality({}) == QualityReport()
+    with pytest.raises(RefusedInputError, match=r"report is damaged: temperature_c\.largest"):
+        parse_quality({"temperature_c": {"smallest": 1.0}})

@@ -84,8 +84,8 @@ class ChosenCamera:
     free: list[str]
     terms: list[str]
     place: int
-    parameters: Values
-    sigma: Values
+    parameters: Values[float]
+    sigma: Values[float]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@ every signature and promotion asks again. A request of before there were gates i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from boresight.console.alarms import rules as alarm_rules
@@ -21,6 +21,7 @@ from boresight.errors import ConflictError, StaleError
 from boresight.platform.actors import SYSTEM, Actor
 from boresight.platform.db.documents import compute_sha256
 from boresight.platform.db.sessions import Session, keep_despite_refusal, utc_now
+from boresight.verdicts.gates import GateAnswer, parse_report
 
 WORDS = {
     "set_sha256": "set",
@@ -74,15 +75,15 @@ def compute_binding_sha256(approval: Approval) -> str:
     return compute_sha256(shown)
 
 
-def find_blocking_gates(session: Session, parameter_set: ParameterSet) -> list[Mapping[str, Any]]:
+def find_blocking_gates(session: Session, parameter_set: ParameterSet) -> list[GateAnswer]:
     """Return the gates of a set's newest report that stop it and that no waiver in force lifts."""
     report = rows.find_newest_report(session, parameter_set.id)
     if report is None:
         return []
-    blocking = set(report.document.get("blocking", ()))
+    found = parse_report(report.document)
     waived = {waiver.gate for waiver in rows.list_waivers_in_force(session, parameter_set.id, utc_now())}
-    gates = [gate for gate in report.document.get("gates", ()) if gate["name"] in blocking]
-    return [gate for gate in gates if gate["critical"] or not gate["waivable"] or gate["name"] not in waived]
+    gates = [gate for gate in found.gates if gate.name in found.blocking]
+    return [gate for gate in gates if gate.critical or not gate.waivable or gate.name not in waived]
 
 
 def refuse_blocked(session: Session, parameter_set: ParameterSet) -> None:
@@ -90,8 +91,8 @@ def refuse_blocked(session: Session, parameter_set: ParameterSet) -> None:
     gates = find_blocking_gates(session, parameter_set)
     if not gates:
         return
-    named = ", ".join(f"{gate['name']} ({gate['status']})" for gate in gates)
-    fixed = [gate["name"] for gate in gates if gate["critical"] or not gate["waivable"]]
+    named = ", ".join(f"{gate.name} ({gate.status})" for gate in gates)
+    fixed = [gate.name for gate in gates if gate.critical or not gate.waivable]
     way_out = (
         f"{', '.join(fixed)} cannot be waived: recalibrate." if fixed else "Waive it with a reason, or recalibrate."
     )

@@ -17,6 +17,7 @@ from boresight.platform.audit import seals
 from boresight.platform.db.declared import Base
 from boresight.platform.db.documents import among
 from boresight.platform.db.sessions import Session, utc_now
+from boresight.verdicts.verdict import RunSummary, parse_run_summary
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class MemberStatus:
     validation_set_id: int | None
     state: str | None
     reason: str | None
-    summary: dict[str, Any] | None
+    summary: RunSummary
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def list_member_statuses(session: Session, campaign_id: int, ids: Collection[int
         .where(CampaignRun.campaign_id == campaign_id, some, CampaignRun.id.in_(select_newest_members()))
         .order_by(CampaignRun.id)
     )  # fmt: skip
-    return [MemberStatus(*row) for row in session.execute(query)]
+    return [MemberStatus(*(*row[:-1], parse_run_summary(row.summary))) for row in session.execute(query)]
 
 
 def cancel_all(session: Session, campaign_id: int, reason: str) -> list[tuple[int, str]]:

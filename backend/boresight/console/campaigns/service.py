@@ -172,7 +172,6 @@ def make_campaign_view(row: Campaign, counted: Counted) -> CampaignView:
 
 def make_result_line(standing: MemberStatus) -> dict[str, Any]:
     """Return one line of the results over sensors, arcs in rad; values that a run lacks are None."""
-    summary = standing.summary or {}
     names = (
         "rms_initial_arc_rad", "rms_final_arc_rad", "validation_rms_initial_arc_rad", "validation_rms_final_arc_rad",
         "status", "level", "weak_directions", "weakest", "advice",
@@ -184,7 +183,7 @@ def make_result_line(standing: MemberStatus) -> dict[str, Any]:
         "run_id": standing.run_id,
         "state": standing.state or NOT_LAUNCHED,
         "reason": standing.refusal or standing.reason,
-        **{name: summary.get(name) for name in names},
+        **{name: getattr(standing.summary, name) for name in names},
     }
 
 

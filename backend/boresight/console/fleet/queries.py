@@ -19,6 +19,7 @@ from boresight.console.telemetry.tables import TelemetrySet
 from boresight.console.uplinks.tables import Package, TableDefinition, Uplink
 from boresight.platform.db.documents import among
 from boresight.platform.db.sessions import Session
+from boresight.verdicts.verdict import RunSummary, parse_run_summary
 
 
 def find_sensor(session: Session, name: str) -> Sensor | None:
@@ -211,7 +212,7 @@ def _trend_by_sensor(
     return found
 
 
-def list_recent_summaries(session: Session, sensor_ids: Collection[int], limit: int) -> dict[int, list[dict[str, Any]]]:
+def list_recent_summaries(session: Session, sensor_ids: Collection[int], limit: int) -> dict[int, list[RunSummary]]:
     """Return of some sensors the summaries of their newest runs that succeeded, oldest first."""
     succeeded = sa.select(Run.id).where(Run.sensor_id == Sensor.id, Run.state == "SUCCEEDED", CALIBRATIONS)
     succeeded = succeeded.correlate(Sensor)
@@ -219,9 +220,9 @@ def list_recent_summaries(session: Session, sensor_ids: Collection[int], limit: 
     query = sa.select(Run.sensor_id, Run.summary).join(Sensor, Run.sensor_id == Sensor.id)
     query = query.where(Sensor.id.in_(sensor_ids), Run.state == "SUCCEEDED", CALIBRATIONS)
     query = query.where(Run.id >= sa.func.coalesce(first, 0))
-    found: dict[int, list[dict[str, Any]]] = {}
+    found: dict[int, list[RunSummary]] = {}
     for sensor_id, summary in session.execute(query.order_by(Run.id)):
-        found.setdefault(sensor_id, []).append(summary or {})
+        found.setdefault(sensor_id, []).append(parse_run_summary(summary))
     return found
 
 

@@ -18,9 +18,9 @@ from boresight.console.fleet import queries
 from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.trend import GROUND_SHIFTED, document, judge_drift, read_trends
 from boresight.console.parameter_sets.tables import ParameterSet
-from boresight.console.runs.tables import Run
+from boresight.console.runs.tables import Run, parse_progress
 from boresight.platform.db.sessions import Session, utc_now
-from boresight.verdicts.verdict import judge_result
+from boresight.verdicts.verdict import RunSummary, judge_result, parse_run_summary
 
 TOGETHER = 16  # sensors whose runs are held in memory at once
 
@@ -81,6 +81,17 @@ class SensorTile:
     days_since_calibration: float | None
     status: str
     sentence: str
+
+    @property
+    def summary(self) -> RunSummary:
+        """What the newest run found."""
+        return parse_run_summary(self.last_run.summary if self.last_run else None)
+
+    @property
+    def fraction(self) -> float | None:
+        """How far the newest run is; None where it computes nothing."""
+        is_computing = self.last_run is not None and self.last_run.state == "RUNNING"
+        return parse_progress(self.last_run.progress).fraction if self.last_run and is_computing else None
 
 
 @dataclass(frozen=True)
@@ -245,17 +256,17 @@ def _run_findings(run: Any) -> Iterator[tuple[str, str]]:
     if run.state in {"FAILED", "LOST"}:
         yield "serious", f"Run {run.id} {run.state.lower()}: {run.reason or 'no cause was recorded'}"
     elif run.state == "SUCCEEDED":
-        yield _result_finding(run.id, run.summary or {})
+        yield _result_finding(run.id, parse_run_summary(run.summary))
     elif run.state == "CANCELLED":
         yield "standby", f"Run {run.id} was cancelled."
     else:
         yield "standby", f"Run {run.id} is {run.state.lower()}."
 
 
-def _result_finding(run_id: int, summary: Mapping[str, Any]) -> tuple[str, str]:
+def _result_finding(run_id: int, summary: RunSummary) -> tuple[str, str]:
     """Return the finding from a finished calibration; critical is reserved for what is on board."""
     level = judge_result(summary)
-    status, advice = str(summary.get("status") or "converged"), str(summary.get("advice") or "look at its page.")
+    status, advice = summary.status or "converged", summary.advice or "look at its page."
     if level == "normal":
         return level, f"Run {run_id} converged."
     if status == "converged":

@@ -22,14 +22,17 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
+from boresight.calibration.parameter_set import parse_parameter_set
+from boresight.calibration.result import TrendEntry
 from boresight.console.fleet import queries as rows
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
-from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.tables import TelemetrySet, parse_quality
 from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import FALSE_ALARM_RATE, Epoch, RegressionLine
 from boresight.platform.db.sessions import Session, utc_text
 from boresight.verdicts.numbers import fixed, number, quantity
+from boresight.verdicts.verdict import RunSummary, parse_run_summary
 
 SAME_VALUE = 1e-6  # in typical sigmas: fixed parameters that differ by less are the same
 BEFORE_TRENDS = "its summary has no covariance: it is from an older version; clone it and run it again"
@@ -159,9 +162,9 @@ def _trend(
     baseline = promoted[-1][1] if promoted else None
     model = str((baseline.document if baseline else sensor.document)["camera_model"])
     found = [
-        _point(run, telemetry[run.telemetry_set_id])
+        _point(run, summary, telemetry[run.telemetry_set_id])
         for run in finished
-        if (run.summary or {}).get("status") is not None
+        if (summary := parse_run_summary(run.summary)).status is not None
     ]
     judged = [_comparable(point, sensor, baseline) for point in found if point.camera_model == model]
     return Trend(
@@ -178,17 +181,17 @@ def _trend(
 
 def get_time_span(row: TelemetrySet) -> tuple[str, str, bool]:
     """Return the first and last time of a telemetry set, and whether they come from its data and not from its upload."""
-    time = row.quality.get("time")
-    if not time:
+    time = parse_quality(row.quality).time
+    if time is None:
         return row.uploaded_utc, row.uploaded_utc, False
-    begins, ends = (utc_text(datetime.fromisoformat(time[key])) for key in ("start_utc", "end_utc"))
+    begins, ends = (utc_text(datetime.fromisoformat(text)) for text in (time.start_utc, time.end_utc))
     return begins, ends, True
 
 
-def _point(run: Any, data: TelemetrySet) -> TrendPoint:
+def _point(run: Any, summary: RunSummary, data: TelemetrySet) -> TrendPoint:
     begins, ends, timed = get_time_span(data)
-    entry, summary = run.summary.get("trend") or {}, run.summary
-    warmth = data.quality.get("temperature_c")
+    entry = summary.trend or TrendEntry(left_out=BEFORE_TRENDS)
+    warmth = parse_quality(data.quality).temperature_c
     return TrendPoint(
         run_id=run.id,
         label=run.label,
@@ -199,15 +202,15 @@ def _point(run: Any, data: TelemetrySet) -> TrendPoint:
         at_utc=middle(begins, ends),
         ends_utc=ends,
         timed=timed,
-        temperature_c=None if not warmth else (warmth["smallest"] + warmth["largest"]) / 2,
-        camera_model=entry.get("camera_model") or "",
-        names=tuple(entry.get("names") or ()),
-        parameters=entry.get("parameters") or {},
-        covariance=np.array(entry.get("covariance") or np.zeros((0, 0)), dtype=np.float64),
-        stars=summary.get("stars") or 0,
-        rms_arc_rad=summary.get("rms_final_arc_rad"),
-        left_out=BEFORE_TRENDS if not entry else entry.get("left_out") or "",
-        said=entry.get("said") or "",
+        temperature_c=None if warmth is None else (warmth.smallest + warmth.largest) / 2,
+        camera_model=entry.camera_model,
+        names=tuple(entry.names),
+        parameters=entry.parameters,
+        covariance=np.array(entry.covariance or np.zeros((0, 0)), dtype=np.float64),
+        stars=summary.stars or 0,
+        rms_arc_rad=summary.rms_final_arc_rad,
+        left_out=entry.left_out or "",
+        said=entry.said or "",
     )
 
 
@@ -255,15 +258,15 @@ def _counted_once(points: Sequence[TrendPoint]) -> Iterator[TrendPoint]:
 def _periods(promoted: Sequence[tuple[str, ParameterSet]]) -> Iterator[BaselinePeriod]:
     ends = [*(at_utc for at_utc, _ in promoted[1:]), None] if promoted else []
     for (at_utc, row), to_utc in zip(promoted, ends, strict=True):
-        document = row.document
+        document = parse_parameter_set(row.document)
         yield BaselinePeriod(
             row.id,
             row.name,
             at_utc,
             to_utc,
             row.run_id is not None,
-            document["parameters"],
-            document.get("sigma") or {},
+            document.parameters.to_dict(),
+            document.sigma.to_dict() if document.sigma else {},
         )
 
 

@@ -14,6 +14,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from boresight.calibration.calibration import Values
+from boresight.calibration.parameter_set import parse_parameter_set
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.fleet import trend as drifts
 from boresight.console.fleet.status import OLD_DAYS, count_days_since
@@ -125,8 +127,8 @@ def _ratio(trend: Trend, own: TrendPoint | None, stars: int) -> float | None:
     if trend.baseline is None or not trend.independent or not stars:
         return None
     like = own or trend.independent[-1]
-    sigma = trend.baseline.document.get("sigma") or {}
-    shared = [like.sigma[name] / sigma[name] for name in like.names if sigma.get(name)]
+    sigma = parse_parameter_set(trend.baseline.document).sigma or Values()
+    shared = [like.sigma[name] / known for name in like.names if (known := sigma.get(name))]
     return max(shared) * (like.stars / stars) ** 0.5 if shared and like.stars else None
 
 

@@ -7,9 +7,10 @@ sparkline is the range of its values, and at least a twentieth of the value, so 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+
+from boresight.telemetry.quality.report import DetectorCoverage, Distribution
 
 WIDTH, HEIGHT = 560.0, 200.0
 LEFT, RIGHT, TOP, BOTTOM = 52.0, 10.0, 22.0, 34.0
@@ -122,10 +123,9 @@ def histogram(
     )
 
 
-def detector_map(coverage: Mapping[str, Any]) -> Drawing:
+def detector_map(coverage: DetectorCoverage) -> Drawing:
     """Lay out the map of the detector: a cell is the darker the fewer usable stars it has seen."""
-    row_edges, col_edges = coverage["row_edges_px"], coverage["col_edges_px"]
-    counts: Sequence[Sequence[int]] = coverage["counts"]
+    row_edges, col_edges, counts = coverage.row_edges_px, coverage.col_edges_px, coverage.counts
     rows_px, cols_px = row_edges[-1] - row_edges[0], col_edges[-1] - col_edges[0]
     scale = (WIDTH - LEFT - RIGHT) / cols_px
     largest = max((count for line in counts for count in line), default=0) or 1
@@ -169,9 +169,9 @@ def detector_map(coverage: Mapping[str, Any]) -> Drawing:
     )
 
 
-def number_bars(distribution: Mapping[str, Any], **words: str) -> Drawing:
+def number_bars(distribution: Distribution, **words: str) -> Drawing:
     """Lay out how often each whole number occurs: bars centred on the numbers."""
-    values, times = distribution["stars"], distribution["exposures"]
+    values, times = distribution.stars, distribution.exposures
     seen = dict(zip(values, times, strict=True))
     numbers = range(min(values), max(values) + 1)
     edges = [value - 0.5 for value in numbers] + [max(values) + 0.5]

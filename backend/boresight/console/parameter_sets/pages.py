@@ -15,6 +15,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
+from boresight.calibration.parameter_set import ParameterSetDocument, parse_parameter_set
 from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
 from boresight.console.access.credentials import get_actor
@@ -239,6 +240,13 @@ def find_bound_incumbent(session: Session, row: ParameterSet, request: Approval 
     return None if sha256 is None else set_queries.find_other_with_document(session, row, sha256)
 
 
+def read_set_and_incumbent(
+    row: ParameterSet, incumbent: ParameterSet | None
+) -> tuple[ParameterSetDocument, ParameterSetDocument | None]:
+    """Read the documents of a set and of the one it would replace."""
+    return parse_parameter_set(row.document), None if incumbent is None else parse_parameter_set(incumbent.document)
+
+
 @parameter_set_router.get("/parameter-sets/{set_id:int}", response_class=HTMLResponse)
 def parameter_set_page(request: Request, session: Reading, actor: Who, set_id: int) -> HTMLResponse:
     """Show a set."""
@@ -266,7 +274,7 @@ def _page(
         sensor=sensor,
         names=read_names(session),
         incumbent=incumbent,
-        rows=set_rows(row.document, incumbent.document if incumbent else None, sensor.document),
+        rows=set_rows(*read_set_and_incumbent(row, incumbent), sensor.document["typical_sigma"]),
         requests=requests,
         signatures=[
             signature for known in requests for signature in approval_queries.list_signatures(session, known.id)

@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from boresight.calibration.calibration import Calibration, Trust, parse_calibration, to_plain
 from boresight.calibration.conversion import converted
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.approvals.tables import Approval
@@ -90,18 +91,20 @@ def create_from_run(session: Session, actor: Actor, blobs: BlobStore, run_id: in
     if (existing := rows.find_set_of_run(session, run_id)) is not None:
         return existing
     result = read_result(blobs, str(run.result_sha256), run.id)
-    _refuse_unusable(run_id, result)
+    found = parse_calibration(result)
+    _refuse_unusable(run_id, found)
     sensor = session.get_one(Sensor, run.sensor_id)
-    document = {key: result.get(key) for key in (*MEANING, *EVIDENCE)}
-    document |= _read_residual_spline(result)
+    document = dict.fromkeys((*MEANING, *EVIDENCE))
+    document |= {key: value for key, value in result.items() if key in document}  # as it is written there
+    document |= _keep_residual_spline(found.trust)
     document |= {"sensor": sensor.name, "run_id": run.id, "result_sha256": run.result_sha256}
     return _add(session, actor, sensor, document, ground_state="CANDIDATE", run_id=run.id)
 
 
-def _read_residual_spline(result: Mapping[str, Any]) -> dict[str, Any]:
+def _keep_residual_spline(trust: Trust | None) -> dict[str, Any]:
     """Read the residual spline of a result where it is significant, to be stored with the parameters that it belongs to."""
-    spline = (result.get("trust") or {}).get("residual_spline")
-    return {"residual_spline": spline} if spline and spline["structure"] else {}
+    spline = trust.residual_spline if trust else None
+    return {"residual_spline": to_plain(spline)} if spline and spline.structure else {}
 
 
 def _get_succeeded_run(session: Session, run_id: int) -> Run:
@@ -113,16 +116,13 @@ def _get_succeeded_run(session: Session, run_id: int) -> Run:
     return run
 
 
-def _refuse_unusable(run_id: int, result: Mapping[str, Any]) -> None:
+def _refuse_unusable(run_id: int, result: Calibration) -> None:
     """Refuse a result that did not converge or has no complete set of finite parameters."""
-    if result.get("status") not in USABLE_STATUSES:
-        advice = " ".join(result.get("advice") or ())
-        raise RefusedInputError(
-            f"Run {run_id} ended {result.get('status')}, which makes no parameter set. {advice}".rstrip()
-        )
-    parameters = result.get("parameters") or {}
-    names = CAMERA_MODELS[result["camera_model"]].parameter_names
-    known = {name for name, value in parameters.items() if isinstance(value, int | float) and math.isfinite(value)}
+    if result.status not in USABLE_STATUSES:
+        advice = " ".join(result.advice)
+        raise RefusedInputError(f"Run {run_id} ended {result.status}, which makes no parameter set. {advice}".rstrip())
+    names = CAMERA_MODELS[result.camera_model].parameter_names
+    known = {name for name, value in result.parameters.items() if value is not None and math.isfinite(value)}
     if bad := [name for name in names if name not in known]:
         raise RefusedInputError(f"Run {run_id} has no number for {', '.join(bad)}, which makes no parameter set.")
 

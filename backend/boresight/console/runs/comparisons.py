@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.calibration.calibration import Calibration, parse_calibration, to_plain
+from boresight.calibration.calibration import Calibration, to_plain
 from boresight.calibration.evaluation.contrast import (
     Contrast,
     RadialContrast,
@@ -52,15 +51,15 @@ ASSUMPTION = (
 
 @dataclass(frozen=True)
 class ComparedRun:
-    """One run of a comparison with its result; an empty result where the run has none."""
+    """One run of a comparison with its result, complete or so far."""
 
     run: Run
-    result: Mapping[str, Any]
+    result: Calibration | None
 
-    @cached_property
+    @property
     def calibration(self) -> Calibration:
         """The typed result; an empty one where the run has none."""
-        return parse_calibration(self.result) if self.result else Calibration(status="running")
+        return self.result or Calibration(status="running")
 
     @property
     def camera_model(self) -> str:
@@ -133,7 +132,7 @@ def read_runs(session: Session, run_ids: Sequence[int]) -> list[Run]:
 
 def read_compared(session: Session, blobs: BlobStore, run_ids: Sequence[int]) -> list[ComparedRun]:
     """Read the runs and their results."""
-    found = [ComparedRun(run, runs.find_result(session, blobs, run.id) or {}) for run in read_runs(session, run_ids)]
+    found = [ComparedRun(run, runs.find_calibration(session, blobs, run.id)) for run in read_runs(session, run_ids)]
     models = {one.camera_model: one.run.id for one in reversed(found)}
     if len(models) > 1:
         (first, first_id), (second, second_id) = sorted(models.items(), key=lambda item: run_ids.index(item[1]))[:2]
@@ -160,7 +159,7 @@ def compare(session: Session, blobs: BlobStore, run_ids: Sequence[int], referenc
     related = [_describe_shared(session, blobs, one.run, base.run) for one in compared]
     contrasts = [
         contrast(one.calibration, base.calibration, names, shared)
-        if one is not base and one.result.get("parameters") and base.result.get("parameters")
+        if one is not base and one.calibration.parameters and base.calibration.parameters
         else None
         for one, (shared, _) in zip(compared, related, strict=True)
     ]
@@ -233,8 +232,8 @@ def _row(comparison: Comparison, i: int) -> dict[str, Any]:
 
     return {
         "name": name,
-        "values": [(one.result.get("parameters") or {}).get(name) for one in found],
-        "sigmas": [(one.result.get("sigma") or {}).get(name) for one in found],
+        "values": [one.calibration.parameters.get(name) for one in found],
+        "sigmas": [one.calibration.sigma.get(name) for one in found],
         "differences": of("difference"),
         "sigmas_of_difference": of("sigma"),
         "separations": of("separation"),

@@ -7,7 +7,7 @@ else a cautious default; a replayed run counts only where there is no other.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median, quantiles
 from typing import Any
 
@@ -15,7 +15,7 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs.queries import list_recent_runs
-from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.tables import TelemetrySet, parse_quality
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.db.sessions import Session
 from boresight.platform.jobs.forecasts import ForecastSources
@@ -126,10 +126,15 @@ class TimedRun:
 def list_timed_runs(session: Session, method: str) -> list[TimedRun]:
     """Return the times of a method's newest runs, newest first; replayed runs only where there are no others."""
     timed = [
-        run for run in list_recent_runs(session, method, RUNS_TIMED) if run[1].get("seconds") and run[1].get("stars")
+        (settings, found.frames or 0, TimedRun(found.stars, found.seconds))
+        for settings, found in list_recent_runs(session, method, RUNS_TIMED)
+        if found.seconds and found.stars
     ]
     unthrottled = [run for run in timed if not _downlink_s(run[0], frames=1)]
-    return [TimedRun(summary["stars"], _computed_s(settings, summary)) for settings, summary in unthrottled or timed]
+    return [
+        replace(run, seconds=_computed_s(settings, frames, run.seconds))
+        for settings, frames, run in unthrottled or timed
+    ]
 
 
 def estimate_run_speed(session: Session, method: str) -> RunSpeed:
@@ -160,10 +165,10 @@ def _downlink_s(settings: Mapping[str, Any], frames: int) -> float:
     return frames / replay if replay > 0 else 0.0
 
 
-def _computed_s(settings: Mapping[str, Any], summary: Mapping[str, Any]) -> float:
+def _computed_s(settings: Mapping[str, Any], frames: int, seconds: float) -> float:
     """Return the seconds of a past run without its wait for frames, at least `START_S` where it waited."""
-    waited = _downlink_s(settings, summary.get("frames") or 0)
-    return max(float(summary["seconds"]) - waited, START_S) if waited else float(summary["seconds"])
+    waited = _downlink_s(settings, frames)
+    return max(seconds - waited, START_S) if waited else seconds
 
 
 def count_pairs(stars: int, exposures: int) -> int:
@@ -175,9 +180,9 @@ def dry_run(session: Session, request: RunRequest, forecast_sources: ForecastSou
     """Return the summary of a dry run."""
     telemetry, settings = request.telemetry, request.settings
     free = list(settings.free or parse_sensor(request.sensor.document).free)
-    quality = telemetry.quality
-    exposures = quality.get("usable_exposures", telemetry.frames)
-    pairs = count_pairs(quality.get("usable", telemetry.stars), exposures)
+    quality = parse_quality(telemetry.quality)
+    exposures = telemetry.frames if quality.usable_exposures is None else quality.usable_exposures
+    pairs = count_pairs(telemetry.stars if quality.usable is None else quality.usable, exposures)
     pace = estimate_run_speed(session, settings.method)
     seconds = [
         round(predict_duration_s(settings.document(), telemetry.frames, telemetry.stars, one), 3)
@@ -200,7 +205,7 @@ def dry_run(session: Session, request: RunRequest, forecast_sources: ForecastSou
         "predicted_range_s": seconds[1:],
         "paced_by": pace.runs,
         "forecast": forecast,
-        "warnings": _warnings(request, free, pairs),
+        "warnings": [*quality.warnings, *_warnings(request, free, pairs)],
     }
 
 
@@ -220,7 +225,7 @@ def estimate_s(session: Session, requests: Sequence[RunRequest]) -> float:
 
 
 def _warnings(request: RunRequest, free: Sequence[str], pairs: int) -> list[str]:
-    warnings = [str(sentence) for sentence in request.telemetry.quality.get("warnings") or ()]
+    warnings = []
     if pairs < 10 * len(free):
         warnings.append(f"About {pairs} arcs for {len(free)} parameters is little; free fewer or use a longer set.")
     if request.validation is None:

@@ -11,7 +11,7 @@ from fastapi import Depends, Path, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
-from boresight.calibration.calibration import Calibration, parse_calibration
+from boresight.calibration.calibration import Calibration
 from boresight.console.access.dependencies import Blobs, Reading, ServerFigureCache
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside, json_response, operations
@@ -19,7 +19,7 @@ from boresight.console.parameter_sets.service import get_incumbent_parameters
 from boresight.console.runs import comparisons, schemas
 from boresight.console.runs import service as runs
 from boresight.console.runs.comparisons import Comparison
-from boresight.console.runs.service import find_result
+from boresight.console.runs.service import find_calibration
 from boresight.console.runs.tables import Run
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.figures import FIGURES, Figure, Table, Trace, figure_json
@@ -123,8 +123,7 @@ def _make_trace(session: Session, blobs: BlobStore, run: Run, label: str) -> Tra
 
 def _read_calibration(session: Session, blobs: BlobStore, run_id: Id) -> Calibration:
     """Read a run's calibration, complete or partial; an empty one where there is none yet."""
-    found = find_result(session, blobs, run_id)
-    return Calibration(status="running") if found is None else parse_calibration(found)
+    return find_calibration(session, blobs, run_id) or Calibration(status="running")
 
 
 @router.get(

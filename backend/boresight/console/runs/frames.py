@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from boresight.calibration.calibration import Calibration, Trust
 from boresight.calibration.frame_view import frame_view, read_run_states
 from boresight.calibration.matching.rematch import compute_magnitude_limit
 from boresight.calibration.options import CalibrationSettings
-from boresight.console.runs.service import find_result, get_run
+from boresight.console.runs.service import find_calibration, get_run
 from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.blobs.store import BlobStore
@@ -54,23 +55,23 @@ def list_frames(
     return [_line(index, place + 1, place, worst) for place in range(after, min(after + limit, len(index)))]
 
 
-def list_worst_frames(document: Mapping[str, Any]) -> dict[int, tuple[float, float | None]]:
+def list_worst_frames(result: Calibration | None) -> dict[int, tuple[float | None, float | None]]:
     """Return chi-square per degree of freedom and its deviate of the frames that a result keeps, worst first.
 
     Results from before `worst_frames` was kept have their innovations, of every frame or of a thousand evenly spaced.
     """
-    trust = document.get("trust") or {}
-    kept = trust.get("worst_frames")
-    if kept:
-        numbers = zip(kept["frame"], kept["chi2_per_dof"], kept["deviation"], strict=True)
+    trust = (result.trust if result else None) or Trust()
+    if kept := trust.worst_frames:
+        numbers = zip(kept.frame, kept.chi2_per_dof, kept.deviation, strict=True)
         return {frame: (chi2, deviation) for frame, chi2, deviation in numbers}
-    former = trust.get("nis_over_time") or {"frame": [], "nis_per_dof": []}
-    known = [pair for pair in zip(former["frame"], former["nis_per_dof"], strict=True) if pair[1] is not None]
-    return {int(frame): (nis, None) for frame, nis in sorted(known, key=lambda pair: -pair[1])}
+    if (former := trust.nis_over_time) is None:
+        return {}
+    known = [(frame, nis) for frame, nis in zip(former.frame, former.nis_per_dof, strict=True) if nis is not None]
+    return {frame: (nis, None) for frame, nis in sorted(known, key=lambda pair: -pair[1])}
 
 
 def _line(
-    index: FrameIndex, place_in_list: int, place: int, worst: Mapping[int, tuple[float, float | None]]
+    index: FrameIndex, place_in_list: int, place: int, worst: Mapping[int, tuple[float | None, float | None]]
 ) -> FrameLine:
     frame = int(index.frame[place])
     detections = int(index.first_row[place + 1] - index.first_row[place])
@@ -84,7 +85,7 @@ def get_frame(
     run = get_run(session, run_id)
     index = get_frame_index(session, blobs, run)
     place = index.find_place(frame)
-    document = _read_result(session, blobs, run)
+    result = _read_result(session, blobs, run)
     sensor = _with_limit(parse_sensor(run.sensor_document), index, catalogue)
 
     def read(neighbours: int) -> tuple[Telemetry, slice]:
@@ -93,7 +94,7 @@ def get_frame(
             first, first + int(index.first_row[place + 1] - index.first_row[place])
         )
 
-    states = read_run_states(document, sensor, CalibrationSettings.parse(run.settings))
+    states = read_run_states(result or Calibration(status="running"), sensor, CalibrationSettings.parse(run.settings))
     around: Sequence[int | None] = [None, *index.frame[max(place - 1, 0) : place + 2].tolist(), None]
     here = around.index(frame)
     return {
@@ -106,16 +107,16 @@ def get_frame(
         "next": around[here + 1],
         "rows": sensor.rows,
         "columns": sensor.columns,
-        "partial": run.result_sha256 is None and bool(document),
+        "partial": run.result_sha256 is None and result is not None,
         **frame_view(states, read, catalogue, cache_folder),
     }
 
 
-def _read_result(session: Session, blobs: BlobStore, run: Run) -> Mapping[str, Any]:
+def _read_result(session: Session, blobs: BlobStore, run: Run) -> Calibration | None:
     """Return the run's calibration, complete or partial; an empty one where there is none or it is void."""
     if run.state in TERMINAL_RUN_STATES and run.result_sha256 is None:
-        return {}
-    return find_result(session, blobs, run.id) or {}
+        return None
+    return find_calibration(session, blobs, run.id)
 
 
 def _with_limit(sensor: Sensor, index: FrameIndex, catalogue: Catalogue) -> Sensor:

@@ -28,6 +28,7 @@ from boresight.platform.audit import chain, seals
 from boresight.platform.audit import seals as journals
 from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import Session, utc_after, utc_now
+from boresight.verdicts.verdict import RunSummary, parse_run_summary
 
 LEVELS = ("info", "warning", "error")
 LEVEL_OF_STATE = {"FAILED": "error", "LOST": "error", "CANCELLED": "warning", "CANCELLING": "warning"}
@@ -459,11 +460,11 @@ def count_by_state(session: Session) -> dict[str, int]:
     return {row[0]: row[1] for row in rows}
 
 
-def list_recent_runs(session: Session, method: str, limit: int) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+def list_recent_runs(session: Session, method: str, limit: int) -> list[tuple[dict[str, Any], RunSummary]]:
     """Return settings and summary of the newest runs of a method that succeeded."""
     query = sa.select(Run.settings, Run.summary).where(Run.state == "SUCCEEDED", Run.method == method)
     newest = session.execute(query.where(Run.summary.is_not(None)).order_by(Run.id.desc()).limit(limit))
-    return [(settings, summary) for settings, summary in newest if summary]
+    return [(settings, parse_run_summary(summary)) for settings, summary in newest if summary]
 
 
 def list_sensors(session: Session, run_ids: Collection[int]) -> list[int]:

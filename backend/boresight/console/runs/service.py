@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from boresight.calibration.calibration import Calibration, parse_calibration
 from boresight.console import list_queries as lists
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries
 from boresight.console.runs.dry_runs import check_run_request, dry_run
 from boresight.console.runs.results import read_result, refuse_choice
-from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent
+from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES, Run, RunEvent, parse_progress
 from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
@@ -105,13 +106,19 @@ def find_result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, An
     """Return a run's calibration JSON, complete or partial, or None; with the true parameters of a simulated sensor as `truth`."""
     run = get_run(session, run_id)
     refuse_choice(run)
-    document: dict[str, Any] | None = (run.progress or {}).get("partial")
+    document = parse_progress(run.progress).partial
     if run.result_sha256 is not None:
         document = read_result(blobs, run.result_sha256, run_id)
     if document is None:
         return None
     truth = session.get_one(Sensor, run.sensor_id).truth
     return _in_model_order(document if truth is None else {**document, "truth": truth})
+
+
+def find_calibration(session: Session, blobs: BlobStore, run_id: int) -> Calibration | None:
+    """Return a run's calibration, complete or so far, or None."""
+    document = find_result(session, blobs, run_id)
+    return None if document is None else parse_calibration(document)
 
 
 def get_final_result(session: Session, blobs: BlobStore, run_id: int) -> dict[str, Any]:

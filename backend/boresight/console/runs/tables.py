@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
+from boresight.calibration.calibration import parse_part
+from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base, Journal, Sealing, allow_only
 from boresight.platform.db.documents import JsonText
 
@@ -73,6 +77,24 @@ class Run(Base):
 
 #: Keeps to the runs that calibrate: what a fleet, a trend and a list are made of.
 CALIBRATIONS = Run.choice_of.is_(None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedProgress:
+    """How far a run is by its row: what its worker told last and when, and the calibration JSON so far (`partial`)."""
+
+    fraction: float | None = None
+    message: str | None = None
+    elapsed_s: float | None = None
+    at_utc: str | None = None
+    partial: dict[str, Any] | None = None
+
+
+def parse_progress(document: Mapping[str, Any] | None) -> RecordedProgress:
+    """Read the progress in a run's row; one that tells nothing where the row has none."""
+    return parse_part(
+        RecordedProgress, document or {}, lambda fault: RefusedInputError(f"A run's progress is damaged: {fault}.")
+    )
 
 
 class RunEvent(Base):

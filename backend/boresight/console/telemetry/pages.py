@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import hmac
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -48,7 +48,7 @@ from boresight.console.runs.pages.list import RunNames, make_run_line, read_name
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.dependencies import Upload, Uploaded
 from boresight.console.telemetry.service import PURPOSES, PreparedUpload
-from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.tables import TelemetrySet, parse_quality
 from boresight.errors import BoresightError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role
 from boresight.platform.blobs.store import BlobStore
@@ -57,6 +57,7 @@ from boresight.platform.db.sessions import Engine, Session, open_reading
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.paging import parse_row_id
 from boresight.settings import Settings
+from boresight.telemetry.quality.report import QualityReport, RadialCoverage
 
 SCRIPTED = "x-boresight-upload"  # sent by the script that shows an upload's progress
 
@@ -153,17 +154,18 @@ def telemetry_csv(request: Request, session: Reading) -> Response:
 
 
 def _csv_row(row: TelemetrySet, names: RunNames) -> Beside:
-    time, temperature = (row.quality.get(name) or {} for name in ("time", "temperature_c"))
+    quality = parse_quality(row.quality)
+    time, temperature = quality.time, quality.temperature_c
     return Beside(
         row,
         set=row.id,
-        verdict=row.quality.get("verdict"),
+        verdict=quality.verdict,
         sensor=names.sensors[row.sensor_id],
-        unmatched_share=row.quality.get("unmatched_share"),
-        start_utc=time.get("start_utc"),
-        span_s=time.get("span_s"),
-        smallest_temperature_c=temperature.get("smallest"),
-        largest_temperature_c=temperature.get("largest"),
+        unmatched_share=quality.unmatched_share,
+        start_utc=time.start_utc if time else None,
+        span_s=time.span_s if time else None,
+        smallest_temperature_c=temperature.smallest if temperature else None,
+        largest_temperature_c=temperature.largest if temperature else None,
         uploaded_by=names.person(row.uploaded_by),
     )
 
@@ -247,37 +249,39 @@ RUNS_SHOWN = 100
 telemetry_set_router = APIRouter(dependencies=[Depends(csrf)])
 
 
-def make_drawings(quality: Mapping[str, Any]) -> list[Drawing]:
+def make_drawings(quality: QualityReport) -> list[Drawing]:
     """Lay out the figures of a quality report; those without data are left out."""
-    found = [detector_map(quality["detector_coverage"])]
-    radial = quality["radial_coverage"]
-    found.append(
-        histogram(
-            radial["edges_px"],
-            radial["counts"],
-            name="radial-coverage",
-            title="Radial coverage",
-            x_title="distance from the detector's centre (px)",
-            y_title="usable stars",
-            mark=_edge_of_data(radial),
-            extent=radial["corner_radius_px"],
-        )
-    )
-    found.append(
-        number_bars(
-            quality["stars_per_exposure"]["usable"],
-            name="stars-per-exposure",
-            title="Stars in an exposure",
-            x_title="usable stars in an exposure",
-            y_title="exposures",
-        )
-    )
-    if quality.get("magnitudes"):
-        magnitudes = quality["magnitudes"]
+    found = []
+    if quality.detector_coverage is not None:
+        found.append(detector_map(quality.detector_coverage))
+    if (radial := quality.radial_coverage) is not None:
         found.append(
             histogram(
-                magnitudes["edges"],
-                magnitudes["counts"],
+                radial.edges_px,
+                radial.counts,
+                name="radial-coverage",
+                title="Radial coverage",
+                x_title="distance from the detector's centre (px)",
+                y_title="usable stars",
+                mark=_edge_of_data(radial),
+                extent=radial.corner_radius_px,
+            )
+        )
+    if quality.stars_per_exposure is not None:
+        found.append(
+            number_bars(
+                quality.stars_per_exposure.usable,
+                name="stars-per-exposure",
+                title="Stars in an exposure",
+                x_title="usable stars in an exposure",
+                y_title="exposures",
+            )
+        )
+    if quality.magnitudes is not None:
+        found.append(
+            histogram(
+                quality.magnitudes.edges,
+                quality.magnitudes.counts,
                 name="magnitudes",
                 title="Magnitudes",
                 x_title="magnitude",
@@ -287,9 +291,9 @@ def make_drawings(quality: Mapping[str, Any]) -> list[Drawing]:
     return found
 
 
-def _edge_of_data(radial: Mapping[str, Any]) -> tuple[float, str] | None:
+def _edge_of_data(radial: RadialCoverage) -> tuple[float, str] | None:
     """Return where the data end, beyond which a distortion is extrapolated."""
-    largest = radial.get("largest_radius_px")
+    largest = radial.largest_radius_px
     return None if largest is None else (largest, "no data beyond: distortion is extrapolated there")
 
 
@@ -297,6 +301,7 @@ def _edge_of_data(radial: Mapping[str, Any]) -> tuple[float, str] | None:
 def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: int) -> HTMLResponse:
     """Show a set with its quality report."""
     row = session.get_known(TelemetrySet, set_id)
+    quality = parse_quality(row.quality)
     used_by, uses = run_queries.list_runs_of_set(session, row.id, RUNS_SHOWN)
     names = read_names(session, used_by, sensors_of=[row])
     blob = session.get(Blob, row.original_sha256)
@@ -304,8 +309,8 @@ def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: i
         request,
         "telemetry/telemetry_set.html",
         row=row,
-        quality=row.quality,
-        drawings=make_drawings(row.quality),
+        quality=quality,
+        drawings=make_drawings(quality),
         names=names,
         size_bytes=blob.size_bytes if blob else None,
         runs=[make_run_line(run, names) for run in used_by],
@@ -318,7 +323,7 @@ def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: i
 def figure_csv(session: Reading, set_id: int, name: str) -> Response:
     """Give a figure's numbers as CSV."""
     row = session.get_known(TelemetrySet, set_id)
-    drawing = next((it for it in make_drawings(row.quality) if it.name == name), None)
+    drawing = next((it for it in make_drawings(parse_quality(row.quality)) if it.name == name), None)
     if drawing is None:
         raise NotFoundError(f"The quality report of telemetry set {set_id} has no figure {name}.")
     text = io.StringIO()

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
+from boresight.calibration.calibration import parse_part
+from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base
 from boresight.platform.db.documents import JsonText
+from boresight.telemetry.quality.report import QualityReport
+
+
+def parse_quality(document: Mapping[str, Any]) -> QualityReport:
+    """Read the quality report in a set's row, whatever version wrote it."""
+    return parse_part(
+        QualityReport, document, lambda fault: RefusedInputError(f"A quality report is damaged: {fault}.")
+    )
 
 
 class TelemetrySet(Base):

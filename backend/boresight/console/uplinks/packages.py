@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from boresight import __version__
+from boresight.calibration.calibration import to_plain
 from boresight.console import list_queries as lists
 from boresight.console.access.tables import User
 from boresight.console.approvals import queries as approval_rows
@@ -21,7 +22,7 @@ from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_rows
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs.tables import Run
-from boresight.console.telemetry.tables import TelemetrySet
+from boresight.console.telemetry.tables import TelemetrySet, parse_quality
 from boresight.console.transitions import describe_last_change
 from boresight.console.uplinks import queries as rows
 from boresight.console.uplinks.tables import Package, TableDefinition
@@ -88,14 +89,15 @@ def _describe_telemetry(session: Session, telemetry_set_id: int | None) -> dict[
     if telemetry_set_id is None:
         return None
     row = session.get_one(TelemetrySet, telemetry_set_id)
-    time = row.quality.get("time") or {}
+    quality = parse_quality(row.quality)
+    time = quality.time
     return {
         "id": row.id,
         "name": row.name,
         "original_sha256": row.original_sha256,
         "frames": row.frames,
-        "epoch_utc": {key: time.get(key) for key in ("start_utc", "end_utc")},
-        "temperature_c": row.quality.get("temperature_c"),
+        "epoch_utc": {"start_utc": time.start_utc if time else None, "end_utc": time.end_utc if time else None},
+        "temperature_c": to_plain(quality.temperature_c),
     }
 
 

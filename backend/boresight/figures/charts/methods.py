@@ -74,7 +74,7 @@ def read_bound(result: Calibration) -> dict[str, float]:
     return _all_positive(efficiency.cramer_rao_sigma) if efficiency else {}
 
 
-def _all_positive(values: Values) -> dict[str, float]:
+def _all_positive(values: Values[float | None]) -> dict[str, float]:
     """Return the values, none where one of them is unknown or not above zero."""
     known = {name: value for name, value in values.items() if value is not None and value > 0}
     return known if len(known) == len(values) else {}
@@ -175,7 +175,7 @@ def _approach(result: Calibration) -> _Convergence | None:
         return None
     places = [history.names.index(name) for name in bound]
     b = np.array(list(bound.values()))
-    truth = result.truth or Values()
+    truth: Values[float] = result.truth or Values()
     true = np.array([truth.get(name) for name in bound], dtype=np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
         claimed = np.exp(np.mean(np.log(history.sigma[:, places] / b), axis=1))

@@ -33,7 +33,7 @@ def draw(drawn: Sequence[Part[Calibration]]) -> go.Figure:
     return figure
 
 
-def _column(values: Values, names: Sequence[str]) -> FloatArray:
+def _column(values: Values[float | None], names: Sequence[str]) -> FloatArray:
     return np.array([values.get(name) for name in names], dtype=np.float64)
 
 

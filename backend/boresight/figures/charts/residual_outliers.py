@@ -32,7 +32,7 @@ def draw(drawn: Sequence[Part[ResidualOutliers]]) -> go.Figure:
     theme.dress(
         figure, title=_headline(drawn), height_px=440, legend=len(drawn) > 1, hovermode="closest", barmode="group"
     )
-    rows, columns = (max(sizes) for sizes in zip(*((part.rows, part.columns) for _, _, part in drawn), strict=True))
+    rows, columns = (max(sizes) for sizes in zip(*map(_detector_size, drawn), strict=True))
     quiet = {"showgrid": False, "zeroline": False}
     across = {"title_text": "column (px)", "range": [-0.5, columns - 0.5], "constrain": "domain", "nticks": 6, **quiet}
     down = {"title_text": "row (px)", "range": [rows - 0.5, -0.5], "constrain": "domain", **quiet}
@@ -51,6 +51,15 @@ def reasons(result: Calibration) -> dict[str, int]:
         if not (counts and item.reason == UNMATCHED_REASON):  # counted by matching's own reasons
             counts[phrase] = counts.get(phrase, 0) + item.count
     return dict(sorted(counts.items(), key=lambda pair: -pair[1])[:MOST_REASONS])
+
+
+def _detector_size(one: Part[ResidualOutliers]) -> tuple[float, float]:
+    """Rows and columns of the detector; a calibration from before they stood here has them as edges of its residual field."""
+    trace, _, part = one
+    field = trace.result.trust.residual_field if trace.result.trust else None
+    edges = (field.row_edges_px, field.col_edges_px) if field else (part.row_px, part.col_px)
+    rows, columns = (float(np.max(column(places), initial=0.0)) + 0.5 for places in edges)
+    return part.rows or rows, part.columns or columns
 
 
 def _places(one: Part[ResidualOutliers]) -> go.Scatter:

@@ -211,7 +211,8 @@ def _record(trial: Trial, data: _Data, estimator: Estimator, start: FloatArray) 
     """Calibrate, and hold the result against truth, bound and validation set."""
     sensor = replace(data.sensor, initial=start)
     began = time.perf_counter()
-    found = calibrate(_thinned(data.calibration, estimator.every), sensor, data.catalogue, estimator.settings).to_dict()
+    calibration = calibrate(_thinned(data.calibration, estimator.every), sensor, data.catalogue, estimator.settings)
+    found, seen = calibration.to_dict(), calibration.observability
     seconds = time.perf_counter() - began
     x = _state(sensor, found["parameters"])
     record = {
@@ -219,13 +220,13 @@ def _record(trial: Trial, data: _Data, estimator: Estimator, start: FloatArray) 
         "set": trial.index,
         "estimator": estimator.key,
         **{key: found[key] for key in KEPT},
-        "condition_number": (found["observability"] or {}).get("condition_number"),
+        "condition_number": seen.condition_number if seen else None,
         **_against_truth(data, found, x, estimator),
         "validation": _evaluation(trial, data, data.validation, found) if trial.index == 0 else None,
-        "timing_s": {"calibration": seconds, "fit": found["timing_s"].get("fit")},
+        "timing_s": {"calibration": seconds, "fit": calibration.timing_s.get("fit")},
     }
     if trial.index == 0:
-        record |= {key: found.get(key) for key in DRAWN}
+        record |= {key: found[key] for key in DRAWN}
         if estimator.key == "batch":
             record["calibration"] = _evaluation(trial, data, data.calibration, found)
             record["plain_condition_number"] = _plain_condition(data.known, data.truth)

@@ -36,7 +36,7 @@ second, fourth, ... is kept. The report of such a set says so in a finding of it
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -55,6 +55,118 @@ from boresight.telemetry.sensors import Sensor
 
 MOST_LISTED = 20
 MAGNITUDE_STEP = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gap:
+    """A gap in time, by the row and frame after it."""
+
+    row: int
+    frame: int
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeSpan:
+    """From when to when a set was taken, and the gaps in it, the first of them listed."""
+
+    start_utc: str
+    end_utc: str
+    span_s: float | None = None
+    median_interval_s: float | None = None
+    gap_count: int = 0
+    gaps: list[Gap] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extremes:
+    """The smallest and the largest of numbers."""
+
+    smallest: float
+    largest: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distribution:
+    """How many exposures have so many stars."""
+
+    smallest: int
+    median: float
+    largest: int
+    stars: list[int]
+    exposures: list[int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StarsPerExposure:
+    """Stars in an exposure, all and those that can take part."""
+
+    detected: Distribution
+    usable: Distribution
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectorCoverage:
+    """Usable stars in cells of the detector, and all detections in the same cells."""
+
+    row_edges_px: list[float]
+    col_edges_px: list[float]
+    counts: list[list[int]]
+    detected: list[list[int]] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RadialCoverage:
+    """Usable stars by their distance from the detector's centre."""
+
+    edges_px: list[float]
+    counts: list[int]
+    largest_radius_px: float | None = None
+    corner_radius_px: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Magnitudes:
+    """Detections by magnitude."""
+
+    edges: list[float]
+    counts: list[int]
+    brightest: float | None = None
+    faintest: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnknownIds:
+    """Star numbers that the catalogue does not have, the first of them listed."""
+
+    count: int
+    ids: list[int] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class QualityReport:
+    """The report as it is read again, see the top of this file; what an older one does not say is None or empty."""
+
+    verdict: str | None = None
+    warnings: list[str] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
+    frames: int | None = None
+    exposures: int | None = None
+    stars: int | None = None
+    matched: int | None = None
+    unmatched_share: float | None = None
+    usable: int | None = None
+    usable_exposures: int | None = None
+    usable_frames: int | None = None
+    time: TimeSpan | None = None
+    stars_per_exposure: StarsPerExposure | None = None
+    detector_coverage: DetectorCoverage | None = None
+    radial_coverage: RadialCoverage | None = None
+    magnitudes: Magnitudes | None = None
+    unknown_ids: UnknownIds | None = None
+    off_detector: int | None = None
+    temperature_c: Extremes | None = None
+    unknown_columns: list[str] = field(default_factory=list)
 
 
 def quality_report(telemetry: Telemetry, sensor: Sensor, catalogue: StarNumbers | None = None) -> dict[str, Any]:

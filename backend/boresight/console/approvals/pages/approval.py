@@ -5,7 +5,7 @@ A refused form comes back in its place with everything typed but the password.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
@@ -14,7 +14,7 @@ from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
-from boresight.calibration.calibration import parse_calibration
+from boresight.calibration.calibration import Calibration
 from boresight.cameras.model import FAR_TYPICAL_SIGMAS
 from boresight.console.access.dependencies import Reading, Who, csrf, get_client, get_server
 from boresight.console.access.password_checks import PasswordWorker
@@ -39,7 +39,7 @@ from boresight.console.pages.tables import (
     write_csv,
 )
 from boresight.console.parameter_sets import queries as set_queries
-from boresight.console.parameter_sets.pages import find_bound_incumbent
+from boresight.console.parameter_sets.pages import find_bound_incumbent, read_set_and_incumbent
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.list import read_names
@@ -110,16 +110,16 @@ class TypedText:
     text: str = ""
 
 
-def list_warnings(result: Mapping[str, Any] | None, rows: Sequence[ParameterRow], *, is_ground: bool) -> list[str]:
+def list_warnings(result: Calibration | None, rows: Sequence[ParameterRow], *, is_ground: bool) -> list[str]:
     """List the warnings that an approver should read before signing."""
-    said = [str(sentence) for sentence in (result or {}).get("advice") or ()]
+    said = [*result.advice] if result else []
     said += [
         f"{row.name} moves by {abs(row.delta_over_typical or 0.0):.1f} typical sigmas, more than"
         f" {FAR_TYPICAL_SIGMAS:g}: look at the matches before believing it."
         for row in rows
         if row.unexpected and row.estimated
     ]
-    if result is not None and not result.get("validation"):
+    if result is not None and result.validation is None:
         said.append("No validation set: nothing outside the fitted frames says that this is better.")
     if is_ground:
         said.append("This is a ground calibration: declared, not estimated from telemetry.")
@@ -140,8 +140,8 @@ def request_page(
     row = session.get_known(ParameterSet, approval.parameter_set_id)
     sensor = session.get_known(Sensor, row.sensor_id)
     incumbent = find_bound_incumbent(session, row, approval)
-    result = runs.find_result(session, get_server(request).blobs, row.run_id) if row.run_id is not None else None
-    rows = set_rows(row.document, incumbent.document if incumbent else None, sensor.document)
+    result = runs.find_calibration(session, get_server(request).blobs, row.run_id) if row.run_id is not None else None
+    rows = set_rows(*read_set_and_incumbent(row, incumbent), sensor.document["typical_sigma"])
     policy = get_server(request).policy
     has_figures = row.run_id is not None
     return render(
@@ -156,7 +156,7 @@ def request_page(
         rows=rows,
         change_figure=FIGURES[CHANGE_FIGURE] if has_figures else None,
         panel=make_gates_panel(session, actor, row, report_sha256=approval.bound.get("gate_report_sha256")),
-        marks=make_verdict_marks(parse_calibration(result)) if result else [],
+        marks=make_verdict_marks(result) if result else [],
         warnings=list_warnings(result, rows, is_ground=row.run_id is None),
         evidence=list_evidence(session, approval, row, incumbent),
         figures=[FIGURES[name] for name in EVIDENCE_FIGURES if has_figures],

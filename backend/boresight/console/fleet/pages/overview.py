@@ -34,6 +34,7 @@ from boresight.platform.audit import log as audit
 from boresight.platform.db.data_version import VersionedCache
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.response_cache import HELD_S, mark_outdated
+from boresight.verdicts.verdict import RunSummary, parse_run_summary
 
 RECENT_EVENTS = 12
 MOST_ACTIONS = 8
@@ -161,7 +162,7 @@ def _next_step(one: SensorStatus, unused: Collection[int]) -> WaitingAction | No
 
 def _converged(one: SensorStatus) -> bool:
     run = one.last_run
-    return run is not None and run.state == "SUCCEEDED" and (run.summary or {}).get("status") == "converged"
+    return run is not None and run.state == "SUCCEEDED" and parse_run_summary(run.summary).status == "converged"
 
 
 @dataclass(frozen=True)
@@ -229,9 +230,9 @@ def _list_recent_calibrations(session: Session, tiles: Sequence[SensorTile]) -> 
     }
 
 
-def _read_recent_calibrations(summaries: Sequence[Mapping[str, Any]], drift: Alarm | None) -> RecentCalibrations:
-    rms = [it.get("tail_rms_rad") or it.get("rms_final_arc_rad") for it in summaries]
-    seen = [it["availability"] for it in summaries if it.get("availability") is not None]
+def _read_recent_calibrations(summaries: Sequence[RunSummary], drift: Alarm | None) -> RecentCalibrations:
+    rms = [it.tail_rms_rad or it.rms_final_arc_rad for it in summaries]
+    seen = [it.availability for it in summaries if it.availability is not None]
     return RecentCalibrations(sparkline([value for value in rms if value]), seen[-1] if seen else None, drift)
 
 

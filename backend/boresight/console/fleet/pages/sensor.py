@@ -17,6 +17,8 @@ from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
+from boresight.calibration.calibration import Calibration, Change, Evaluation, IntervalChange, Values
+from boresight.calibration.parameter_set import parse_parameter_set
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import KNOWN, Reading, Who, csrf, get_server
@@ -75,55 +77,56 @@ def before_after(session: Session, blobs: BlobStore, sensor_id: int) -> BeforeAf
     """Return what the newest finished run of a sensor would change, one with a validation set first; None without a run."""
     for run in run_queries.iterate_newest_finished(session, sensor_id):
         try:
-            result = runs.find_result(session, blobs, run.id)
-        except (ConflictError, NotFoundError):  # its result is missing or unreadable; an older run may have one
+            result = runs.find_calibration(session, blobs, run.id)
+        except (ConflictError, NotFoundError):  # its file is gone or no calibration; an older run may still have one
             continue
         if result is not None and (judged := judged_on(result)) is not None:
             whose, evaluation = judged
-            return BeforeAfter(run, whose, scores(evaluation), urad(evaluation.get("flight_tolerance_rad"), 3))
+            return BeforeAfter(run, whose, scores(evaluation), urad(evaluation.flight_tolerance_rad, 3))
     return None
 
 
-def judged_on(result: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]] | None:
+def judged_on(result: Calibration) -> tuple[str, Evaluation] | None:
     """Return the purpose of the set that a result is judged on, and its scores; None where there are none."""
-    for key, whose in (("validation", "validation"), ("evaluation", "calibration")):
-        if result.get(key):
-            return whose, result[key]
-    if (result.get("rms_arc_rad") or {}).get("final") is None:
+    if result.validation is not None:
+        return "validation", result.validation
+    if result.evaluation is not None:
+        return "calibration", result.evaluation
+    if result.rms_arc_rad.final is None:
         return None
-    return "calibration", {"rms_arc_rad": result["rms_arc_rad"]}
+    return "calibration", Evaluation(
+        frames=result.frames, availability=Change(), matched_star_ratio=None, rms_arc_rad=result.rms_arc_rad
+    )
 
 
-def scores(evaluation: Mapping[str, Any]) -> list[ScoreRow]:
+def scores(evaluation: Evaluation) -> list[ScoreRow]:
     """Print the scores that an evaluation has."""
-    intervals = evaluation.get("intervals") or {}
-    available, rms = evaluation.get("availability") or {}, evaluation.get("rms_arc_rad") or {}
-    reach_available, reach_rms = intervals.get("availability") or {}, intervals.get("rms_arc_rad") or {}
-    ratio, reach = evaluation.get("matched_star_ratio"), intervals.get("matched_star_ratio")
+    reach, unknown = evaluation.intervals, IntervalChange(initial=[], final=[])
+    ratio = Change(initial=1.0, final=evaluation.matched_star_ratio)
+    reach_of_ratio = IntervalChange(initial=[], final=reach.matched_star_ratio) if reach else unknown
+    available, rms = (reach.availability, reach.rms_arc_rad) if reach else (unknown, unknown)
     rows = [
-        _score("Availability", "%", available, reach_available, 100.0, 1),
-        _score("Matched star ratio", "", {"initial": 1.0, "final": ratio}, {"final": reach}, 1.0, 2),
-        _score("RMS arc error", "µrad", rms, reach_rms, 1e6, 1),
+        _score("Availability", "%", evaluation.availability, available, 100.0, 1),
+        _score("Matched star ratio", "", ratio, reach_of_ratio, 1.0, 2),
+        _score("RMS arc error", "µrad", evaluation.rms_arc_rad, rms, 1e6, 1),
     ]
     return [row for row in rows if row.after != MISSING]
 
 
-def _score(
-    name: str, unit: str, values: Mapping[str, Any], reach: Mapping[str, Any], factor: float, decimals: int
-) -> ScoreRow:
+def _score(name: str, unit: str, values: Change, reach: IntervalChange, factor: float, decimals: int) -> ScoreRow:
     printed = [
         text
-        for side in ("initial", "final")
-        for text in (_number(values.get(side), factor, decimals), _interval(reach.get(side), factor, decimals))
+        for value, ends in ((values.initial, reach.initial), (values.final, reach.final))
+        for text in (_number(value, factor, decimals), _interval(ends, factor, decimals))
     ]
     return ScoreRow(name, unit, *printed)
 
 
-def _number(value: Any, factor: float, decimals: int) -> str:
-    return fixed(value * factor, decimals) if is_number(value) else MISSING
+def _number(value: float | None, factor: float, decimals: int) -> str:
+    return MISSING if value is None else fixed(value * factor, decimals)
 
 
-def _interval(ends: Sequence[Any] | None, factor: float, decimals: int) -> str:
+def _interval(ends: Sequence[float | None], factor: float, decimals: int) -> str:
     """Print an interval, or the end of it that is known; empty where neither is."""
     if not ends or not is_number(ends[0]):
         return ""
@@ -229,10 +232,10 @@ class BaselineValue:
 
 def baseline_values(sensor: Sensor, baseline: ParameterSet | None) -> list[BaselineValue]:
     """Lay out the baseline's parameters in model order; a ground calibration has no measured sigma."""
-    document = sensor.document
-    values = baseline.document["parameters"] if baseline else document["initial"]
+    document, found = sensor.document, parse_parameter_set(baseline.document) if baseline else None
+    values = found.parameters if found else document["initial"]
     measured = baseline is not None and baseline.run_id is not None
-    sigma = (baseline.document.get("sigma") or {}) if baseline and measured else {}
+    sigma = (found.sigma if found and measured else None) or Values()
     return [
         BaselineValue(
             name=name,

@@ -73,7 +73,7 @@ def parameter_lines(found: Comparison) -> list[ParameterLine]:
     """Print every parameter of every run."""
     lines = []
     for i, name in enumerate(found.names):
-        values = [(one.result.get("parameters") or {}).get(name) for one in found.compared]
+        values = [one.calibration.parameters.get(name) for one in found.compared]
         cells = [_cell(found, i, k) for k in range(len(values))]
         lines.append(ParameterLine(name, cells, len(set(values)) > 1))
     return lines
@@ -81,8 +81,8 @@ def parameter_lines(found: Comparison) -> list[ParameterLine]:
 
 def _cell(found: Comparison, i: int, k: int) -> ComparedCell:
     """Print parameter i of run k."""
-    name, result, base = found.names[i], found.compared[k].result, found.compared[found.reference]
-    value, sigma = ((result.get(key) or {}).get(name) for key in ("parameters", "sigma"))
+    name, result, base = found.names[i], found.compared[k].calibration, found.compared[found.reference].calibration
+    value, sigma = result.parameters.get(name), result.sigma.get(name)
     printed = parameter(value, name) if sigma is None else plus_minus(value, name, sigma)
     held = "held fixed" if value is not None and sigma is None else ""
     against = found.contrasts[k]
@@ -93,7 +93,7 @@ def _cell(found: Comparison, i: int, k: int) -> ComparedCell:
     if np.isfinite(against.sigma[i]):
         apart = float(against.separation[i])
         return ComparedCell(printed, f"{sigmas(apart)}{', held fixed' if held else ''}", abs(apart) > FAR_SIGMAS)
-    spread = (base.result.get("sigma") or {}).get(name)
+    spread = base.sigma.get(name)
     if against.difference[i] == 0 or not spread:
         return ComparedCell(printed, "alike" if against.difference[i] == 0 else held or MISSING)
     return ComparedCell(printed, f"{fixed(against.difference[i] / spread, 2)} of the reference’s σ, not noise")
@@ -176,7 +176,7 @@ def _refusal(compared: Sequence[ComparedRun]) -> str | None:
             f"Run #{first} and run #{second} are of different telemetry sets, so their differences are not those of their"
             " methods: compare runs of one set."
         )
-    if not any(one.result.get("parameters") for one in compared):
+    if not any(one.calibration.parameters for one in compared):
         return "None of these runs has a result yet: open this page again when they have ended."
     return None
 
@@ -185,8 +185,8 @@ def _unlike(compared: Sequence[ComparedRun]) -> list[str]:
     """List the settings, other than the methods' own, that differ between the runs."""
     names = sorted({name for one in compared for name in one.run.settings} - OWN - {"free"})
     found = [words(name) for name in names if len({str(one.run.settings.get(name)) for one in compared}) > 1]
-    free = {str(one.result["free"]) for one in compared if one.result.get("free")}
-    frames = {one.result["frames"] for one in compared if one.result.get("frames")}
+    free = {str(one.calibration.free) for one in compared if one.calibration.free}
+    frames = {one.calibration.frames for one in compared if one.calibration.frames}
     return found + ["free parameters"] * (len(free) > 1) + ["number of frames used"] * (len(frames) > 1)
 
 
@@ -347,9 +347,8 @@ def differences(compared: Sequence[ComparedRun], names: RunNames) -> list[Differ
 
 
 def _description(one: ComparedRun, names: RunNames) -> dict[str, str]:
-    run, result = one.run, one.result
-    rms, nis = result.get("rms_arc_rad") or {}, result.get("nis") or {}
-    validation = (result.get("validation") or {}).get("rms_arc_rad") or {}
+    run, result = one.run, one.calibration
+    nis, validation, seen = result.nis, result.validation, result.observability
     return {
         "State": run.state,
         "Sensor": names.sensors.get(run.sensor_id, str(run.sensor_id)),
@@ -357,15 +356,15 @@ def _description(one: ComparedRun, names: RunNames) -> dict[str, str]:
         "Validation set": names.sets.get(run.validation_set_id or 0, "none"),
         "Method": get_method_title(run.method),
         **{f"Setting {name}": _text(value) for name, value in sorted(_chosen(one).items())},
-        "Fit": str(result.get("status", "–")).replace("_", " "),
-        "Iterations": _text(result.get("iterations")),
-        "Frames used": _text(result.get("frames")),
-        "RMS before (µrad)": urad(rms.get("initial")),
-        "RMS after (µrad)": urad(rms.get("final")),
-        "Validation RMS after (µrad)": urad(validation.get("final")),
-        "χ² / dof": number(result.get("chi2_per_dof")),
-        "NIS mean": number(nis.get("mean")) if run.method in FILTERS else "not applicable",
-        "Condition number": number((result.get("observability") or {}).get("condition_number"), 3),
+        "Fit": "–" if one.result is None else result.status.replace("_", " "),
+        "Iterations": _text(one.result and result.iterations),
+        "Frames used": _text(one.result and result.frames),
+        "RMS before (µrad)": urad(result.rms_arc_rad.initial),
+        "RMS after (µrad)": urad(result.rms_arc_rad.final),
+        "Validation RMS after (µrad)": urad(validation.rms_arc_rad.final if validation else None),
+        "χ² / dof": number(result.chi2_per_dof),
+        "NIS mean": number(nis.mean if nis else None) if run.method in FILTERS else "not applicable",
+        "Condition number": number(seen.condition_number if seen else None, 3),
         "Launched by": names.person(run.launched_by),
     }
 
@@ -373,7 +372,7 @@ def _description(one: ComparedRun, names: RunNames) -> dict[str, str]:
 def _chosen(one: ComparedRun) -> dict[str, Any]:
     """Return a run's settings except its method, with the sensor's free parameters filled in where it named none."""
     settings = {name: value for name, value in one.run.settings.items() if name != "method"}
-    return {**settings, "free": one.result.get("free") or settings.get("free")}
+    return {**settings, "free": one.calibration.free or settings.get("free")}
 
 
 def _text(value: Any) -> str:

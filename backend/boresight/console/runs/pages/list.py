@@ -32,11 +32,11 @@ from boresight.console.pages.tables import (
 )
 from boresight.console.runs import presets
 from boresight.console.runs.pages.launch import differences
-from boresight.console.runs.tables import RUN_STATES, Run
+from boresight.console.runs.tables import RUN_STATES, Run, parse_progress
 from boresight.console.telemetry import queries as telemetry_rows
 from boresight.platform.db.sessions import Session
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, number, urad
-from boresight.verdicts.verdict import WORD_OF_LEVEL, judge_result
+from boresight.verdicts.verdict import WORD_OF_LEVEL, judge_result, parse_run_summary
 
 RUNS = Table(
     "runs",
@@ -157,8 +157,8 @@ class RunLine:
 
 def make_run_line(run: Run, names: RunNames) -> RunLine:
     """Lay out a run; missing values are a dash."""
-    summary = run.summary or {}
-    before, after = (summary.get(f"rms_{when}_arc_rad") for when in ("initial", "final"))
+    summary = parse_run_summary(run.summary)
+    before, after = summary.rms_initial_arc_rad, summary.rms_final_arc_rad
     level = judge_result(summary)
     return RunLine(
         run=run,
@@ -166,15 +166,15 @@ def make_run_line(run: Run, names: RunNames) -> RunLine:
         data=names.sets.get(run.telemetry_set_id, str(run.telemetry_set_id)),
         method=get_method_title(run.method),
         by=names.person(run.launched_by),
-        fit=_fit(summary.get("status"), level),
+        fit=_fit(summary.status, level),
         fit_level=level,
-        advice=summary.get("advice") or "",
+        advice=summary.advice or "",
         rms=_from_to(before, after),
-        validation=_from_to(*(summary.get(f"validation_rms_{when}_arc_rad") for when in ("initial", "final"))),
-        frames=summary.get("frames"),
+        validation=_from_to(summary.validation_rms_initial_arc_rad, summary.validation_rms_final_arc_rad),
+        frames=summary.frames,
         change=_change(before, after),
-        chi2_per_dof=summary.get("chi2_per_dof"),
-        fraction=(run.progress or {}).get("fraction") if run.state in {"RUNNING", "CANCELLING"} else None,
+        chi2_per_dof=summary.chi2_per_dof,
+        fraction=parse_progress(run.progress).fraction if run.state in {"RUNNING", "CANCELLING"} else None,
         seconds=compute_run_seconds(run),
     )
 
@@ -233,9 +233,9 @@ def runs_csv(request: Request, session: Reading) -> Response:
 
 
 def _csv_row(run: Run, names: RunNames) -> Beside:
-    line, summary = make_run_line(run, names), run.summary or {}
+    line, summary = make_run_line(run, names), parse_run_summary(run.summary)
     told = {"run": run.id, "sensor": line.sensor, "telemetry_set": line.data, "launched_by": line.by}
-    return Beside(run, duration_s=line.seconds, **told, **{name: summary.get(name) for name in OF_SUMMARY})
+    return Beside(run, duration_s=line.seconds, **told, **{name: getattr(summary, name) for name in OF_SUMMARY})
 
 
 preset_router = APIRouter(dependencies=[Depends(csrf)])

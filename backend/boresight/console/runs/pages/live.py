@@ -20,7 +20,7 @@ from boresight.console.pages.formats import seconds_since
 from boresight.console.pages.rendering import make_change, read_texts, render
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
-from boresight.console.runs.tables import Run, RunEvent
+from boresight.console.runs.tables import Run, RunEvent, parse_progress
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.errors import RefusedInputError
 from boresight.platform.db.sessions import Session
@@ -65,7 +65,7 @@ def list_notices(
 
 def heard_s(run: Run, log: Sequence[RunEvent]) -> float | None:
     """Return the seconds since the last sign of a run: a report of its worker, or a line of its log."""
-    times = [line.at_utc for line in log[-1:]] + [str((run.progress or {}).get("at_utc") or "")]
+    times = [line.at_utc for line in log[-1:]] + [parse_progress(run.progress).at_utc or ""]
     return seconds_since(max(times, default=""))
 
 
@@ -89,10 +89,10 @@ def _of_failure(run: Run, log: Sequence[RunEvent]) -> list[StateNotice]:
 
 
 def _of_partial(run: Run) -> list[StateNotice]:
-    fraction, message = ((run.progress or {}).get(name) for name in ("fraction", "message"))
-    if not fraction:
+    told = parse_progress(run.progress)
+    if not told.fraction:
         return []
-    so_far = f"It had come to {percent(fraction, 0)}{f' ({message})' if message else ''}"
+    so_far = f"It had come to {percent(told.fraction, 0)}{f' ({told.message})' if told.message else ''}"
     return [
         StateNotice("off", f"PARTIAL: {so_far}. What it had estimated by then is void and shown nowhere as a result.")
     ]
@@ -108,7 +108,7 @@ def _of_attempts(log: Sequence[RunEvent]) -> list[StateNotice]:
 
 def _of_silence(run: Run) -> list[StateNotice]:
     """Explain that a worker has stopped reporting."""
-    silent_s = seconds_since((run.progress or {}).get("at_utc") or run.started_utc)
+    silent_s = seconds_since(parse_progress(run.progress).at_utc or run.started_utc)
     if silent_s is None or silent_s < SILENT_S:
         return []
     then = "If its server does not renew its claim the run is queued again by itself."
@@ -126,7 +126,7 @@ def _stopping_sentence(run: Run, log: Sequence[RunEvent]) -> str:
 
 def _lost_sentence(run: Run) -> str:
     """Describe when the worker was last heard of, and that its partial result is void."""
-    heard = (run.progress or {}).get("at_utc") or run.lease_until_utc or run.ended_utc
+    heard = parse_progress(run.progress).at_utc or run.lease_until_utc or run.ended_utc
     told = f"The worker stopped reporting at {clock(heard)}; no result is trusted."
     return " ".join(filter(None, [told, _reason(run), "Run it again to have one."]))
 
@@ -164,12 +164,12 @@ router = APIRouter(dependencies=[Depends(csrf)])
 
 def make_live_part(request: Request, session: Session, run: Run) -> dict[str, Any]:
     """Gather what the head of `runs/run.html` shows."""
-    progress, log = run.progress or {}, runs.list_log_lines(session, run.id)
+    progress, log = parse_progress(run.progress), runs.list_log_lines(session, run.id)
     workers = get_server(request).workers
     return {
         "notices": list_notices(session, run, log, workers.state() if workers else None),
-        "fraction": float(progress.get("fraction") or 0.0),
-        "message": progress.get("message") or "",
+        "fraction": progress.fraction or 0.0,
+        "message": progress.message or "",
         "frames_to_come": frames_to_come(session, run),
         "pace": describe_progress(session, run),
         "heard_s": heard_s(run, log),
@@ -185,7 +185,8 @@ def frames_to_come(session: Session, run: Run) -> int | None:
 
 def describe_progress(session: Session, run: Run) -> str:
     """Describe the speed of a computing run, and its remaining time."""
-    fraction, elapsed_s = (float((run.progress or {}).get(name) or 0.0) for name in ("fraction", "elapsed_s"))
+    told = parse_progress(run.progress)
+    fraction, elapsed_s = told.fraction or 0.0, told.elapsed_s or 0.0
     if not elapsed_s:
         return ""
     frames = frames_to_come(session, run)

@@ -19,7 +19,7 @@ from fastapi.responses import HTMLResponse, Response
 from markupsafe import Markup
 from starlette.datastructures import QueryParams
 
-from boresight.calibration.calibration import Calibration, Inputs, parse_calibration
+from boresight.calibration.calibration import Calibration, Inputs
 from boresight.calibration.options import get_method_title
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.approvals import gates
@@ -68,6 +68,7 @@ from boresight.verdicts.verdict import (
     judge_parts,
     make_verdict,
     make_verdict_marks,
+    parse_run_summary,
     prospects,
     trust_marks,
     why_absent,
@@ -421,7 +422,7 @@ def list_run_actions(run: Run, actor: Actor) -> dict[str, RunAction]:
 
 def _why_no_set(run: Run) -> str | None:
     """Return why no parameter set can be made from a finished run, or None where one can."""
-    status = (run.summary or {}).get("status")
+    status = parse_run_summary(run.summary).status
     if status is None or status in parameter_sets.USABLE_STATUSES:
         return None
     return f"No parameter set is made of a result that ended as {words(status)}."
@@ -482,8 +483,8 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
     """Fetch a run with its sensor, its data and what it has found so far."""
     run = runs.get_run(session, run_id)
     validation = run.validation_set_id
-    is_void = run.state in TERMINAL_RUN_STATES and run.result_sha256 is None  # the partial result is void
-    found = None if is_void else runs.find_result(session, get_server(request).blobs, run_id)
+    is_void = run.state in TERMINAL_RUN_STATES and run.result_sha256 is None  # what was computed does not count
+    found = None if is_void else runs.find_calibration(session, get_server(request).blobs, run_id)
     return RunReview(
         request=request,
         session=session,
@@ -492,7 +493,7 @@ def get_run_review(request: Request, session: Session, actor: Actor, run_id: int
         sensor=session.get_known(Sensor, run.sensor_id),
         data=session.get_known(TelemetrySet, run.telemetry_set_id),
         validation=None if validation is None else session.get_known(TelemetrySet, validation),
-        result=None if found is None else parse_calibration(found),
+        result=found,
     )
 
 
