@@ -111,11 +111,12 @@ def describe_sensor(name: str) -> Sensor:
 def search(arcs: ArcSet, sensor: Sensor) -> tuple[Fits, FittedSubset]:
     """Search as `boresight choose` does, from arcs on; returns all fits and the chosen one."""
     camera, x = CAMERA_MODELS[sensor.camera_model], sensor.initial
-    for _ in range(2):
-        fits, richest = fit_ladders(whitened_at(arcs, camera, x), sensor)
-        if richest is None or (least := find_least(fits, richest)) is None:
-            raise RefusedInputError("No camera could be fitted to a simulated set.")
-        camera, x = richest.camera, richest.x
+    fits, richest = fit_ladders(whitened_at(arcs, camera, x), sensor)
+    if richest is not None:  # the weights of the richest camera, as the command takes them
+        fits, richest = fit_ladders(whitened_at(arcs, richest.camera, richest.x), sensor)
+    least = None if richest is None else find_least(fits, richest)
+    if least is None:
+        raise RefusedInputError("No camera could be fitted to a simulated set.")
     return fits, least.chosen.fitted
 
 

@@ -200,8 +200,9 @@ def _choice(found: Found) -> str:
     return (
         f"{found['sets']} sets of {found['frames']} frames a lens, {found['stars']} stars a frame, {found['noise_px']:g} px of "
         "noise; each set is searched by a sensor of every camera as `boresight choose` does from its matched stars on. "
-        "*False*: a term is named, or the sensor's camera is left, though the same stars without noise do not ask for it; a plainer camera or term "
-        "that fits as well is right ([what counts](choice.md#how-often-it-is-wrong)). *Missed*: the chosen terms leave something "
+        "*False*: a term is named, or the sensor's camera is left, though the same stars without noise do not ask for it; "
+        "a plainer camera or term that fits as well is right ([what counts](choice.md#how-often-it-is-wrong)). "
+        "*Missed*: the chosen terms leave something "
         "that a single test would find in one set of two. Held-out stars have no noise, so that the error is that of the chosen "
         "camera alone.\n\n" + table(heads, rows, (0, 1, 2, 3))
     )
