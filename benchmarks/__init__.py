@@ -60,6 +60,9 @@ PARTS: dict[str, Part] = {
     "efficiency": Part(
         "efficiency:measure", "batch and filter beside a plain maximum-likelihood fit, with tangential, sixth-order and wide lenses"
     ),
+    "choice": Part(
+        "choice:measure", "the camera chosen for lenses of every camera, by sensors of every camera: false choices, held-out error"
+    ),
     "fresh": Part("growth:measure_fresh", "what a fresh process pays before its first calibration, beside a warm one"),
     "growth": Part("growth:measure", "time and memory from a thousand frames to a million"),
     "spread": Part("spread:measure", "one batch over one worker, two, and two of which one is killed"),

@@ -182,6 +182,32 @@ def _efficiency(found: Found) -> str:
     )
 
 
+def _choice(found: Found) -> str:
+    """A row a lens and a sensor: what was named, and how far it is off."""
+    rows = []
+    for camera, of in found["lenses"].items():
+        for sensor, one in of["sensors"].items():
+            named = one["named"]
+            rows.append(
+                [f"`{camera}`: {of['shows']}", f"`{sensor}`", ", ".join(f"`{name}` {n}" for name, n in one["chosen"].items()),
+                 f"`{named['camera']}`: {', '.join(named['terms'])} ({named['sets']})", str(one["false"]), str(one["missed"]),
+                 f"{one['held_out_over_noise']:.3f}", f"{one['own_terms_over_noise']:.3f}"]
+            )  # fmt: skip
+    heads = (
+        "lens", "sensor's camera", "chosen, sets", "named most often (sets)", "false", "missed", "held-out error / noise",
+        "of the lens's own terms",
+    )  # fmt: skip
+    return (
+        f"{found['sets']} sets of {found['frames']} frames a lens, {found['stars']} stars a frame, {found['noise_px']:g} px of "
+        "noise; each set is searched by a sensor of every camera as `boresight choose` does from its matched stars on. "
+        "*False*: a term is named, or the sensor's camera is left, though the same stars without noise do not ask for it; "
+        "a plainer camera or term that fits as well is right ([what counts](choice.md#how-often-it-is-wrong)). "
+        "*Missed*: the chosen terms leave something "
+        "that a single test would find in one set of two. Held-out stars have no noise, so that the error is that of the chosen "
+        "camera alone.\n\n" + table(heads, rows, (0, 1, 2, 3))
+    )
+
+
 def _with_interval(one: Found, key: str, interval: str = "over_likelihood_interval") -> str:
     low, high = one[interval]
     return f"{one[key]:.4f} ({low:.4f} to {high:.4f})"
@@ -327,7 +353,7 @@ def _fleet(found: Found) -> str:
 
 
 SECTIONS = {
-    "kernels": _kernels, "accuracy": _accuracy, "efficiency": _efficiency, "growth": _growth, "whole": _whole,
+    "kernels": _kernels, "accuracy": _accuracy, "efficiency": _efficiency, "choice": _choice, "growth": _growth, "whole": _whole,
     "spread": _spread, "queue": _queue, "clients": _clients, "fleet": _fleet,
 }  # fmt: skip
 

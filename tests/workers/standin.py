@@ -49,7 +49,7 @@ def mark(name):
 class Unwarmed(WorkerPlugin):
     name = "unwarmed"
 
-    def __init__(self, _catalogue_folder, *, ours):
+    def __init__(self, _catalogue_folder, *, ours, cameras=()):  # noqa: ARG002 - the real one has it
         self.ours = ours
 
 

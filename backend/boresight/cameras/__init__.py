@@ -13,5 +13,7 @@ CAMERA_MODELS: dict[str, CameraModel] = {
     for value in vars(import_module(module.name)).values()
     if isinstance(value, CameraModel)
 }
+#: What is compiled beforehand and shown as an example where no sensor says which camera it has.
+DEFAULT_CAMERA = CAMERA_MODELS["inverted_wang"]
 
-__all__ = ["CAMERA_MODELS", "CameraModel"]
+__all__ = ["CAMERA_MODELS", "DEFAULT_CAMERA", "CameraModel"]

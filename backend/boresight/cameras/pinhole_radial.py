@@ -31,7 +31,8 @@ Derivatives. r dB = dR - B dr and T dr = dR - r (r^2 dk_1 + r^4 dk_2) leave, wit
 |det[ray, d ray/dp, d ray/dq]| = B - (2 k_1 + 4 k_2 r^2) R^2 / (B T) = B^2 / T, because T = B + 2 k_1 r^2 + 4 k_2 r^4 and R = r B;
 so a pixel covers B^2 / T s Delta^2 / f^2 / |ray|^3.
 
-x = [s f u_0 v_0 k_1 k_2] in SI (1, m, px, px, 1, 1). W Table 1 gives the typical sigmas, its f in millimetres.
+x = [s f u_0 v_0 k_1 k_2] in SI (1, m, px, px, 1, 1). The typical sigmas are those of `brown_conrady`, which holds this camera;
+W Table 1 has a hundredth of them for f and a tenth for the principal point, the simulated sensor's (`simulation.sensors`).
 """
 
 from __future__ import annotations
@@ -51,10 +52,10 @@ SETTLED = 1e-6  # share of the root that its last step may be: one more step lea
 class PinholeRadial(NamedTuple):
     """State of the camera, SI."""
 
-    s: Annotated[float, Parameter(Role.ASPECT, "s", "1", 1e-5, 0.5, 2.0, change=("ppm", 1e6))]
-    f_m: Annotated[float, Parameter(Role.FOCAL, "f", "m", 1e-7, 1e-4, 100.0, shown=("mm", 1e3), change=("µm", 1e6))]
-    u0_px: Annotated[float, Parameter(Role.COLUMN, "u0", "px", 1.0, -1e5, 1e5)]
-    v0_px: Annotated[float, Parameter(Role.ROW, "v0", "px", 1.0, -1e5, 1e5)]
+    s: Annotated[float, Parameter(Role.ASPECT, "s", "1", 2e-4, 0.5, 2.0, change=("ppm", 1e6))]
+    f_m: Annotated[float, Parameter(Role.FOCAL, "f", "m", 8e-6, 1e-4, 100.0, shown=("mm", 1e3), change=("µm", 1e6))]
+    u0_px: Annotated[float, Parameter(Role.COLUMN, "u0", "px", 10.0, -1e5, 1e5)]
+    v0_px: Annotated[float, Parameter(Role.ROW, "v0", "px", 10.0, -1e5, 1e5)]
     k1: Annotated[float, Parameter(Role.RADIAL, "k1", "1", 1e-2, -1e4, 1e4)]
     k2: Annotated[float, Parameter(Role.RADIAL, "k2", "1", 1e-1, -1e7, 1e7)]
 

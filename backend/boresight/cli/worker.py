@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from boresight.cli.serve import data_option, read_serve_settings
-from boresight.errors import RefusedInputError
+from boresight.errors import BoresightError, RefusedInputError
 from boresight.library.progress import progress
 from boresight.settings import Settings, private_files, read_settings, use_kernel_folder
 
@@ -80,7 +80,7 @@ def _say(line: str) -> None:
 @click.option(
     "--camera", "cameras", multiple=True, metavar="MODEL",
     help="Camera model to compile for, or all; repeat it. Others are compiled when they are first used. "
-    " [default: inverted_wang]",
+    " [default: those of the registered sensors]",
 )  # fmt: skip
 def warm(data: Path | None, cameras: tuple[str, ...]) -> None:
     """Compile the kernels and trim the star catalogue, once an installation.
@@ -99,6 +99,26 @@ def warm(data: Path | None, cameras: tuple[str, ...]) -> None:
             raise RefusedInputError(
                 f"There is no camera model {', '.join(sorted(unknown))}: choose from {', '.join([*CAMERA_MODELS, 'all'])}."
             )
-        wanted = tuple(CAMERA_MODELS) if "all" in cameras else cameras
-        compile_kernels(settings.catalogue_folder, *([wanted] if wanted else []))
+        wanted = tuple(CAMERA_MODELS) if "all" in cameras else cameras or _registered_cameras(settings)
+        compile_kernels(settings.catalogue_folder, wanted)
     click.echo(f"Kernels are compiled, in {os.environ.get('NUMBA_CACHE_DIR') or 'the cache folder of Numba'}.")
+
+
+def _registered_cameras(settings: Settings) -> tuple[str, ...]:
+    """Return the camera models of the registered sensors; none where there is no store yet, or it cannot be read."""
+    import sqlalchemy as sa
+
+    from boresight.console.fleet.queries import list_camera_models
+    from boresight.platform.db.sessions import open_engine, open_reading
+
+    file = sa.make_url(settings.database_url).database
+    if settings.database_url.startswith("sqlite") and not Path(file or "").is_file():
+        return ()
+    engine = open_engine(settings.database_url)
+    try:
+        with open_reading(engine) as session:
+            return tuple(list_camera_models(session))
+    except (BoresightError, sa.exc.SQLAlchemyError):
+        return ()
+    finally:
+        engine.dispose()

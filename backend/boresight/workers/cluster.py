@@ -6,7 +6,7 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from pathlib import Path
@@ -122,8 +122,8 @@ class Cluster:
         client.subscribe_topic(UNFIT_TOPIC, lambda event: log.error(event[1]["fault"]))
 
     @classmethod
-    def open(cls, settings: Settings, on_progress: Callable[[Report], None]) -> Cluster:
-        """Start our own workers, or connect to the scheduler of the settings."""
+    def open(cls, settings: Settings, on_progress: Callable[[Report], None], cameras: Sequence[str] = ()) -> Cluster:
+        """Start our own workers, or connect to the scheduler of the settings; they are warmed for these cameras."""
         for name in CHATTY:
             logging.getLogger(name).setLevel(logging.CRITICAL)
         with dask.config.set(CONFIGURATION):
@@ -144,7 +144,7 @@ class Cluster:
             client.subscribe_topic(TOPIC, lambda event: on_progress(Report(**event[1]["report"])))
             if settings.scheduler:
                 client.register_plugin(WorkerCheck(boresight.__version__, _shared_folder(settings)))
-            client.register_plugin(WarmUp(str(settings.catalogue_folder), ours=local is not None))
+            client.register_plugin(WarmUp(str(settings.catalogue_folder), ours=local is not None, cameras=cameras))
         except Exception:
             opened.close(())
             raise

@@ -30,6 +30,7 @@ from typing import Any
 from distributed.comm import CommClosedError
 
 from boresight.console.alarms.rules import find_changed_sensors, update_alarms
+from boresight.console.fleet.queries import list_camera_models
 from boresight.console.runs import queries as runs
 from boresight.console.runs.dry_runs import TimedRun, estimate_seconds_per_star, list_timed_runs, predict_duration_s
 from boresight.console.runs.queries import (
@@ -180,6 +181,11 @@ class Reconciler:
     def close(self) -> None:
         """Close the connection to the store."""
         self._data_versions.close()
+
+    def list_cameras(self) -> list[str]:
+        """List the camera models of the registered sensors, for which workers are warmed."""
+        with open_reading(self.database) as session:
+            return list_camera_models(session)
 
     def settle(self, ends: Sequence[RunEnd]) -> None:
         """Write how attempts ended, unless they no longer hold their runs."""
@@ -395,7 +401,8 @@ class RunDispatcher:
             self._detach("the scheduler was lost")
         if self._cluster is None:
             try:
-                self._cluster = Cluster.open(self._settings, self._reports.hear)
+                cameras = self._rows.list_cameras()
+                self._cluster = Cluster.open(self._settings, self._reports.hear, cameras)
             except OSError as error:
                 log.warning("No scheduler at %s, trying again: %s", self._settings.scheduler or "this machine", error)
         return self._cluster is not None

@@ -35,8 +35,7 @@ from boresight.calibration.calibration import Calibration, to_plain
 from boresight.calibration.choice.result import Choice
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.telemetry_pieces import StoredTable
-from boresight.cameras import CAMERA_MODELS
-from boresight.cameras.inverted_wang import INVERTED_WANG
+from boresight.cameras import CAMERA_MODELS, DEFAULT_CAMERA, CameraModel
 from boresight.console.runs.queries import ClaimedRun, Line, RunEnd
 from boresight.disks import storage_error
 from boresight.errors import BoresightError, CancelledError, CorruptFileError
@@ -60,14 +59,18 @@ FRAMES, STARS = 3, 6
 
 
 class WarmUp(WorkerPlugin):  # type: ignore[misc]  # distributed ships no types
-    """A plugin that warms a worker when it appears; `ours` says that the process was started by this server."""
+    """A plugin that warms a worker when it appears.
+
+    `ours` says that the process was started by this server, `cameras` which are registered, as far as that is known.
+    """
 
     name = "boresight-warm-up"
     idempotent = True
 
-    def __init__(self, catalogue_folder: str, *, ours: bool) -> None:
+    def __init__(self, catalogue_folder: str, *, ours: bool, cameras: Sequence[str] = ()) -> None:
         self.catalogue_folder = catalogue_folder
         self.ours = ours
+        self.cameras = tuple(cameras)
 
     def setup(self, worker: object) -> None:  # noqa: ARG002 - the interface gives it
         """Begin warming beside the worker's event loop, which must go on answering the scheduler."""
@@ -78,17 +81,30 @@ class WarmUp(WorkerPlugin):  # type: ignore[misc]  # distributed ships no types
     def _warm(self) -> None:
         """Warm this worker; after a failure only its first run is slow."""
         try:
-            warm(Path(self.catalogue_folder))
+            warm(Path(self.catalogue_folder), self.cameras)
         except Exception:
             log.exception("This worker could not be warmed; its first run will take longer")
 
 
-def warm(catalogue_folder: Path, cameras: Sequence[str] = (INVERTED_WANG.name,)) -> None:
-    """Compile the kernels for these cameras and every estimator, and load them by calibrating a few synthetic stars."""
-    make_all([CAMERA_MODELS[name].state for name in cameras])
+def warm(catalogue_folder: Path, cameras: Sequence[str] = ()) -> None:
+    """Compile the kernels for these cameras, else the default, and load them by calibrating a few synthetic stars."""
+    wanted = [CAMERA_MODELS[name] for name in cameras if name in CAMERA_MODELS] or [DEFAULT_CAMERA]
+    make_all([camera.state for camera in wanted])
     catalogue = load_catalogue(catalogue_folder)
-    sensor = st16_sensor(1)
+    sensor = _with_camera(st16_sensor(1), wanted[0])
     calibrate(_few_stars(sensor), sensor, catalogue, CalibrationSettings())
+
+
+def _with_camera(sensor: Sensor, camera: CameraModel) -> Sensor:
+    """Give a sensor another camera, without distortion."""
+    own, pitch = CAMERA_MODELS[sensor.camera_model], sensor.pixel_pitch_m
+    return replace(
+        sensor,
+        camera_model=camera.name,
+        initial=camera.plain(own.focal_px(sensor.initial, pitch), *own.principal_point(sensor.initial), pitch),
+        typical_sigma=np.array(camera.default_typical_sigma),
+        free=camera.parameter_names,
+    )
 
 
 def _few_stars(sensor: Sensor) -> Telemetry:

@@ -3,8 +3,9 @@
 Within a camera, forward from the focal length alone: each term that may come next is tested, and so is everything at once, which
 finds what only several terms together show. While one of these tests rejects, the term with the smallest p-value is set free. Then
 backwards: a term whose removal is not rejected is held again. What remains is needed, term by term, and nothing beyond is. Last, a
-term gives way to one that comes before it in the camera's order and does as much with no more parameters, such as tilt to the
-principal point of a lens without distortion, where both are a rotation: the plainer word for the same.
+term gives way to one that comes before it in the camera's order and has no more parameters, such as tangential terms to a tilt,
+which do the same where both are small: the plainer word for it. Neither holds the other, so the rule is that of cameras of which
+neither does, below: the plainer one gives way from T on, not before. It must suffice by the same tests.
 If the right candidate is reached, a larger one follows with a chance of at most the level, for every step counts its tests, and
 those of all cameras.
 
@@ -13,9 +14,12 @@ another holds it (the same terms give the same chi-square: `brown_conrady` every
 Else by BIC = chi2 / s^2 + k ln n with k free parameters and n arcs (Schwarz 1978); s is 1 while the stated noise holds. How far may
 a false camera come out ahead of a true one by noise? With d the chi-square that the false one's misfit adds, the difference is
 normal with mean d and variance 4 d, so that it is below -T with the chance Phi(-(T + d) / (2 sqrt(d))), which is largest at d = T,
-and there Phi(-sqrt(T)). T = 5.41 therefore keeps that at the level whatever the misfit: the sensor's camera is out when another's
-BIC, in which it is not charged for parameters that it needs more, is lower by more than T. Next comes a camera that
-holds it, by the same rule; then the one with the lowest BIC, and of those that are alike the one with the fewest parameters in all.
+and there Phi(-sqrt(T)). With five cameras T = 7.88 therefore keeps that at the level for the four others together, whatever the
+misfit: the sensor's camera is out when another's BIC, in which it is not charged for parameters that it needs more, is lower by
+more than T. For the sensor's camera speaks the best of its candidates that the stars determine, not the least: a term that is too
+weak for the tests may well cost more than T, and another camera would take its place though the lens is the sensor's. Next comes a
+camera that holds it, by the same rule; then the one with the lowest BIC, and of those that are alike the one with the fewest
+parameters in all.
 """
 
 from __future__ import annotations
@@ -35,10 +39,8 @@ from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.estimation.arcs import ArcSet
 from boresight.telemetry.sensors import Sensor
 
-#: Difference of BIC from which the sensor's camera is out, see above.
-DECISIVE = float(ndtri(LEVEL)) ** 2
-#: Difference of chi-square, over the noise, up to which two terms do the same: what noise makes of one parameter.
-SAME = 1.0
+#: Difference of BIC from which the sensor's camera is out, and of chi-square from which a plainer term is, see above.
+DECISIVE = float(ndtri(LEVEL / max(1, len(CAMERA_MODELS) - 1))) ** 2
 #: Difference of chi-square below which the same terms of two cameras are the same candidate.
 ALIKE = 0.05
 
@@ -118,22 +120,34 @@ def choose_of_camera(fits: Fits, camera: CameraModel, noise: Noise, cameras: int
         here = weakest.smaller
     if not here.usable:
         return None
-    here = _in_plainer_terms(fits, here, noise)
+    here = _in_plainer_terms(fits, here, noise, cameras)
     needed = _needed(fits, here, noise, cameras)
     return CameraChoice(here, tuple(needed), tuple(_beyond(fits, here, noise, cameras)), tuple(path))
 
 
-def _in_plainer_terms(fits: Fits, here: FittedSubset, noise: Noise) -> FittedSubset:
-    """Put earlier terms in the place of later ones that tell no more."""
+def _in_plainer_terms(fits: Fits, here: FittedSubset, noise: Noise, cameras: int) -> FittedSubset:
+    """Put earlier terms in the place of later ones, unless the stars decide against them, if they suffice by the same tests."""
     order = [term.name for term in find_terms(here.camera)]
     for later in reversed(here.subset.removable()):
         without = here.subset.without_term(later)
         for earlier in without.extensions():
             if order.index(earlier.name) < order.index(later.name) and len(earlier.places) <= len(later.places):
                 other = fits.fit(without.with_term(earlier))
-                if other.usable and (other.chi2 - here.chi2) / noise.variance <= SAME:
-                    return _in_plainer_terms(fits, other, noise)
+                if (
+                    other.usable
+                    and (other.chi2 - here.chi2) / noise.variance <= DECISIVE
+                    and _suffices(fits, other, noise, cameras)
+                ):
+                    return _in_plainer_terms(fits, other, noise, cameras)
     return here
+
+
+def _suffices(fits: Fits, here: FittedSubset, noise: Noise, cameras: int) -> bool:
+    """Whether each term of a candidate is needed and nothing that the stars determine is needed beyond."""
+    beyond = (test for test in _beyond(fits, here, noise, cameras) if test.larger.usable)
+    return all(test.rejects for test in _needed(fits, here, noise, cameras)) and not any(
+        test.rejects for test in beyond
+    )
 
 
 def _beyond(fits: Fits, here: FittedSubset, noise: Noise, cameras: int) -> list[NestedTest]:
@@ -197,8 +211,14 @@ def _beats(better: CameraChoice, one: CameraChoice, fits: Fits, noise: Noise, ca
     test = _held(one, better, fits, noise, cameras)
     if test is not None:
         return test.rejects
-    more = max(0, one.fitted.n_free - better.fitted.n_free) * math.log(one.fitted.dof + one.fitted.n_free)
-    return bic(one.fitted, noise) - more - bic(better.fitted, noise) > DECISIVE
+    best = min(_uncharged(held, better.fitted, noise) for held in fits.of_camera(one.fitted.camera) if held.usable)
+    return best - bic(better.fitted, noise) > DECISIVE
+
+
+def _uncharged(one: FittedSubset, other: FittedSubset, noise: Noise) -> float:
+    """BIC of a candidate that is not charged for parameters that it has more than another."""
+    more = max(0, one.n_free - other.n_free)
+    return bic(one, noise) - more * math.log(one.dof + one.n_free)
 
 
 def _extends(camera: CameraModel, own: CameraModel, fits: Fits) -> bool:
@@ -212,7 +232,10 @@ def _extends(camera: CameraModel, own: CameraModel, fits: Fits) -> bool:
 
 
 def _held(one: CameraChoice, other: CameraChoice, fits: Fits, noise: Noise, cameras: int) -> NestedTest | None:
-    """Test one camera's candidate against another's that holds it; None where that does not."""
+    """Test one camera's candidate against another's that holds it; None where that does not.
+
+    As many tests count as in either camera: what is not needed in its own must not be needed because another has fewer terms.
+    """
     smaller, larger = one.fitted, other.fitted
     if not set(smaller.subset.term_names) < set(larger.subset.term_names):
         return None
@@ -221,4 +244,4 @@ def _held(one: CameraChoice, other: CameraChoice, fits: Fits, noise: Noise, came
     if same.n_free != smaller.n_free or abs(same.chi2 - smaller.chi2) > ALIKE * noise.variance:
         return None
     more = len(larger.subset.extensions()) + len(larger.subset.terms) - len(smaller.subset.terms)
-    return nested_test(smaller, larger, noise, max(1, more) * cameras)
+    return nested_test(smaller, larger, noise, max(1, more, len(one.beyond)) * cameras)

@@ -1,9 +1,12 @@
 """The terms of a camera: groups of parameters that are set free together, read off its file's roles.
 
 A focal length is always free. Row and column of the principal point are one term, both tilts one, both decentrings one: alone
-neither has a meaning, for it depends on how the detector lies. Radial parameters are ordered by the power of the radius that
-they act with, and each order stands on the lower ones; the power is measured on the camera itself, as the slope of the logarithm
-of d tan(theta) / d parameter near the principal point. So a camera in a new file has its terms without naming them anywhere.
+neither has a meaning, for it depends on how the detector lies. Tilt and tangential terms stand on the principal point: of a lens
+with little distortion all three move the stars by nearly the same squares of the tangents, and no lens has its principal point
+where a file says, so that a tilt without it would be the principal point by another name. Radial parameters are ordered by the
+power of the radius that they act with, and each order stands on the lower ones; the power is measured on the camera itself, as the
+slope of the logarithm of d tan(theta) / d parameter near the principal point. So a camera in a new file has its terms without
+naming them anywhere.
 """
 
 from __future__ import annotations
@@ -21,7 +24,10 @@ from boresight.cameras.model import Role
 #: Focal length, pixels, of the plain camera on which orders are measured, and the radius from which they are.
 FOCAL_PX, RADIUS_PX = 1000.0, 10.0
 #: Names of terms whose parameters have more than one role, or another word than the role.
-NAMES = {Role.ROW: "principal point", Role.COLUMN: "principal point", Role.DECENTRING: "tangential"}
+PRINCIPAL_POINT = "principal point"
+NAMES = {Role.ROW: PRINCIPAL_POINT, Role.COLUMN: PRINCIPAL_POINT, Role.DECENTRING: "tangential"}
+#: Roles whose terms stand on the principal point.
+ASKEW = frozenset({Role.TILT, Role.DECENTRING})
 POWERS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -114,7 +120,8 @@ def find_terms(camera: CameraModel) -> tuple[Term, ...]:
             place for place, one in enumerate(camera.parameters) if NAMES.get(one.role, one.role.value) == name
         )
         if places and all(term.name != name for term in found):
-            found.append(Term(name, places))
+            stands = role in ASKEW and any(term.name == PRINCIPAL_POINT for term in found)
+            found.append(Term(name, places, PRINCIPAL_POINT if stands else None))
     return tuple(found)
 
 

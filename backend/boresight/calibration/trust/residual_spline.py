@@ -192,7 +192,10 @@ def _remedy(camera: CameraModel, explained_by: tuple[SplineExplanation, ...]) ->
         )
     if found.camera_model == camera.name:
         symbols = dict(zip(camera.parameter_names, camera.symbols, strict=True))
-        return f"set {', '.join(symbols[name] for name in found.more)} free too."
+        return (
+            f"some of {', '.join(symbols[name] for name in found.more)}, which are held, take it up; `boresight choose` names "
+            "the least that suffice."
+        )
     others = [one.camera_model.replace("_", " ") for one in explained_by if suffices(one) and one is not found]
     also = f", as would {' and '.join(others)}" if others else ""
     return f"the camera model {found.camera_model.replace('_', ' ')} takes it up{also}; calibrate with that."

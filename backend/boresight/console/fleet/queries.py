@@ -5,6 +5,7 @@ A head is a row without its documents, which are most of it.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
@@ -43,6 +44,12 @@ def list_sensor_heads(session: Session, sensor_ids: Collection[int] | None = Non
     """Return id, name and version of the sensors of the fleet, or of some, by name."""
     query = sa.select(Sensor.id, Sensor.name, Sensor.version).where(*_filter_sensors(Sensor.id, sensor_ids))
     return session.execute(query.order_by(Sensor.name)).all()
+
+
+def list_camera_models(session: Session) -> list[str]:
+    """Return the camera models of the registered sensors, that of the most sensors first."""
+    documents = session.scalars(sa.select(Sensor.document))
+    return [name for name, _ in Counter(str(document["camera_model"]) for document in documents).most_common()]
 
 
 def read_names(session: Session, sensor_ids: Collection[int] | None = None) -> dict[int, str]:

@@ -8,7 +8,7 @@ from fastapi import Body, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
-from boresight.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS, DEFAULT_CAMERA
 from boresight.console import list_queries as lists
 from boresight.console import schemas as console_schemas
 from boresight.console.access.dependencies import SAME_FOR_ALL, Reading, SeenVersion, Who, Writing
@@ -32,11 +32,11 @@ router = operations("/sensors", tags=["sensors"])
 EXAMPLE = {
     "name": "ST-1",
     "detector": {"rows": 1944, "columns": 2592, "pixel_pitch_m": 2.2e-6},
-    "camera_model": "pinhole_radial",
+    "camera_model": DEFAULT_CAMERA.name,
     "parity": 1,
     "centroid_sigma_px": 0.15,
-    "initial": {"s": 1.0, "f_m": 0.016, "u0_px": 1295.5, "v0_px": 971.5, "k1": 0.0, "k2": 0.0},
-    "typical_sigma": {"s": 1e-3, "f_m": 1e-4, "u0_px": 20.0, "v0_px": 20.0, "k1": 0.05, "k2": 0.5},
+    "initial": schemas.EXAMPLE_INITIAL,
+    "typical_sigma": schemas.EXAMPLE_TYPICAL_SIGMA,
 }
 SensorFile = Annotated[console_schemas.Document, Body(description="The sensor file.", examples=[EXAMPLE])]
 

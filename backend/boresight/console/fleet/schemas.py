@@ -6,9 +6,15 @@ from typing import Literal
 
 from pydantic import Field
 
+from boresight.cameras import DEFAULT_CAMERA
 from boresight.console.parameter_sets.schemas import ParameterSet
 from boresight.console.schemas import Document, Row, Shape, Values
 from boresight.console.uplinks.schemas import OnBoard
+
+_PARAMETERS = DEFAULT_CAMERA.plain(0.016 / 2.2e-6, 971.5, 1295.5, 2.2e-6).round(9)
+#: Parameters of the sensor file that is shown as an example: 16 mm before 1944 by 2592 pixels of 2.2 um.
+EXAMPLE_INITIAL = dict(zip(DEFAULT_CAMERA.parameter_names, _PARAMETERS.tolist(), strict=True))
+EXAMPLE_TYPICAL_SIGMA = dict(zip(DEFAULT_CAMERA.parameter_names, DEFAULT_CAMERA.default_typical_sigma, strict=True))
 
 
 class Sensor(Row):

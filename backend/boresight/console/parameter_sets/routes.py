@@ -8,6 +8,7 @@ from fastapi import Query
 from pydantic import Field
 from starlette.responses import Response
 
+from boresight.cameras import CAMERA_MODELS, DEFAULT_CAMERA
 from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import SAME_FOR_ALL, Blobs, Reading, SeenVersion, ServerPolicy, Who, Writing
 from boresight.console.approvals import schemas as approval_schemas
@@ -82,7 +83,13 @@ def get_parameter_set(parameter_set_id: Id, session: Reading) -> ParameterSet:
 def convert_parameter_set(
     parameter_set_id: Id,
     session: Reading,
-    to: Annotated[str, Query(examples=["pinhole_radial"], description="The other camera model.")],
+    to: Annotated[
+        str,
+        Query(
+            examples=[next(name for name in CAMERA_MODELS if name != DEFAULT_CAMERA.name)],
+            description="The other camera model.",
+        ),
+    ],
     allow_px: Annotated[
         float | None,
         Query(ge=0, allow_inf_nan=False, description="Largest misfit; 1 % of centroid_sigma_px when left out."),

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
+from textwrap import indent
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,11 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, UploadFile
 
-from boresight.cameras import CAMERA_MODELS
+from boresight.cameras import CAMERA_MODELS, DEFAULT_CAMERA
 from boresight.console.access.dependencies import KNOWN, Reading, Roles, Who, csrf, get_server
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import status as fleet
+from boresight.console.fleet.schemas import EXAMPLE_INITIAL, EXAMPLE_TYPICAL_SIGMA
 from boresight.console.fleet.service import SensorChoices
 from boresight.console.fleet.status import SensorStatus, SensorTile
 from boresight.console.fleet.tables import Sensor
@@ -44,26 +46,18 @@ from boresight.telemetry.read.formats import parse_json, read_text
 
 router = APIRouter(dependencies=[Depends(csrf)])
 
-EXAMPLE = """{
+EXAMPLE = f"""{{
   "name": "ST16-7",
-  "detector": {
+  "detector": {{
     "rows": 1944, "columns": 2592, "pixel_pitch_m": 2.2e-6
-  },
-  "camera_model": "inverted_wang",
+  }},
+  "camera_model": "{DEFAULT_CAMERA.name}",
   "parity": 1,
   "centroid_sigma_px": 0.1,
-  "initial": {
-    "f_m": 0.016, "m0_px": 971.5, "n0_px": 1295.5,
-    "b4_per_m4": 0, "b2_per_m2": 0,
-    "a1_rad": 0, "a2_rad": 0, "g_y": 1
-  },
-  "typical_sigma": {
-    "f_m": 3e-5, "m0_px": 25, "n0_px": 25,
-    "b4_per_m4": 1e6, "b2_per_m2": 60,
-    "a1_rad": 0.005, "a2_rad": 0.005, "g_y": 0.0002
-  },
+  "initial": {indent(json.dumps(EXAMPLE_INITIAL, indent=2), "  ").lstrip()},
+  "typical_sigma": {indent(json.dumps(EXAMPLE_TYPICAL_SIGMA, indent=2), "  ").lstrip()},
   "magnitude_limit": 5.75
-}
+}}
 """
 
 SENSORS = Table(
