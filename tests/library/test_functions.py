@@ -12,6 +12,8 @@ import pytest
 import boresight as bs
 from boresight.calibration.options import OPTIONS
 from boresight.figures import FIGURES
+from boresight.sky import catalogue
+from boresight.waiting import tell
 
 
 def test_a_calibration_is_near_the_truth(cal, simulated):
@@ -113,6 +115,19 @@ def test_a_notebook_without_widgets_shows_a_line_and_a_script_nothing(simulated,
     monkeypatch.setitem(sys.modules, "ipykernel", sys)
     bs.check(simulated.telemetry, simulated.sensor)
     assert capsys.readouterr().err.startswith("boresight: ")
+
+
+@pytest.mark.parametrize(("wanted", "said"), [(False, []), (None, ["Boresight is compiling; a few seconds."])])
+def test_where_no_progress_is_wanted_not_even_compiling_is_told(wanted, said, simulated, caplog, monkeypatch):
+    load = catalogue.load_catalogue
+
+    def compile_and_load(*arguments):
+        tell("compiling", 0.0)
+        return load(*arguments)
+
+    monkeypatch.setattr("boresight.sky.catalogue.load_catalogue", compile_and_load)
+    bs.check(simulated.telemetry, simulated.sensor, progress=wanted)
+    assert caplog.messages == said
 
 
 def test_a_calibration_is_copied_with_what_it_can_do(cal):

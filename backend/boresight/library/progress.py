@@ -102,15 +102,18 @@ def progress(message: str) -> Iterator[Progress]:
 
 @contextmanager
 def reporting(wanted: Wanted, message: str) -> Iterator[Report]:
-    """Tell progress as a caller of the library wants it; where nobody watches, the log is told when kernels are compiled."""
+    """Tell progress as a caller of the library wants it; left out where nobody watches, the log is told of compiling alone."""
     if callable(wanted):
         with telling(wanted):
             yield wanted
     elif wanted or (wanted is None and is_watched()):
         with progress(message) as shown:
             yield shown
-    else:
+    elif wanted is None:
         yield _say_nothing
+    else:
+        with telling(_say_nothing):
+            yield _say_nothing
 
 
 def _say_nothing(message: str, fraction: float | None = None) -> None:
