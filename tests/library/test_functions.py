@@ -46,6 +46,45 @@ def test_a_notebook_shows_a_table_and_drawings_without_script_and_network(cal):
     assert "http" not in page
 
 
+@pytest.fixture(scope="module")
+def answers(simulated, cal):
+    stars, sensor = simulated.telemetry, simulated.sensor
+    return {
+        "Quality": bs.check(stars, sensor),
+        "Matches": bs.match(stars, sensor),
+        "Evaluation": bs.evaluate(simulated.validation, sensor, cal, shadow=True),
+        "Choice": bs.choose(stars, sensor, validate=simulated.validation),
+        "Assessment": bs.assess(cal, sensor),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("Quality", ["30 frames", "severity"]),
+        ("Matches", ["stars matched", "removed", "frames valid"]),
+        ("Evaluation", ["availability", "RMS arc error, µrad", "95 %"]),
+        ("Choice", ["inverted_wang", "BIC above", "µrad"]),
+        ("Assessment", ["gate", "PASS", "measured"]),
+    ],
+)
+def test_every_other_answer_is_short_in_a_terminal_and_a_table_in_a_notebook(name, words, answers):
+    text, page = repr(answers[name]), answers[name]._repr_html_()
+    assert type(answers[name]) is getattr(bs, name)
+    for word in words:
+        assert word in text
+        assert word in page
+    assert len(text) < 6000
+    assert text.count("\n") < 60
+    assert page.count("<tr") == page.count("</tr>") > 1
+    assert "<script" not in page
+    assert "http" not in page
+
+
+def test_what_an_answer_shows_is_escaped_in_a_notebook(answers):
+    assert "<b>" not in dataclasses.replace(answers["Assessment"], sensor="<b>ST")._repr_html_()
+
+
 def test_every_figure_draws_and_its_name_is_listed(cal):
     assert cal.figures == tuple(FIGURES)
     assert isinstance(cal.draw("convergence"), go.Figure)
