@@ -100,9 +100,8 @@ def test_several_calibrations_are_drawn_over_one_another(cal, tmp_path):
     assert len(both.data) > len(bs.draw(cal, "convergence").data)
 
 
-@pytest.mark.parametrize("kind", ["pandas", "polars", "pyarrow"])
+@pytest.mark.parametrize("kind", ["polars", "pyarrow"])
 def test_parameters_as_a_frame(kind, cal):
-    pytest.importorskip(kind)
     frame = cal.to_frame(kind)
     assert type(frame).__module__.startswith(kind)
     assert [str(name) for name in frame["parameter"]] == list(cal.parameters)
