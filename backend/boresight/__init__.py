@@ -203,9 +203,8 @@ def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module 'boresight' has no attribute {name!r}")
     module = _MODULES[name]
-    if not module.startswith(
-        ("boresight.library.", "boresight.errors")
-    ):  # it may load kernels, which must know their folder
+    # what lies below the library, and what loads that, may load kernels, which must know their folder
+    if module == "boresight.library.choice" or not module.startswith(("boresight.library.", "boresight.errors")):
         import_module("boresight.library.functions").use_kernels()
     globals()[name] = value = getattr(import_module(module), name)
     return value

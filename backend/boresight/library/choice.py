@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 from boresight.calibration.choice import result
-from boresight.library.results import Shown
+from boresight.library.results import Summarised
 from boresight.library.text import Summary, summarise_choice
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Choice(Shown, result.Choice):
+class Choice(Summarised, result.Choice):
     """The least camera model that suffices: `sentence`, `chosen`, every candidate in `models`, and the tests between them."""
 
     @classmethod

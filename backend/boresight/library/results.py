@@ -52,7 +52,7 @@ def make_frame(columns: Mapping[str, Any] | pa.Table, kind: FrameKind | None) ->
     return table.to_pandas() if kind == "pandas" else library.DataFrame(table)
 
 
-class Shown:
+class Summarised:
     """An answer that shows itself as a summary: in words in a terminal, as a table in a notebook."""
 
     def _summarise(self) -> Summary:
@@ -139,7 +139,7 @@ class Calibration(tree.Calibration):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Evaluation(Shown, tree.Evaluation):
+class Evaluation(Summarised, tree.Evaluation):
     """Two parameter sets on the same telemetry: `availability`, `rms_arc_rad` with `initial` and `final`, and their intervals.
 
     `shadow`: the frames on which they differ; None where it was not asked for.
@@ -173,7 +173,7 @@ class Finding:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Quality(Shown):
+class Quality(Summarised):
     """What telemetry is worth: counts, and findings, the worst first."""
 
     verdict: str
@@ -196,7 +196,7 @@ class Quality(Shown):
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Matches(Shown):
+class Matches(Summarised):
     """Telemetry with its stars matched again, how many of the given identities stood, and why others did not."""
 
     telemetry: Telemetry = field(repr=False)
@@ -259,7 +259,7 @@ class Simulation:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Assessment(Shown):
+class Assessment(Summarised):
     """A calibration held against gates: the worst answer, in words, what would block it, and what every gate answered.
 
     A gate's `status` is PASS, MARGINAL, NO-DATA or FAIL, beside what was measured, its limit, and a sentence.
