@@ -8,6 +8,9 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
 MADE := $(VENV)/made
+# For tests alone, and beside the other packages: among them, PyArrow would load it in every process.
+PANDAS := $(VENV)/pandas
+export PANDAS_FOLDER := $(CURDIR)/$(PANDAS)
 INSTALL := $(BIN)/python -m pip install --disable-pip-version-check --no-input
 LOCK := CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/pip-compile --quiet --upgrade --allow-unsafe --generate-hashes \
         --no-emit-index-url --no-emit-find-links --strip-extras
@@ -44,18 +47,18 @@ lint: $(MADE)/dev $(NODE_MODULES)  ## style, format, types (of the pages' module
 	$(BIN)/lint-imports
 	$(TSC)
 
-pytest: $(MADE)/dev $(COMPILED)
+pytest: $(MADE)/dev $(PANDAS)/made $(COMPILED)
 	@mkdir -p artefacts
 	@for part in backend tests benchmarks; do echo "$$part: $$(find $$part -name '*.py' -print0 | xargs -0 cat | wc -l) lines"; done
 	$(PYTEST) --junit-xml=artefacts/tests.xml
 
-full: $(MADE)/dev $(COMPILED)  ## run the tests with every slow one and all with many examples (an hour)
+full: $(MADE)/dev $(PANDAS)/made $(COMPILED)  ## run the tests with every slow one and all with many examples (an hour)
 	$(PYTEST) --full
 
 bench: $(MADE)/dev  ## measure everything beside its peers and write docs/benchmarks.md and docs/capacity.md anew (an hour, on an idle machine)
 	$(BIN)/python -m benchmarks.pages
 
-postgresql: $(MADE)/dev $(COMPILED)  ## run the tests on PostgreSQL instead of SQLite
+postgresql: $(MADE)/dev $(PANDAS)/made $(COMPILED)  ## run the tests on PostgreSQL instead of SQLite
 	@.ci/machine postgresql
 	$(PYTEST) --ignore tests/test_wheel.py --store postgresql
 
@@ -70,9 +73,11 @@ clean:  ## remove what was built, cached and demonstrated; the virtual environme
 	rm -rf artefacts build dist .demo .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache $(VENV)/kernels
 	find backend migrations tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
 
-lock: $(MADE)/dev  ## resolve the newest versions that pyproject.toml allows into the two lock files
+lock: $(MADE)/dev  ## resolve the newest versions that pyproject.toml allows into the lock files
 	$(LOCK) --extra lost-in-space --output-file requirements.lock pyproject.toml
 	$(LOCK) --extra bench --extra dev --extra lost-in-space --extra object-store --extra postgresql --constraint requirements.lock --output-file requirements-dev.lock pyproject.toml
+	$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["dependency-groups"]["pandas"], sep="\n")' | \
+	    $(LOCK) --constraint requirements-dev.lock --output-file requirements-pandas.lock -
 
 machine: $(MADE)/dev
 	@.ci/machine browser
@@ -81,6 +86,11 @@ machine: $(MADE)/dev
 $(BIN)/python:
 	@.ci/machine python "$(PYTHON)"
 	$(PYTHON) -m venv $(VENV)
+
+$(PANDAS)/made: requirements-pandas.lock | $(BIN)/python
+	rm -rf $(PANDAS)
+	$(INSTALL) --require-hashes --only-binary :all: --target $(PANDAS) --requirement requirements-pandas.lock
+	@touch $@
 
 $(MADE)/runtime: requirements.lock pyproject.toml | $(BIN)/python
 	@echo "Installing what Boresight runs on (about 800 MB on disk)."

@@ -161,7 +161,14 @@ def test_every_dependency_is_locked_and_both_files_agree():
     assert runs.items() <= tests.items()
 
 
-@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock"])
+def test_what_tests_keep_beside_the_packages_is_locked_at_the_same_versions():
+    beside, tests = _locked("requirements-pandas.lock"), _locked("requirements-dev.lock")
+    assert "pandas" in beside
+    assert "pandas" not in tests
+    assert {name: beside[name] for name in beside if name != "pandas"}.items() <= tests.items()
+
+
+@pytest.mark.parametrize("name", ["requirements.lock", "requirements-dev.lock", "requirements-pandas.lock"])
 def test_every_locked_package_has_a_hash(name):
     entries = re.findall(r"^[a-z0-9-]+==\S+ (?:; [^\\\n]+ )?(.*)\n +(\S+)", (ROOT / name).read_text(), re.MULTILINE)
     assert len(entries) == len(_locked(name))

@@ -24,7 +24,8 @@ from boresight.telemetry.schema import OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "backend" / "boresight"
 README = (ROOT / "README.md").read_text()
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+DECLARED = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT, GROUPS = DECLARED["project"], DECLARED["dependency-groups"]
 STATUSES = ("converged", "max_iterations", "rank_deficient", "diverged", "too_few_stars")
 SENSOR_FIELDS = (
     "name", "detector", "rows", "columns", "pixel_pitch_m", "camera_model", "parity", "centroid_sigma_px", "initial",
@@ -41,7 +42,7 @@ def _commands(group: click.Group, words: tuple[str, ...] = ("boresight",)) -> It
 
 
 def _packages() -> set[str]:
-    extras = PROJECT["optional-dependencies"].values()
+    extras = (*PROJECT["optional-dependencies"].values(), *GROUPS.values())
     return {re.match(r"[A-Za-z0-9-]+", name)[0] for group in (PROJECT["dependencies"], *extras) for name in group}
 
 

@@ -91,7 +91,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from boresight.calibration.choice.result import Choice
     from boresight.errors import (
         BoresightError,
         CancelledError,
@@ -104,6 +103,7 @@ if TYPE_CHECKING:
         UnauthenticatedError,
         UnavailableError,
     )
+    from boresight.library.choice import Choice
     from boresight.library.client import AsyncClient, Client
     from boresight.library.functions import (
         assess,
@@ -141,7 +141,7 @@ _PLACES = {
         "simulate",
     ),
     "boresight.library.results": ("Assessment", "Calibration", "Evaluation", "Matches", "Quality", "Simulation"),
-    "boresight.calibration.choice.result": ("Choice",),
+    "boresight.library.choice": ("Choice",),
     "boresight.telemetry.schema": ("Telemetry",),
     "boresight.telemetry.sensors": ("Sensor",),
     "boresight.library.client": ("AsyncClient", "Client"),
@@ -203,9 +203,8 @@ def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module 'boresight' has no attribute {name!r}")
     module = _MODULES[name]
-    if not module.startswith(
-        ("boresight.library.", "boresight.errors")
-    ):  # it may load kernels, which must know their folder
+    # what lies below the library, and what loads that, may load kernels, which must know their folder
+    if module == "boresight.library.choice" or not module.startswith(("boresight.library.", "boresight.errors")):
         import_module("boresight.library.functions").use_kernels()
     globals()[name] = value = getattr(import_module(module), name)
     return value

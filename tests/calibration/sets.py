@@ -17,6 +17,7 @@ from boresight.calibration.problem import Problem
 from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.calibration.trust import trust_view
 from boresight.calibration.trust.fitted_set import FittedSet, fit_best
+from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.simulation.scenes import calibration_scenario, simulate
 from boresight.simulation.sensors import st16_sensor, st16_truth
@@ -78,11 +79,26 @@ def st16():
     )  # fmt: skip
 
 
-def field(seed, frames=40, stars=12, exposures=2, parity=1, noise_px=NOISE_PX):
+#: Pixels of the focal length that spread a lens's field so far that all its terms are seen; the others have that of the ST-16.
+FOCAL_PX = {"kannala_brandt": 1800.0, "brown_conrady": 4500.0}
+
+
+def lens(model, rng):
+    """A sensor of a camera model, without tilt and distortion, and a lens that is as far from it as such lenses are."""
+    camera = CAMERA_MODELS[model]
+    sigma = np.array(camera.default_typical_sigma)
+    x = camera.plain(FOCAL_PX.get(model, 7300.0), ROWS / 2, COLUMNS / 2, PITCH)
+    sensor = replace(
+        st16(), camera_model=model, centroid_sigma_px=0.1, initial=x, typical_sigma=sigma, free=camera.parameter_names
+    )
+    return sensor, x + rng.normal(size=len(x)) * sigma
+
+
+def field(seed, frames=40, stars=12, exposures=2, parity=1, noise_px=NOISE_PX, camera=INVERTED_WANG, truth=TRUTH):
     rng = np.random.default_rng(seed)
     n = frames * exposures * stars
     row, col = rng.uniform(0, ROWS - 1, n), rng.uniform(0, COLUMNS - 1, n)
-    s_d = INVERTED_WANG.directions(TRUTH, row, col, PITCH) * np.array([1.0, parity, 1.0])
+    s_d = camera.directions(truth, row, col, PITCH) * np.array([1.0, parity, 1.0])
     turns = Rotation.random(frames * exposures, rng=rng).as_matrix()
     s_i = np.einsum("eij,eni->enj", turns, s_d.reshape(-1, stars, 3)).reshape(n, 3)
     return measured(rng, s_i, (row, col), noise_px, frames, exposures)

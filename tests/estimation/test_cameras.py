@@ -120,6 +120,52 @@ class TestCameraModel:
         )
 
 
+FISHEYE_F = 1e-3
+
+
+def derivative_by_definition(x, p, place, rays):
+    """Complex step through the definition; what it leaves to a search, the theorem of the implicit function gives."""
+    row, col = place
+    t = rays[:, :2] / rays[:, 2:]
+    theta, azimuth = np.arctan(np.hypot(*t.T)), np.arctan2(t[:, 0], t[:, 1])
+
+    def seen(x, theta, azimuth):
+        s, f, u0, v0, *k = x
+        rho = theta * (1 + sum(one * theta ** (2 * n) for n, one in enumerate(k, 1)))
+        return np.array([v0 + f / (s * PITCH) * rho * np.sin(azimuth), u0 + f / PITCH * rho * np.cos(azimuth)])
+
+    step = 1e-30
+    by = np.array([seen(x, theta + 1j * step, azimuth).imag, seen(x, theta, azimuth + 1j * step).imag]) / step
+    moved = x.astype(complex)
+    moved[p] += 1j * step
+    np.testing.assert_allclose(seen(x, theta, azimuth), [row, col], atol=1e-8)
+    d_theta, d_azimuth = -np.linalg.solve(
+        by.transpose(2, 1, 0), (seen(moved, theta, azimuth).imag / step).T[..., None]
+    )[..., 0].T
+    sin, cos = np.sin(theta), np.cos(theta)
+    along = np.array([cos * np.sin(azimuth), cos * np.cos(azimuth), -sin])
+    across = np.array([sin * np.cos(azimuth), -sin * np.sin(azimuth), 0 * sin])
+    return (along * d_theta + across * d_azimuth).T
+
+
+@given(shifts=st.lists(st.floats(-3, 3), min_size=8, max_size=8), seed=st.integers(0, 99))
+def test_a_fisheye_of_eighty_degrees_comes_back_and_its_jacobian_is_the_complex_step_over_the_whole_field(shifts, seed):
+    camera = CAMERA_MODELS["kannala_brandt"]
+    spread = np.array([2e-4, 8e-6, 10.0, 10.0, 1e-2, 3e-3, 5e-4, 1e-4])
+    x = camera.plain(FISHEYE_F / PITCH, *MIDDLE, PITCH) + np.array(shifts) * spread
+    rng = np.random.default_rng(seed)
+    theta, azimuth = np.radians(80.0 * np.sqrt(rng.uniform(size=50))), rng.uniform(0, 2 * np.pi, 50)
+    theta[:2] = np.radians([80.0, 1e-3])
+    rays = np.stack([np.sin(theta) * np.sin(azimuth), np.sin(theta) * np.cos(azimuth), np.cos(theta)], axis=1)
+    place = camera.project(x, rays, PITCH)
+    s, jacobian = camera.directions_and_jacobian(x, *place, PITCH)
+    np.testing.assert_allclose(s, rays, atol=1e-13)
+    np.testing.assert_allclose(np.ravel(camera.project(x, s, PITCH)), np.ravel(place), atol=1e-8)
+    for p in range(len(x)):
+        expected = derivative_by_definition(x, p, place, s)
+        np.testing.assert_allclose(jacobian[..., p], expected, rtol=1e-9, atol=1e-10 * np.abs(expected).max())
+
+
 COEFFICIENTS = st.tuples(st.floats(-3, 3), st.floats(-30, 30))
 
 

@@ -95,6 +95,8 @@ def test_nothing_that_came_from_outside_becomes_markup_and_a_failed_run_still_ge
         ({"nis": {"consistent": False}}, "caution"),
         ({"observability": {"singular_values": [3.0, 0.5], "sigma_of_direction": [0.3, 2.0]}}, "caution"),
         ({"observability": {"singular_values": [3.0, 0.0], "sigma_of_direction": [0.3, None]}}, "caution"),
+        ({"observability": {"chi2_rise": 1.4}}, "normal"),
+        ({"observability": {"chi2_rise": 1.6}}, "caution"),
         ({"validation": {"rms_arc_rad": {"initial": 1e-4, "final": 2e-4}}}, "serious"),
     ],
 )

@@ -14,6 +14,8 @@ import pytest
 import boresight as bs
 from boresight.calibration.options import OPTIONS, Choices
 from boresight.figures import FIGURES
+from boresight.sky import catalogue
+from boresight.waiting import tell
 
 
 def test_a_calibration_is_near_the_truth(cal, simulated):
@@ -46,6 +48,45 @@ def test_a_notebook_shows_a_table_and_drawings_without_script_and_network(cal):
     assert "http" not in page
 
 
+@pytest.fixture(scope="module")
+def answers(simulated, cal):
+    stars, sensor = simulated.telemetry, simulated.sensor
+    return {
+        "Quality": bs.check(stars, sensor),
+        "Matches": bs.match(stars, sensor),
+        "Evaluation": bs.evaluate(simulated.validation, sensor, cal, shadow=True),
+        "Choice": bs.choose(stars, sensor, validate=simulated.validation),
+        "Assessment": bs.assess(cal, sensor),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("Quality", ["30 frames", "severity"]),
+        ("Matches", ["stars matched", "removed", "frames valid"]),
+        ("Evaluation", ["availability", "RMS arc error, µrad", "95 %"]),
+        ("Choice", ["inverted_wang", "BIC above", "µrad"]),
+        ("Assessment", ["gate", "PASS", "measured"]),
+    ],
+)
+def test_every_other_answer_is_short_in_a_terminal_and_a_table_in_a_notebook(name, words, answers):
+    text, page = repr(answers[name]), answers[name]._repr_html_()
+    assert type(answers[name]) is getattr(bs, name)
+    for word in words:
+        assert word in text
+        assert word in page
+    assert len(text) < 6000
+    assert text.count("\n") < 60
+    assert page.count("<tr") == page.count("</tr>") > 1
+    assert "<script" not in page
+    assert "http" not in page
+
+
+def test_what_an_answer_shows_is_escaped_in_a_notebook(answers):
+    assert "<b>" not in dataclasses.replace(answers["Assessment"], sensor="<b>ST")._repr_html_()
+
+
 def test_every_figure_draws_and_its_name_is_listed(cal):
     assert cal.figures == tuple(FIGURES)
     assert isinstance(cal.draw("convergence"), go.Figure)
@@ -61,9 +102,8 @@ def test_several_calibrations_are_drawn_over_one_another(cal, tmp_path):
     assert len(both.data) > len(bs.draw(cal, "convergence").data)
 
 
-@pytest.mark.parametrize("kind", ["pandas", "polars", "pyarrow"])
+@pytest.mark.parametrize("kind", ["polars", "pyarrow"])
 def test_parameters_as_a_frame(kind, cal):
-    pytest.importorskip(kind)
     frame = cal.to_frame(kind)
     assert type(frame).__module__.startswith(kind)
     assert [str(name) for name in frame["parameter"]] == list(cal.parameters)
@@ -126,6 +166,19 @@ def test_a_notebook_without_widgets_shows_a_line_and_a_script_nothing(simulated,
     monkeypatch.setitem(sys.modules, "ipykernel", sys)
     bs.check(simulated.telemetry, simulated.sensor)
     assert capsys.readouterr().err.startswith("boresight: ")
+
+
+@pytest.mark.parametrize(("wanted", "said"), [(False, []), (None, ["Boresight is compiling; a few seconds."])])
+def test_where_no_progress_is_wanted_not_even_compiling_is_told(wanted, said, simulated, caplog, monkeypatch):
+    load = catalogue.load_catalogue
+
+    def compile_and_load(*arguments):
+        tell("compiling", 0.0)
+        return load(*arguments)
+
+    monkeypatch.setattr("boresight.sky.catalogue.load_catalogue", compile_and_load)
+    bs.check(simulated.telemetry, simulated.sensor, progress=wanted)
+    assert caplog.messages == said
 
 
 def test_a_calibration_is_copied_with_what_it_can_do(cal):

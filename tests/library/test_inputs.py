@@ -1,5 +1,11 @@
 """Telemetry from a file, a table or arrays is the same telemetry, and what is wrong with it is said in the same words."""
 
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import polars as pl
 import pyarrow as pa
@@ -7,6 +13,9 @@ import pytest
 
 import boresight as bs
 from boresight.telemetry.read.readers import contract_table
+
+PANDAS_FRAMES = Path(__file__).parent / "pandas_frames.py"
+ROOT = PANDAS_FRAMES.parents[2]
 
 
 class OnlyInterchange:
@@ -17,13 +26,6 @@ class OnlyInterchange:
 
     def __dataframe__(self, nan_as_null=False, allow_copy=True):
         return self._table.__dataframe__(nan_as_null, allow_copy)
-
-
-def to_pandas(table):
-    pytest.importorskip(
-        "pandas"
-    )  # no package that tests need: where it is installed, PyArrow loads it in every process
-    return table.to_pandas()
 
 
 def columns_of(table):
@@ -43,7 +45,6 @@ def structured(table):
 
 
 WAYS = {
-    "pandas": to_pandas,
     "polars": pl.DataFrame,
     "pyarrow": lambda table: table,
     "interchange": lambda table: OnlyInterchange(table.drop_columns("time_utc")),
@@ -88,7 +89,7 @@ def test_texts_and_categories_of_polars_are_kept_as_they_are(table):
     assert set(bs.read_telemetry(frame).unknown) == {"pass", "mode"}
 
 
-@pytest.mark.parametrize("way", ["pandas", "polars", "arrays"])
+@pytest.mark.parametrize("way", ["polars", "arrays"])
 def test_a_wrong_cell_is_named_by_its_row_and_column_counted_as_the_table_counts(way, table):
     row_px = table["row_px"].to_numpy().copy()
     row_px[7] = np.inf
@@ -129,7 +130,15 @@ def test_a_sensor_is_a_file_what_it_says_or_itself(simulated, tmp_path):
         assert bs.read_sensor(source).name == simulated.sensor.name
 
 
-def test_an_index_of_pandas_without_a_name_is_no_column(table):
-    frame = to_pandas(table)
-    frame.index = frame.index[::-1]
-    assert bs.read_telemetry(frame).unknown == {}
+def test_frames_of_pandas_are_telemetry_and_parameters_come_as_one(data_folder):
+    told = os.environ.get("PANDAS_FOLDER")  # by make, which installs it there
+    folder = Path(told or f"{sys.prefix}/pandas")
+    if told is None and not folder.is_dir():
+        pytest.skip("there is no pandas beside the other packages: `make test` installs it")
+    environment = os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    environment |= {"BORESIGHT_DATA_FOLDER": str(data_folder)}
+    del environment["NUMBA_CACHE_DIR"]
+    command = [sys.executable, "-m", "tests.library.pandas_frames"]
+    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("check_") == len(re.findall(r"^def check_", PANDAS_FRAMES.read_text(), re.MULTILINE))

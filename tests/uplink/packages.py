@@ -4,6 +4,7 @@ import hashlib
 import json
 import sys
 
+import numpy as np
 from hypothesis import strategies as st
 
 from boresight.cameras import CAMERA_MODELS
@@ -11,7 +12,16 @@ from boresight.telemetry.sensors import parse_sensor, sensor_document
 from boresight.uplink.archive import canonical_bytes
 from boresight.uplink.package import build_package
 
-INITIAL = {
+ROWS, PITCH = 1024, 1.5e-5
+
+
+def make_initial(camera):
+    """A lens of 50 mm that has something of every term."""
+    x = camera.plain(0.05 / PITCH, 511.2, 512.3, PITCH) + 0.3 * np.array(camera.default_typical_sigma)
+    return dict(zip(camera.parameter_names, x.tolist(), strict=True))
+
+
+INITIAL = {name: make_initial(camera) for name, camera in CAMERA_MODELS.items()} | {  # two whose numbers tests name
     "pinhole_radial": {"s": 1.0, "f_m": 0.05, "u0_px": 512.3, "v0_px": 511.2, "k1": 0.01, "k2": -0.02},
     "inverted_wang": {"f_m": 0.016, "m0_px": 511.2, "n0_px": 512.3, "b4_per_m4": 1e6, "b2_per_m2": -40.0}
     | {"a1_rad": 0.001, "a2_rad": -0.002, "g_y": 1.0003},
@@ -25,7 +35,7 @@ def make_sensor(model="pinhole_radial", parity=-1, name="FM1"):
     return parse_sensor(
         {
             "name": name,
-            "detector": {"rows": 1024, "columns": 1024, "pixel_pitch_m": 1.5e-5},
+            "detector": {"rows": ROWS, "columns": ROWS, "pixel_pitch_m": PITCH},
             "camera_model": model,
             "parity": parity,
             "centroid_sigma_px": 0.1,

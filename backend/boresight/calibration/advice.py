@@ -22,10 +22,12 @@ from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import determined
 from boresight.estimation.filters.angular import MOST_PAIRS
 from boresight.estimation.statistics.consistency import ChiSquare
-from boresight.estimation.statistics.observability import WEAK, Observability
+from boresight.estimation.statistics.observability import WEAK, Observability, is_curved
 
 #: Shift beyond which it is another sensor: no launch moves a focal length by a hundred times the spread of its make.
 ANOTHER_SENSOR = 100.0
+#: Sigma of a direction, in typical sigmas, from which on a bend in it does not show: its departure goes with the fourth power.
+STRAIGHT = WEAK / 4
 #: Claimed over available information beyond which a filter is called over-confident.
 OVERCLAIM = 1.5
 
@@ -38,11 +40,13 @@ def advice(
     fit: ChiSquare,
     nis: ChiSquare,
     observed: Observability,
+    rise: float | None,
 ) -> list[str]:
-    """Collect every sentence that applies."""
+    """Collect every sentence that applies; `rise` is what `chi2_rise` found of a batch."""
     return [
         *_of_status(estimate, observed),
         *_of_shift(problem, parameters, estimate),
+        *_of_curvature(observed, estimate, rise),
         *_of_weak_directions(observed, estimate),
         *_of_consistency(fit, nis, problem, settings, estimate),
         *estimate.remarks,
@@ -83,6 +87,29 @@ def _of_weak_directions(observed: Observability, estimate: Estimate) -> Iterator
             alone = len(observed.named(i)) == 1
             caution = "Hold it fixed" if alone else "Do not read these parameters one by one; hold one of them fixed"
             yield f"Weakly determined: {observed.sentence(i)} {caution}, or add frames that cover more of the detector."
+
+
+def _of_curvature(observed: Observability, estimate: Estimate, rise: float | None) -> Iterator[str]:
+    """Say that a covariance does not hold, and which parameters leave the rest known best when they are held."""
+    if rise is None or not is_curved(rise):
+        return
+    opening = (
+        f"The covariance does not hold along the weakest direction: one sigma along it chi-square rises by {rise:.3g} "
+        "where the covariance says 1"
+    )
+    if len(observed.names) == 1:
+        yield f"{opening}, because the fit is curved there: add frames before relying on its sigma."
+        return
+    alike = _listed([symbol for symbol, _ in observed.named(len(observed.names) - 1)])
+    held = to_hold(estimate.A, STRAIGHT) or [_hold_first(estimate.A, list(range(len(observed.names))))]
+    yield (
+        f"{opening}, because {alike} are hardly told apart and the fit is curved there; hold "
+        f"{_listed([observed.names[p] for p in held])} fixed and run again before relying on its sigmas."
+    )
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def _of_consistency(
@@ -195,14 +222,19 @@ def remedies(
     return [*_of_holding(held, A, observed), *_of_coverage(problem), *([] if forgets else _of_frames(observed, frames))]
 
 
-def to_hold(A: FloatArray) -> list[int]:
-    """Places of the parameters that leave no weak direction when held, the first to hold first; all but one at most."""
+def to_hold(A: FloatArray, enough: float = WEAK) -> list[int]:
+    """Places of the parameters to hold so that every direction is known to `enough`, the first first; all but one at most."""
     left, held = list(range(len(A))), list[int]()
-    while len(left) > 1 and _worst(A, left) > WEAK:
-        best = min(left, key=lambda p: _worst(A, [q for q in left if q != p]))
+    while len(left) > 1 and _worst(A, left) > enough:
+        best = _hold_first(A, left)
         left.remove(best)
         held.append(best)
     return held
+
+
+def _hold_first(A: FloatArray, places: list[int]) -> int:
+    """The one of some parameters whose absence leaves the least known direction of the others known best."""
+    return min(places, key=lambda p: _worst(A, [q for q in places if q != p]))
 
 
 def _worst(A: FloatArray, places: list[int]) -> float:
@@ -217,10 +249,9 @@ def _of_holding(held: list[int], A: FloatArray, observed: Observability) -> list
     if not held or worst > WEAK:
         return []
     names = [observed.symbols[p] for p in held]
-    listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
     by_then = "it is" if len(names) == 1 else "they are"
     sentence = (
-        f"Hold {listed} fixed, and every direction of the others is known to {worst:.2g} typical sigmas or better; "
+        f"Hold {_listed(names)} fixed, and every direction of the others is known to {worst:.2g} typical sigmas or better; "
         f"what {by_then} wrong by then goes into the others."
     )
     return [sentence]

@@ -204,7 +204,10 @@ class WeakestDirection:
 
 @dataclass(frozen=True, kw_only=True)
 class Observability:
-    """Singular values of the whitened design in typical sigmas, with their directions as rows, strongest first."""
+    """Singular values of the whitened design in typical sigmas, with their directions as rows, strongest first.
+
+    `chi2_rise`: of a batch, how much chi-square rises one sigma along its weak directions, where the covariance says 1.
+    """
 
     parameter_names: list[str]
     singular_values: Numbers
@@ -212,6 +215,7 @@ class Observability:
     right_singular_vectors: Matrix
     sigma_of_direction: Numbers
     weakest: WeakestDirection
+    chi2_rise: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -60,7 +60,7 @@ from boresight.estimation.blocks import FRAMES
 from boresight.estimation.metrics import sums_of_squares, tail_rms
 from boresight.estimation.statistics.consistency import ChiSquare, chi_square
 from boresight.estimation.statistics.observability import Observability as Observed
-from boresight.estimation.statistics.observability import observability
+from boresight.estimation.statistics.observability import chi2_rise, is_curved, observability
 from boresight.estimation.statistics.uncertainty import displacement_px, radial_difference
 from boresight.estimation.stored_arcs import Arcs
 
@@ -331,13 +331,16 @@ def _judged(
     names = [problem.camera.parameter_names[p] for p in parameters.free]
     symbols = [problem.camera.symbols[p] for p in parameters.free]
     observed = observability(estimate.A, tuple(names), tuple(symbols))
+    rise = None
+    if not settings.sequential and estimate.status != "diverged":
+        rise = chi2_rise(arcs, estimate.x, parameters.free, parameters.scale, estimate.A)
     return replace(
         estimated,
         chi2_per_dof=fit.mean,
         chi2=ChiSquareTest(value=estimate.chi2, **_bounds(fit)),
         nis=InnovationTest(mean=nis.mean, **_bounds(nis)),
-        observability=observability_view(observed),
-        advice=advice(problem, parameters, settings, estimate, fit, nis, observed),
+        observability=replace(observability_view(observed), chi2_rise=rise),
+        advice=advice(problem, parameters, settings, estimate, fit, nis, observed, rise),
     )
 
 
@@ -456,6 +459,8 @@ def _left_out(result: Calibration) -> str | None:
     settings = result.inputs.settings
     if not result.is_usable:
         return f"it ended {result.status.replace('_', ' ')}"
+    if result.observability is not None and is_curved(result.observability.chi2_rise):
+        return "the fit is curved along its weakest direction, where its covariance does not hold"
     if result.variant in LEFT_OUT_VARIANTS:
         return LEFT_OUT_VARIANTS[result.variant]
     if result.variant is not None and settings.get("linearisations") == 1:

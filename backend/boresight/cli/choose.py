@@ -14,10 +14,9 @@ from boresight.cli.remote import open_client, server_option
 from boresight.errors import RefusedInputError
 from boresight.library import functions as library
 from boresight.library.progress import progress
-from boresight.library.text import aligned
+from boresight.library.text import aligned, camera_rows, written
 
 if TYPE_CHECKING:
-    from boresight.calibration.calibration import Numbers
     from boresight.calibration.choice.result import Choice, TermTest
 
 
@@ -82,28 +81,11 @@ def _lines(found: Choice) -> Iterator[str]:
     yield ""
     yield found.sentence
     yield ""
-    yield aligned(list(_cameras(found)), left=(0, 1))
+    yield aligned(list(camera_rows(found)), left=(0, 1))
     yield ""
     yield aligned(list(_terms(found)), left=(0, 1))
     for sentence in found.advice:
         yield f"\n- {sentence}"
-
-
-def _cameras(found: Choice) -> Iterator[tuple[str, ...]]:
-    """Return the table of cameras, each with its least sufficient candidate."""
-    yield "", "camera and free terms", "free", "chi2/dof", "BIC above", "held-out RMS µrad", "change px", "± 3σ"
-    for place, one in enumerate(found.list_cameras()):
-        words = ", ".join(one.terms) or "focal length alone"
-        yield (
-            "->" if place == 0 else "",
-            f"{one.camera_model}: {words}",
-            str(len(one.free)),
-            _number(None if one.chi2 is None else one.chi2 / one.dof, ".4f"),
-            _number(found.bic_above(one), ".1f"),
-            _scored(one.held_out_rms_arc_rad, one.held_out_interval_rad),
-            _number(one.change_px, ".3f"),
-            _number(one.change_3_sigma_px, ".3f"),
-        )
 
 
 def _terms(found: Choice) -> Iterator[tuple[str, ...]]:
@@ -121,19 +103,6 @@ def _tested(one: TermTest) -> tuple[str, ...]:
         str(one.df),
         f"{one.p_corrected:.2g}",
         "-" if one.held_out_ratio is None else f"{100 * (one.held_out_ratio - 1):+.2f} %",
-        _number(one.change_px, ".3f"),
-        _number(one.change_3_sigma_px, ".3f"),
+        written(one.change_px, ".3f"),
+        written(one.change_3_sigma_px, ".3f"),
     )
-
-
-def _scored(value: float | None, interval: Numbers | None) -> str:
-    """Return the held-out RMS with its interval as text."""
-    if value is None:
-        return "-"
-    low, high = interval or (None, None)
-    ends = "" if low is None or high is None else f" ({low * 1e6:.2f} to {high * 1e6:.2f})"
-    return f"{value * 1e6:.2f}{ends}"
-
-
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)

@@ -40,8 +40,8 @@ from boresight.library.remote import (
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from boresight.calibration.choice.result import Choice
     from boresight.calibration.options import Choices
+    from boresight.library.choice import Choice
     from boresight.library.inputs import SensorSource, TelemetrySource
     from boresight.library.results import Calibration
 

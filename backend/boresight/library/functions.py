@@ -25,8 +25,8 @@ from boresight.settings import Settings, read_settings, use_kernel_folder
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from boresight.calibration.choice.result import Choice
     from boresight.calibration.options import Choices
+    from boresight.library.choice import Choice
     from boresight.library.inputs import ParameterSource, SensorSource, TelemetrySource
     from boresight.library.results import Assessment, Calibration, Evaluation, Matches, Quality, Simulation
     from boresight.sky.catalogue import Catalogue
@@ -174,6 +174,7 @@ def choose(
     Parameters as `calibrate`; of its settings `match` and `minimum_stars` count. `validate` is what candidates are held out
     against; left out, frames of the telemetry are.
     """
+    from boresight.library.choice import Choice
     from boresight.library.inputs import open_telemetry, read_any_sensor
 
     chosen = parse_choices(settings)
@@ -183,7 +184,7 @@ def choose(
         limits = prepared.settings.telemetry_limits
         stars, described = open_telemetry(telemetry, limits), read_any_sensor(sensor)
         validation = None if validate is None else open_telemetry(validate, limits)
-        return find(
+        found = find(
             stars,
             described,
             prepared.load_catalogue(),
@@ -192,6 +193,7 @@ def choose(
             report=prepared.report,
             cache_folder=prepared.settings.catalogue_folder,
         )
+    return Choice.of(found)
 
 
 @_on_kernels

@@ -1,4 +1,4 @@
-"""A calibration as a notebook shows it: verdict, table, two small drawings, advice. HTML and SVG alone: no script, no network."""
+"""Answers as a notebook shows them: verdict, table, of a calibration two drawings, advice. HTML and SVG: no script, no network."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-from boresight.library.text import headline, verdict
+from boresight.library.text import Summary, headline, verdict
 
 if TYPE_CHECKING:
     from boresight.calibration.calibration import Calibration, Numbers
@@ -15,6 +15,18 @@ WIDTH, ROW, LABELS, MARGIN = 340, 18, 90, 12
 HEIGHT = 150
 #: Half-widths of a bar and of a band, in sigmas.
 SIGMAS = 3.0
+
+
+def summary_html(summary: Summary) -> str:
+    """Write a summary as a piece of HTML."""
+    head, *rows = summary.rows
+    names = "".join(f"<th>{escape(name)}</th>" for name in head)
+    cells = "".join(_row(row, summary.left) for row in rows)
+    sentences = "".join(f"<li>{escape(sentence)}</li>" for sentence in summary.sentences)
+    return (
+        f'<div class="boresight-answer"><p><strong>{escape(summary.headline).replace(chr(10), "<br>")}</strong></p>'
+        f"<table><thead><tr>{names}</tr></thead><tbody>{cells}</tbody></table>{f'<ul>{sentences}</ul>' if sentences else ''}</div>"
+    )
 
 
 def page_html(found: Calibration) -> str:
@@ -40,8 +52,10 @@ def page_html(found: Calibration) -> str:
     )
 
 
-def _row(cells: Sequence[str]) -> str:
-    return f'<tr style="text-align:right">{"".join(f"<td>{escape(cell)}</td>" for cell in cells)}</tr>'
+def _row(cells: Sequence[str], left: Sequence[int] = ()) -> str:
+    sides = [' style="text-align:left"' if place in left else "" for place in range(len(cells))]
+    written = "".join(f"<td{side}>{escape(cell)}</td>" for side, cell in zip(sides, cells, strict=True))
+    return f'<tr style="text-align:right">{written}</tr>'
 
 
 def _draw_changes(found: Calibration) -> str:

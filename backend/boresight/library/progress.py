@@ -102,15 +102,18 @@ def progress(message: str) -> Iterator[Progress]:
 
 @contextmanager
 def reporting(wanted: Wanted, message: str) -> Iterator[Report]:
-    """Report progress as the caller asked; where nothing is shown, compiling is logged."""
+    """Report progress as the caller asked; where nobody watches, only compiling is logged, and with False nothing."""
     if callable(wanted):
         with report_waits_to(wanted):
             yield wanted
     elif wanted or (wanted is None and is_watched()):
         with progress(message) as shown:
             yield shown
-    else:
+    elif wanted is None:
         yield _say_nothing
+    else:
+        with report_waits_to(_say_nothing):
+            yield _say_nothing
 
 
 def _say_nothing(message: str, fraction: float | None = None) -> None:

@@ -22,7 +22,7 @@ from boresight.library.functions import parse_choices, read_sensor, read_telemet
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from boresight.calibration.choice.result import Choice
+    from boresight.library.choice import Choice
     from boresight.library.inputs import SensorSource, TelemetrySource
     from boresight.library.progress import Report
     from boresight.library.results import Calibration
@@ -400,9 +400,10 @@ def fetch(run: Run | int) -> Operation[Calibration]:
 def fetch_choice(run: Run | int) -> Operation[Choice]:
     """Read the camera that was chosen for a run's data."""
     from boresight.calibration.choice.result import parse_choice
+    from boresight.library.choice import Choice
 
     answer = yield _get(f"/runs/{_id(run)}/choice")
-    return parse_choice(answer.json(), f"The choice of run {_id(run)}")
+    return Choice.of(parse_choice(answer.json(), f"The choice of run {_id(run)}"))
 
 
 def choose(

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, overload
 from boresight.calibration import calibration as tree
 from boresight.calibration.calibration import ShadowOfSet, StarsOffDetector, Values, to_plain
 from boresight.errors import RefusedInputError
-from boresight.library.text import summary_lines
+from boresight.library import text
+from boresight.library.text import Summary, summary_lines
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,6 +74,22 @@ class Tabular:
         `kind`: pandas, polars or pyarrow; left out, the first of them that is installed.
         """
         return make_frame(self._columns(), kind)
+
+
+class Summarised:
+    """An answer that shows itself as a summary: in words in a terminal, as a table in a notebook."""
+
+    def _summarise(self) -> Summary:
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return str(self._summarise())
+
+    def _repr_html_(self) -> str:
+        """Show it in a notebook."""
+        from boresight.library.page import summary_html
+
+        return summary_html(self._summarise())
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -140,8 +157,8 @@ class Calibration(Tabular, tree.Calibration):
         Path(path).write_text(render_report(self), encoding="utf-8")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Evaluation(tree.Evaluation):
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Evaluation(Summarised, tree.Evaluation):
     """Two parameter sets on the same telemetry: `availability`, `rms_arc_rad` with `initial` and `final`, and their intervals.
 
     `shadow`: the frames on which they differ; None where it was not asked for.
@@ -151,6 +168,9 @@ class Evaluation(tree.Evaluation):
     stars_off_detector: StarsOffDetector = field(default_factory=StarsOffDetector)
     advice: list[str] = field(default_factory=list)
     shadow: ShadowOfSet | None = None
+
+    def _summarise(self) -> Summary:
+        return text.summarise_evaluation(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the evaluation JSON as plain lists, numbers and None."""
@@ -171,8 +191,8 @@ class Finding:
     rows: list[int] = field(default_factory=list)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Quality:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Quality(Summarised):
     """The quality of telemetry: counts, and findings, the worst first."""
 
     verdict: str
@@ -186,13 +206,16 @@ class Quality:
     usable_frames: int
     document: dict[str, Any] = field(default_factory=dict, repr=False)
 
+    def _summarise(self) -> Summary:
+        return text.summarise_quality(self)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the whole report, `boresight.quality/1`, as plain lists, numbers and None."""
         return self.document
 
 
-@dataclass(frozen=True, kw_only=True)
-class Matches(Tabular):
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Matches(Tabular, Summarised):
     """Telemetry with its stars matched again, how many of the given identities stood, and why others did not."""
 
     telemetry: Telemetry = field(repr=False)
@@ -206,6 +229,9 @@ class Matches(Tabular):
     valid_frames: int
     advice: list[str]
     document: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def _summarise(self) -> Summary:
+        return text.summarise_matches(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the whole report, `boresight.matching/1`, every exposure with its attitude, as plain lists, numbers and None."""
@@ -249,8 +275,8 @@ class Simulation(Tabular):
             (place / f"{name}.json").write_text(f"{text}\n", encoding="utf-8")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Assessment:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Assessment(Summarised):
     """A calibration held against gates: the worst answer, in words, what would block it, and what every gate answered.
 
     A gate's `status` is PASS, MARGINAL, NO-DATA or FAIL, beside what was measured, its limit, and a sentence.
@@ -262,6 +288,9 @@ class Assessment:
     blocking: list[str]
     gates: list[GateAnswer]
     document: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def _summarise(self) -> Summary:
+        return text.summarise_assessment(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the whole report as plain lists, numbers and None."""

@@ -1,8 +1,9 @@
-"""A calibration as text for a terminal: parameters with their sigmas, the quality of the fit, advice."""
+"""Answers in words, for a terminal: a calibration's parameters, what its fit is worth, advice; the others as a `Summary` each."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -13,7 +14,11 @@ if TYPE_CHECKING:
         Evaluation,
         InnovationTest,
         Matching,
+        Numbers,
     )
+    from boresight.calibration.choice.result import Choice
+    from boresight.library.results import Assessment, Matches, Quality
+    from boresight.library.results import Evaluation as Comparison
 
 
 def aligned(rows: Iterable[Sequence[str]], left: Iterable[int] = (0,)) -> str:
@@ -112,3 +117,131 @@ def _test(value: float | None, test: ChiSquareTest | InnovationTest) -> str:
     word = "consistent" if test.consistent else "NOT consistent"
     number, lower, upper = ("-" if one is None else f"{one:.4g}" for one in (value, test.lower, test.upper))
     return f"{number}, 95 % bounds {lower} to {upper}: {word}"
+
+
+@dataclass(frozen=True)
+class Summary:
+    """An answer in short, for terminal and notebook alike.
+
+    `headline`: whose it is, and what came out. `rows`: a table, its headings first. `left`: columns of words. `sentences`: what to
+    know and do.
+    """
+
+    headline: str
+    rows: list[Sequence[str]]
+    left: tuple[int, ...]
+    sentences: list[str]
+
+    def __str__(self) -> str:
+        """Lay it out for a terminal."""
+        return "\n\n".join([self.headline, aligned(self.rows, self.left), *(f"- {one}" for one in self.sentences)])
+
+
+def summarise_quality(found: Quality) -> Summary:
+    """Findings by severity, with how often."""
+    return Summary(
+        f"{found.frames:,} frames, {found.exposures:,} exposures, {found.stars:,} stars, {found.matched:,} matched, "
+        f"{found.usable:,} usable: {found.verdict}",
+        [("severity", "finding", "count"), *((one.severity, one.code, f"{one.count:,}") for one in found.findings)],
+        (0, 1),
+        [one.sentence for one in found.findings],
+    )
+
+
+def summarise_matches(found: Matches) -> Summary:
+    """How many of the given identities stood."""
+    names = ("given", "kept", "changed", "added", "removed", "matched")
+    return Summary(
+        f"{found.matched:,} of {len(found.telemetry):,} stars matched; {found.valid_frames:,} of {found.frames:,} frames valid",
+        [names, [f"{getattr(found, name):,}" for name in names]],
+        (),
+        found.advice,
+    )
+
+
+def summarise_evaluation(found: Comparison) -> Summary:
+    """The scores under both parameter sets, with their intervals."""
+    ends, stars = found.intervals, found.matched_stars
+    none: Numbers = [None, None]
+    rows: list[Sequence[str]] = [("", "initial", "95 %", "final", "95 %")]
+    for name, score, between, scale, form in (
+        ("availability", found.availability, ends.availability if ends else None, 1.0, ".3f"),
+        ("RMS arc error, µrad", found.rms_arc_rad, ends.rms_arc_rad if ends else None, 1e6, ".2f"),
+    ):
+        low_high = (between.initial, between.final) if between else (none, none)
+        sides = zip((score.initial, score.final), low_high, strict=True)
+        rows.append(
+            [name, *(word for one, two in sides for word in (_scaled(one, scale, form), _between(two, scale, form)))]
+        )
+    if stars is not None:
+        rows.append(("matched stars", f"{stars.initial:,}", "", f"{stars.final:,}", ""))
+    for name, ratio, between_ratios in (
+        ("matched star ratio", found.matched_star_ratio, ends.matched_star_ratio if ends else none),
+        ("RMS ratio", found.rms_ratio, ends.rms_ratio if ends else none),
+    ):
+        rows.append((name, "", "", written(ratio, ".3f"), _between(between_ratios, 1.0, ".3f")))
+    shadow = [] if found.shadow is None else [found.shadow.summary.sentence]
+    pairs = "" if found.common_pairs is None else f", {found.common_pairs:,} common pairs"
+    return Summary(f"{found.sensor}: {found.frames:,} frames{pairs}", rows, (0,), [*found.advice, *shadow])
+
+
+def summarise_choice(found: Choice) -> Summary:
+    """The sentence, and a row a camera."""
+    headline = f"{found.sensor}: {found.frames:,} frames, {found.stars:,} stars, {found.arcs:,} arcs\n{found.sentence}"
+    return Summary(headline, list(camera_rows(found)), (0, 1), found.advice)
+
+
+def summarise_assessment(found: Assessment) -> Summary:
+    """A row a gate, and a sentence for each that does not pass."""
+    from boresight.verdicts.gates.judgement import gate_rows
+
+    rows = gate_rows(found.gates, found.blocking)
+    blocking = f"; it would be blocked by {', '.join(found.blocking)}" if found.blocking else ""
+    return Summary(
+        f"{found.sensor}: {found.words}{blocking}",
+        [
+            ("gate", "answer", "measured", "limit", "unit"),
+            *((r.title, r.status, r.value, r.limit, r.unit) for r in rows),
+        ],
+        (0, 1, 4),
+        list(dict.fromkeys(row.sentence for row in rows if row.status != "PASS")),
+    )
+
+
+def camera_rows(found: Choice) -> Iterator[tuple[str, ...]]:
+    """Give a row a camera: its least sufficient candidate."""
+    yield "", "camera and free terms", "free", "chi2/dof", "BIC above", "held-out RMS µrad", "change px", "± 3σ"
+    for place, one in enumerate(found.list_cameras()):
+        words = ", ".join(one.terms) or "focal length alone"
+        yield (
+            "->" if place == 0 else "",
+            f"{one.camera_model}: {words}",
+            str(len(one.free)),
+            written(None if one.chi2 is None else one.chi2 / one.dof, ".4f"),
+            written(found.bic_above(one), ".1f"),
+            _scored(one.held_out_rms_arc_rad, one.held_out_interval_rad),
+            written(one.change_px, ".3f"),
+            written(one.change_3_sigma_px, ".3f"),
+        )
+
+
+def _scored(value: float | None, interval: Numbers | None) -> str:
+    """Held-out RMS with its interval."""
+    if value is None:
+        return "-"
+    low, high = interval or (None, None)
+    ends = "" if low is None or high is None else f" ({low * 1e6:.2f} to {high * 1e6:.2f})"
+    return f"{value * 1e6:.2f}{ends}"
+
+
+def written(value: float | None, form: str) -> str:
+    """Write a number, or a dash where there is none."""
+    return "-" if value is None else format(value, form)
+
+
+def _scaled(value: float | None, scale: float, form: str) -> str:
+    return written(None if value is None else value * scale, form)
+
+
+def _between(ends: Sequence[float | None], scale: float, form: str) -> str:
+    return " to ".join(_scaled(end, scale, form) for end in ends)

@@ -14,7 +14,7 @@ from boresight.calibration.result import TrendEntry, trend_entry
 from boresight.calibration.trust.advice import TOO_SMALL
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
-from boresight.estimation.statistics.observability import WEAK
+from boresight.estimation.statistics.observability import WEAK, is_curved
 from boresight.verdicts.history import settled_step, sigma_of_rms
 from boresight.verdicts.numbers import count, number, percent, urad
 
@@ -145,6 +145,12 @@ def _weakest(result: Calibration) -> VerdictMark:
     if len(spread) < len(seen.singular_values):
         value = f"condition {number(seen.condition_number, 3)}"
         return VerdictMark(name, question, "caution", "not seen", value, sentence, sentence)
+    if seen.chi2_rise is not None and is_curved(seen.chi2_rise):
+        curved = (
+            f"One sigma along the weakest direction chi-square rises by {number(seen.chi2_rise, 3)} where the covariance says 1: "
+            "the fit is curved there, and its sigmas do not hold."
+        )
+        return VerdictMark(name, question, "caution", "curved", f"{number(worst, 2)} typical σ", sentence, curved)
     if worst > UNSEEN_TYPICAL_SIGMAS:
         return VerdictMark(name, question, "caution", "not seen", f"{number(worst, 2)} typical σ", sentence, sentence)
     return VerdictMark(name, question, "normal", "seen", f"{number(worst, 2)} typical σ", sentence)

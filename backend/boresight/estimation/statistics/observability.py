@@ -7,6 +7,13 @@ from unit to unit that was known before any star was seen. H' is tall, so S and 
 The paper's weak directions are (m0, a2) and (n0, a1). Moving the principal point while tilting the detector so that the axis
 follows leaves the arcs all but unchanged: a2 = (Delta/f) dm0, of the *same* sign (erratum to III-A).
 
+A covariance holds where chi-square is the quadratic that A says: one sigma along a direction it rises by 1. Where two parameters do
+nearly the same, the way along which the data hardly tell them apart bends: a long straight step leaves it, chi-square rises by
+hundreds, and the truth lies on the bend, tens of sigmas off along directions that A calls well known. That is the parameter-effects
+curvature of Bates and Watts (1980), no rounding: a QR of H' gives the same covariance. `chi2_rise` shows it by steps.
+For a bend that adds K well known sigmas at one sigma the rise is 1 + K^2, and the mean of the squared error in sigmas is 3 K^2 too
+large; beyond `CURVED` that is more than its scatter for four parameters hides.
+
 The covariance after further frames of the same kind, before they are taken.
 
 Each frame brings on average the information a = A / n of the n frames that are there. A batch, or a filter without process
@@ -25,6 +32,7 @@ doubling. Only P itself is full. One step has F = 1 / (sqrt(l) (1 + q^2 a)), C =
 
 References
 ----------
+Bates, Watts, "Relative curvature measures of nonlinearity", J. R. Statist. Soc. B 42, 1980.
 Särkkä, García-Fernández, "Temporal parallelization of Bayesian smoothers", IEEE TAC 66, 2021.
 """
 
@@ -34,14 +42,20 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
-from boresight.estimation.batch import determined
+from boresight.estimation.batch import determined, normal_equations
+from boresight.estimation.stored_arcs import Arcs
 
 #: A direction known worse than this many typical sigmas is called weak; the data then say little that was not known before.
 WEAK = 0.5
 #: Components of a direction smaller than this are left out of its sentence.
 NAMED = 0.25
+#: Share by which chi-square may rise otherwise than the covariance says, one sigma along a direction.
+CURVED = 0.5
+#: A rise beyond which nothing more is said, such as where the camera has no directions left.
+LARGEST_RISE = 1e6
 
 
 @dataclass(frozen=True)
@@ -111,6 +125,44 @@ def observability(A: FloatArray, names: tuple[str, ...], symbols: tuple[str, ...
     values, vectors, known = determined(A)
     s = np.sqrt(np.where(known, values, 0.0))
     return Observability(names, symbols, s[::-1], vectors[:, ::-1])
+
+
+def chi2_rise(arcs: Arcs, x: FloatArray, free: NDArray[np.int64], scale: FloatArray, A: FloatArray) -> float | None:
+    """Rise of chi-square one sigma from an estimate, over the rise that its quadratic has, where that is farthest from 1.
+
+    Parameters
+    ----------
+    arcs
+        The whitened arcs of a set.
+    x
+        (n_parameters,) estimate, SI.
+    free, scale
+        (n_free,) places of the free parameters, and their typical sigmas, SI.
+    A
+        (n_free, n_free) information that the estimate claims, in typical sigmas. Steps go both ways along its weakest direction,
+        and along every other that is weak.
+
+    Returns
+    -------
+    The rise, at most `LARGEST_RISE`; None where A determines nothing.
+    """
+    values, vectors, known = determined(A)
+    values, vectors = values[known], vectors[:, known]
+    here = normal_equations(arcs, x, free, scale)
+    rises = []
+    for place in range(max(int((values < WEAK**-2).sum()), min(1, len(values)))):
+        for step in (vectors[:, place] / np.sqrt(values[place]), -vectors[:, place] / np.sqrt(values[place])):
+            moved = x.copy()
+            moved[free] += scale * step
+            rise = normal_equations(arcs, moved, free, scale).chi2 - here.chi2 - 2 * float(here.b @ step)
+            rises.append(rise / float(step @ here.A @ step))
+    rises = [min(rise, LARGEST_RISE) if np.isfinite(rise) else LARGEST_RISE for rise in rises]
+    return max(rises, key=lambda rise: abs(rise - 1.0), default=None)
+
+
+def is_curved(rise: float | None) -> bool:
+    """Whether a rise of chi-square says that a covariance does not hold."""
+    return rise is not None and abs(rise - 1.0) > CURVED
 
 
 #: Share of what a filter knew that is nothing: further frames are like those before, where a direction is seen at all.
