@@ -28,7 +28,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import DroppedParameter, HalvesMap, HalvesTest, TwoHalves
@@ -37,6 +36,7 @@ from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailabl
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.statistics.consistency import chi_square
+from boresight.estimation.statistics.special import chdtrc, chdtri
 from boresight.estimation.statistics.uncertainty import difference_over_detector, expected_difference
 
 BLOCKS = 40
