@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import wraps
+from functools import lru_cache, wraps
 from statistics import NormalDist
 from typing import Any
 
@@ -29,19 +29,20 @@ _SMALLEST, _ROUNDING = 1e-300, 1e-16
 
 def _like_scipy(function: Callable[..., float]) -> Callable[..., Any]:
     """Let a function of numbers take arrays too, and leave what is much or large to SciPy."""
+    one = lru_cache(512)(function)  # a worker asks for the same quantiles with every set
 
     @wraps(function)
     def called(*arguments: Any) -> Any:
         shape = np.broadcast_shapes(*(np.shape(one) for one in arguments))
-        few = math.prod(shape) <= FEW and all(np.max(np.abs(one), initial=0.0) <= MODERATE for one in arguments[:-1])
+        few = math.prod(shape) <= FEW and all(np.max(np.abs(each), initial=0.0) <= MODERATE for each in arguments[:-1])
         if not few:
             from scipy import special  # noqa: PLC0415 - see above
 
             return getattr(special, function.__name__)(*arguments)
         if not shape:
-            return function(*map(float, arguments))
+            return one(*map(float, arguments))
         rows = zip(*(np.broadcast_to(one, shape).ravel().tolist() for one in arguments), strict=True)
-        return np.array([function(*row) for row in rows], np.float64).reshape(shape)
+        return np.array([one(*row) for row in rows], np.float64).reshape(shape)
 
     return called
 
