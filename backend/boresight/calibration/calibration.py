@@ -971,7 +971,7 @@ _AS_THEY_ARE = frozenset((str, int, bool, type(None)))
 
 
 @cache
-def _members(kind: type[Any]) -> tuple[str, ...] | None:
+def _members(kind: Any) -> tuple[str, ...] | None:
     """Return the names of the members of a dataclass; None of any other class."""
     return tuple(one.name for one in fields(kind)) if is_dataclass(kind) else None
 
