@@ -21,10 +21,14 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+# before NumPy loads: commands and workers have it so, and its threads on small matrices cost more time than they save
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 Report = Callable[[float, str], None]
 
@@ -54,6 +58,7 @@ class Part:
 PARTS: dict[str, Part] = {
     "kernels": Part("kernels:measure", "the compiled loops, beside C, NumPy, SciPy and hand-written filters"),
     "whole": Part("whole:measure", "a calibration from file to file, beside the fit alone in C"),
+    "start": Part("start:measure", "what starting costs: help, the library, five frames, and the first calibration of all"),
     "accuracy": Part(
         "accuracy:measure", "error beside time: SciPy, filterpy, Ceres, OpenCV and tetra3rs on the same stars"
     ),

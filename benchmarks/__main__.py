@@ -93,8 +93,19 @@ def _sizes(_context: click.Context, _option: click.Parameter, words: tuple[str, 
 @click.option(
     "--size", "sizes", multiple=True, callback=_sizes, metavar="PART.SIZE=VALUE", help="Another size of a part."
 )
+@click.option(
+    "--checkout",
+    type=click.Path(exists=True, file_okay=False, resolve_path=True),
+    help="Another checkout to measure beside this one, by the parts that can (start).",
+)
 @json_option
-def bench(parts: tuple[str, ...], frames: int | None, sizes: dict[str, dict[str, Any]], json_file: str | None) -> None:
+def bench(
+    parts: tuple[str, ...],
+    frames: int | None,
+    sizes: dict[str, dict[str, Any]],
+    checkout: str | None,
+    json_file: str | None,
+) -> None:
     """Measure speed, memory, growth and accuracy beside peers in the same run.
 
     Without --part the estimators and the matching are timed on synthetic frames of 12 stars in two exposures.
@@ -104,6 +115,8 @@ def bench(parts: tuple[str, ...], frames: int | None, sizes: dict[str, dict[str,
     except BoresightError as error:
         raise click.ClickException(str(error)) from error
     use_kernel_folder(read_settings())
+    if checkout is not None:
+        sizes.setdefault("start", {})["checkout"] = checkout
     if not parts:
         measured = _measured("kernels", frames, sizes)
         shown = [LEGEND]

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 import benchmarks.__main__ as command
-from benchmarks import PARTS, ROOT, Part, clients, collect_limits, footprint, growth, held, queue, whole
+from benchmarks import PARTS, ROOT, Part, clients, collect_limits, footprint, growth, held, queue, start, whole
 from benchmarks.pages import __main__ as program
 from benchmarks.pages import benchmarks, capacity
 from benchmarks.pages.drawings import DOCS, growth_figure
@@ -294,6 +294,15 @@ def test_the_first_calibration_is_counted_from_before_the_interpreter_starts():
     found = growth.measure_fresh(lambda *_: None, frames=60, repeats=1, uncompiled=False)
     assert found["first_s"] > found["warm_s"] > 0
     assert found["limits"]["fresh_over_warm"]["measured"] == pytest.approx(found["first_s"] - found["warm_s"])
+
+
+def test_starting_is_measured_beside_another_checkout_in_the_same_run():
+    found = start.measure(lambda *_: None, repeats=1, cold=False, checkout=str(ROOT))
+    for name in ("here", "checkout"):
+        assert found[name]["help_processor_s"] < found[name]["calibration_processor_s"]
+        assert found[name]["import_s"] > 0
+    assert found["limits"]["calibration"]["measured"] == found["here"]["calibration_processor_s"]
+    assert found["limits"]["cold"]["kept"] is None
 
 
 def test_what_a_process_costs_to_start_hides_no_growth():

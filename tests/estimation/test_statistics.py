@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import special as scipys
 from scipy.stats import binom, chi2
 
 from boresight.calibration.evaluation.contrast import (
@@ -15,6 +16,7 @@ from boresight.calibration.evaluation.contrast import (
 from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import batch
 from boresight.estimation.metrics import aggregate_rms, rms, tail_rms
+from boresight.estimation.statistics import special
 from boresight.estimation.statistics.consistency import chi_square, ljung_box, runs_p_value, share_bounds
 from boresight.estimation.statistics.drift import Epoch, baseline_test, fit_line, mahalanobis, power, slope_test
 from boresight.estimation.statistics.observability import further_covariance, observability
@@ -371,3 +373,38 @@ def test_a_direction_that_no_frame_tells_of_keeps_its_sigma():
     found = further_covariance(np.diag([4.0, 9.0]), a, 100)
     assert found[1, 1] == pytest.approx(9.0)
     assert found[0, 0] == pytest.approx(1 / 100.25)
+
+
+DOF = [*map(float, range(1, 30)), 1.5, 100.0, 1177.0, 9999.0, 20_000.0]
+CHANCES = (1e-6, 0.01, 0.025, 0.5, 0.975, 0.99)
+SUCCESSES = [
+    (k, n, p) for n in (1, 2, 30, 500, 30_000) for k in {0, n // 3, n // 2, n - 1, n} for p in (0.0027, 0.05, 0.5)
+]
+#: Arguments of each function, by its name here and in SciPy.
+ARGUMENTS = {
+    "ndtr": [(x,) for x in (-30.0, -3.0, 0.0, 2.0)],
+    "ndtri": [(p,) for p in CHANCES],
+    "chdtrc": [(dof, dof * share) for dof in DOF for share in (0.0, 0.3, 0.95, 1.0, 1.05, 1.5)],
+    "chdtri": [(dof, p) for dof in DOF for p in CHANCES],
+    "bdtr": SUCCESSES,
+    "bdtrc": SUCCESSES,
+    "stdtrit": [(dof, p) for dof in DOF for p in (0.6, 0.95, 0.975)],
+    "fdtri": [(3.0, dof, 0.99) for dof in DOF],
+}
+
+
+@pytest.mark.parametrize("name", ARGUMENTS)
+def test_tails_and_quantiles_are_scipys_one_by_one_and_of_arrays(name):
+    ours, theirs = getattr(special, name), getattr(scipys, name)
+    columns = [np.array(column) for column in zip(*ARGUMENTS[name], strict=True)]
+    expected = theirs(*columns)
+    np.testing.assert_allclose([ours(*row) for row in ARGUMENTS[name]], expected, rtol=1e-10, atol=1e-300)
+    if name != "ndtri":
+        for most in (5, len(expected)):
+            found = ours(*(column[:most] for column in columns))
+            np.testing.assert_allclose(found, expected[:most], rtol=1e-10, atol=1e-300)
+
+
+def test_tails_without_degrees_of_freedom_are_scipys():
+    for arguments in ((0.0, 1.0), (0.0, 0.0), (2.0, -1.0), (2.0, np.inf), (2.0, np.nan)):
+        np.testing.assert_equal(special.chdtrc(*arguments), float(scipys.chdtrc(*arguments)))

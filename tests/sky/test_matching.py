@@ -31,6 +31,7 @@ from boresight.sky.guide_stars import (
     GuideStars,
     ObserverMotion,
     close_pairs,
+    flags_of,
     guide_stars,
     observer_motion,
     phrases,
@@ -484,6 +485,8 @@ def test_the_flags_are_those_of_a_search_through_all_pairs(seed, n, blend_arcsec
     expected = (near & matters & ~np.eye(n, dtype=bool)).any(axis=1)
     np.testing.assert_array_equal((flags & DOUBLE) > 0, expected)
     np.testing.assert_array_equal((flags & UNRELIABLE) > 0, stars.solution_type != SINGLE_STAR)
+    some = rng.permutation(n)[: n // 2]
+    np.testing.assert_array_equal(flags_of(stars, some, blend_arcsec * ARCSEC), flags[some])
 
 
 def test_a_companion_of_a_much_brighter_star_is_a_double_and_few_bright_ones_are(catalogue):

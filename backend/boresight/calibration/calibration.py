@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache, partial
-from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
@@ -976,10 +975,14 @@ class Calibration:
         Path(path).write_text(self.to_json() + "\n", encoding="utf-8")
 
 
+#: Classes of what JSON takes as it is.
+_AS_THEY_ARE = frozenset((str, int, bool, type(None)))
+
+
 @cache
-def _members(kind: type[Any]) -> tuple[tuple[str, Any], ...]:
-    """Return name and getter of the members of a dataclass."""
-    return tuple((one.name, attrgetter(one.name)) for one in fields(kind))
+def _members(kind: Any) -> tuple[str, ...] | None:
+    """Return the names of the members of a dataclass; None of any other class."""
+    return tuple(one.name for one in fields(kind)) if is_dataclass(kind) else None
 
 
 def to_plain(value: Any) -> Any:
@@ -987,17 +990,19 @@ def to_plain(value: Any) -> Any:
 
     Lists of numbers and of lists of numbers are not copied.
     """
-    if is_dataclass(value) and not isinstance(value, type):
-        return {name: to_plain(member(value)) for name, member in _members(type(value))}
+    kind = type(value)
+    if kind in _AS_THEY_ARE:
+        return value
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if isinstance(value, Values):
-        return to_plain(value.to_dict())
-    if isinstance(value, dict):
+    if (members := _members(kind)) is not None:
+        return {name: to_plain(getattr(value, name)) for name in members}
+    if isinstance(value, list | tuple):
+        nested = bool(value) and _members(type(value[0])) is not None
+        return [to_plain(one) for one in value] if nested else list(value) if kind is tuple else value
+    if isinstance(value, dict | Values):
         return {key: to_plain(one) for key, one in value.items()}
-    if isinstance(value, list | tuple) and any(map(is_dataclass, value[:1])):
-        return [to_plain(one) for one in value]
-    return list(value) if isinstance(value, tuple) else value
+    return value
 
 
 @cache

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.calibration import Robust, Status, Values
@@ -15,6 +14,7 @@ from boresight.calibration.history_recorder import RecordedHistory
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.estimation import batch, cosine
+from boresight.estimation.statistics.special import ndtr
 from boresight.estimation.stored_arcs import Arcs
 
 

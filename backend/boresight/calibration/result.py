@@ -19,10 +19,12 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from importlib.metadata import version
 from typing import Any
 
+import erfa
+import numba
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from boresight import __version__
@@ -253,8 +255,13 @@ def _values(names: Sequence[str], numbers_of: FloatArray) -> Values[Any]:
 
 @cache
 def versions() -> dict[str, str]:
-    """What computes here; asking the installed packages takes as long as a short fit."""
-    return {name: version(name) for name in ("numpy", "numba", "scipy", "pyerfa")} | {
+    """What computes here, as the libraries themselves say: asking for installed packages takes as long as a short fit."""
+    return {
+        "numpy": np.__version__,
+        "numba": numba.__version__,
+        "scipy": scipy.__version__,
+        "pyerfa": erfa.__version__,
+    } | {
         "boresight": __version__,
         "python": platform.python_version(),
     }

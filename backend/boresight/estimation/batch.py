@@ -91,6 +91,8 @@ class BatchFit:
         Every accepted iterate, the start first.
     beyond
         Arcs beyond the threshold of Huber's loss; 0 for least squares.
+    cost
+        What was minimised, at x: chi-square, or Huber's loss.
     """
 
     x: FloatArray
@@ -101,6 +103,7 @@ class BatchFit:
     status: Status
     steps: tuple[Step, ...]
     beyond: int = 0
+    cost: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -122,6 +125,10 @@ class NormalEquations:
             chi2 += part.chi2
             total += part.sum_of_squares
         return cls(A, b, chi2, total)
+
+    def of(self, places: NDArray[np.int64]) -> NormalEquations:
+        """Those of some of the free parameters, the others held."""
+        return NormalEquations(self.A[np.ix_(places, places)], self.b[places], self.chi2, self.sum_of_squares)
 
     def finite(self) -> bool:
         """Whether the state is one the model can be evaluated at."""
@@ -179,7 +186,7 @@ def _decrement(equations: NormalEquations) -> float:
     return float(((vectors.T @ equations.b)[known] ** 2 / values[known]).sum())
 
 
-def fit(
+def fit(  # noqa: PLR0913 - what is fitted, and six choices by name
     arcs: Arcs,
     x0: FloatArray,
     free: NDArray[np.int64],
@@ -187,6 +194,7 @@ def fit(
     *,
     max_iterations: int = 50,
     threshold: float = np.inf,
+    begun: NormalEquations | None = None,
     report: Callable[[Step], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> BatchFit:
@@ -204,6 +212,8 @@ def fit(
         (n_free,) typical sigmas, SI.
     threshold
         Of Huber's loss, in whitened sigmas; infinite for least squares.
+    begun
+        A, b and the costs at the start, where they are known already.
     report
         Told of each accepted iterate, the start included.
     cancelled
@@ -219,7 +229,7 @@ def fit(
         When `cancelled` says so.
     """
     x, damping, growth = x0.copy(), FIRST_DAMPING, 2.0
-    here = normal_equations(arcs, x, free, scale, threshold)
+    here = begun or normal_equations(arcs, x, free, scale, threshold)
     steps: list[Step] = []
     status: Status = "max_iterations" if here.finite() else "diverged"
     for iteration in range(max_iterations + 1):
@@ -252,7 +262,7 @@ def fit(
     rank = int(determined(here.A)[2].sum()) if here.finite() else 0
     if status == "converged" and rank < len(free):
         status = "rank_deficient"
-    fitted = BatchFit(x, here.A, here.chi2, here.sum_of_squares, rank, status, tuple(steps))
+    fitted = BatchFit(x, here.A, here.chi2, here.sum_of_squares, rank, status, tuple(steps), cost=here.chi2)
     return fitted if np.isinf(threshold) or not here.finite() else _insured(fitted, arcs, free, scale, threshold)
 
 

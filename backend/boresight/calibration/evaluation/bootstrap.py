@@ -32,9 +32,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
 
 from boresight.arrays import FloatArray
+from boresight.estimation.statistics.special import ndtri, stdtrit
 
 REPLICATES = 1000
 #: Of the resampling at every door: the same data have the same intervals on page, command line and report.

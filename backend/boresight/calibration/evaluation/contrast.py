@@ -33,11 +33,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Calibration, Numbers
 from boresight.cameras import CAMERA_MODELS
+from boresight.estimation.statistics.special import chdtrc
 from boresight.estimation.statistics.uncertainty import radial_difference
 
 #: Below this share of the larger variance a difference of variances is rounding and linearisation, not noise.

@@ -28,7 +28,6 @@ from collections import Counter
 from typing import TypeVar
 
 import numpy as np
-from scipy.special import bdtr
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.calibration.calibration import (
@@ -52,6 +51,7 @@ from boresight.calibration.problem import whiten_at
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.metrics import arc_errors
+from boresight.estimation.statistics.special import bdtr
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry, time_text
 from boresight.telemetry.sensors import Sensor

@@ -36,7 +36,6 @@ some freedom out of them, so chance alone calls fewer than 1 % of sets uneven. B
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import bdtr, bdtrc, chdtrc, ndtr
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.calibration import (
@@ -51,6 +50,7 @@ from boresight.calibration.calibration import (
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, pixel_residuals
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested, probability
 from boresight.calibration.trust.residuals import LEAST_SHARE, StarResiduals
+from boresight.estimation.statistics.special import bdtr, bdtrc, chdtrc, ndtr
 
 #: Cells along the longer side.
 FEWEST_CELLS, MOST_CELLS = 4, 16

@@ -35,12 +35,12 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri, ndtr
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import LjungBox, NisOverTime, Values, Whiteness, WorstFrames
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested, probability
 from boresight.estimation.statistics.consistency import CONFIDENCE, ljung_box, runs_p_value, share_bounds
+from boresight.estimation.statistics.special import chdtrc, chdtri, ndtr
 
 FEWEST_FRAMES = 20
 MOST_LAGS = 20

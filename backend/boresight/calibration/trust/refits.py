@@ -28,7 +28,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import DroppedParameter, HalvesMap, HalvesTest, TwoHalves
@@ -37,6 +36,7 @@ from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailabl
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.statistics.consistency import chi_square
+from boresight.estimation.statistics.special import chdtrc, chdtri
 from boresight.estimation.statistics.uncertainty import difference_over_detector, expected_difference
 
 BLOCKS = 40
@@ -63,13 +63,32 @@ def _fitted(ground: FittedSet, frames: NDArray[np.bool_]) -> batch.BatchFit:
     if arcs.n_arcs <= len(ground.names):
         raise Unavailable("A half of the set holds no more arcs than there are free parameters: add frames.")
     refusal = "A half of the set does not determine the free parameters by itself: add frames, or free fewer."
-    return _fit_all(ground, arcs, HALF_ITERATIONS, refusal)
+    return _fit_all(ground, arcs, HALF_ITERATIONS, refusal, _summed(ground, frames))
 
 
-def _fit_all(ground: FittedSet, arcs: ArcSet, max_iterations: int, refusal: str) -> batch.BatchFit:
+def _summed(ground: FittedSet, frames: NDArray[np.bool_]) -> batch.NormalEquations | None:
+    """A, b and chi-square of some frames (n_frames,) at the joint estimate, from its rows; None with Huber's weights."""
+    if np.isfinite(ground.threshold):
+        return None
+    n_free = len(ground.names)
+    A, b, chi2 = np.zeros((n_free, n_free)), np.zeros(n_free), 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], frames, [False]])))
+    for first, last in ground.arcs.frame_arcs[edges].reshape(-1, 2):
+        e, H = ground.e[first:last], ground.H[first:last]
+        A += H.T @ H
+        b += H.T @ e
+        chi2 += float(e @ e)
+    return batch.NormalEquations(A, b, chi2, np.nan)
+
+
+def _fit_all(
+    ground: FittedSet, arcs: ArcSet, max_iterations: int, refusal: str, begun: batch.NormalEquations | None = None
+) -> batch.BatchFit:
     """Fit all free parameters to some frames from the joint estimate; what does not come to rest is refused."""
     free, scale = ground.parameters.free, ground.parameters.scale
-    fitted = batch.fit(arcs, ground.x, free, scale, threshold=ground.threshold, max_iterations=max_iterations)
+    fitted = batch.fit(
+        arcs, ground.x, free, scale, threshold=ground.threshold, max_iterations=max_iterations, begun=begun
+    )
     if fitted.status != "converged":
         raise Unavailable(refusal)
     return fitted
@@ -153,15 +172,15 @@ def drop_one(ground: FittedSet) -> list[DroppedParameter]:
     arcs = ground.thinned(MOST_FRAMES)
     refusal = "The fit of all parameters does not come to rest, so none can be compared with it: free fewer."
     fitted = _fit_all(ground, arcs, MOST_ITERATIONS, refusal)
-    best = Optimum(fitted.x, covariance(fitted.A), _cost(ground, arcs, fitted.x))
+    best = Optimum(fitted.x, covariance(fitted.A), fitted.cost)
     whole = best if arcs.n_frames == ground.arcs.n_frames else Optimum(ground.x, covariance(ground.A), np.nan)
     return [_without(ground, arcs, place, best, whole) for place in range(len(ground.names))]
 
 
-def _cost(fitted: FittedSet, arcs: ArcSet, x: FloatArray) -> float:
-    """What the fit minimises, at a state: chi-square, or Huber's loss."""
+def _equations(fitted: FittedSet, arcs: ArcSet, x: FloatArray) -> batch.NormalEquations:
+    """A, b and the cost at a state: chi-square, or Huber's loss."""
     free, scale = fitted.parameters.free, fitted.parameters.scale
-    return batch.normal_equations(arcs, x, free, scale, fitted.threshold).chi2
+    return batch.normal_equations(arcs, x, free, scale, fitted.threshold)
 
 
 def quadratic_increase(fitted: FittedSet, place: int, best: Optimum) -> tuple[float, FloatArray]:
@@ -178,11 +197,12 @@ def _without(ground: FittedSet, arcs: ArcSet, place: int, best: Optimum, whole: 
     foreseen, step = quadratic_increase(ground, place, best)
     x = best.x.copy()
     x[free] += scale * step
+    start, begun = _start(arcs, x, best, ground, place)
     fitted = batch.fit(
-        arcs, _start(arcs, x, best, ground, place), free[others], scale[others],
-        threshold=ground.threshold, max_iterations=MOST_ITERATIONS,
+        arcs, start, free[others], scale[others],
+        threshold=ground.threshold, max_iterations=MOST_ITERATIONS, begun=begun.of(others),
     )  # fmt: skip
-    increase = max(_cost(ground, arcs, fitted.x) - best.cost, 0.0)
+    increase = max(fitted.cost - best.cost, 0.0)
     if whole is not best:
         foreseen_of_all = quadratic_increase(ground, place, whole)[0]
         increase = foreseen_of_all * (increase / foreseen if foreseen > NEEDED else 1.0)
@@ -200,12 +220,15 @@ def _without(ground: FittedSet, arcs: ArcSet, place: int, best: Optimum, whole: 
     )
 
 
-def _start(arcs: ArcSet, foreseen: FloatArray, best: Optimum, fitted: FittedSet, place: int) -> FloatArray:
-    """The state foreseen, or the optimum with only this parameter held where that is nearer."""
+def _start(
+    arcs: ArcSet, foreseen: FloatArray, best: Optimum, fitted: FittedSet, place: int
+) -> tuple[FloatArray, batch.NormalEquations]:
+    """The state foreseen, or the optimum with only this parameter held where that is nearer, with A, b and the cost there."""
     p = fitted.parameters.free[place]
     held = best.x.copy()
     held[p] = foreseen[p] = fitted.problem.sensor.initial[p]
-    return foreseen if _cost(fitted, arcs, foreseen) <= _cost(fitted, arcs, held) else held
+    there, here = _equations(fitted, arcs, foreseen), _equations(fitted, arcs, held)
+    return (foreseen, there) if there.chi2 <= here.chi2 else (held, here)
 
 
 def drop_one_sentence(fitted: FittedSet, entries: list[DroppedParameter]) -> str:

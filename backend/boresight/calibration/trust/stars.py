@@ -23,8 +23,7 @@ from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.calibration.calibration import StarTrust
 from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailable
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals
-from boresight.sky.catalogue import Catalogue
-from boresight.sky.guide_stars import phrases, star_flags
+from boresight.sky.guide_stars import flags_of, phrases
 
 MOST_SHOWN = 200
 MOST_ROUNDS = 6
@@ -172,22 +171,14 @@ def _describe_catalogue(fitted: FittedSet, star_id: IntArray, pixel_rad: FloatAr
     """What the catalogue says against each star's place, in phrases."""
     if fitted.catalogue is None or not len(star_id):
         return [[] for _ in star_id]
-    blend_rad = BLEND_PX * float(np.median(pixel_rad))
-    near = _near(fitted.catalogue, star_id, blend_rad)
-    flags, place = star_flags(near, blend_rad), near.find_index(star_id)
-    return [phrases(int(flags[at])) if at >= 0 else ["not in the catalogue"] for at in place]
-
-
-def _near(catalogue: Catalogue, star_id: IntArray, within_rad: float) -> Catalogue:
-    """The catalogue's stars that differ in declination by no more than this from one of some stars."""
-    index = catalogue.find_index(star_id)
-    dec = catalogue.dec_rad[index[index >= 0]]
-    order = np.argsort(catalogue.dec_rad)
-    edges = np.zeros(len(order) + 1, np.int64)
-    np.add.at(edges, np.searchsorted(catalogue.dec_rad[order], dec - within_rad), 1)
-    np.add.at(edges, np.searchsorted(catalogue.dec_rad[order], dec + within_rad), -1)
-    kept = np.sort(order[np.cumsum(edges)[:-1] > 0])
-    return Catalogue(**{key: values[kept] for key, values in vars(catalogue).items()})
+    place = fitted.catalogue.find_index(star_id)
+    known = place >= 0
+    flags = np.zeros(len(place), np.int8)
+    flags[known] = flags_of(fitted.catalogue, place[known], BLEND_PX * float(np.median(pixel_rad)))
+    return [
+        phrases(flag) if of else ["not in the catalogue"]
+        for flag, of in zip(flags.tolist(), known.tolist(), strict=True)
+    ]
 
 
 def stars_sentence(table: StarTable, frames_used: int, frames: int, *, fits: bool) -> str:

@@ -22,9 +22,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import bdtr, chdtrc, chdtri, ndtr
 
 from boresight.arrays import FloatArray
+from boresight.estimation.statistics.special import bdtr, chdtrc, chdtri, ndtr
 
 CONFIDENCE = 0.95
 
