@@ -981,7 +981,7 @@ def to_plain(value: Any) -> Any:
 
     Lists of numbers and of lists of numbers are not copied.
     """
-    kind = type(value)
+    kind: Any = type(value)
     if kind in _AS_THEY_ARE:
         return value
     if isinstance(value, float):
@@ -989,7 +989,8 @@ def to_plain(value: Any) -> Any:
     if (members := _members(kind)) is not None:
         return {name: to_plain(getattr(value, name)) for name in members}
     if isinstance(value, list | tuple):
-        nested = bool(value) and _members(type(value[0])) is not None
+        first: Any = type(value[0]) if value else None
+        nested = first is not None and _members(first) is not None
         return [to_plain(one) for one in value] if nested else list(value) if kind is tuple else value
     if isinstance(value, dict | Values):
         return {key: to_plain(one) for key, one in value.items()}
