@@ -161,8 +161,8 @@ class Trial:
     terms: tuple[str, ...]
     false: bool
     missed: bool
-    held_out: float
-    own_held_out: float
+    validation_chi2: float
+    own_validation_chi2: float
     arcs: int
 
 
@@ -220,6 +220,6 @@ def summarise(trials: list[Trial]) -> dict[str, Any]:
         "named": {"camera": named[0], "terms": list(named[1]), "sets": often},
         "false": sum(one.false for one in trials),
         "missed": sum(one.missed for one in trials),
-        "held_out_over_noise": float(np.sqrt(sum(one.held_out for one in trials) / arcs)),
-        "own_terms_over_noise": float(np.sqrt(sum(one.own_held_out for one in trials) / arcs)),
+        "held_out_over_noise": float(np.sqrt(sum(one.validation_chi2 for one in trials) / arcs)),
+        "own_terms_over_noise": float(np.sqrt(sum(one.own_validation_chi2 for one in trials) / arcs)),
     }

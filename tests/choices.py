@@ -21,7 +21,7 @@ PARAMETERS = {
 }  # fmt: skip
 
 
-def candidate(camera_model="inverted_wang", free=("f_m",), terms=(), held_out=3.1e-5, **others):
+def candidate(camera_model="inverted_wang", free=("f_m",), terms=(), rms_rad=3.1e-5, **others):
     numbers = {
         "chi2": 812.4,
         "dof": 800,
@@ -30,10 +30,10 @@ def candidate(camera_model="inverted_wang", free=("f_m",), terms=(), held_out=3.
         "change_px": 0.12,
         "change_3_sigma_px": 0.03,
     }
-    interval = None if held_out is None else [0.9 * held_out, 1.1 * held_out]
+    interval = None if rms_rad is None else [0.9 * rms_rad, 1.1 * rms_rad]
     return Candidate(
         camera_model=camera_model, free=list(free), terms=list(terms), state=others.pop("state", State.DETERMINED),
-        held_out_rms_arc_rad=held_out, held_out_interval_rad=interval, **numbers | others,
+        held_out_rms_arc_rad=rms_rad, held_out_interval_rad=interval, **numbers | others,
     )  # fmt: skip
 
 
@@ -47,7 +47,7 @@ def made_test(*terms, needed):
 
 def made_choice(**members):
     models = [
-        candidate(held_out=3.9e-5, bic=901.0),
+        candidate(rms_rad=3.9e-5, bic=901.0),
         candidate(free=("f_m", "b2_per_m2"), terms=("radial r³",), change_px=0.0, change_3_sigma_px=0.0),
         candidate("brown_conrady", ("f_m", "k1"), ("radial r³",), bic=834.0),
         candidate("kannala_brandt", ("f_m", "k1"), ("radial r³",), None, state=State.UNDETERMINED, bic=None, chi2=None),

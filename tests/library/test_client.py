@@ -60,7 +60,7 @@ def test_a_camera_is_chosen_for_a_run_or_for_telemetry(client, house, tmp_path):
         client.choice(run)
     chosen = client.choose(run)
     assert isinstance(chosen, bs.Choice)
-    assert client.choice(run) == chosen == client.choose(client.run(run)) == made_choice()
+    assert client.choice(run) == chosen == client.choose(client.run(run)) == bs.Choice(**vars(made_choice()))
     (tmp_path / "telemetry.csv").write_bytes(house.telemetry_csv)
     assert client.choose(tmp_path / "telemetry.csv", house.sensor_file(), match="given") == chosen
     with pytest.raises(bs.RefusedInputError, match="give the run alone"):

@@ -57,6 +57,7 @@ FORMS = {  # who sends which form to which page
     "/notes/{kind}/{subject_id:int}": ("ada", {"text": "A note."}),
     "/runs/{run_id:int}/parameter-set": ("ada", {}),
     "/runs/{run_id:int}/cancel": ("ada", {}),
+    "/runs/{run_id:int}/choice": ("ada", {}),
     "/webhooks": ("adele", {"label": "h", "url": "https://203.0.113.7/hook"}),
     "/webhooks/{webhook_id:int}/try": ("adele", {}),
     "/webhooks/{webhook_id:int}/renew-secret": ("adele", {}),

@@ -58,9 +58,9 @@ def numbers(page):
 
 @pytest.mark.parametrize("name", TABLES)
 def test_every_order_of_a_table_is_one_that_the_database_knows(name):
-    orders = {column.sort.removeprefix("-") for column in TABLES[name].columns if column.sort}
-    assert orders <= set(LISTS[TABLES[name].name].keys)
-    assert TABLES[name].sort.removeprefix("-") in orders
+    sort_keys = {column.sort.removeprefix("-") for column in TABLES[name].columns if column.sort}
+    assert sort_keys <= set(LISTS[TABLES[name].name].keys)
+    assert TABLES[name].sort.removeprefix("-") in sort_keys
     assert any(column.head for column in TABLES[name].columns)
 
 

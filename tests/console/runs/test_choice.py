@@ -84,7 +84,7 @@ def test_only_an_analyst_asks_and_only_for_a_calibration_that_has_ended(site, ch
 def test_a_choice_is_no_calibration_to_lists_the_fleet_and_parameter_sets(site, chosen):
     with open_reading(site.engine) as session:
         assert chosen not in [run.id for run in runs.list_runs(session)]
-        assert chosen not in [run.id for run in run_queries.list_newest_finished(session, 1, 10)]
+        assert chosen not in [run.id for run in run_queries.iterate_newest_finished(session, 1)]
         assert run_queries.read_neighbours(session, 2) == (1, None)
         with pytest.raises(ConflictError, match="read the choice of run 1"):
             runs.find_result(session, site.blobs, chosen)
@@ -228,5 +228,5 @@ def test_the_figure_has_a_colour_a_camera_and_a_ring_about_the_chosen_one():
 
 def test_without_anything_held_out_the_figure_says_so():
     made = made_choice()
-    bare = parse_choice({**made.to_dict(), "models": [candidate(held_out=None).__dict__] * 2, "held_out_by": None})
+    bare = parse_choice({**made.to_dict(), "models": [candidate(rms_rad=None).__dict__] * 2, "held_out_by": None})
     assert "validation set" in held_out_error.draw(bare).layout.annotations[0].text
