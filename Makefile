@@ -24,8 +24,9 @@ export PYTHONUNBUFFERED := 1
 NODE_MODULES := frontend/node_modules/.package-lock.json
 TSC := $(BIN)/node frontend/node_modules/typescript/bin/tsc --project frontend
 
+# Three processes on two cores, for tests that wait for servers and browsers leave a third of each idle.
 # Debian keeps PostgreSQL's own programs off the path.
-PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest --durations 10 --numprocesses 2
+PYTEST := PATH="$(CURDIR)/$(BIN):$$PATH:$$(echo /usr/lib/postgresql/*/bin | tr ' ' ':')" $(BIN)/pytest --durations 10 --numprocesses 3
 
 REQUESTS ?= 100000
 SEED ?= 1

@@ -296,6 +296,7 @@ def test_the_first_calibration_is_counted_from_before_the_interpreter_starts():
     assert found["limits"]["fresh_over_warm"]["measured"] == pytest.approx(found["first_s"] - found["warm_s"])
 
 
+@pytest.mark.full
 def test_starting_is_measured_beside_another_checkout_in_the_same_run():
     found = start.measure(lambda *_: None, repeats=1, cold=False, checkout=str(ROOT))
     for name in ("here", "checkout"):
