@@ -69,6 +69,7 @@ def test_the_key_of_the_workers_is_in_no_configuration_no_log_and_no_description
     assert not [text for text in texts if "PRIVATE KEY" in text]
 
 
+@pytest.mark.full
 def test_the_certificate_of_the_workers_outlasts_every_server_and_each_server_has_its_own(cluster, make_store):
     security = cluster._local.security
     for pem in (security.tls_ca_file, security.tls_worker_cert):

@@ -1,5 +1,6 @@
 """A dispatcher that begins and ends: workers known before any run, runs given back at its end, a corrupt table said once."""
 
+import pytest
 from distributed.comm import CommClosedError
 
 from boresight.workers.dispatcher import RunDispatcher
@@ -35,6 +36,7 @@ def test_a_scheduler_that_is_lost_in_the_middle_of_a_turn_is_told_in_a_line_with
     assert [(record.levelname, record.exc_info) for record in caplog.records] == [("WARNING", None)]
 
 
+@pytest.mark.full
 def test_workers_that_have_joined_are_known_without_any_run(make_store, start_dispatcher):
     store = make_store()
     dispatcher = start_dispatcher(store)

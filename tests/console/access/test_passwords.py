@@ -294,6 +294,7 @@ def test_nobody_elses_failures_keep_a_person_waiting(limiter, clock):
         assert limiter.admit(LoginAttempt(name, place, known)) == 0.0
 
 
+@pytest.mark.full
 def test_an_account_bears_at_most_100_wrong_passwords_an_hour_from_100_strange_places_and_one_known(limiter, clock):
     strange = [LoginAttempt("cy", f"6.6.6.{number}") for number in range(100)]
     assert _tries_in_an_hour(limiter, clock, [*strange, LoginAttempt("cy", "1.2.3.4", known=True)]) <= 100
