@@ -14,7 +14,7 @@ from tests.fuzz.run import fuzz
 from tests.fuzz.world import furnished
 from tests.served import house_in
 
-REQUESTS = effort(400, 3000)
+REQUESTS = effort(600, 3000)
 
 
 def test_no_request_ends_in_a_server_error_or_in_an_answer_that_is_not_documented(
