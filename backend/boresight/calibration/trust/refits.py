@@ -5,8 +5,10 @@ optimum costs d^2 / (A^-1)_pp and moves the others by (A^-1)_:p d / (A^-1)_pp. S
 is not linear over that far, so this step is only where a true fit begins. By Wilks' theorem the increase is chi-square with one
 degree of freedom when the start is the truth; beyond its 99 % point, 6.63, the data ask for the parameter.
 
-Beyond `MOST_FRAMES` the true fits run on frames spaced evenly over the set. The increase over all frames is then the quadratic
-one over all, times the ratio of true to quadratic on those frames, which is one for a start that is near. A fit that does not
+The true fits run on at most `MOST_FRAMES` frames, and at most some `MOST_ARCS` arcs, spaced evenly over the set: how far the camera
+is from linear is the same in each part of it. The increase over all frames is then the quadratic one over all, times the ratio of
+true to quadratic on those frames, which is one for a start that is near; other parameters move by the same on either, told in
+sigmas of all. A fit that does not
 come to rest in `MOST_ITERATIONS` is not `settled`: the increase is then at most what is told.
 
 Two halves of a set, fitted apart: whether they agree within what both claim.
@@ -150,6 +152,7 @@ def _sentence(value: float, dof: int, bounds: tuple[float, float], found: float,
 
 
 MOST_FRAMES = 200
+MOST_ARCS = 2_000
 MOST_ITERATIONS = 30
 NEEDED = float(chdtri(1, 0.01))
 
@@ -169,7 +172,7 @@ def drop_one(ground: FittedSet) -> list[DroppedParameter]:
         raise Unavailable("Only one parameter is free, so there is no other to fit without it.")
     if not ground.determined:
         raise Unavailable("The data leave a direction of the parameters open already: hold some fixed and run again.")
-    arcs = ground.thinned(MOST_FRAMES)
+    arcs = ground.thinned(min(MOST_FRAMES, -(-MOST_ARCS * ground.arcs.n_frames // ground.arcs.n_arcs)))
     refusal = "The fit of all parameters does not come to rest, so none can be compared with it: free fewer."
     fitted = _fit_all(ground, arcs, MOST_ITERATIONS, refusal)
     best = Optimum(fitted.x, covariance(fitted.A), fitted.cost)
@@ -206,7 +209,7 @@ def _without(ground: FittedSet, arcs: ArcSet, place: int, best: Optimum, whole: 
     if whole is not best:
         foreseen_of_all = quadratic_increase(ground, place, whole)[0]
         increase = foreseen_of_all * (increase / foreseen if foreseen > NEEDED else 1.0)
-    moved = np.abs((fitted.x - best.x)[free[others]]) / (scale[others] * np.sqrt(np.diag(best.P)[others]))
+    moved = np.abs((fitted.x - best.x)[free[others]]) / (scale[others] * np.sqrt(np.diag(whole.P)[others]))
     most = int(np.argmax(moved))
     return DroppedParameter(
         name=ground.names[place],
