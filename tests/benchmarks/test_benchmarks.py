@@ -201,6 +201,7 @@ def test_everybody_in_a_crowd_is_answered_and_every_listener_hears_every_event_o
     assert found["limits"]["events_lost"]["kept"]
 
 
+@pytest.mark.full
 def test_no_page_of_a_large_fleet_names_every_sensor(monkeypatch):
     monkeypatch.setattr(clients, "serving", partial(serving, workers=0))
     sensors = effort(60, 260)

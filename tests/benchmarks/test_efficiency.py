@@ -7,7 +7,6 @@ from benchmarks import efficiency
 from benchmarks.efficiency import CASES, OVER_LIKELIHOOD, PITCH_M, measure, rotations
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation.statistics.cramer_rao import centroid_rows
-from tests.effort import effort
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.camera)
@@ -34,12 +33,12 @@ def test_small_rotations_are_rotations():
     np.testing.assert_allclose(C[0] @ [0, 0, 1], [-2e-3, -1e-3, 1], atol=4e-6)
 
 
+@pytest.mark.full
 def test_batch_and_filter_err_as_the_maximum_likelihood_fit_does_and_claim_what_they_err():
-    """The full run is the promise: 200 sets a camera; a few show no more than that the ratio is right on them."""
-    found = measure(lambda *_: None, sets=effort(4, 200), frames=effort(40, 60))["cameras"]
+    found = measure(lambda *_: None, sets=200, frames=60)["cameras"]
     for of in found.values():
         for name in ("batch", "sqrf"):
             one = of["estimators"][name]
             assert one["over_likelihood"] <= OVER_LIKELIHOOD
-            assert one["nees_inside"] or effort(few=True, many=False)
-        assert of["estimators"]["maximum_likelihood"]["rmse_over_bound"] < effort(1.3, 1.05)
+            assert one["nees_inside"]
+        assert of["estimators"]["maximum_likelihood"]["rmse_over_bound"] < 1.05

@@ -16,6 +16,7 @@ def seen(window):
     return tables, chosen, axis
 
 
+@pytest.mark.full
 def test_a_second_person_sees_the_same_comparison_by_its_address(people, batch_run, sequential_run):
     with people.seat("analyst") as window:
         window.open(f"/compare?runs={batch_run},{sequential_run}&reference={sequential_run}&overlay=table")

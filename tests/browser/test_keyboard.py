@@ -79,6 +79,7 @@ def test_who_skips_to_the_content_of_a_page_that_still_loads_is_not_thrown_back(
         expect(first).to_be_focused()
 
 
+@pytest.mark.full
 def test_what_has_the_focus_keeps_it_when_its_part_of_the_page_is_renewed(people, batch_run):
     with people.seat("analyst") as window:
         window.open(f"/runs/new?clone={batch_run}")

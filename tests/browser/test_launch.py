@@ -130,6 +130,7 @@ def test_the_fields_of_singular_values_are_there_for_them_alone(people, telemetr
                 expect(field).to_be_enabled(enabled=bool(able))
 
 
+@pytest.mark.full
 def test_a_run_by_singular_values_says_what_was_chosen_and_shows_what_a_frame_determines(people, svd_run):
     with people.seat("analyst") as window:
         settings = window.result(svd_run)["inputs"]["settings"]
@@ -147,6 +148,7 @@ def test_a_run_by_singular_values_says_what_was_chosen_and_shows_what_a_frame_de
         assert window.barriers() == []
 
 
+@pytest.mark.full
 def test_the_panel_of_methods_sets_both_beside_the_batch_on_one_set(people, batch_run, svd_run, angular_run):
     with people.seat("analyst") as window:
         window.open(f"/compare?runs={batch_run},{svd_run},{angular_run}")
@@ -184,6 +186,7 @@ def analyst(tmp_path_factory, pytestconfig, browser):
     made.stop()
 
 
+@pytest.mark.full
 def test_a_sensor_of_a_large_fleet_is_found_and_chosen_and_what_was_typed_stays(analyst):
     page = analyst.page
     sensor, label = page.get_by_label("Sensor", exact=True), page.get_by_label("Label")

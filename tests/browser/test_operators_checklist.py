@@ -18,6 +18,7 @@ def test_there_are_twenty_questions():
     assert [int(number) for number, *_ in QUESTIONS] == list(range(1, 21))
 
 
+@pytest.mark.full
 def test_each_question_is_answered_on_its_page(people, numbers):
     missing = []
     with people.seat("approver") as window:

@@ -74,6 +74,7 @@ def test_the_pointer_over_one_chart_marks_the_same_place_in_all_that_share_its_a
     expect(window.page.locator(LINES)).to_have_count(0)
 
 
+@pytest.mark.full
 def test_scale_and_tail_are_in_the_address_so_that_a_second_person_sees_the_same(window, people, sequential_run):
     window.open(f"/runs/{sequential_run}?part=convergence")
     window.figures_drawn()

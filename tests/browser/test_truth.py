@@ -28,6 +28,7 @@ def sparse_set(people, sensor_id, files):
         return upload(window, sensor_id, path)
 
 
+@pytest.mark.full
 def test_a_run_without_enough_stars_says_so_and_shows_no_number(people, sparse_set):
     with people.seat("analyst") as window:
         window.open(f"/runs/new?set={sparse_set}")
@@ -70,6 +71,7 @@ def test_a_run_whose_data_are_lost_fails_with_its_cause_and_what_to_try(people, 
         expect(window.page.get_by_label("Label")).to_have_value(re.compile("Its data are gone"))
 
 
+@pytest.mark.full
 def test_a_cancelled_run_says_who_stopped_it_and_keeps_no_result(people, batch_run):
     with people.seat("analyst") as window:
         window.open(f"/runs/new?clone={batch_run}")

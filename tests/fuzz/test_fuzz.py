@@ -8,15 +8,15 @@ from contextlib import closing
 import pytest
 
 from boresight.sky.catalogue import load_catalogue
-from tests.effort import effort
 from tests.fuzz.documents import KINDS, ODD, changed, places
 from tests.fuzz.run import fuzz
 from tests.fuzz.world import furnished
 from tests.served import house_in
 
-REQUESTS = effort(600, 3000)
+REQUESTS = 3000
 
 
+@pytest.mark.full
 def test_no_request_ends_in_a_server_error_or_in_an_answer_that_is_not_documented(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:

@@ -50,6 +50,7 @@ def counted(loops, cameras, folder):
     return [(set(json.loads(names)), int(most)) for names, most in lines]
 
 
+@pytest.mark.full
 def test_a_part_is_compiled_once_whichever_loops_and_parts_call_it(tmp_path):
     ((functions, most),) = counted("whitened_rows,normal_equations", ["inverted_wang"], tmp_path)
     assert most == 1
@@ -59,6 +60,7 @@ def test_a_part_is_compiled_once_whichever_loops_and_parts_call_it(tmp_path):
     }  # fmt: skip
 
 
+@pytest.mark.full
 def test_a_second_camera_compiles_only_what_touches_its_state(tmp_path):
     (first, _), (second, most) = counted("rays,order_stars", ["inverted_wang", "pinhole_radial"], tmp_path)
     assert most == 1

@@ -133,6 +133,7 @@ def study():
     return enright.run(plan, None)
 
 
+@pytest.mark.full
 def test_the_document_follows_its_schema(study):
     assert study["schema"] == "boresight.reproduction/1"
     assert [table["number"] for table in study["tables"]] == ["III", "IV", "V", "VI", "VII"]

@@ -65,6 +65,7 @@ def generated(
         del sys.modules[name]
 
 
+@pytest.mark.full
 def test_a_generated_client_logs_in_uploads_launches_waits_and_reads_a_typed_result(
     served: tuple[str, dict[str, Any], Path], generated: ModuleType
 ) -> None:
