@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2, norm
+from scipy.stats import f as fisher
 
 from benchmarks.choice import LENSES
 from boresight.calibration.choice.choose import choose
 from boresight.calibration.choice.cross_validation import cross_validate
 from boresight.calibration.choice.detector_change import ChangeOverDetector
 from boresight.calibration.choice.fits import Fits, seen_by, whitened_at
-from boresight.calibration.choice.nested_tests import LEVEL, Noise, nested_test
+from boresight.calibration.choice.nested_tests import LEVEL, Noise, log_survival, nested_test
 from boresight.calibration.choice.result import State, Sufficiency, parse_choice
 from boresight.calibration.choice.search import DECISIVE, fit_ladders
 from boresight.calibration.choice.terms import Subset, base, find_terms, largest, radial_orders
@@ -355,3 +356,15 @@ def test_on_the_real_sky_one_radial_term_and_the_principal_point_suffice(real_sk
     assert found.chosen.camera_model == "inverted_wang"
     assert found.chosen.free == ["f_m", "m0_px", "n0_px", "b2_per_m2"]
     assert found.leftover.p > LEVEL
+
+
+def test_a_probability_too_small_for_a_float_has_its_logarithm():
+    for df, dof in ((1, 40.0), (2, 7417.0), (5, 90_000.0)):
+        f = np.geomspace(1.0, 1e18, 4000)
+        known = fisher.logsf(f, df, dof)
+        here = (known < -610.0) & (known > -690.0)  # beyond what is taken from SciPy, and not yet lost there
+        assert here.any()
+        assert [log_survival(one, df, dof) for one in f[here]] == pytest.approx(known[here], rel=1e-9)
+    assert log_survival(1e4, 1, 1e9) == pytest.approx(np.log(2) + norm.logsf(100.0), rel=1e-5)
+    assert np.isfinite(log_survival(np.inf, 3, 50.0))
+    assert np.isfinite(log_survival(13_000.0, 1, 7417.0))

@@ -18,9 +18,11 @@ chance of one false term in all is at most the level.
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 
-from scipy.special import chdtri
+import numpy as np
+from scipy.special import betaln, chdtri
 from scipy.stats import f as fisher
 
 from boresight.calibration.choice.fits import FittedSubset
@@ -91,8 +93,29 @@ def nested_test(smaller: FittedSubset, larger: FittedSubset, noise: Noise, looke
     df = larger.n_free - smaller.n_free
     drop = max(0.0, smaller.chi2 - larger.chi2)
     more = tuple(name for name in larger.subset.term_names if name not in smaller.subset.term_names)
-    log_p = float(fisher.logsf(drop / df / noise.variance, df, noise.dof))
+    log_p = log_survival(drop / df / noise.variance, df, noise.dof)
     return NestedTest(smaller, larger, more, drop, df, log_p, looked_at)
+
+
+#: Below it the library's logarithm is that of a number that may have become zero.
+SAFE_LOG = -600.0
+
+
+def log_survival(f: float, df: int, dof: float) -> float:
+    """Logarithm of the probability that Fisher's F exceeds `f`, finite however small that is.
+
+    With z = dof / (dof + df f) it is the incomplete beta function I_z(a, b), a = dof / 2 and b = df / 2, by its power series
+    (DLMF 8.17.8)
+
+        I_z(a, b) = z^a (1 - z)^b / (a B(a, b)) sum_n (a + b)_n / (a + 1)_n z^n.
+    """
+    found = float(fisher.logsf(f, df, dof))
+    if found > SAFE_LOG:
+        return found
+    a, b, z = dof / 2, df / 2, max(dof / (dof + df * f), sys.float_info.min)
+    n = np.arange(math.ceil(40.0 / -math.log(z)) + 40)
+    total = 1.0 + np.cumprod((a + b + n) / (a + 1.0 + n) * z).sum()
+    return float(a * math.log(z) + b * math.log1p(-z) - math.log(a) - betaln(a, b) + math.log(total))
 
 
 def least_likely(tests: list[NestedTest]) -> NestedTest | None:
