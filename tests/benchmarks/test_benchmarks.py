@@ -264,6 +264,7 @@ def test_an_undisturbed_run_is_computed_once_and_its_time_is_known(monkeypatch):
     assert 0 < calm["claims_per_run"] <= 1
 
 
+@pytest.mark.full
 def test_every_step_of_a_whole_calibration_is_told_and_its_limit_is_judged_at_full_size_only(monkeypatch):
     monkeypatch.setattr(whole, "REPEATS", effort(1, whole.REPEATS))
     heard = []

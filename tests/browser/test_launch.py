@@ -19,6 +19,7 @@ from tests.stores import url_in
 pytestmark = pytest.mark.browser
 
 
+@pytest.mark.full
 def test_a_preset_keeps_what_was_typed_and_its_campaign_is_followed_to_its_end(people, telemetry):
     with people.seat("analyst") as window:
         page, dry_run = window.page, window.page.locator("[data-dry-run]")

@@ -47,6 +47,7 @@ def files(request):
     return _files(make_inputs(request.param))
 
 
+@pytest.mark.full
 def test_processes_in_other_places_build_the_same_bytes_and_other_inputs_make_others():
     content, hashes = build_package(make_inputs()), set()
     assert content != build_package(make_inputs() | {"backout": make_set("pinhole_radial", 0)})

@@ -24,6 +24,7 @@ def every_ms(server):
     return {name: callback.callback_time for name, callback in server.periodic_callbacks.items()}
 
 
+@pytest.mark.full
 def test_a_worker_does_not_look_at_its_computing_thread(cluster):
     done, _ = cluster._client.run(
         lambda dask_worker: {name: each.callback_time for name, each in dask_worker.periodic_callbacks.items()}
