@@ -26,7 +26,7 @@ hypothesis.settings.register_profile("full", hypothesis.settings(), deadline=Non
 hypothesis.settings.register_profile("search", hypothesis.settings(), deadline=None, max_examples=2000)
 _numbers = count(1)
 TESTS = Path(__file__).parent
-FIRST = ("browser", "workers", "benchmarks", "transitions", "fuzz")  # what waits for processes and takes longest begins
+FIRST = ("browser", "workers", "test_new_things.py", "benchmarks", "transitions", "test_wheel.py")  # takes longest
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
