@@ -276,6 +276,122 @@ class Evaluation:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RemovedStar:
+    """A detection whose proposed star did not stand: its row as an editor counts, its numbers, and why.
+
+    `probability`: that a detection of this star under the same noise would lie as far from its place, where a test decided.
+    """
+
+    frame: int
+    exposure: int
+    row: int
+    star_id: int | None
+    reason: str
+    probability: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrustTest:
+    """One test of the data against the model.
+
+    `probability`: of a statistic so large when all is as the model says; `adjusted`: the same after Holm's correction for all tests
+    made, by which it is `noticed`. `effect`: the size of what was found, in `unit`.
+    """
+
+    name: str
+    probability: float
+    adjusted: float
+    noticed: bool
+    effect: float | None = None
+    unit: str = ""
+    sentence: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cause:
+    """What explains the tests that were noticed, with its share of likelihood among all causes, and what to do about it."""
+
+    name: str
+    likelihood: float
+    sentence: str
+    remedy: str
+    tests: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Misfit:
+    """How much wider than noise alone makes them the sigmas are for what the model does not hold.
+
+    `covariance`: SI, of the estimate with it. `factor`: by parameter. `blocks`: of frames that the estimate was made from.
+    """
+
+    covariance: Covariance
+    factor: Values[float | None]
+    blocks: int
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Minimum:
+    """A place where chi-square is lowest among its neighbours: parameters, SI, and how far above the best."""
+
+    parameters: Values[float]
+    chi2_above_best: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProfileInterval:
+    """Where a parameter, SI, may lie by profile likelihood: pieces, each with its ends; None is beyond what was searched."""
+
+    name: str
+    confidence: float
+    pieces: list[Numbers]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Minima:
+    """What a search from many starts found, the best first, and the intervals of the parameters that are not symmetric."""
+
+    starts: int
+    found: list[Minimum] = field(default_factory=list)
+    intervals: list[ProfileInterval] = field(default_factory=list)
+    taken_from: str = ""
+    sentence: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseTerm:
+    """One term of the noise model: its coefficients with sigmas, the probability that it is none, and whether it was applied."""
+
+    name: str
+    unit: str
+    coefficients: dict[str, float]
+    sigma: dict[str, float | None]
+    probability: float
+    needed: bool
+    applied: bool
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """How the centroid noise and bias of a set depend on magnitude, field angle, rate, pixel phase and colour."""
+
+    terms: list[NoiseTerm] = field(default_factory=list)
+    unavailable: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assumption:
+    """What the data cannot show: whether it was declared, what was taken to be so, and what an error in it would do."""
+
+    name: str
+    declared: bool
+    value: str
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class JudgedOn:
     """The part of a set too large to be judged whole that scores, alignment and trust are of."""
 
@@ -937,6 +1053,14 @@ class Calibration:
     advice: list[str] = field(default_factory=list)
     rms_arc_rad: Change = field(default_factory=Change)
     robust: Robust | None = None
+    removed: list[RemovedStar] = field(default_factory=list)
+    tests: list[TrustTest] = field(default_factory=list)
+    causes: list[Cause] = field(default_factory=list)
+    sigma_with_misfit: Values[float | None] = field(default_factory=Values)
+    misfit: Misfit | None = None
+    minima: Minima | None = None
+    noise: Noise | None = None
+    assumptions: list[Assumption] = field(default_factory=list)
     validation: Evaluation | None = None
     judged_on: JudgedOn | None = None
     evaluation: Evaluation | None = None
