@@ -18,11 +18,12 @@ A camera that was fitted to stars displaced by c is off by
     d = z_fitted - z_true = -A^-1 H^T G c_hat,
 
 how far its parameters are wrong if this departure is real. The square of d in claimed sigmas, d^T A d, is by noise alone
-tr(A^-1 H^T G F^-1 G^T H) on average, which is taken off.
+tr(A^-1 H^T G F^-1 G^T H) on average, which is taken off. A direction of c that the camera nearly has itself is hardly known and
+moves the parameters far; so only those directions of c are counted here that stand clear of the noise.
 
 Three kinds of field have three kinds of rows: displaced centroids, pixels (J = -ds/d(principal point), for a camera knows a place
 only by its distance from it); directions displaced in the sky, rad east and north, where the arcs of the catalogue are what moves;
-and parameters that change from frame to frame by f_k, for which G = -H f and no loop is needed.
+and what changes from frame to frame by f_k, whose rows are those of the unchanging field times f_k: -H f_k for a parameter.
 
 Directions of c that no data could show are left out: those that turn an exposure as a whole, which arcs do not see, and those that
 the camera has itself. Both show as eigenvalues of F small beside the sum of squares of the displacements over their sigmas.
@@ -37,7 +38,7 @@ Reference: C. R. Rao, "Large sample tests of statistical hypotheses concerning s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, reduce
 from itertools import pairwise
@@ -55,6 +56,8 @@ from boresight.estimation.statistics.special import fdtrc
 
 #: Share of a displacement's information below which a direction of it is the camera's own, or a turn of the exposure.
 LEAST_SHARE = 1e-7
+#: Sigmas from which on a direction of c is clear.
+CLEAR = 3.0
 #: Frames whose rows are made at a time: they stay in the processor's cache.
 FRAMES = 256
 
@@ -114,6 +117,13 @@ class Block:
         east = np.stack([-s[:, 1] / reach, s[:, 0] / reach, np.zeros(len(s))], axis=-1)
         return s, np.ascontiguousarray(np.stack([east, np.cross(s, east)], axis=-1))
 
+    def displace(self, u: FloatArray, kind: str) -> FloatArray:
+        """Whitened change (n_arcs, n_fields) of the arcs by displacements u (n_stars, 2, n_fields) on the detector or in the sky."""
+        s, J = self.on_detector if kind == "detector" else self.in_sky
+        rows = np.empty((self.arcs.n_arcs, u.shape[2]))
+        kernels.displaced_rows(self.arcs.star_start, s, J, self.arcs.band, np.ascontiguousarray(u), rows)
+        return rows
+
     @cached_property
     def sigma_rad(self) -> FloatArray:
         """(n_stars,) isotropic direction error of each star."""
@@ -122,7 +132,7 @@ class Block:
         return np.asarray(self.arcs.sigma_px * np.sqrt(pixel))
 
 
-Kind = Literal["detector", "sky", "parameters"]
+Kind = Literal["detector", "sky", "rows"]
 
 
 @dataclass(frozen=True)
@@ -130,7 +140,7 @@ class Departure:
     """A departure from the model with its fields.
 
     `fields` makes them of a block: of kind `detector` displacements (n_stars, 2, n_fields), pixels; `sky`: the same, rad east and
-    north; `parameters`: changes of the free parameters (n_arcs, n_free, n_fields), typical sigmas.
+    north; `rows`: their rows G (n_arcs, n_fields), where these are those of another field times numbers of the frame.
     """
 
     name: str
@@ -170,7 +180,8 @@ class Score:
     `statistic`: fall of chi-square in the noise found, and `dof` its degrees of freedom; `p`: chance of as much. `c`, `covariance`:
     (n_fields,) and (n_fields, n_fields) the coefficients, zero along directions that were left out. `d`: (n_free,) how far the
     parameters are off if it is real, typical sigmas. `misled`: the same in claimed sigmas, along the combination of parameters that
-    is misled most, less what noise does alone.
+    is misled most, from the directions of c that stand clear of noise, less what noise does alone. `fall`, `left`: of chi-square, in
+    the stated noise, and what remains of it.
     """
 
     name: str
@@ -181,6 +192,8 @@ class Score:
     covariance: FloatArray
     d: FloatArray
     misled: float
+    fall: float
+    left: float
 
 
 def add_up(fitted: FittedSet, departures: Sequence[Departure], most_frames: int | None = None) -> ScoreSums:
@@ -207,8 +220,8 @@ def _add_block(block: Block, departures: Sequence[Departure]) -> ScoreSums:
         if names:
             _displace(block, kind, names, u, G, squares)
     for one in departures:
-        if one.kind == "parameters":
-            G[one.name] = -np.einsum("ap,apc->ac", block.H, u[one.name])
+        if one.kind == "rows":
+            G[one.name] = u[one.name]
             squares[one.name] = np.sum(G[one.name] ** 2, axis=0)
     ends = np.cumsum([0, *(len(squares[one.name]) for one in departures)])
     places = {one.name: slice(int(a), int(b)) for one, (a, b) in zip(departures, pairwise(ends), strict=True)}
@@ -229,12 +242,9 @@ def _displace(
     squares: dict[str, FloatArray],
 ) -> None:
     """Fill rows and squares of the fields that displace stars on the detector, or in the sky."""
-    arcs = block.arcs
-    s, J = block.on_detector if kind == "detector" else block.in_sky
-    sigma = arcs.sigma_px if kind == "detector" else block.sigma_rad
-    fields = np.ascontiguousarray(np.concatenate([u[name] for name in names], axis=2))
-    rows = np.empty((arcs.n_arcs, fields.shape[2]))
-    kernels.displaced_rows(arcs.star_start, s, J, arcs.band, fields, rows)
+    sigma = block.arcs.sigma_px if kind == "detector" else block.sigma_rad
+    fields = np.concatenate([u[name] for name in names], axis=2)
+    rows = block.displace(fields, kind)
     weighted = np.einsum("nic,n->c", fields**2, 1 / sigma**2)
     begin = 0
     for name in names:
@@ -243,10 +253,10 @@ def _displace(
         begin = end
 
 
-def find_score(sums: ScoreSums, name: str, columns: Iterable[int] | None = None) -> Score:
-    """Test one departure, or some of its fields, the others of it being none."""
-    places = np.arange(len(sums.squares))[sums.places[name]]
-    return _solve(sums, name, places if columns is None else places[list(columns)])
+def find_score(sums: ScoreSums, *names: str) -> Score:
+    """Test a departure, or several together; the answer is called by the first."""
+    every = np.arange(len(sums.squares))
+    return _solve(sums, names[0], np.concatenate([every[sums.places[name]] for name in names]))
 
 
 def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:
@@ -262,12 +272,25 @@ def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:
     k, left = int(known.sum()), sums.chi2 - float(sums.b @ P @ sums.b)
     freedom = sums.n_arcs - len(sums.A) - k
     if k == 0 or freedom < 1:
-        return Score(name, 0.0, 0, 1.0, np.zeros(len(s)), np.zeros(F.shape), np.zeros(len(P)), 0.0)
+        return Score(name, 0.0, 0, 1.0, np.zeros(len(s)), np.zeros(F.shape), np.zeros(len(P)), 0.0, 0.0, left)
     square = float(fall @ fall)
     noise = max(left - square, np.finfo(float).tiny) / freedom
     F_inverse = inverse @ inverse.T
     c, towards = inverse @ fall, -P @ G_H.T
-    d, by_noise = towards @ c, towards @ F_inverse @ towards.T
-    misled = max(float(d @ sums.A @ d) - noise * float(np.sum(by_noise * sums.A)), 0.0)
+    clear = np.abs(fall) >= min(CLEAR * np.sqrt(noise), float(np.abs(fall).max()))
+    by_clear = towards @ inverse[:, clear]
+    misled = by_clear @ fall[clear]
+    square_misled = float(misled @ sums.A @ misled) - noise * float(np.sum((by_clear @ by_clear.T) * sums.A))
     p = float(fdtrc(k, freedom, square / k / noise))
-    return Score(name, square / noise, k, p, c, F_inverse * noise, d, float(np.sqrt(misled)))
+    return Score(
+        name,
+        square / noise,
+        k,
+        p,
+        c,
+        F_inverse * noise,
+        towards @ c,
+        float(np.sqrt(max(square_misled, 0.0))),
+        square,
+        left - square,
+    )
