@@ -16,11 +16,13 @@ from boresight.calibration.readout import ReadoutCorrection, find_rates
 from boresight.cameras import CAMERA_MODELS
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.declarations import DECLARATIONS
-from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.schema import Telemetry, select_rows
 from boresight.telemetry.sensors import Sensor
 
 #: A usual time of a rolling readout, and a usual rate, where the set tells none.
 USUAL_READOUT_S, USUAL_RATE_DEG_S = 0.05, 0.06
+#: Rows that the speed of a set is found from.
+MOST_ROWS = 20_000
 WHERE = "declare it in the sensor file"
 
 
@@ -77,7 +79,8 @@ def _readout(
 def _speed_px_s(telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, x: FloatArray) -> tuple[float, bool]:
     """Median speed of stars over the detector, pixels a second, and whether it is of this set."""
     focal_px = CAMERA_MODELS[sensor.camera_model].focal_px(x, sensor.pixel_pitch_m)
-    rates = find_rates(telemetry, sensor, catalogue, x)
+    some = select_rows(telemetry, slice(0, min(len(telemetry), MOST_ROWS)))
+    rates = find_rates(some, sensor, catalogue, x)
     if rates is None:
         return focal_px * float(np.radians(USUAL_RATE_DEG_S)), False
     across = np.hypot(rates.w[rates.known, 0], rates.w[rates.known, 1])

@@ -286,8 +286,8 @@ def _calibrated(
     found = result.describe_estimate(ended.matched.problem, parameters, settings, ended.estimate, sha256s)
     if ended.estimate.status != "diverged":
         judged = sets.judged(first, ended.matched)
-        last = _LastPass(judged.sets.telemetry, judged.last, ended.estimate, parameters, corrections)
-        again = last.refined(settings, in_memory=judged.last is ended.matched)
+        last = _LastPass(judged.sets.telemetry, judged.last, ended.estimate, parameters, settings, corrections)
+        again = last.refined(in_memory=judged.last is ended.matched)
         if again is not None:
             return found, ended, again
         found = evaluate_result(found, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
@@ -306,20 +306,22 @@ class _LastPass:
     matched: Matched
     estimate: Estimate
     parameters: Parameters
+    settings: CalibrationSettings
     corrections: Corrections
 
     @cached_property
     def noise(self) -> Noise:
         """How noise and bias depend on what is known of the stars."""
         free = FreeCovariance(self.parameters.free, self.parameters.scale, self.estimate.P)
+        arcs = self.matched.problem.arcs.whole()
         return self.corrections.estimate_noise(
-            self.matched.telemetry, self.matched.problem.arcs.whole(), self.estimate.x, free
+            self.matched.telemetry, arcs, self.estimate.x, free, to_apply=self.settings.noise_model == "from-data"
         )
 
-    def refined(self, settings: CalibrationSettings, *, in_memory: bool) -> Corrections | None:
+    def refined(self, *, in_memory: bool) -> Corrections | None:
         """What another pass should put right."""
         star_id = self.matched.telemetry.star_id if in_memory else None
-        estimate = (lambda: self.noise) if settings.noise_model == "from-data" else None
+        estimate = (lambda: self.noise) if self.settings.noise_model == "from-data" else None
         return self.corrections.refined(self.estimate.x, star_id, estimate)
 
     def assumptions(self) -> list[Assumption]:

@@ -16,14 +16,14 @@ import numpy as np
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.calibration import Noise
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance
-from boresight.calibration.noise import apply_noise, estimate_noise, find_quantities, marked_as_applied
+from boresight.calibration.noise import MOST_FRAMES, apply_noise, estimate_noise, find_quantities, marked_as_applied
 from boresight.calibration.readout import FROM_STARS, ReadoutCorrection, correct_readout, find_rates
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.estimation.arcs import ArcSet
 from boresight.sky.apparent import apparent_from_j2000
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.schema import Telemetry, find_exposures
 from boresight.telemetry.sensors import Sensor
 
 #: Share of the centroid noise below which a change of the readout's displacement does not matter.
@@ -62,6 +62,10 @@ class Corrections:
     def _in_centroids(self) -> bool:
         return self.sensor.readout is not None and self.sensor.readout.is_in_centroids
 
+    @property
+    def _wants_rates(self) -> bool:
+        return self.noise is not None and any(term.name == "rate" and term.applied for term in self.noise.terms)
+
     def apply(self, telemetry: Telemetry, *, whole: bool = False) -> Telemetry:
         """Return telemetry put right; `whole` for the set itself, whose stars and measured centroids are known."""
         self.measured = telemetry if whole else None
@@ -71,30 +75,31 @@ class Corrections:
         if self.sensor.declared.directions == "j2000":
             right = to_apparent(right, self.catalogue)
         named = replace(right, star_id=self.star_id) if whole and self.star_id is not None else right
-        rates = find_rates(named, self.sensor, self.catalogue, self.x)
+        rates = None
+        if self._in_centroids or self._wants_rates:
+            rates = find_rates(named, self.sensor, self.catalogue, self.x)
         if self.noise is not None:
             rows = np.arange(len(telemetry))
-            quantities = find_quantities(named, rows, self.sensor, self.x, self.catalogue, rates, telemetry)
+            w = None if rates is None else rates.w[find_exposures(named).of_entry]
+            quantities = find_quantities(named, rows, self.sensor, self.x, self.catalogue, w, telemetry)
             right = apply_noise(right, self.sensor, self.noise.terms, quantities)
         if self._in_centroids:
             right, done = correct_readout(right, self.sensor, rates, self.x)
             self.done = self.done.with_part(done)
         return right
 
-    def estimate_noise(self, telemetry: Telemetry, arcs: ArcSet, x: FloatArray, freedom: FreeCovariance) -> Noise:
+    def estimate_noise(
+        self, telemetry: Telemetry, arcs: ArcSet, x: FloatArray, freedom: FreeCovariance, *, to_apply: bool
+    ) -> Noise:
         """Estimate how noise and bias depend on what is known of the stars: none of it applied.
 
-        `telemetry`: the rows that `arcs` come from, with the stars that they were matched with.
+        `telemetry`: the rows that `arcs` come from, with the stars that they were matched with. `to_apply`: look at more of them.
         """
-        rates = find_rates(telemetry, self.sensor, self.catalogue, x)
-        as_measured = telemetry if not self._in_centroids else self.measured
-        if as_measured is not None and len(as_measured) != len(telemetry):
-            as_measured = None
-
-        return estimate_noise(
-            arcs, self.sensor, x, freedom,
-            lambda rows: find_quantities(telemetry, rows, self.sensor, x, self.catalogue, rates, as_measured),
-        )  # fmt: skip
+        measured = telemetry if not self._in_centroids else self.measured
+        if measured is not None and len(measured) != len(telemetry):
+            measured = None
+        most = (4 if to_apply else 1) * MOST_FRAMES
+        return estimate_noise(arcs, self.sensor, x, freedom, self.catalogue, telemetry, measured, most)
 
     def refined(
         self, x: FloatArray, star_id: IntArray | None, estimate: Callable[[], Noise] | None

@@ -29,12 +29,13 @@ the last line for the attitude's share, which alone joins the stars of an exposu
 A term is needed where the hypothesis that it is none is rejected at 1 % for the whole family: Wald's chi-square theta^T P^-1 theta of
 as many degrees of freedom as it has coefficients, then Holm's correction over all terms. The curve against the phase is that of the
 centroid as measured, E[bias | measured phase], since only that can be subtracted: noise smooths it, by exp(-(2 pi h sigma)^2 / 2) at
-harmonic h. Beyond `MOST_FRAMES` frames only so many, evenly spaced, are looked at.
+harmonic h. Of more than
+`MOST_FRAMES` frames only so many are looked at, pairs of neighbours evenly spaced, and four times as many where the noise is applied.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,16 +43,17 @@ import numpy as np
 from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.calibration.calibration import Noise, NoiseTerm
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, pixel_residuals
-from boresight.calibration.readout import Rates, find_speed_px_s
+from boresight.calibration.readout import compute_rates, find_speed_px_s
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.attitude import to_quaternion
 from boresight.estimation.statistics.cramer_rao import centroid_rows, each, sums
 from boresight.estimation.statistics.special import chdtrc
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.schema import Telemetry, find_exposures
+from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
-MOST_FRAMES = 1000
+MOST_FRAMES = 500
 FEWEST_STARS = 200
 #: Spreads beyond which a star is left out.
 CUT = 5.0
@@ -119,10 +121,13 @@ def find_quantities(
     sensor: Sensor,
     x: FloatArray,
     catalogue: Catalogue,
-    rates: Rates | None,
+    w: FloatArray | None,
     measured: Telemetry | None,
 ) -> StarQuantities:
-    """Find them of some rows (n,) of telemetry, under x (n_parameters,); `measured`: the same rows before anything moved them."""
+    """Find them of some rows (n,) of telemetry, under x (n_parameters,).
+
+    `w`: (n, 3) rate of their exposures' attitude, rad/s, NaN where unknown. `measured`: the telemetry before anything moved it.
+    """
     camera = CAMERA_MODELS[sensor.camera_model]
     row, col = camera.principal_point(x)
     ends = np.array([-0.5, sensor.rows - 0.5]) - row, np.array([-0.5, sensor.columns - 0.5]) - col
@@ -133,10 +138,7 @@ def find_quantities(
     if telemetry.magnitude is not None:
         own = telemetry.magnitude[rows]
         magnitude = np.where(np.isfinite(own), own, magnitude)
-    speed = np.full(len(rows), np.nan)
-    if rates is not None:
-        w = rates.w[find_exposures(telemetry).of_entry[rows]]
-        speed = find_speed_px_s(sensor, x, row_px, col_px, w)
+    speed = np.full(len(rows), np.nan) if w is None else find_speed_px_s(sensor, x, row_px, col_px, w)
     places = (None, None) if measured is None else (measured.row_px[rows], measured.col_px[rows])
     return StarQuantities(magnitude, np.hypot(away[:, 0], away[:, 1]), away, speed, colour, *places)
 
@@ -285,16 +287,30 @@ def estimate_noise(
     sensor: Sensor,
     x: FloatArray,
     freedom: FreeCovariance,
-    quantities: Callable[[IntArray], StarQuantities],
+    catalogue: Catalogue,
+    telemetry: Telemetry,
+    measured: Telemetry | None,
+    most_frames: int = MOST_FRAMES,
 ) -> Noise:
     """Estimate every term at state x, none of them applied.
 
-    `arcs`: the set, all exposures of two stars or more. `freedom`: of the parameters. `quantities`: of rows of the telemetry.
+    Parameters
+    ----------
+    arcs
+        The set; all exposures have four stars or more.
+    freedom
+        What the parameters may still be.
+    telemetry
+        The rows that `arcs` come from, with the stars that they were matched with.
+    measured
+        The same before anything moved its centroids; None where that is not known.
+    most_frames
+        Frames that are looked at.
     """
     if arcs.n_stars < FEWEST_STARS:
         few = f"There are {arcs.n_stars} stars; a noise model needs {FEWEST_STARS}: add frames."
         return Noise(unavailable=dict.fromkeys(UNITS, few))
-    arcs = _thinned(arcs)
+    arcs = _thinned(arcs, most_frames)
     camera = CAMERA_MODELS[sensor.camera_model]
     rows = centroid_rows(camera, x, arcs, freedom.free, freedom.scale)
     seen = pixel_residuals(camera, x, arcs, sensor.parity, freedom)
@@ -303,16 +319,28 @@ def estimate_noise(
     known = np.isfinite(z).all(axis=1)
     spread = float(np.median(z[known])) / 0.67449 if known.any() else 1.0
     inside = known & (z.max(axis=1) <= CUT * max(spread, 1e-9))
-    return _fitted(arcs, seen.r, rows.J, rows.K, inside, quantities(arcs.source_row))
+    w = each(_rates(telemetry, arcs, seen.C), arcs.star_start)
+    quantities = find_quantities(telemetry, arcs.source_row, sensor, x, catalogue, w, measured)
+    return _fitted(arcs, seen.r, rows.J, rows.K, inside, quantities)
 
 
-def _thinned(arcs: ArcSet) -> ArcSet:
-    """At most `MOST_FRAMES` of the frames, evenly spaced."""
-    if arcs.n_frames <= MOST_FRAMES:
+def _thinned(arcs: ArcSet, most: int) -> ArcSet:
+    """At most so many of the frames, pairs of neighbours evenly spaced, for a rate needs a neighbour."""
+    if arcs.n_frames <= most:
         return arcs
     taken = np.zeros(arcs.n_frames, np.bool_)
-    taken[np.linspace(0, arcs.n_frames - 1, MOST_FRAMES).round().astype(np.int64)] = True
+    first = np.linspace(0, arcs.n_frames - 2, most // 2).round().astype(np.int64)
+    taken[first], taken[first + 1] = True, True
     return arcs.exposures(np.repeat(taken, np.diff(arcs.frame_start)))
+
+
+def _rates(telemetry: Telemetry, arcs: ArcSet, C: FloatArray) -> FloatArray:
+    """Rates (n_exposures, 3), rad/s, from the attitudes of the telemetry, else from C (n_exposures, 3, 3) of its stars."""
+    if telemetry.time_utc is None:
+        return np.full((arcs.n_exposures, 3), np.nan)
+    first = arcs.source_row[arcs.star_start[:-1]]
+    own = telemetry.quaternion
+    return compute_rates(to_quaternion(C) if own is None else own[first], telemetry.time_utc[first])
 
 
 def _fitted(
