@@ -383,12 +383,16 @@ class Noise:
 
 @dataclass(frozen=True, kw_only=True)
 class Assumption:
-    """What the data cannot show: whether it was declared, what was taken to be so, and what an error in it would do."""
+    """What the data cannot show: whether it was declared, what was taken to be so, and what an error in it would do.
+
+    `left_in`: declared to be in the data, and not taken out of them.
+    """
 
     name: str
     declared: bool
     value: str
     sentence: str
+    left_in: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -276,6 +276,14 @@ class CalibrationSettings:
         "Matching", "Leave out doubles and unreliable stars",
         "Leave out double stars and stars with unreliable astrometry.", cell=(2, 2), default=False, flag="--leave-out-doubles",
     )  # fmt: skip
+    noise_model: str = option(
+        "Method", "Centroid noise", "Centroid noise: as stated, or with what the data show of it where chance does not explain that.",
+        cell=(3, 1), default="stated", flag="--noise-model",
+        words={
+            "stated": "As stated by telemetry or sensor file",
+            "from-data": "From the data: magnitude, field angle, rate, pixel phase and colour, where needed",
+        },
+    )  # fmt: skip
     minimum_stars: int = option(
         "Method", "Fewest stars of an exposure", "Exposures with fewer stars take no part.",
         cell=(2, 1), default=MINIMUM_STARS, lowest=MINIMUM_STARS, highest=1000, flag="--minimum-stars",
@@ -430,6 +438,7 @@ class Choices(TypedDict, total=False):
     match_rule: str
     flight_tolerance_urad: float | None
     leave_out_doubles: bool
+    noise_model: str
     minimum_stars: int
     max_iterations: int
     error: str
