@@ -12,11 +12,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from boresight.calibration import result
-from boresight.calibration.calibration import Calibration, JudgedOn, StarOff, StarsOffDetector
+from boresight.calibration.calibration import Calibration, JudgedOn, RemovedOf, StarOff, StarsOffDetector
 from boresight.calibration.estimate import Estimate, Parameters, never
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
 from boresight.calibration.matching.match_report import CyclesEnd, Estimation, identification_advice
-from boresight.calibration.matching.matched import Dataset
+from boresight.calibration.matching.matched import Dataset, Matched
+from boresight.calibration.matching.verification import advise
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.telemetry_pieces import (
@@ -270,8 +271,18 @@ def _calibrated(
         found = evaluate_result(found, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
         found = _say_what_was_judged(found, judged.last.problem)
         found = with_advice(found, *identification_advice(ended.matched.unidentified))
+    if sets.is_given:
+        found = _with_removed(found, sets, ended.matched)
     clock.lap("judge")
     return found, ended
+
+
+def _with_removed(found: Calibration, sets: Dataset, matched: Matched) -> Calibration:
+    """Say first which proposed stars were removed: wrong ones are graver than what they would have done."""
+    of = RemovedOf(proposed=sets.proposed_stars, removed=len(matched.refused))
+    listed = sets.removed(matched)
+    said = [*advise(of.proposed, of.removed, listed), *found.advice]
+    return replace(found, removed=listed, removed_of=of, advice=said)
 
 
 def _say_what_was_judged(found: Calibration, judged: Problem) -> Calibration:
