@@ -73,7 +73,9 @@ def _readout(
         f"by up to {done.largest_px:.3g} px at {done.rate_deg_s:.3g} °/s, with rates from {done.source}"
         + (f"; {left:,} exposures have no rate and stay as they are." if left else ".")
     )
-    return Assumption(name="readout", declared=True, value=f"{said}: corrected here", sentence=sentence, left_in=left > 0)
+    return Assumption(
+        name="readout", declared=True, value=f"{said}: corrected here", sentence=sentence, left_in=left > 0
+    )
 
 
 def _speed_px_s(telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, x: FloatArray) -> tuple[float, bool]:
@@ -94,10 +96,14 @@ def _words(name: str, word: str) -> str:
 def _velocity(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assumption:
     name, word = "satellite_velocity", sensor.declared.satellite_velocity
     if telemetry.velocity_m_s is not None:
-        return Assumption(name=name, declared=True, value="given", sentence="The telemetry gives the satellite's velocity.")
+        return Assumption(
+            name=name, declared=True, value="given", sentence="The telemetry gives the satellite's velocity."
+        )
     if word == "negligible" or (word == "given" and telemetry.ra_rad is not None):
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
-    opening = "Declared as given, yet this telemetry has none" if word else "The telemetry gives no velocity of the satellite"
+    opening = (
+        "Declared as given, yet this telemetry has none" if word else "The telemetry gives no velocity of the satellite"
+    )
     sentence = (
         f"{opening}, so none is assumed. In a low orbit 5 arcsec of aberration would stretch the field by up to 25 ppm, "
         f"{25e-6 * corner_px:.2g} px at the corner, and be fitted as focal length: give vx_km_s, vy_km_s and vz_km_s, or {WHERE}."
@@ -108,7 +114,9 @@ def _velocity(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assumpt
 def _directions(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assumption:
     name, word = "directions", sensor.declared.directions
     if word == "j2000" and telemetry.ra_rad is not None:
-        sentence = "Declared as of J2000.0: apparent directions were computed with proper motion, parallax and aberration."
+        sentence = (
+            "Declared as of J2000.0: apparent directions were computed with proper motion, parallax and aberration."
+        )
         return Assumption(name=name, declared=True, value="apparent, computed from J2000.0", sentence=sentence)
     if telemetry.ra_rad is None:
         sentence = "The telemetry gives no directions: apparent ones are computed from the catalogue."
@@ -133,9 +141,5 @@ def _refraction(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assum
         return Assumption(name=name, declared=True, value=word, sentence=sentence, left_in=True)
     if word is not None:
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
-    sentence = (
-        f"No refraction is assumed, as in space. Of images from the ground it would change the scale by {size}: {WHERE}."
-    )
+    sentence = f"No refraction is assumed, as in space. Of images from the ground it would change the scale by {size}: {WHERE}."
     return Assumption(name=name, declared=False, value="none", sentence=sentence)
-
-

@@ -14,13 +14,22 @@ import numpy as np
 
 from boresight.calibration import result
 from boresight.calibration.assumptions import list_assumptions
-from boresight.calibration.calibration import Assumption, Calibration, JudgedOn, Noise, StarOff, StarsOffDetector
+from boresight.calibration.calibration import (
+    Assumption,
+    Calibration,
+    JudgedOn,
+    Noise,
+    RemovedOf,
+    StarOff,
+    StarsOffDetector,
+)
 from boresight.calibration.corrections import Corrections
 from boresight.calibration.estimate import Estimate, Parameters, never
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
 from boresight.calibration.matching.match_report import CyclesEnd, Estimation, identification_advice
 from boresight.calibration.matching.matched import Dataset, Matched
+from boresight.calibration.matching.verification import advise
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.telemetry_pieces import (
@@ -294,6 +303,8 @@ def _calibrated(
         found = replace(found, noise=corrections.noise or last.noise, assumptions=last.assumptions())
         found = _say_what_was_judged(found, judged.last.problem)
         found = with_advice(found, *identification_advice(ended.matched.unidentified))
+    if sets.is_given:
+        found = _with_removed(found, sets, ended.matched)
     clock.lap("judge")
     return found, ended, None
 
@@ -327,9 +338,15 @@ class _LastPass:
     def assumptions(self) -> list[Assumption]:
         """What was assumed that the set cannot show."""
         of, done = self.corrections, self.corrections.done
-        return list_assumptions(
-            self.telemetry, self.matched.telemetry, of.sensor, of.catalogue, self.estimate.x, done
-        )
+        return list_assumptions(self.telemetry, self.matched.telemetry, of.sensor, of.catalogue, self.estimate.x, done)
+
+
+def _with_removed(found: Calibration, sets: Dataset, matched: Matched) -> Calibration:
+    """Say first which proposed stars were removed: wrong ones are graver than what they would have done."""
+    of = RemovedOf(proposed=sets.proposed_stars, removed=len(matched.refused))
+    listed = sets.removed(matched)
+    said = [*advise(of.proposed, of.removed, listed), *found.advice]
+    return replace(found, removed=listed, removed_of=of, advice=said)
 
 
 def _say_what_was_judged(found: Calibration, judged: Problem) -> Calibration:

@@ -413,9 +413,7 @@ def _term(
     )  # fmt: skip
 
 
-def _sentence(
-    name: str, value: Mapping[str, float], sigma: Mapping[str, float | None], p: float, needed: bool
-) -> str:
+def _sentence(name: str, value: Mapping[str, float], sigma: Mapping[str, float | None], p: float, needed: bool) -> str:
     """Say the size of a term, and what to do about it."""
     main = "factor" if name == "level" else "slope"
     if name.startswith("phase"):
@@ -428,7 +426,9 @@ def _sentence(
         size = f"the noise changes by {value[main]:+.2g} ± {sigma[main]:.2g} {UNITS[name]}"
     if not needed:
         return f"{TITLES[name]}: {size}, which chance explains."
-    return f"{TITLES[name]}: {size}, more than chance (p = {p:.1g}): use noise_model from-data, or state it in sigma_px."
+    return (
+        f"{TITLES[name]}: {size}, more than chance (p = {p:.1g}): use noise_model from-data, or state it in sigma_px."
+    )
 
 
 def phase_amplitude(coefficients: Mapping[str, float]) -> float:
@@ -476,7 +476,10 @@ def apply_noise(
     if telemetry.sigma_px is not None:
         stated = np.where(np.isfinite(telemetry.sigma_px), telemetry.sigma_px, stated)
     return replace(
-        telemetry, row_px=telemetry.row_px - shift[:, 0], col_px=telemetry.col_px - shift[:, 1], sigma_px=stated * 10.0**dex
+        telemetry,
+        row_px=telemetry.row_px - shift[:, 0],
+        col_px=telemetry.col_px - shift[:, 1],
+        sigma_px=stated * 10.0**dex,
     )
 
 

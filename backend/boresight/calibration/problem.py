@@ -34,6 +34,11 @@ STAR_REASONS = (
 COLLINEAR_REASON = "all usable stars on one line"
 
 
+def too_few_reason(minimum_stars: int) -> str:
+    """Say why an exposure with fewer stars takes no part."""
+    return f"fewer than {minimum_stars} usable stars"
+
+
 @dataclass(frozen=True)
 class Problem:
     """A telemetry set ready for estimation.
@@ -124,7 +129,7 @@ def make_problem(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, minimum_
     rows, few = _full_exposures(telemetry, rows, minimum_stars)
     arcs, collinear = _ordered(telemetry, sensor, s_i, rows)
     left_out += [
-        LeftOut(what="exposures", count=few, reason=f"fewer than {minimum_stars} usable stars"),
+        LeftOut(what="exposures", count=few, reason=too_few_reason(minimum_stars)),
         LeftOut(what="exposures", count=collinear, reason=COLLINEAR_REASON),
     ]
     first_rows = arcs.source_row[arcs.star_start[arcs.frame_start[:-1]]]

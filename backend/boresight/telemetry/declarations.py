@@ -124,14 +124,20 @@ def parse_readout(value: Any, faults: Faults) -> Readout | None:
     _refuse_unknown("readout", value, tuple(item.name for item in fields(Readout)), faults)
     if value["mode"] == GLOBAL:
         if set(value) - {"mode"}:
-            faults.add("readout.mode is global, where nothing else has a meaning: leave the others out, or write rolling")
+            faults.add(
+                "readout.mode is global, where nothing else has a meaning: leave the others out, or write rolling"
+            )
         return Readout(GLOBAL)
     axis, corrected = value.get("axis", AXES[0]), value.get("corrected", False)
     if axis not in AXES:
         faults.add(f"readout.axis is {axis!r}: write rows if a line is a row, or columns")
     if not isinstance(corrected, bool):
-        faults.add(f"readout.corrected is {corrected!r}: write true if the telemetry's centroids are corrected, or false")
-    return Readout(ROLLING, _line_time(value.get("line_time_s"), corrected is True, faults), str(axis), corrected is True)
+        faults.add(
+            f"readout.corrected is {corrected!r}: write true if the telemetry's centroids are corrected, or false"
+        )
+    return Readout(
+        ROLLING, _line_time(value.get("line_time_s"), corrected is True, faults), str(axis), corrected is True
+    )
 
 
 def _line_time(value: Any, corrected: bool, faults: Faults) -> float | None:

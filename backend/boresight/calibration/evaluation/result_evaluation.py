@@ -205,7 +205,8 @@ def validate(
 ) -> Calibration:
     """Judge an estimate on a set that took no part; adds its sentence to the advice."""
     validation = Dataset(telemetry, sensor, catalogue, parameters, settings, cache_folder)
-    first, last = validation.at_start(), validation.at_covariance(estimate.x, estimate.P)
+    last = validation.at_covariance(estimate.x, estimate.P)
+    first = last if validation.is_given else validation.at_start()
     if last.problem.arcs.n_exposures == 0:
         return with_advice(
             calibration,
