@@ -398,10 +398,15 @@ class RunSummary:
 
 
 def parse_run_summary(document: Mapping[str, Any] | None) -> RunSummary:
-    """Read the summary in a run's row, whatever version wrote it; one that tells nothing where the row has none."""
-    return parse_part(
-        RunSummary, document or {}, lambda fault: RefusedInputError(f"A run's summary is damaged: {fault}.")
-    )
+    """Read the summary in a run's row, whatever version wrote it; one that tells nothing where the row has none.
+
+    A damaged one says that it is: one row must not refuse a list, or keep other runs waiting.
+    """
+    try:
+        return parse_part(RunSummary, document or {}, RefusedInputError)
+    except RefusedInputError as error:
+        said = f"The summary in the run's row is damaged ({error}): read its calibration, or restore the database from a backup."
+        return RunSummary(status="damaged", level="serious", advice=said)
 
 
 def summarise_run(result: Calibration) -> RunSummary:
