@@ -13,20 +13,22 @@ import plotly.graph_objects as go
 from boresight.errors import RefusedInputError
 from boresight.papers.documents import (
     SCHEMA,
+    Finding,
     csv_bytes,  # fmt: skip
     described,
     figure_lines,  # fmt: skip
+    head,
     json_bytes,  # fmt: skip
     number,  # fmt: skip
     rendered,  # fmt: skip
     table_document,
     table_lines,  # fmt: skip
-    verdict_counts,
     write_files,  # fmt: skip
 )
 from boresight.papers.enright.drawings import draw_convergence, draw_radial, draw_rms, drawings
 from boresight.papers.enright.estimators import DRAWN, ESTIMATORS, SPARSE_EVERY, Record, Trial, run_trial
 from boresight.papers.enright.findings import findings, questions
+from boresight.papers.enright.grid import FEW, SENSOR, SETTINGS, grids, run_grid, split
 from boresight.papers.enright.pooled import Pooled
 from boresight.papers.enright.printed import TABLE_I, TABLE_II
 from boresight.papers.enright.tables import tables
@@ -36,7 +38,9 @@ from boresight.simulation.sensors import SENSOR_NUMBERS
 PAPER = "Enright, Jovanovic, Vaz, “Autonomous Recalibration of Star Trackers”, IEEE Sensors Journal, 2018"
 
 
-def document(plan: dict[str, Any], records: Sequence[Record]) -> dict[str, Any]:
+def document(
+    plan: dict[str, Any], records: Sequence[Record], varied: Sequence[Finding] = (), grid_s: float = 0.0
+) -> dict[str, Any]:
     """Write a study as JSON values."""
     pooled = Pooled(records)
     made, drawn = [table_document(table) for table in tables(pooled)], drawings(pooled)
@@ -45,15 +49,16 @@ def document(plan: dict[str, Any], records: Sequence[Record]) -> dict[str, Any]:
         "paper": PAPER,
         "plan": plan,
         "flight_tolerance_rad": next(record["validation"]["flight_tolerance_rad"] for record in records),
-        "verdicts": verdict_counts(made, drawn),
+        **head(made, drawn),
         "tables": made,
         "figures": drawn,
         "estimators": pooled.statistics(),
+        "grids": grids(pooled, varied),
         "findings": findings(pooled),
         "questions": questions(pooled),
         "settings": {key: estimator.settings.document() for key, estimator in ESTIMATORS.items()},
         "records": [_kept(record) for record in records],
-        "timing": _timing(pooled),
+        "timing": _timing(pooled) | {"grid_s": grid_s},
     }
 
 
@@ -113,7 +118,16 @@ def run(plan: Plan, catalogue_folder: Path | None, report: Report | None = None)
         if report is not None:
             report(f"sensor {trial.sensor}, set {trial.index + 1} of {plan.sets}", len(records) / len(trials))
     ordered = [record for trial in trials for record in records[trial]]
-    return document(described(plan), ordered)
+    return document(described(plan), ordered, *_run_grid(plan, catalogue_folder))
+
+
+def _run_grid(plan: Plan, catalogue_folder: Path | None) -> tuple[list[Finding], float]:
+    """Run the grid of filter settings where its sensor is run, in a quick study a part of it; returns it and processor seconds."""
+    if SENSOR not in plan.sensors:
+        return [], 0.0
+    trials = split(Trial(SENSOR, 0, plan.frames, plan.validation_frames), FEW if plan.quick else SETTINGS)
+    found = dict(run_all(run_grid, trials, catalogue_folder, plan.processes))
+    return [one for trial in trials for one in found[trial][0]], sum(seconds for _, seconds in found.values())
 
 
 Document = Mapping[str, Any]

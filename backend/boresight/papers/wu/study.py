@@ -15,17 +15,18 @@ from boresight.papers.documents import (
     csv_bytes,
     described,
     figure_lines,
+    head,
     json_bytes,
     rendered,
     table_document,
     table_lines,
-    verdict_counts,
     write_files,
 )
 from boresight.papers.processes import run_all, run_on_one_thread
 from boresight.papers.wu.drawings import LABELS, draw_criteria, draw_observability, draw_parameters, drawings
 from boresight.papers.wu.estimators import FIRST_FRAMES, START_SIGMA, Record, Trial, run_trial
 from boresight.papers.wu.findings import cited, errata, findings
+from boresight.papers.wu.grid import ORDERS, GridTrial, grids, run_grid
 from boresight.papers.wu.tables import NAMES, Pooled, tables
 from boresight.papers.wu.timing import timing
 from boresight.simulation.sensors import WU_START, WU_TRUTH, WU_TYPICAL_SIGMA
@@ -35,7 +36,9 @@ DRAWN = ("history", "observability")
 CONSISTENT = (("svd-4-23", "full"), ("angular", "full"), ("svd-4-23", "diagonal"), ("angular", "diagonal"))
 
 
-def document(plan: dict[str, Any], records: Sequence[Record], timing: dict[str, Any]) -> dict[str, Any]:
+def document(
+    plan: dict[str, Any], records: Sequence[Record], timing: dict[str, Any], varied: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
     """Write a study as JSON values."""
     pooled = Pooled(records)
     made, drawn = [table_document(table) for table in tables(pooled)], drawings(pooled)
@@ -48,10 +51,11 @@ def document(plan: dict[str, Any], records: Sequence[Record], timing: dict[str, 
         "paper": PAPER,
         "plan": plan,
         "start_sigma": dict(zip(NAMES, START_SIGMA.tolist(), strict=True)),
-        "verdicts": verdict_counts(made, drawn),
+        **head(made, drawn),
         "tables": made,
         "figures": drawn,
         "consistency": [_consistency(pooled, *place) for place in CONSISTENT],
+        "grids": grids(varied),
         "findings": findings(pooled),
         "errata": wrong,
         "records": [{key: value for key, value in record.items() if key not in DRAWN} for record in records],
@@ -75,6 +79,8 @@ def _consistency(pooled: Pooled, estimator: str, weights: str) -> dict[str, Any]
 
 
 Report = Callable[[str, float], None]
+#: Sets that a full study runs the grid of settings on, about a minute of a processor each.
+GRID_SETS = 2
 
 
 @dataclass(frozen=True)
@@ -99,11 +105,23 @@ def run(plan: Plan, catalogue_folder: Path | None, report: Report | None = None)
     for trial, found in run_all(run_trial, trials, catalogue_folder, plan.processes):
         records[trial] = found
         if report is not None:
-            report(f"set {trial.index + 1} of {plan.sets}", 0.9 * len(records) / len(trials))
-    measured = run_on_one_thread(timing, catalogue_folder)
+            report(f"set {trial.index + 1} of {plan.sets}", 0.7 * len(records) / len(trials))
+    varied, grid_s = _run_grids(plan, catalogue_folder)
+    if report is not None:
+        report("grid of settings", 0.9)
+    measured = run_on_one_thread(timing, catalogue_folder) | {"grid_s": grid_s}
     if report is not None:
         report("times", 1.0)
-    return document(described(plan), [record for trial in trials for record in records[trial]], measured)
+    return document(described(plan), [record for trial in trials for record in records[trial]], measured, varied)
+
+
+def _run_grids(plan: Plan, catalogue_folder: Path | None) -> tuple[list[dict[str, Any]], float]:
+    """Run the grid, in a quick study one set in one order; returns the records in order, and processor seconds."""
+    sets, orders = (1, ORDERS[:1]) if plan.quick else (min(GRID_SETS, plan.sets), ORDERS)
+    trials = [GridTrial(Trial(index, plan.frames, plan.judges), order) for index in range(sets) for order in orders]
+    found = dict(run_all(run_grid, trials, catalogue_folder, plan.processes))
+    records = [record for trial in trials for record in found[trial][0]]
+    return records, sum(seconds for _, seconds in found.values())
 
 
 Document = Mapping[str, Any]
