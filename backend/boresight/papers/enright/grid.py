@@ -100,7 +100,7 @@ def _record(setting: Setting, ratios: dict[str, list[float]]) -> Finding:
     found = np.array(list(ratios.values()))
     matching = "statistical" if setting.arc_sigmas is None else f"flight, {setting.arc_sigmas:g} arc sigmas"
     return {
-        "P_0": setting.start_sigma, "Q": setting.q_sigma, "linearisations": setting.linearisations, "matching": matching,
+        "P₀": setting.start_sigma, "Q": setting.q_sigma, "linearisations": setting.linearisations, "matching": matching,
         "factor": compute_typical_factor(found), "factor_of_rms": compute_typical_factor(found[:, 0]),
         "within_two": count_within_two(found), "numbers": found.size, "ratios": ratios,
     }  # fmt: skip
@@ -127,7 +127,7 @@ def _change_ratios(x: dict[str, float], place: int) -> Iterator[float]:
         yield (x[name] - START[name]) / (values[place] * unit - START[name])
 
 
-AXES = ("P_0", "Q", "linearisations", "matching")
+AXES = ("P₀", "Q", "linearisations", "matching")
 
 
 def grids(pooled: Pooled, varied: Sequence[Finding]) -> list[Finding]:

@@ -117,8 +117,8 @@ def run(plan: Plan, catalogue_folder: Path | None, report: Report | None = None)
 
 def _run_grids(plan: Plan, catalogue_folder: Path | None) -> tuple[list[dict[str, Any]], float]:
     """Run the grid, in a quick study one set in one order; returns the records in order, and processor seconds."""
-    sets, orders = (1, ORDERS[:1]) if plan.quick else (min(GRID_SETS, plan.sets), ORDERS)
-    trials = [GridTrial(Trial(index, plan.frames, plan.judges), order) for index in range(sets) for order in orders]
+    sets, of = (1, ORDERS[:1]) if plan.quick else (min(GRID_SETS, plan.sets), ORDERS)
+    trials = [GridTrial(Trial(index, plan.frames, plan.judges), order) for index in range(sets) for order in of]
     found = dict(run_all(run_grid, trials, catalogue_folder, plan.processes))
     records = [record for trial in trials for record in found[trial][0]]
     return records, sum(seconds for _, seconds in found.values())
