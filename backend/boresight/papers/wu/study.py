@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from boresight.papers.documents import (
     table_lines,
     write_files,
 )
-from boresight.papers.processes import run_all, run_on_one_thread
+from boresight.papers.processes import Report, keep_silent, run_all, run_on_one_thread
 from boresight.papers.wu.drawings import LABELS, draw_criteria, draw_observability, draw_parameters, drawings
 from boresight.papers.wu.estimators import FIRST_FRAMES, START_SIGMA, Record, Trial, run_trial
 from boresight.papers.wu.findings import cited, errata, findings
@@ -78,9 +79,10 @@ def _consistency(pooled: Pooled, estimator: str, weights: str) -> dict[str, Any]
     }
 
 
-Report = Callable[[str, float], None]
 #: Sets that a full study runs the grid of settings on, about a minute of a processor each.
 GRID_SETS = 2
+#: Share of a study's time that its sets take.
+SETS_SHARE = 0.7
 
 
 @dataclass(frozen=True)
@@ -93,35 +95,31 @@ class Plan:
     sets: int = 20
     processes: int = 2
 
+    def trials(self, sets: int) -> list[Trial]:
+        """List so many sets."""
+        return [Trial(index, self.frames, self.judges) for index in range(sets)]
 
-def run(plan: Plan, catalogue_folder: Path | None, report: Report | None = None) -> dict[str, Any]:
+    def grid_trials(self) -> list[GridTrial]:
+        """List what the grid of settings is run on: in a quick study one set in one order."""
+        sets, chosen = (1, ORDERS[:1]) if self.quick else (min(GRID_SETS, self.sets), ORDERS)
+        return [GridTrial(trial, order) for trial in self.trials(sets) for order in chosen]
+
+
+def run(plan: Plan, catalogue_folder: Path | None, say: Report = keep_silent) -> dict[str, Any]:
     """Run the study; returns its document, schema `boresight.reproduction/1`."""
     if plan.frames <= FIRST_FRAMES:
         raise RefusedInputError(f"{plan.frames} images are too few: the study needs more than {FIRST_FRAMES}.")
-    trials, records = (
-        [Trial(index, plan.frames, plan.judges) for index in range(plan.sets)],
-        dict[Trial, list[Record]](),
-    )
-    for trial, found in run_all(run_trial, trials, catalogue_folder, plan.processes):
-        records[trial] = found
-        if report is not None:
-            report(f"set {trial.index + 1} of {plan.sets}", 0.7 * len(records) / len(trials))
-    varied, grid_s = _run_grids(plan, catalogue_folder)
-    if report is not None:
-        report("grid of settings", 0.9)
-    measured = run_on_one_thread(timing, catalogue_folder) | {"grid_s": grid_s}
-    if report is not None:
-        report("times", 1.0)
-    return document(described(plan), [record for trial in trials for record in records[trial]], measured, varied)
-
-
-def _run_grids(plan: Plan, catalogue_folder: Path | None) -> tuple[list[dict[str, Any]], float]:
-    """Run the grid, in a quick study one set in one order; returns the records in order, and processor seconds."""
-    sets, of = (1, ORDERS[:1]) if plan.quick else (min(GRID_SETS, plan.sets), ORDERS)
-    trials = [GridTrial(Trial(index, plan.frames, plan.judges), order) for index in range(sets) for order in of]
-    found = dict(run_all(run_grid, trials, catalogue_folder, plan.processes))
-    records = [record for trial in trials for record in found[trial][0]]
-    return records, sum(seconds for _, seconds in found.values())
+    found = run_all(
+        run_trial, plan.trials(plan.sets), catalogue_folder, plan.processes,
+        lambda trial, share: say(f"set {trial.index + 1} of {plan.sets}", SETS_SHARE * share),
+    )  # fmt: skip
+    varied = run_all(
+        run_grid, plan.grid_trials(), catalogue_folder, plan.processes,
+        lambda trial, share: say(f"settings, stars in {trial.order}", SETS_SHARE + (0.95 - SETS_SHARE) * share),
+    )  # fmt: skip
+    measured = run_on_one_thread(timing, catalogue_folder) | {"grid_s": sum(seconds for _, seconds in varied)}
+    say("times", 1.0)
+    return document(described(plan), list(chain(*found)), measured, list(chain(*(records for records, _ in varied))))
 
 
 Document = Mapping[str, Any]
