@@ -22,8 +22,8 @@ code with the product.
   the claimed sigmas, in these. A fault matters from the strength on at which one of them is above 1.
 - *Seen at best*: the chi-square that is left when every parameter and attitude has adapted to the fault, without noise. Below about
   10 no test on such a set notices the fault reliably, whatever its form.
-- *Passes*: the share of sets that are wrong by more than 3 of the widest sigmas they claim while every gate answers as for a clean
-  set.
+- *Passes*: the share of sets that the fault makes wrong by more than 3 of the widest sigmas they claim, while every gate answers as
+  for the clean set.
 
 """
 CASE_HEADS = (
