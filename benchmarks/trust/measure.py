@@ -10,8 +10,8 @@ Every set is calibrated by the library, `boresight.calibrate`, and judged by `bo
   the share of sets.
 
 A fault is **noticed** in a set when advice, a test, a cause, a removed star, a gate or the level of the verdict is there that the
-clean set of the same seed has not (where only the geometry is poor: the clean set of the ST-16); a strength counts as noticed when that holds in at least half of the sets. It **matters** from
-the strength on at which one of these is above 1:
+clean set of the same seed has not (where only the geometry is poor: the clean set of the ST-16); a strength counts as noticed when
+that holds in at least half of the sets. It **matters** from the strength on at which one of these is above 1:
 
     shift    the root mean square, over the sets, of the change of the worst parameter against the clean set's, in the clean sigma
     excess   sqrt(max(0, median NEES / NEES expected - 1)): what the errors are above the sigmas claimed, in those sigmas
