@@ -96,6 +96,24 @@ def whiten_part(arcs: ArcSet, camera_model: str, x: FloatArray) -> ArcSet:
     return arcsets.whiten(arcs, arcsets.angular_sigma(CAMERA_MODELS[camera_model], x, arcs))[0]
 
 
+#: Frames that tell the parity.
+PARITY_FRAMES = 1024
+
+
+def find_parity(arcs: Arcs, x: FloatArray, stated: int) -> int:
+    """Parity under which most of the first frames are no mirror image of their stars: a wrong one in the file refuses none."""
+    same = sum(arcs.frames(0, min(arcs.n_frames, PARITY_FRAMES)).over_blocks(_handedness_of_block, x))
+    return stated if same == 0 else int(np.sign(same))
+
+
+def _handedness_of_block(block: ArcSet, x: FloatArray) -> int:
+    """How many more exposures of one block have their first three stars the right way round in D than not."""
+    three = block.star_start[:-1, None] + np.arange(3)
+    s = block.camera.directions(x, block.row_px[three.ravel()], block.col_px[three.ravel()], block.pitch)
+    turns = np.linalg.det(s.reshape(-1, 3, 3)) * np.linalg.det(block.s_i[three])
+    return int(np.sign(turns[np.isfinite(turns)]).sum())
+
+
 def build_problem(
     telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, minimum_stars: int = MINIMUM_STARS
 ) -> Problem:

@@ -213,20 +213,6 @@ def _statistics_in_block(block: ArcSet, x: FloatArray, parity: int, step: int) -
     return np.asarray(t)
 
 
-def find_parity(proposed: Arcs, x: FloatArray, stated: int) -> int:
-    """Parity under which most exposures are no mirror image of their proposed stars: a wrong one in the file refuses no star."""
-    same = sum(proposed.over_blocks(_handedness_of_block, x))
-    return stated if same == 0 else int(np.sign(same))
-
-
-def _handedness_of_block(block: ArcSet, x: FloatArray) -> int:
-    """How many more exposures of one block have their first three stars the right way round in D than not."""
-    three = block.star_start[:-1, None] + np.arange(3)
-    s = block.camera.directions(x, block.row_px[three.ravel()], block.col_px[three.ravel()], block.pitch)
-    turns = np.linalg.det(s.reshape(-1, 3, 3)) * np.linalg.det(block.s_i[three])
-    return int(np.sign(turns[np.isfinite(turns)]).sum())
-
-
 def verification_before(problem: Problem, P: FloatArray, parity: int) -> Verification:
     """How the stars of a problem are held against one another under the sensor's start, of covariance P, SI."""
     sensor = problem.sensor
@@ -240,9 +226,10 @@ def verification_after(
     proposed: Problem, x: FloatArray, P: FloatArray, noise: float, n_free: int, parity: int
 ) -> Verification:
     """How the proposed stars of a problem are held against an estimate x of covariance P, SI, centroid errors times `noise`."""
+    arcs = proposed.arcs
     return Verification(
-        proposed.sensor.camera_model, parity, x, square_root(P), noise, compute_limit(proposed.arcs.n_stars),
-        everywhere=proposed.arcs.n_arcs < MANY_ARCS * n_free,
+        proposed.sensor.camera_model, parity, x, square_root(P), noise, compute_limit(arcs.n_stars),
+        everywhere=2 * arcs.n_stars - 3 * arcs.n_exposures < MANY_ARCS * n_free,
     )  # fmt: skip
 
 

@@ -166,9 +166,9 @@ def fit_best(
 def _best_fit(
     problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
 ) -> tuple[FloatArray, ArcSet]:
-    """State and arcs whitened there; the estimate itself where it is the best fit, or a robust one."""
+    """State and arcs whitened there; the estimate itself where it is the best fit, or Huber's."""
     arcs = problem.whitened(estimate.x).whole()
-    if not settings.sequential and settings.error == "arclength":
+    if not settings.sequential and settings.error == "arclength" and settings.robust != "stars":
         return estimate.x, arcs
     fitted = batch.fit(arcs, estimate.x, parameters.free, parameters.scale, max_iterations=MOST_ITERATIONS)
     if fitted.status == "diverged":
