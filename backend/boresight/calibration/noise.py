@@ -377,7 +377,7 @@ def _terms(found: NoiseFit, made: Regressors) -> list[NoiseTerm]:
         part = slice(begin, begin + columns.shape[2])
         parts[name], begin = (found.b[part], found.P_b[part, part]), part.stop
     p = [float(chdtrc(len(value), max(float(value @ np.linalg.solve(P, value)), 0.0))) for value, P in parts.values()]
-    needed = [one < NEEDED for one in holm(p)]
+    needed = [bool(one < NEEDED) for one in holm(p)]
     return [
         _term(name, value, P, one, is_needed, made.reference)
         for (name, (value, P)), one, is_needed in zip(parts.items(), p, needed, strict=True)
