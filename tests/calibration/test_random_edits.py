@@ -35,6 +35,7 @@ def defects(numbers, bases, catalogue, folder):
     return found
 
 
+@pytest.mark.full
 def test_some_edits_end_in_a_result_or_a_sentence(bases, catalogue, folder):
     assert defects((*ALWAYS, *ONCE_DEFECTS), bases, catalogue, folder) == []
 

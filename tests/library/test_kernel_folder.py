@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from tests.effort import few_of
+
 CALLS = (
     "bs.calibrate('no.csv', 'no.json')",
     "bs.check('no.csv', 'no.json')",
@@ -36,12 +38,12 @@ def folder_after(code, folder):
     return set(done.stdout.split())
 
 
-@pytest.mark.parametrize("call", CALLS)
+@pytest.mark.parametrize("call", few_of(CALLS, 2))
 def test_a_first_call_of_the_library_tells_the_kernels_their_folder(call, tmp_path):
     assert len(folder_after(call, tmp_path)) == 1
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", few_of(COMMANDS, 1))
 def test_so_does_a_command(command, tmp_path):
     words = ["--out", "a.csv"] if command == "match" else []
     call = f"__import__('boresight.cli').cli.main([{command!r}, 'no.csv', '--sensor', 'no.json', *{words}])"

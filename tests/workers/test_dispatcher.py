@@ -27,6 +27,7 @@ def told(run_id):
     return [event["fraction"] for event in EVENTS if event["run_id"] == run_id and event["kind"] == "progress"]
 
 
+@pytest.mark.full
 def test_two_hundred_runs_at_once_all_succeed(store):
     run_ids = store.launch("quick", 200)
     assert store.wait_until_ended(run_ids) == ["SUCCEEDED"] * 200

@@ -46,6 +46,7 @@ from boresight.platform.db.sessions import (
     open_writing,
 )
 from boresight.uplink.table_definition import plain_definition
+from tests.effort import few_of
 from tests.furniture import rows_of_tables
 from tests.passwords import add_person, approve, proved
 from tests.postgresql import TEMPLATE, Server, server
@@ -78,7 +79,7 @@ def _start_at_once(url: str, folder: Path, times: int = SERVERS) -> list[tuple[i
     return [(process.communicate(timeout=120)[0], process.returncode)[::-1] for process in started]
 
 
-@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+@pytest.mark.parametrize("kind", few_of(["postgresql", "sqlite"], 1))
 def test_servers_that_start_at_once_on_an_empty_database_make_one_schema(
     kind: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
@@ -152,6 +153,7 @@ def test_runs_are_claimed_once_by_several_servers(two: list[Engine]) -> None:
     assert sorted(claimed) == sorted((run_id, 1) for run_id in made)
 
 
+@pytest.mark.full
 def test_after_a_restart_of_postgresql_the_next_request_is_answered(
     two: list[Engine], postgresql_server: Server
 ) -> None:

@@ -219,6 +219,7 @@ def test_a_command_whose_data_folder_cannot_be_made_says_so_in_one_line(tmp_path
 PATIENCE_S = 30
 
 
+@pytest.mark.full
 def test_requests_are_refused_while_postgresql_is_gone_and_answered_when_it_is_back(
     postgresql: Engine, tmp_path: Path
 ) -> None:
