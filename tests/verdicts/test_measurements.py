@@ -169,7 +169,9 @@ def test_observability_is_told_with_its_weakest_direction_and_coverage_counts_re
     assert found("coverage", result=half_seen).value == pytest.approx(1 / 4)
 
 
-@pytest.mark.parametrize("name", ["chi-square", "nis", "condition-number", "weak-directions", "coverage", "assumptions"])
+@pytest.mark.parametrize(
+    "name", ["chi-square", "nis", "condition-number", "weak-directions", "coverage", "assumptions"]
+)
 def test_what_no_run_measured_has_no_data(name):
     assert found(name, result=None).sentence == "The set was declared with the sensor; no run measured this."
     nothing = Calibration(status="converged")

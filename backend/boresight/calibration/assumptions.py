@@ -1,9 +1,10 @@
-"""What a calibration assumes that its data cannot show: each thing declared, or named as assumed, with what an error in it would do.
+"""What a calibration assumes that its data cannot show: declared, or named as assumed, with what an error in it would do.
 
 Sizes, for a tracker whose half diagonal is theta and whose pixel is 1 / f_px radians: aberration by a velocity v turns a star by
-v / c sin(angle to v), so the field is stretched by up to v / c: 2.5e-5 for 7.6 km/s, 1.0e-4 for the Earth's 29.8 km/s, which is the
-change of focal length that would be fitted for it. Refraction R = 2.9e-4 tan z (Bennett, at the sea's level) stretches the field by
-2.9e-4 across the vertical and by 2.9e-4 / cos^2 z along it. A rolling shutter displaces stars by their speed times the time of a readout.
+v / c sin(angle to v), so the field is stretched by up to v / c: 2.5e-5 for 7.6 km/s, 1.0e-4 for the Earth's 29.8 km/s, which is
+the change of focal length that would be fitted for it. Refraction R = 2.9e-4 tan z (Bennett, at the sea's level) stretches the
+field by 2.9e-4 across the vertical and by 2.9e-4 / cos^2 z along it. A rolling shutter displaces stars by their speed times the
+time of a readout.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ def list_assumptions(
 ) -> list[Assumption]:
     """List what a calibration assumes.
 
-    `telemetry`: the set, or a part, as it came; `named`: with matched stars. `x`: (n_parameters,) result. `done`: about the readout.
+    `telemetry`: the set, or a part, as it came; `named`: with matched stars. `x`: (n_parameters,) result. `done`: about the
+    readout.
     """
     corner_px = np.hypot(sensor.rows, sensor.columns) / 2
     return [
@@ -69,11 +71,13 @@ def _readout(
         return Assumption(name="readout", declared=True, value=f"{said}: left in", sentence=sentence, left_in=True)
     left = done.exposures - done.moved
     sentence = (
-        f"Declared: {said}. Centroids of {done.moved:,} of {done.exposures:,} exposures were moved back to the time of the first line, "
+        f"Declared: {said}. Centroids of {done.moved:,} of {done.exposures:,} exposures were moved back to the first line's time, "
         f"by up to {done.largest_px:.3g} px at {done.rate_deg_s:.3g} °/s, with rates from {done.source}"
         + (f"; {left:,} exposures have no rate and stay as they are." if left else ".")
     )
-    return Assumption(name="readout", declared=True, value=f"{said}: corrected here", sentence=sentence, left_in=left > 0)
+    return Assumption(
+        name="readout", declared=True, value=f"{said}: corrected here", sentence=sentence, left_in=left > 0
+    )
 
 
 def _speed_px_s(telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, x: FloatArray) -> tuple[float, bool]:
@@ -94,10 +98,14 @@ def _words(name: str, word: str) -> str:
 def _velocity(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assumption:
     name, word = "satellite_velocity", sensor.declared.satellite_velocity
     if telemetry.velocity_m_s is not None:
-        return Assumption(name=name, declared=True, value="given", sentence="The telemetry gives the satellite's velocity.")
+        return Assumption(
+            name=name, declared=True, value="given", sentence="The telemetry gives the satellite's velocity."
+        )
     if word == "negligible" or (word == "given" and telemetry.ra_rad is not None):
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
-    opening = "Declared as given, yet this telemetry has none" if word else "The telemetry gives no velocity of the satellite"
+    opening = (
+        "Declared as given, yet this telemetry has none" if word else "The telemetry gives no velocity of the satellite"
+    )
     sentence = (
         f"{opening}, so none is assumed. In a low orbit 5 arcsec of aberration would stretch the field by up to 25 ppm, "
         f"{25e-6 * corner_px:.2g} px at the corner, and be fitted as focal length: give vx_km_s, vy_km_s and vz_km_s, or {WHERE}."
@@ -108,7 +116,9 @@ def _velocity(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assumpt
 def _directions(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assumption:
     name, word = "directions", sensor.declared.directions
     if word == "j2000" and telemetry.ra_rad is not None:
-        sentence = "Declared as of J2000.0: apparent directions were computed with proper motion, parallax and aberration."
+        sentence = (
+            "Declared as of J2000.0: apparent directions were computed with proper motion, parallax and aberration."
+        )
         return Assumption(name=name, declared=True, value="apparent, computed from J2000.0", sentence=sentence)
     if telemetry.ra_rad is None:
         sentence = "The telemetry gives no directions: apparent ones are computed from the catalogue."
@@ -116,8 +126,8 @@ def _directions(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assum
     if word is not None:
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
     sentence = (
-        "Directions that the telemetry gives are assumed to be apparent. If they are of J2000.0, 20 arcsec of aberration stretch the "
-        f"field by up to 100 ppm, {100e-6 * corner_px:.2g} px at the corner, and are fitted as focal length: {WHERE}."
+        "Directions that the telemetry gives are assumed to be apparent. If they are of J2000.0, 20 arcsec of aberration stretch "
+        f"the field by up to 100 ppm, {100e-6 * corner_px:.2g} px at the corner, and are fitted as focal length: {WHERE}."
     )
     return Assumption(name=name, declared=False, value="apparent", sentence=sentence)
 
@@ -127,15 +137,11 @@ def _refraction(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assum
     size = f"at least 290 ppm, {290e-6 * corner_px:.2g} px at the corner, and more toward the horizon"
     if word == "uncorrected":
         sentence = (
-            f"Declared: images from the ground with refraction left in. It changes the scale by {size}, and is in these parameters: "
-            "correct directions for it, or do not use them for a sensor in space."
+            f"Declared: images from the ground with refraction left in. It changes the scale by {size}, and is in these "
+            "parameters: correct directions for it, or do not use them for a sensor in space."
         )
         return Assumption(name=name, declared=True, value=word, sentence=sentence, left_in=True)
     if word is not None:
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
-    sentence = (
-        f"No refraction is assumed, as in space. Of images from the ground it would change the scale by {size}: {WHERE}."
-    )
+    sentence = f"No refraction is assumed, as in space. Of images from the ground it would change the scale by {size}: {WHERE}."
     return Assumption(name=name, declared=False, value="none", sentence=sentence)
-
-

@@ -327,9 +327,7 @@ class _LastPass:
     def assumptions(self) -> list[Assumption]:
         """What was assumed that the set cannot show."""
         of, done = self.corrections, self.corrections.done
-        return list_assumptions(
-            self.telemetry, self.matched.telemetry, of.sensor, of.catalogue, self.estimate.x, done
-        )
+        return list_assumptions(self.telemetry, self.matched.telemetry, of.sensor, of.catalogue, self.estimate.x, done)
 
 
 def _say_what_was_judged(found: Calibration, judged: Problem) -> Calibration:

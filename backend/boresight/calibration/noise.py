@@ -26,11 +26,11 @@ Patterson & Thompson 1971), whose score and information for log sigma are
 the last line for the attitude's share, which alone joins the stars of an exposure; Fisher scoring takes it to rest. A star beyond
 `CUT` spreads is left out: by chance one in two million is.
 
-A term is needed where the hypothesis that it is none is rejected at 1 % for the whole family: Wald's chi-square theta^T P^-1 theta of
-as many degrees of freedom as it has coefficients, then Holm's correction over all terms. The curve against the phase is that of the
-centroid as measured, E[bias | measured phase], since only that can be subtracted: noise smooths it, by exp(-(2 pi h sigma)^2 / 2) at
-harmonic h. Of more than
-`MOST_FRAMES` frames only so many are looked at, pairs of neighbours evenly spaced, and four times as many where the noise is applied.
+A term is needed where the hypothesis that it is none is rejected at 1 % for the whole family: Wald's chi-square theta^T P^-1
+theta of as many degrees of freedom as it has coefficients, then Holm's correction over all terms. The curve against the phase is
+that of the centroid as measured, E[bias | measured phase], since only that can be subtracted: noise smooths it, by exp(-(2 pi h
+sigma)^2 / 2) at harmonic h. Of more than `MOST_FRAMES` frames only so many are looked at, pairs of neighbours evenly spaced, and
+four times as many where the noise is applied.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ Columns = Mapping[str, FloatArray]
 
 @dataclass(frozen=True)
 class Regressors:
-    """Columns of the noise, (n,) each, and of the bias, (n, 2, k) each, by term; what each quantity was centred on; what is absent."""
+    """Columns of the noise, (n,) each, and of the bias, (n, 2, k) each, by term; its centre; what is absent."""
 
     noise: Columns
     bias: Columns
@@ -413,9 +413,7 @@ def _term(
     )  # fmt: skip
 
 
-def _sentence(
-    name: str, value: Mapping[str, float], sigma: Mapping[str, float | None], p: float, needed: bool
-) -> str:
+def _sentence(name: str, value: Mapping[str, float], sigma: Mapping[str, float | None], p: float, needed: bool) -> str:
     """Say the size of a term, and what to do about it."""
     main = "factor" if name == "level" else "slope"
     if name.startswith("phase"):
@@ -428,7 +426,9 @@ def _sentence(
         size = f"the noise changes by {value[main]:+.2g} ± {sigma[main]:.2g} {UNITS[name]}"
     if not needed:
         return f"{TITLES[name]}: {size}, which chance explains."
-    return f"{TITLES[name]}: {size}, more than chance (p = {p:.1g}): use noise_model from-data, or state it in sigma_px."
+    return (
+        f"{TITLES[name]}: {size}, more than chance (p = {p:.1g}): use noise_model from-data, or state it in sigma_px."
+    )
 
 
 def phase_amplitude(coefficients: Mapping[str, float]) -> float:
@@ -476,7 +476,10 @@ def apply_noise(
     if telemetry.sigma_px is not None:
         stated = np.where(np.isfinite(telemetry.sigma_px), telemetry.sigma_px, stated)
     return replace(
-        telemetry, row_px=telemetry.row_px - shift[:, 0], col_px=telemetry.col_px - shift[:, 1], sigma_px=stated * 10.0**dex
+        telemetry,
+        row_px=telemetry.row_px - shift[:, 0],
+        col_px=telemetry.col_px - shift[:, 1],
+        sigma_px=stated * 10.0**dex,
     )
 
 

@@ -480,9 +480,7 @@ def _read_out(
     near = np.isfinite(row_px) & np.isfinite(col_px)
     for _ in range(READOUT_ROUNDS):
         line = np.where(near, row_px if readout.axis == "rows" else col_px, 0.0)
-        of_line = replace(
-            exposures, attitude=_attitude(scenario, exposures.t_s[index] + line * readout.line_time_s)
-        )
+        of_line = replace(exposures, attitude=_attitude(scenario, exposures.t_s[index] + line * readout.line_time_s))
         row_px, col_px = _project(scenario, of_line, np.arange(len(index)), s_i)
     return row_px, col_px
 

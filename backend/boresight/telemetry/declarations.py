@@ -1,9 +1,9 @@
 """What no telemetry can show and an operator declares in the sensor file: readout, satellite velocity, directions, refraction.
 
-A rolling shutter exposes line after line. The centroid of a star on line l (a row, or a column) was taken l * line_time_s later than
-one on the first line, and the sky moved in between; along some axes a camera model takes that up as scale and distortion, with
-residuals as small as ever. The other declarations say how star directions were formed: an error in them is as smooth over the field.
-So each is asked once, by name; until it is answered a calibration states what it assumed (`calibration.assumptions`).
+A rolling shutter exposes line after line. The centroid of a star on line l (a row, or a column) was taken l * line_time_s later
+than one on the first line, and the sky moved in between; along some axes a camera model takes that up as scale and distortion,
+with residuals as small as ever. The other declarations say how star directions were formed: an error in them is as smooth over
+the field. So each is asked once, by name; until it is answered a calibration states what it assumed (`calibration.assumptions`).
 """
 
 from __future__ import annotations
@@ -113,6 +113,9 @@ class Declared:
         return {name: word for name, word in vars(self).items() if word is not None}
 
 
+NOTHING_DECLARED = Declared()
+
+
 def parse_readout(value: Any, faults: Faults) -> Readout | None:
     """Read the `readout` of a sensor file; None where there is none, or a fault."""
     if value is None:
@@ -124,14 +127,20 @@ def parse_readout(value: Any, faults: Faults) -> Readout | None:
     _refuse_unknown("readout", value, tuple(item.name for item in fields(Readout)), faults)
     if value["mode"] == GLOBAL:
         if set(value) - {"mode"}:
-            faults.add("readout.mode is global, where nothing else has a meaning: leave the others out, or write rolling")
+            faults.add(
+                "readout.mode is global, where nothing else has a meaning: leave the others out, or write rolling"
+            )
         return Readout(GLOBAL)
     axis, corrected = value.get("axis", AXES[0]), value.get("corrected", False)
     if axis not in AXES:
         faults.add(f"readout.axis is {axis!r}: write rows if a line is a row, or columns")
     if not isinstance(corrected, bool):
-        faults.add(f"readout.corrected is {corrected!r}: write true if the telemetry's centroids are corrected, or false")
-    return Readout(ROLLING, _line_time(value.get("line_time_s"), corrected is True, faults), str(axis), corrected is True)
+        faults.add(
+            f"readout.corrected is {corrected!r}: write true if the telemetry's centroids are corrected, or false"
+        )
+    return Readout(
+        ROLLING, _line_time(value.get("line_time_s"), corrected is True, faults), str(axis), corrected is True
+    )
 
 
 def _line_time(value: Any, corrected: bool, faults: Faults) -> float | None:
