@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from boresight.calibration.calibration import (
+    Assumption,
     Calibration,
     ChiSquareTest,
     Coverage,
@@ -54,6 +55,7 @@ def a_result(**changed: Any) -> Calibration:
             weakest=WeakestDirection(direction=Values(), sentence="n0 and a1 move together."),
         ),
         coverage=Coverage(row_edges_px=[], col_edges_px=[], counts=np.ones((12, 16), int).tolist()),
+        assumptions=[Assumption(name="readout", declared=True, value="global shutter", sentence="Declared.")],
     )
     return replace(sound, **changed)
 

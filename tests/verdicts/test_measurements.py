@@ -169,11 +169,26 @@ def test_observability_is_told_with_its_weakest_direction_and_coverage_counts_re
     assert found("coverage", result=half_seen).value == pytest.approx(1 / 4)
 
 
-@pytest.mark.parametrize("name", ["chi-square", "nis", "condition-number", "weak-directions", "coverage"])
+@pytest.mark.parametrize(
+    "name", ["chi-square", "nis", "condition-number", "weak-directions", "coverage", "assumptions"]
+)
 def test_what_no_run_measured_has_no_data(name):
     assert found(name, result=None).sentence == "The set was declared with the sensor; no run measured this."
     nothing = Calibration(status="converged")
     assert "run it again" in found(name, result=nothing).sentence or "open" in found(name, result=nothing).sentence
+
+
+def test_assumptions_pass_once_declared_warn_until_then_and_are_marginal_where_something_is_left_in():
+    (made,) = a_result().assumptions
+    assert (found("assumptions").met, "global shutter" in found("assumptions").sentence) == ("PASS", True)
+    asked = dataclasses.replace(made, declared=False, sentence="Nobody declared the readout.")
+    unknown = found("assumptions", result=a_result(assumptions=[made, asked]))
+    assert (unknown.met, unknown.value) == (None, None)
+    assert unknown.sentence == "Nobody declared the readout. Then run again."
+    left = dataclasses.replace(made, left_in=True, sentence="It stays in the centroids.")
+    assert found("assumptions", result=a_result(assumptions=[made, left])).met == "MARGINAL"
+    (threshold,) = (one for one in parse_profile({}).thresholds if one.name == "assumptions")
+    assert (threshold.must_have_data, threshold.critical, threshold.waivable) == (False, False, True)
 
 
 def definition(kind, **scaling):

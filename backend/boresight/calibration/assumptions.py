@@ -1,9 +1,10 @@
-"""What a calibration assumes that its data cannot show: each thing declared, or named as assumed, with what an error in it would do.
+"""What a calibration assumes that its data cannot show: declared, or named as assumed, with what an error in it would do.
 
 Sizes, for a tracker whose half diagonal is theta and whose pixel is 1 / f_px radians: aberration by a velocity v turns a star by
-v / c sin(angle to v), so the field is stretched by up to v / c: 2.5e-5 for 7.6 km/s, 1.0e-4 for the Earth's 29.8 km/s, which is the
-change of focal length that would be fitted for it. Refraction R = 2.9e-4 tan z (Bennett, at the sea's level) stretches the field by
-2.9e-4 across the vertical and by 2.9e-4 / cos^2 z along it. A rolling shutter displaces stars by their speed times the time of a readout.
+v / c sin(angle to v), so the field is stretched by up to v / c: 2.5e-5 for 7.6 km/s, 1.0e-4 for the Earth's 29.8 km/s, which is
+the change of focal length that would be fitted for it. Refraction R = 2.9e-4 tan z (Bennett, at the sea's level) stretches the
+field by 2.9e-4 across the vertical and by 2.9e-4 / cos^2 z along it. A rolling shutter displaces stars by their speed times the
+time of a readout.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ def list_assumptions(
 ) -> list[Assumption]:
     """List what a calibration assumes.
 
-    `telemetry`: the set, or a part, as it came; `named`: with matched stars. `x`: (n_parameters,) result. `done`: about the readout.
+    `telemetry`: the set, or a part, as it came; `named`: with matched stars. `x`: (n_parameters,) result. `done`: about the
+    readout.
     """
     corner_px = np.hypot(sensor.rows, sensor.columns) / 2
     return [
@@ -69,7 +71,7 @@ def _readout(
         return Assumption(name="readout", declared=True, value=f"{said}: left in", sentence=sentence, left_in=True)
     left = done.exposures - done.moved
     sentence = (
-        f"Declared: {said}. Centroids of {done.moved:,} of {done.exposures:,} exposures were moved back to the time of the first line, "
+        f"Declared: {said}. Centroids of {done.moved:,} of {done.exposures:,} exposures were moved back to the first line's time, "
         f"by up to {done.largest_px:.3g} px at {done.rate_deg_s:.3g} °/s, with rates from {done.source}"
         + (f"; {left:,} exposures have no rate and stay as they are." if left else ".")
     )
@@ -124,8 +126,8 @@ def _directions(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assum
     if word is not None:
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
     sentence = (
-        "Directions that the telemetry gives are assumed to be apparent. If they are of J2000.0, 20 arcsec of aberration stretch the "
-        f"field by up to 100 ppm, {100e-6 * corner_px:.2g} px at the corner, and are fitted as focal length: {WHERE}."
+        "Directions that the telemetry gives are assumed to be apparent. If they are of J2000.0, 20 arcsec of aberration stretch "
+        f"the field by up to 100 ppm, {100e-6 * corner_px:.2g} px at the corner, and are fitted as focal length: {WHERE}."
     )
     return Assumption(name=name, declared=False, value="apparent", sentence=sentence)
 
@@ -135,8 +137,8 @@ def _refraction(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assum
     size = f"at least 290 ppm, {290e-6 * corner_px:.2g} px at the corner, and more toward the horizon"
     if word == "uncorrected":
         sentence = (
-            f"Declared: images from the ground with refraction left in. It changes the scale by {size}, and is in these parameters: "
-            "correct directions for it, or do not use them for a sensor in space."
+            f"Declared: images from the ground with refraction left in. It changes the scale by {size}, and is in these "
+            "parameters: correct directions for it, or do not use them for a sensor in space."
         )
         return Assumption(name=name, declared=True, value=word, sentence=sentence, left_in=True)
     if word is not None:

@@ -781,19 +781,22 @@ class ResidualDependence:
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualAgainst:
-    """The radial residual against radius, magnitude, temperature and time."""
+    """The residual against what may explain it: radial, or along the rows or columns against places and phases along them."""
 
     radius: ResidualDependence | None = None
     magnitude: ResidualDependence | None = None
     temperature: ResidualDependence | None = None
     time: ResidualDependence | None = None
+    colour: ResidualDependence | None = None
+    row: ResidualDependence | None = None
+    column: ResidualDependence | None = None
+    row_phase: ResidualDependence | None = None
+    column_phase: ResidualDependence | None = None
 
     @property
     def by_cause(self) -> dict[str, ResidualDependence | None]:
         """The dependence on each, by its name."""
-        return {
-            "radius": self.radius, "magnitude": self.magnitude, "temperature": self.temperature, "time": self.time,
-        }  # fmt: skip
+        return dict(vars(self))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,9 +1,9 @@
 """What is put right in telemetry before anything is estimated from it, and repeated at the result: directions, readout, noise.
 
-In this order: directions that are declared to be of J2000.0 become apparent ones; the bias that an earlier pass found against pixel
-phase and colour is subtracted from the centroids as measured, and its noise replaces the stated; centroids of a rolling shutter that
-nobody corrected are moved back to the time of the first line. Readout and noise depend a little on the camera's state, and
-on the stars that a first pass matched, so a calibration is made again with what it found until that changes nothing.
+In this order: directions that are declared to be of J2000.0 become apparent ones; the bias that an earlier pass found against
+pixel phase and colour is subtracted from the centroids as measured, and its noise replaces the stated; centroids of a rolling
+shutter that nobody corrected are moved back to the time of the first line. Readout and noise depend a little on the camera's
+state, and on the stars that a first pass matched, so a calibration is made again with what it found until that changes nothing.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ MOST_PASSES = 4
 class Corrections:
     """What is put right in the telemetry of a sensor, under a state x (n_parameters,) of its camera.
 
-    `star_id`: (n_rows,) stars of the set as an earlier pass matched them; None before. `noise`: what is applied of the noise. `done`:
-    what was done about the readout so far.
+    `star_id`: (n_rows,) stars of the set as an earlier pass matched them; None before. `noise`: what is applied of the noise.
+    `done`: what was done about the readout so far.
     """
 
     def __init__(

@@ -26,11 +26,11 @@ Patterson & Thompson 1971), whose score and information for log sigma are
 the last line for the attitude's share, which alone joins the stars of an exposure; Fisher scoring takes it to rest. A star beyond
 `CUT` spreads is left out: by chance one in two million is.
 
-A term is needed where the hypothesis that it is none is rejected at 1 % for the whole family: Wald's chi-square theta^T P^-1 theta of
-as many degrees of freedom as it has coefficients, then Holm's correction over all terms. The curve against the phase is that of the
-centroid as measured, E[bias | measured phase], since only that can be subtracted: noise smooths it, by exp(-(2 pi h sigma)^2 / 2) at
-harmonic h. Of more than
-`MOST_FRAMES` frames only so many are looked at, pairs of neighbours evenly spaced, and four times as many where the noise is applied.
+A term is needed where the hypothesis that it is none is rejected at 1 % for the whole family: Wald's chi-square theta^T P^-1
+theta of as many degrees of freedom as it has coefficients, then Holm's correction over all terms. The curve against the phase is
+that of the centroid as measured, E[bias | measured phase], since only that can be subtracted: noise smooths it, by exp(-(2 pi h
+sigma)^2 / 2) at harmonic h. Of more than `MOST_FRAMES` frames only so many are looked at, pairs of neighbours evenly spaced, and
+four times as many where the noise is applied.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ Columns = Mapping[str, FloatArray]
 
 @dataclass(frozen=True)
 class Regressors:
-    """Columns of the noise, (n,) each, and of the bias, (n, 2, k) each, by term; what each quantity was centred on; what is absent."""
+    """Columns of the noise, (n,) each, and of the bias, (n, 2, k) each, by term; its centre; what is absent."""
 
     noise: Columns
     bias: Columns
@@ -377,7 +377,7 @@ def _terms(found: NoiseFit, made: Regressors) -> list[NoiseTerm]:
         part = slice(begin, begin + columns.shape[2])
         parts[name], begin = (found.b[part], found.P_b[part, part]), part.stop
     p = [float(chdtrc(len(value), max(float(value @ np.linalg.solve(P, value)), 0.0))) for value, P in parts.values()]
-    needed = [one < NEEDED for one in holm(p)]
+    needed = [bool(one < NEEDED) for one in holm(p)]
     return [
         _term(name, value, P, one, is_needed, made.reference)
         for (name, (value, P)), one, is_needed in zip(parts.items(), p, needed, strict=True)

@@ -277,7 +277,7 @@ class CalibrationSettings:
         "Leave out double stars and stars with unreliable astrometry.", cell=(2, 2), default=False, flag="--leave-out-doubles",
     )  # fmt: skip
     noise_model: str = option(
-        "Method", "Centroid noise", "Centroid noise: as stated, or with what the data show of it where chance does not explain that.",
+        "Method", "Centroid noise", "Noise of centroids: as stated, or with what the data show of it beyond chance.",
         cell=(3, 1), default="stated", flag="--noise-model",
         words={
             "stated": "As stated by telemetry or sensor file",

@@ -1,7 +1,7 @@
 """Rolling shutter: centroids moved back to the time of the first line, by the rate of the attitude.
 
-Line l is read at t_0 + l tau, tau the line time. Let v be a star's direction in the right-handed detector triad and w the rate of the
-attitude about its axes, C(t + dt) = C(w dt) C(t). The star was then seen at
+Line l is read at t_0 + l tau, tau the line time. Let v be a star's direction in the right-handed detector triad and w the rate of
+the attitude about its axes, C(t + dt) = C(w dt) C(t). The star was then seen at
 
     v(t_0 + l tau) = C(w l tau) v(t_0)            so            v(t_0) = C(-w l tau) v,
 
@@ -14,9 +14,9 @@ The rate comes from attitudes q_k at times t_k, those of the telemetry or else s
 
     w_k = rotation(q_b q_a^-1) / (t_b - t_a)
 
-from the neighbours before and after where both are about as near, else from the nearer one and the exposure itself. Two exposures of
-a frame, dt apart, have each an attitude good to about sigma / sqrt(n) pixels, so the correction at the last line L adds an error of
-sqrt(2 / n) (L tau / dt) sigma: 0.12 sigma for eleven stars read in 0.07 s and taken 0.25 s apart.
+from the neighbours before and after where both are about as near, else from the nearer one and the exposure itself. Two exposures
+of a frame, dt apart, have each an attitude good to about sigma / sqrt(n) pixels, so the correction at the last line L adds an
+error of sqrt(2 / n) (L tau / dt) sigma: 0.12 sigma for eleven stars read in 0.07 s and taken 0.25 s apart.
 """
 
 from __future__ import annotations

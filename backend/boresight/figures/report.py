@@ -117,6 +117,12 @@ def _summary(result: Calibration) -> Iterator[tuple[str, str]]:
     yield "Condition number", f"{condition:,.4g}" if condition is not None else "–"
     validation = result.validation
     yield "Validation RMS", _pair(validation.rms_arc_rad) if validation else "no validation set was given"
+    for term in result.noise.terms if result.noise else ():
+        if term.needed:
+            yield "Centroid noise", term.sentence
+    for one in result.assumptions:
+        word = "declared" if one.declared else "assumed, not declared"
+        yield f"{one.name.replace('_', ' ').capitalize()}, {word}", one.sentence
 
 
 def _pair(rms: Change) -> str:

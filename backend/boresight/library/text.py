@@ -79,6 +79,27 @@ def _scores(found: Calibration) -> Iterator[tuple[str, str]]:
             yield f"{name}, RMS", _pair(scores.rms_arc_rad)
     if found.alignment is not None:
         yield "C_SD", found.alignment.sentence
+    yield from _noise(found)
+    yield from _assumed(found)
+
+
+def _noise(found: Calibration) -> Iterator[tuple[str, str]]:
+    """Name the terms of the centroid noise that are applied or needed."""
+    terms = [] if found.noise is None else [term for term in found.noise.terms if term.needed]
+    for place, term in enumerate(terms):
+        yield ("" if place else "centroid noise"), term.sentence
+
+
+def _assumed(found: Calibration) -> Iterator[tuple[str, str]]:
+    """Name what was assumed and not declared, and what was declared and left in."""
+    undeclared = ", ".join(
+        f"{one.name.replace('_', ' ')}: {one.value}" for one in found.assumptions if not one.declared
+    )
+    if undeclared:
+        yield "assumed, not declared", f"{undeclared}; declare in the sensor file what holds (readout, declared)"
+    for one in found.assumptions:
+        if one.declared and one.left_in:
+            yield "left in", one.sentence
 
 
 def _matches(matching: Matching) -> str:

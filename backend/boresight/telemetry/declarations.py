@@ -1,9 +1,9 @@
 """What no telemetry can show and an operator declares in the sensor file: readout, satellite velocity, directions, refraction.
 
-A rolling shutter exposes line after line. The centroid of a star on line l (a row, or a column) was taken l * line_time_s later than
-one on the first line, and the sky moved in between; along some axes a camera model takes that up as scale and distortion, with
-residuals as small as ever. The other declarations say how star directions were formed: an error in them is as smooth over the field.
-So each is asked once, by name; until it is answered a calibration states what it assumed (`calibration.assumptions`).
+A rolling shutter exposes line after line. The centroid of a star on line l (a row, or a column) was taken l * line_time_s later
+than one on the first line, and the sky moved in between; along some axes a camera model takes that up as scale and distortion,
+with residuals as small as ever. The other declarations say how star directions were formed: an error in them is as smooth over
+the field. So each is asked once, by name; until it is answered a calibration states what it assumed (`calibration.assumptions`).
 """
 
 from __future__ import annotations
@@ -111,6 +111,9 @@ class Declared:
     def document(self) -> dict[str, str]:
         """Return what is declared as a sensor file has it."""
         return {name: word for name, word in vars(self).items() if word is not None}
+
+
+NOTHING_DECLARED = Declared()
 
 
 def parse_readout(value: Any, faults: Faults) -> Readout | None:

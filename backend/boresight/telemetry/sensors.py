@@ -15,7 +15,7 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
-from boresight.telemetry.declarations import Declared, Readout, parse_declared, parse_readout
+from boresight.telemetry.declarations import NOTHING_DECLARED, Declared, Readout, parse_declared, parse_readout
 from boresight.telemetry.read.checks import Faults
 from boresight.telemetry.read.formats import read_json
 
@@ -74,7 +74,7 @@ class Sensor:
     free: tuple[str, ...]
     magnitude_limit: float | None = None
     readout: Readout | None = None
-    declared: Declared = Declared()
+    declared: Declared = NOTHING_DECLARED
 
 
 def read_sensor(path: Path) -> Sensor:

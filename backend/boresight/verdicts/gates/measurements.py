@@ -15,6 +15,9 @@ The arc uncertainty follows from the set's covariance alone (`trust.arc_map`), s
 incumbent beside it: at the worst place of the detector, in pixels of the centre. The coverage counts the regions, 6 rows by 8
 columns of the detector, in which there was at least one star; where there was none the model is a guess.
 
+What no data can show is asked of the operator, in the sensor file: a set passes the gate of assumptions once all of it is
+declared, is MARGINAL where something declared was left in the data, and has no data until then, which warns and does not block.
+
 A table on board holds parameters as float32 or as whole numbers with a scale. Rounding each to its nearest step moves directions,
 and nothing on the ground would show it: every number here is float64.
 
@@ -421,6 +424,21 @@ def quantisation(inputs: GateInputs) -> Measurement:
     )
 
 
+def assumptions(inputs: GateInputs) -> Measurement:
+    """Ask whether what the data cannot show was declared, and whether any of it was left in."""
+    made = inputs.result.assumptions if inputs.result else []
+    if not made:
+        return absent(NO_RUN if inputs.result is None else "The run named no assumptions: run it again.")
+    undeclared = [one.sentence for one in made if not one.declared]
+    if undeclared:
+        return absent(f"{' '.join(undeclared)} Then run again.")
+    left_in = [one.sentence for one in made if one.left_in]
+    if left_in:
+        return answer("MARGINAL", " ".join(left_in))
+    declared = "; ".join(f"{one.name.replace('_', ' ')}: {one.value}" for one in made)
+    return answer("PASS", f"What the data cannot show is declared: {declared}.")
+
+
 @dataclass(frozen=True)
 class Gate:
     """One question that a parameter set is asked, what measures it, and its thresholds in the default profile."""
@@ -642,6 +660,13 @@ GATES = {
             measure=quantisation,
             limit=0.1,
             marginal=0.01,
+        ),
+        Gate(
+            "assumptions",
+            "Assumptions",
+            "Is declared what no data can show: readout, satellite velocity, directions, refraction?",
+            "met",
+            measure=assumptions,
         ),
     )
 }
