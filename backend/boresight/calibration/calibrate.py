@@ -16,7 +16,8 @@ from boresight.calibration.calibration import Calibration, JudgedOn, StarOff, St
 from boresight.calibration.estimate import Estimate, Parameters, never
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
 from boresight.calibration.matching.match_report import CyclesEnd, Estimation, identification_advice
-from boresight.calibration.matching.matched import Dataset
+from boresight.calibration.matching.matched import Dataset, Matched
+from boresight.calibration.minima import LowerMinimum, describe_minima, minima_advice
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.telemetry_pieces import (
@@ -261,17 +262,40 @@ def _calibrated(
         nothing = result.nothing_estimated(first.problem, parameters, settings, sha256s)
         return replace(nothing, advice=[*identification_advice(first.unidentified), *nothing.advice]), None
     reporter = ProgressReporter(first.problem, parameters, settings, sha256s, context.report, sets.prepared)
-    ended = Estimation(sets, first, parameters, settings, reporter, context.cancelled).run()
-    ended = replace(ended, estimate=_checked(ended.matched.problem, ended.estimate))
-    clock.lap("fit")
-    found = result.describe_estimate(ended.matched.problem, parameters, settings, ended.estimate, sha256s)
-    if ended.estimate.status != "diverged":
-        judged = sets.judged(first, ended.matched)
-        found = evaluate_result(found, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
-        found = _say_what_was_judged(found, judged.last.problem)
-        found = with_advice(found, *identification_advice(ended.matched.unidentified))
+    estimation = Estimation(sets, first, parameters, settings, reporter, context.cancelled)
+    ended = estimation.run()
+    while True:
+        ended = replace(ended, estimate=_checked(ended.matched.problem, ended.estimate))
+        clock.lap("fit")
+        try:
+            found = _judge(sets, first, ended, parameters, settings, sha256s)
+            break
+        except LowerMinimum as lower:
+            restarts = ended.estimate.searched.restarts + 1
+            ended = replace(estimation, first=ended.matched).fit_in_cycles(lower, restarts)
     clock.lap("judge")
     return found, ended
+
+
+def _judge(
+    sets: Dataset,
+    first: Matched,
+    ended: CyclesEnd,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    sha256s: Mapping[str, str],
+) -> Calibration:
+    """Describe and judge an estimate; raises LowerMinimum where judging it leads to one, so often as that is taken up."""
+    problem, estimate = ended.matched.problem, ended.estimate
+    found = result.describe_estimate(problem, parameters, settings, estimate, sha256s)
+    if estimate.status == "diverged":
+        return found
+    minima = describe_minima(problem, estimate.searched, estimate.x, result.find_sigma(problem, parameters, estimate))
+    judged = sets.judged(first, ended.matched)
+    found = with_advice(replace(found, minima=minima), *minima_advice(minima))
+    found = evaluate_result(found, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
+    found = _say_what_was_judged(found, judged.last.problem)
+    return with_advice(found, *identification_advice(ended.matched.unidentified))
 
 
 def _say_what_was_judged(found: Calibration, judged: Problem) -> Calibration:
@@ -301,12 +325,7 @@ def select_free_parameters(sensor: Sensor, settings: CalibrationSettings) -> Par
 
 def _checked(problem: Problem, estimate: Estimate) -> Estimate:
     """Call an estimate diverged when a parameter left the range of what can be, or part of the detector has no direction."""
-    low, high = np.array(problem.camera.plausible).T
-    inside = np.isfinite(estimate.x).all() and bool(np.all((low <= estimate.x) & (estimate.x <= high)))
-    sensor = problem.sensor
-    if inside and problem.camera.blind_corner(estimate.x, sensor.rows, sensor.columns, sensor.pixel_pitch_m) is None:
-        return estimate
-    return replace(estimate, status="diverged")
+    return estimate if problem.can_be(estimate.x) else replace(estimate, status="diverged")
 
 
 class _Timer:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.calibration import Robust, Status, Values
 from boresight.calibration.history_recorder import RecordedHistory
+from boresight.calibration.minima import NOT_SEARCHED, LowerMinimum, Searched, look_for_minima
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.estimation import batch, cosine
@@ -143,6 +144,7 @@ class Estimate:
     set at x. `status`: as in the contract, or `running`. `iterations`: batch iterations, or linearisations of a filter in all.
     `steps`: batch iterates, empty for a filter. `history`: a filter's updates so far; None for the batch. `robust`: what
     Huber's loss changed; None for any other estimate. `remarks`: sentences that a person should read beside the numbers.
+    `searched`: what the search for other minima found.
     """
 
     x: FloatArray
@@ -155,6 +157,7 @@ class Estimate:
     history: RecordedHistory | None = None
     robust: Robustness | None = None
     remarks: tuple[str, ...] = ()
+    searched: Searched = NOT_SEARCHED
 
     @property
     def updated(self) -> IntArray | None:
@@ -167,25 +170,65 @@ Asked = Callable[[], bool]
 
 
 def run_batch(
-    problem: Problem, parameters: Parameters, settings: CalibrationSettings, listen: ReportEstimate, cancelled: Asked
+    problem: Problem,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    listen: ReportEstimate,
+    cancelled: Asked,
+    begin: LowerMinimum | None = None,
+    restarts: int = 0,
 ) -> Estimate:
-    """Fit, take the weights at the solution, and fit again."""
+    """Fit, take the weights at the solution, and fit again; of a small set look for other minima too and take up the lowest.
+
+    `begin`: where judging a former estimate led to, in place of the sensor's start; `restarts`: how often it has.
+    """
     steps: list[batch.Step] = []
 
     def report(step: batch.Step) -> None:
         steps.append(step)
         _report_batch(tuple(steps), listen)
 
-    fitted = _fit(problem, problem.sensor.initial, parameters, settings, report, cancelled)
-    for _ in range(WHITENING_ROUNDS - 1):
-        if fitted.status != "diverged":
-            fitted = _fit(problem, fitted.x, parameters, settings, report, cancelled)
+    def fit(x: FloatArray) -> batch.BatchFit:
+        return _fit(problem, x, parameters, settings, report, cancelled)
+
+    fitted = _rewhitened(fit, problem.sensor.initial if begin is None else begin.x)
+    searched = _search(problem, parameters, settings, fitted, cancelled).begun_from(begin, restarts)
+    if searched.lowest is not None:
+        fitted = _rewhitened(fit, searched.lowest.x)
     estimate = Estimate(
-        fitted.x, fitted.A, covariance(fitted.A), fitted.chi2, fitted.status, max(len(steps) - 1, 0), tuple(steps)
-    )
+        fitted.x, fitted.A, covariance(fitted.A), fitted.chi2, fitted.status, max(len(steps) - 1, 0), tuple(steps),
+        searched=searched,
+    )  # fmt: skip
     if settings.robust != "none":
         return replace(estimate, robust=_robustness(problem, parameters, settings, fitted))
     return _of_cosine(problem, parameters, estimate) if settings.error == "cosine" else estimate
+
+
+def _rewhitened(fit: Callable[[FloatArray], batch.BatchFit], x: FloatArray) -> batch.BatchFit:
+    """Fit from x, and again with the weights of where that ended."""
+    fitted = fit(x)
+    for _ in range(WHITENING_ROUNDS - 1):
+        if fitted.status != "diverged":
+            fitted = fit(fitted.x)
+    return fitted
+
+
+def _search(
+    problem: Problem,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    fitted: batch.BatchFit,
+    cancelled: Asked,
+) -> Searched:
+    """Look for other minima; the cosine error is there for comparison only, and has none looked for."""
+    if settings.error == "cosine":
+        return NOT_SEARCHED
+    return look_for_minima(problem, parameters.free, parameters.scale, _threshold(settings), fitted, cancelled)
+
+
+def _threshold(settings: CalibrationSettings) -> float:
+    """The threshold of Huber's loss, in whitened sigmas; infinite for least squares."""
+    return settings.huber_threshold if settings.robust == "huber" else np.inf
 
 
 def _fit(
@@ -201,7 +244,7 @@ def _fit(
     return batch.fit(
         cosine.unweighted(arcs) if settings.error == "cosine" else arcs, x, parameters.free, parameters.scale,
         max_iterations=settings.max_iterations, report=report, cancelled=cancelled,
-        threshold=settings.huber_threshold if settings.robust == "huber" else np.inf,
+        threshold=_threshold(settings),
     )  # fmt: skip
 
 
