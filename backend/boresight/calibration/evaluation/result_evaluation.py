@@ -39,7 +39,7 @@ from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.matched_frames import apply_flight_check
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, whiten_at
-from boresight.calibration.trust import trust_advice, trust_view
+from boresight.calibration.trust import cause_advice, judge_trust, trust_advice
 from boresight.calibration.trust.fitted_set import chosen, nested
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import determined, normal_equations
@@ -171,19 +171,22 @@ def evaluate_result(
     matching = matching_view(telemetry, sensor, ended, evaluation)
     P = parameters.full_covariance(estimate.P, n=len(estimate.x))
     problem, matched = ended.matched.problem, ended.matched.telemetry
-    trust = trust_view(problem, parameters, settings, estimate, matched, sets.catalogue)
+    judged = judge_trust(problem, parameters, settings, estimate, matched, sets.catalogue)
     return with_advice(
         replace(
             calibration,
+            advice=[*cause_advice(judged.trust, judged.causes), *calibration.advice],
             evaluation=evaluation,
             shadow=replace(calibration.shadow, calibration=shadow),
             matching=matching,
             alignment=alignment_view(problem, sensor.initial, estimate.x, P),
             frame_observability=frame_observability(problem, parameters, estimate),
-            trust=trust,
+            trust=judged.trust,
+            tests=judged.tests,
+            causes=judged.causes,
         ),
         *([] if matching is None else names_advice(matching.given, matching.kept)),
-        *trust_advice(trust),
+        *trust_advice(judged.trust),
         *([] if calibration.robust is None else [calibration.robust.sentence]),
     )
 
