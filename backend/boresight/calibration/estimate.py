@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.calibration import Robust, Status, Values
 from boresight.calibration.history_recorder import RecordedHistory
+from boresight.calibration.minima import NOT_SEARCHED, LowerMinimum, Searched, look_for_minima
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, find_parity
 from boresight.estimation import batch, cosine
@@ -166,6 +167,7 @@ class Estimate:
     set at x. `status`: as in the contract, or `running`. `iterations`: batch iterations, or linearisations of a filter in all.
     `steps`: batch iterates, empty for a filter. `history`: a filter's updates so far; None for the batch. `robust`: what
     Huber's loss changed; None for any other estimate. `remarks`: sentences that a person should read beside the numbers.
+    `searched`: what the search for other minima found.
     """
 
     x: FloatArray
@@ -178,6 +180,7 @@ class Estimate:
     history: RecordedHistory | None = None
     robust: Robustness | None = None
     remarks: tuple[str, ...] = ()
+    searched: Searched = NOT_SEARCHED
 
     @property
     def updated(self) -> IntArray | None:
@@ -190,9 +193,18 @@ Asked = Callable[[], bool]
 
 
 def run_batch(
-    problem: Problem, parameters: Parameters, settings: CalibrationSettings, listen: ReportEstimate, cancelled: Asked
+    problem: Problem,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    listen: ReportEstimate,
+    cancelled: Asked,
+    begin: LowerMinimum | None = None,
+    restarts: int = 0,
 ) -> Estimate:
-    """Fit, take the weights at the solution, and fit again."""
+    """Fit, take the weights at the solution, and fit again; of a small set look for other minima too and take up the lowest.
+
+    `begin`: where judging a former estimate led to, in place of the sensor's start; `restarts`: how often it has.
+    """
     steps: list[batch.Step] = []
 
     def report(step: batch.Step) -> None:
@@ -200,17 +212,54 @@ def run_batch(
         _report_batch(tuple(steps), listen)
 
     if settings.robust == "stars":
-        return _run_by_star(problem, parameters, settings, report, steps, cancelled)
-    fitted = _fit(problem, problem.sensor.initial, parameters, settings, report, cancelled)
-    for _ in range(WHITENING_ROUNDS - 1):
-        if fitted.status != "diverged":
-            fitted = _fit(problem, fitted.x, parameters, settings, report, cancelled)
+        plain = run_batch(
+            problem, parameters, replace(settings, robust="none"), lambda *_: None, cancelled, begin, restarts
+        )
+        return replace(
+            _run_by_star(problem, parameters, settings, plain, report, steps, cancelled), searched=plain.searched
+        )
+
+    def fit(x: FloatArray) -> batch.BatchFit:
+        return _fit(problem, x, parameters, settings, report, cancelled)
+
+    fitted = _rewhitened(fit, problem.sensor.initial if begin is None else begin.x)
+    searched = _search(problem, parameters, settings, fitted, cancelled).begun_from(begin, restarts)
+    if searched.lowest is not None:
+        fitted = _rewhitened(fit, searched.lowest.x)
     estimate = Estimate(
-        fitted.x, fitted.A, covariance(fitted.A), fitted.chi2, fitted.status, max(len(steps) - 1, 0), tuple(steps)
-    )
+        fitted.x, fitted.A, covariance(fitted.A), fitted.chi2, fitted.status, max(len(steps) - 1, 0), tuple(steps),
+        searched=searched,
+    )  # fmt: skip
     if settings.robust != "none":
         return replace(estimate, robust=_robustness(problem, parameters, settings, fitted))
     return _of_cosine(problem, parameters, estimate) if settings.error == "cosine" else estimate
+
+
+def _rewhitened(fit: Callable[[FloatArray], batch.BatchFit], x: FloatArray) -> batch.BatchFit:
+    """Fit from x, and again with the weights of where that ended."""
+    fitted = fit(x)
+    for _ in range(WHITENING_ROUNDS - 1):
+        if fitted.status != "diverged":
+            fitted = fit(fitted.x)
+    return fitted
+
+
+def _search(
+    problem: Problem,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    fitted: batch.BatchFit,
+    cancelled: Asked,
+) -> Searched:
+    """Look for other minima; the cosine error is there for comparison only, and has none looked for."""
+    if settings.error == "cosine":
+        return NOT_SEARCHED
+    return look_for_minima(problem, parameters.free, parameters.scale, _threshold(settings), fitted, cancelled)
+
+
+def _threshold(settings: CalibrationSettings) -> float:
+    """The threshold of Huber's loss, in whitened sigmas; infinite for least squares."""
+    return settings.huber_threshold if settings.robust == "huber" else np.inf
 
 
 def _fit(
@@ -226,7 +275,7 @@ def _fit(
     return batch.fit(
         cosine.unweighted(arcs) if settings.error == "cosine" else arcs, x, parameters.free, parameters.scale,
         max_iterations=settings.max_iterations, report=report, cancelled=cancelled,
-        threshold=settings.huber_threshold if settings.robust == "huber" else np.inf,
+        threshold=_threshold(settings),
     )  # fmt: skip
 
 
@@ -234,12 +283,13 @@ def _run_by_star(
     problem: Problem,
     parameters: Parameters,
     settings: CalibrationSettings,
+    plain: Estimate,
     report: Callable[[batch.Step], None],
     steps: list[batch.Step],
     cancelled: Asked,
 ) -> Estimate:
-    """Fit by least squares, then weigh every star and fit again until the weights reproduce themselves."""
-    fitted = plain = run_batch(problem, parameters, replace(settings, robust="none"), lambda *_: None, cancelled)
+    """Weigh every star and fit again, from the fit by least squares, until the weights reproduce themselves."""
+    fitted = plain
     if fitted.status == "diverged":
         return fitted
     parity = find_parity(problem.arcs, fitted.x, problem.sensor.parity)
@@ -280,9 +330,7 @@ def _of_stars(  # noqa: PLR0913 - what was fitted, how, and where from
     chi2 = batch.normal_equations(problem.whitened(how.x), how.x, parameters.free, parameters.scale).chi2
     status = found.status if rested or found.status != "converged" else "max_iterations"
     robust = Robustness(TUNING * effect.scale, effect.left_out, effect.stars, how.x, plain.x, "stars")
-    return Estimate(
-        how.x, A, covariance(A), chi2, status, max(len(steps) - 1, 0), tuple(steps), robust=robust
-    )
+    return Estimate(how.x, A, covariance(A), chi2, status, max(len(steps) - 1, 0), tuple(steps), robust=robust)
 
 
 def _robustness(

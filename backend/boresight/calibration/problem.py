@@ -70,6 +70,14 @@ class Problem:
             self._whitened_at[key] = arcs
         return arcs
 
+    def can_be(self, x: FloatArray) -> bool:
+        """Whether a state (n_parameters,) is one that can be: inside its ranges, with a direction for every corner."""
+        low, high = np.array(self.camera.plausible).T
+        if not (np.isfinite(x).all() and bool(np.all((low <= x) & (x <= high)))):
+            return False
+        sensor = self.sensor
+        return self.camera.blind_corner(x, sensor.rows, sensor.columns, sensor.pixel_pitch_m) is None
+
     def find_place(self, frame: IntArray) -> IntArray:
         """Places (n,) of frame numbers (n,) among those that take part."""
         return np.asarray(np.searchsorted(self.arcs.frame, frame))

@@ -190,6 +190,8 @@ def evaluate_result(
             trust=judged.trust,
             tests=judged.tests,
             causes=judged.causes,
+            sigma_with_misfit=judged.sigma_with_misfit,
+            misfit=judged.misfit,
         ),
         *([] if matching is None else names_advice(matching.given, matching.kept)),
         *trust_advice(judged.trust),

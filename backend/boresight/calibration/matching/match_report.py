@@ -23,6 +23,7 @@ from boresight.calibration.estimate import Asked, Estimate, Parameters, ReportEs
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.matched_frames import MatchedFrames
 from boresight.calibration.matching.rematch import Matches, pixel_rad
+from boresight.calibration.minima import LowerMinimum
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.sequence import finished, run_sequential, standing_frames
 from boresight.estimation.metrics import rms
@@ -71,13 +72,16 @@ class Estimation:
 
     def run(self) -> CyclesEnd:
         """Run the estimator of the settings on the set's matches until they rest."""
-        return self._filtered() if self.settings.sequential else self._fitted_in_cycles()
+        return self._filtered() if self.settings.sequential else self.fit_in_cycles()
 
-    def _fitted_in_cycles(self) -> CyclesEnd:
+    def fit_in_cycles(self, begin: LowerMinimum | None = None, restarts: int = 0) -> CyclesEnd:
+        """Fit, match again, fit; `begin`: where judging a former estimate led to, and how often one has."""
         sets, matched, cycles = self.sets, self.first, list[Cycle]()
         while True:
             began = time.thread_time()
-            estimate = run_batch(matched.problem, self.parameters, self.settings, self.listen, self.cancelled)
+            estimate = run_batch(
+                matched.problem, self.parameters, self.settings, self.listen, self.cancelled, begin, restarts
+            )
             method_s = time.thread_time() - began
             if estimate.status == "diverged":
                 return CyclesEnd(matched, estimate, tuple(cycles), sets.is_given, method_s)

@@ -26,6 +26,7 @@ a pass over the set a frame; such a part says how many frames it used.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -33,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.calibration.calibration import Cause, Trust, TrustTest
+from boresight.calibration.calibration import Cause, Misfit, Trust, TrustTest, Values
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
@@ -45,6 +46,7 @@ from boresight.calibration.trust.efficiency import arc_sigma_map, efficiency, mo
 from boresight.calibration.trust.field import residual_against, residual_distribution, residual_field, residual_outliers
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, fit_best
 from boresight.calibration.trust.innovations import nis_over_time, whiteness, worst_frames
+from boresight.calibration.trust.misfit import describe_misfit, widen
 from boresight.calibration.trust.refits import drop_one, drop_one_sentence, two_halves
 from boresight.calibration.trust.residual_spline import find_residual_spline
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals, residuals
@@ -86,11 +88,16 @@ SINGULAR = "The numbers of this fit are too close to singular: free fewer parame
 
 @dataclass(frozen=True)
 class Judgement:
-    """What trust makes of an estimate: its parts, the tests made, and what explains those that noticed something."""
+    """What trust makes of an estimate: its parts, the tests made, and what explains those that noticed something.
+
+    `sigma_with_misfit`, `misfit`: by how much that widens the sigmas; empty and None where it is not known.
+    """
 
     trust: Trust
     tests: list[TrustTest]
     causes: list[Cause]
+    sigma_with_misfit: Values[float | None] = dataclasses.field(default_factory=Values)
+    misfit: Misfit | None = None
 
 
 def judge_trust(
@@ -117,7 +124,7 @@ def judge_trust(
     stars = _of_stars(fitted)
     parts |= stars.parts
     trust = Trust(**parts, unavailable=unavailable | stars.unavailable)
-    return Judgement(trust, *_tested(fitted, parts, stars))
+    return _tested(fitted, trust, parts, stars)
 
 
 def trust_view(
@@ -132,17 +139,19 @@ def trust_view(
     return judge_trust(problem, parameters, settings, estimate, telemetry, catalogue).trust
 
 
-def _tested(fitted: FittedSet, parts: Parts, stars: StarParts) -> tuple[list[TrustTest], list[Cause]]:
-    """Make every test that can be made, and look for what explains them; none where the numbers are too near to singular."""
+def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> Judgement:
+    """Make every test that can be made, look for what explains them, and widen the sigmas by it."""
     departures, _ = find_departures(fitted)
     try:
         sums = add_up(fitted, departures, MOST_TESTED)
         scores = {one.name: find_score(sums, one.name) for one in departures}
-    except np.linalg.LinAlgError:
-        return [], []
-    examined = Examined(fitted, sums, scores, parts, stars.found, stars.table)
-    tests = make_tests(examined)
-    return tests, find_causes(examined, tests)
+        examined = Examined(fitted, sums, scores, parts, stars.found, stars.table)
+        tests = make_tests(examined)
+        causes = find_causes(examined, tests)
+        wider = describe_misfit(fitted, widen(fitted, sums, scores, tests))
+    except np.linalg.LinAlgError:  # the numbers are too near to singular
+        return Judgement(trust, [], [])
+    return Judgement(trust, tests, causes) if wider is None else Judgement(trust, tests, causes, *wider)
 
 
 def _computed(parts: Mapping[str, Callable[[], Any]]) -> tuple[Parts, dict[str, str]]:

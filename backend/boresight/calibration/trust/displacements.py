@@ -180,7 +180,8 @@ class Score:
     `statistic`: fall of chi-square in the noise found, and `dof` its degrees of freedom; `p`: chance of as much. `c`, `covariance`:
     (n_fields,) and (n_fields, n_fields) the coefficients, zero along directions that were left out. `d`: (n_free,) how far the
     parameters are off if it is real, typical sigmas. `misled`: that of the parameter that is misled most, in its claimed sigmas,
-    from the directions of c that stand clear of noise. `fall`, `left`: of chi-square, in the stated noise, and what remains of it.
+    from the directions of c that stand clear of noise; `shift`, `shift_covariance`: d from these alone, and its covariance. `fall`,
+    `left`: of chi-square, in the stated noise, and what remains of it.
     """
 
     name: str
@@ -193,6 +194,8 @@ class Score:
     misled: float
     fall: float
     left: float
+    shift: FloatArray
+    shift_covariance: FloatArray
 
 
 def add_up(fitted: FittedSet, departures: Sequence[Departure], most_frames: int | None = None) -> ScoreSums:
@@ -271,13 +274,20 @@ def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:
     k, left = int(known.sum()), sums.chi2 - float(sums.b @ P @ sums.b)
     freedom = sums.n_arcs - len(sums.A) - k
     if k == 0 or freedom < 1:
-        return Score(name, 0.0, 0, 1.0, np.zeros(len(s)), np.zeros(F.shape), np.zeros(len(P)), 0.0, 0.0, left)
+        none = np.zeros(len(P))
+        return Score(
+            name, 0.0, 0, 1.0, np.zeros(len(s)), np.zeros(F.shape), none, 0.0, 0.0, left, none, np.zeros_like(P)
+        )
     square = float(fall @ fall)
     noise = max(left - square, np.finfo(float).tiny) / freedom
     F_inverse = inverse @ inverse.T
     c, towards = inverse @ fall, -P @ G_H.T
     clear = np.abs(fall) >= min(CLEAR * np.sqrt(noise), float(np.abs(fall).max()))
-    by_clear = towards @ inverse[:, clear] @ fall[clear]
+    moving = towards @ inverse[:, clear]
+    by_clear = moving @ fall[clear]
     misled = float(np.max(np.abs(by_clear) / np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))))
     p = float(fdtrc(k, freedom, square / k / noise))
-    return Score(name, square / noise, k, p, c, F_inverse * noise, towards @ c, misled, square, left - square)
+    return Score(
+        name, square / noise, k, p, c, F_inverse * noise, towards @ c, misled, square, left - square,
+        by_clear, moving @ moving.T * noise,
+    )  # fmt: skip
