@@ -313,7 +313,7 @@ def _run_by_star(
     return _of_stars(problem, parameters, replace(how, x=x), found, plain, steps, rested=rested)
 
 
-def _of_stars(  # noqa: PLR0913 - what was fitted, how, and where from
+def _of_stars(
     problem: Problem,
     parameters: Parameters,
     how: StarWeighing,

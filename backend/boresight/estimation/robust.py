@@ -118,7 +118,7 @@ class StarEffect:
 
 
 def measure_scale(arcs: Arcs, how: StarWeighing) -> float:
-    """s at a state, from that of `how`."""
+    """S at a state, from that of `how`."""
     t2 = np.concatenate(arcs.over_blocks(_statistics_in_block, how))
     t2 = t2[np.isfinite(t2)]
     return how.scale * float(np.sqrt(np.median(t2) / (2 * np.log(2)))) if len(t2) else how.scale

@@ -47,7 +47,6 @@ from boresight.calibration.matching.rematch import (
     joined_matches,
     matching_sky,
 )
-from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.matching.verification import (
     MOST_REFUSED,
     NONE,
@@ -58,6 +57,7 @@ from boresight.calibration.matching.verification import (
     verification_after,
     verification_before,
 )
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import (
     COLLINEAR_REASON,
     Problem,

@@ -40,10 +40,9 @@ plus the chi-square of the others: exposures below the limit are done.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.calibration.calibration import RemovedStar
@@ -187,7 +186,7 @@ def _chi2_in_block(block: ArcSet, x: FloatArray) -> FloatArray:
 
 
 def measure_noise(arcs: Arcs, x: FloatArray, parity: int) -> float:
-    """kappa of whitened arcs at x: 1 where chi-square is within its bounds, else from the median of the stars' statistics."""
+    """Kappa of whitened arcs at x: 1 where chi-square is within its bounds, else from the median of the stars' statistics."""
     chi2 = float(sum(arcs.over_blocks(_chi2_of_block, x)))
     if not arcs.n_arcs or chi2 <= arcs.n_arcs * chi_square(arcs.n_arcs, arcs.n_arcs).upper:
         return 1.0
@@ -202,7 +201,7 @@ def _chi2_of_block(block: ArcSet, x: FloatArray) -> float:
 
 
 def _statistics_in_block(block: ArcSet, x: FloatArray, parity: int, step: int) -> FloatArray:
-    """t of the stars of every so many exposures of one block, x taken as known, (n,)."""
+    """T of the stars of every so many exposures of one block, x taken as known, (n,)."""
     part = block.exposures(np.arange(block.n_exposures) % step == 0)
     nothing = FreeCovariance(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0)))
     seen = pixel_residuals(part.camera, x, part, parity, nothing)
