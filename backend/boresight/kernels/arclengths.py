@@ -244,18 +244,22 @@ def solid_angles(camera, x, pitch, p, q, row_px, col_px, omega):
 def project(camera, x, pitch, p, q, s, place):
     """Fill `place` (n, 2) with row and column of directions `s` (n, 3), pixels; p and q are the principal point's places.
 
-    Called by `cameras.model`, which derives it.
+    The search begins at what `place` holds, or at the principal point where that is no number or beyond a fold. Called by
+    `cameras.model`, which derives it.
     """
     at = numbers(camera, x)
     _, _, dx, dy = star(camera, at, pitch, x[p], x[q])
     sign = 1.0 if dx[p] * dy[q] - dx[q] * dy[p] > 0.0 else -1.0
     for i in range(s.shape[0]):
+        row, col = place[i, 0], place[i, 1]
         place[i, 0], place[i, 1] = math.nan, math.nan
         if not s[i, 2] > 0.0:
             continue
         goal_x, goal_y = s[i, 0] / s[i, 2], s[i, 1] / s[i, 2]
-        row, col = x[p], x[q]
         tx, ty, dx, dy = star(camera, at, pitch, row, col)
+        if not sign * (dx[p] * dy[q] - dx[q] * dy[p]) > 0.0:
+            row, col = x[p], x[q]
+            tx, ty, dx, dy = star(camera, at, pitch, row, col)
         off = math.hypot(goal_x - tx, goal_y - ty)
         for _ in range(_STEPS):
             xx, xy, yx, yy = -dx[p], -dx[q], -dy[p], -dy[q]
@@ -364,11 +368,11 @@ def normal_equations(camera, x, pitch, star_start, row_px, col_px, phi, band, fr
     return chi2, total
 
 
-@loop("camera f1 f i1 f1 f1 f1 f2 f", first=False, fastmath=FAST)
+@loop("camera f1 f i1 f1 f1 f1 f2 f", fastmath=FAST)
 def count_beyond(camera, x, pitch, star_start, row_px, col_px, phi, band, threshold):
     """Return (arcs whose whitened residual is beyond `threshold`, sum of squares of all, each cut off at it).
 
-    Called by `estimation.robust`.
+    Called by `estimation.robust`, and by `estimation.batch` for chi-square alone.
     """
     most = _largest_exposure(star_start)
     g, e = np.empty((_ROOM, most)), np.empty(2 * most)
