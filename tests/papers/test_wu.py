@@ -347,7 +347,7 @@ def test_the_report_holds_every_table_figure_and_finding_and_every_row_fills_its
     html = report.render(study)
     assert re.findall(r'data-table="([^"]+)"', html) == ["2", "3", "4", "4.2", "4 (time)", "3 (time)"]
     assert re.findall(r'data-figure="(\w+)"', html) == ["3", "4", "6a", "6b", "8"]
-    assert html.count("<blockquote>") == len(study["findings"]) == 8
+    assert html.count("<blockquote>") == len(study["findings"]) == 9
     assert "A quick run" in html
     assert not re.search(r'(src|href)="', html.partition("<script>")[0])
     for table in re.findall(r"<table data-table.*?</table>", html, re.DOTALL):

@@ -210,6 +210,13 @@ def styled_curves(drawing: Mapping[str, Any], *keys: str) -> Iterator[Any]:
         yield style, *(np.array(curve[key], dtype=np.float64) for key in keys)
 
 
+def padded(values: Iterable[float]) -> list[float]:
+    """Range of an axis that holds values, with a margin of a twentieth of their reach."""
+    seen = list(values)
+    margin = 0.05 * (max(seen) - min(seen)) or 1.0
+    return [min(seen) - margin, max(seen) + margin]
+
+
 def described(plan: Any) -> dict[str, Any]:
     """Write a plan as JSON, with the versions that computed it; on how many processes it ran changes nothing."""
     return {key: value for key, value in asdict(plan).items() if key != "processes"} | {"versions": dict(versions())}
@@ -329,12 +336,25 @@ def head_sentences(document: Mapping[str, Any]) -> list[str]:
 
 
 Document = Mapping[str, Any]
+Lines = Iterable[Sequence[Any]]
 Draw = Mapping[str, Callable[[Mapping[str, Any]], go.Figure]]
 
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 CELL_COLUMNS = (
     "column", "unit", "printed", "ours", "low", "high", "verdict", "factor", "left_out", "cause", "because",
 )  # fmt: skip
+
+
+def write_study(
+    name: str, document: Document, page: str, out: Path, curves: tuple[Sequence[str], Sequence[str]], **more: Lines
+) -> list[Path]:
+    """Write every file of a study: its page, its JSON, and as CSV its tables, its figures and `more`; returns their paths.
+
+    `curves`: what the curves of the figures run over, and what they are named by.
+    """
+    tables = {"tables": table_lines(document), "figures": figure_lines(document, *curves), **more}
+    files = {f"{name}.html": page.encode(), f"{name}.json": json_bytes(document)}
+    return write_files(files | {f"{name}-{part}.csv": csv_bytes(lines) for part, lines in tables.items()}, out)
 
 
 def write_files(files: Mapping[str, bytes], out: Path) -> list[Path]:
@@ -382,7 +402,7 @@ def json_bytes(document: Document) -> bytes:
     return orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
 
 
-def csv_bytes(lines: Iterable[Sequence[Any]]) -> bytes:
+def csv_bytes(lines: Lines) -> bytes:
     """Encode lines, None as an empty cell."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(lines)
