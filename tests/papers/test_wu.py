@@ -292,7 +292,9 @@ def test_the_grid_holds_the_fifteen_printed_means_and_names_the_nearest_and_ours
         if (record["set"], record["magnitude_limit"], record["noise_px"]) == (0, 5.5, 0.2)
         and (record["estimator"], record["weights"]) == ("svd-4-23", "diagonal")
     )
-    (same,) = (one for one in found["settings"] if (one["R"], one["P₀"], one["Q"]) == ("diagonal", "ours", 0.0))
+    (same,) = (
+        one for one in found["settings"] if (one["R"], one["P₀"], one["Q in precisions"]) == ("diagonal", "ours", 0.0)
+    )
     assert same["mean"]["svd-4-23 5.5"] == pytest.approx(diagonal["A"][0], rel=0.05)
 
 

@@ -7,7 +7,8 @@ count from an origin, 0 but for a parameter that is judged by its distance from 
     reproduced            when p lies in the interval, or |o - p| <= 10 % of |p|
     in kind               when o and p have the same sign and 1/2 <= o/p <= 2
     better                when o is an estimation error and |o| < |p| / 2: better by the factor |p| / |o|
-    data not published    when what the number rests on is not public and no simulation can stand for it
+    data not published    otherwise, when the cause that the column carries is data that are not public; and always of a number
+                          that no simulation can stand for
     not reproduced        otherwise.
 
 Of an error that is as often positive as negative, |o| is the root mean square over the sets. Better is said of estimation errors
@@ -66,7 +67,8 @@ SAME_KIND = 2.0
 NEAREST = 8
 #: No ratio counts for more in a typical factor.
 FAR = 100.0
-CAUSES = ("no orbital data", "no field data", "erratum", "unstated setting")
+NO_DATA = ("no orbital data", "no field data")
+CAUSES = (*NO_DATA, "erratum", "unstated setting")
 CIRCULAR, REPEATED, VARIANT, DERIVED = "circular", "repeated", "variant", "derived"
 LEFT_OUT = (CIRCULAR, REPEATED, VARIANT, DERIVED)
 
@@ -75,7 +77,7 @@ LEFT_OUT = (CIRCULAR, REPEATED, VARIANT, DERIVED)
 class Cell:
     """One printed number beside ours.
 
-    `error`: size of ours where it is an estimation error. `published`: False where nothing public determines the number.
+    `error`: size of ours where it is an estimation error. `published`: False where no simulation can stand for the number.
     `left_out`: why the head does not count it, one of `LEFT_OUT`.
     """
 
@@ -106,7 +108,9 @@ class Cell:
             return REPRODUCED
         if self._same_kind(self.ours):
             return IN_KIND
-        return BETTER if self.factor is not None else NOT_REPRODUCED
+        if self.factor is not None:
+            return BETTER
+        return NOT_PUBLISHED if self.cause in NO_DATA else NOT_REPRODUCED
 
     @property
     def factor(self) -> float | None:
