@@ -114,7 +114,7 @@ class Cell:
 
     @property
     def factor(self) -> float | None:
-        """How many times smaller our error is than the printed one; None below `SAME_KIND`, and of what is no error."""
+        """How many times smaller our error is than the printed one, beyond `SAME_KIND`; None of what is no error."""
         if not self.error or abs(self.printed) <= SAME_KIND * self.error:
             return None
         return abs(self.printed) / self.error
@@ -249,7 +249,10 @@ def table_document(table: Table) -> dict[str, Any]:
 
 
 def _row(row: Row) -> dict[str, Any]:
-    cells = [{**asdict(cell), "verdict": cell.verdict, "factor": cell.factor} for cell in row.cells]
+    cells = [
+        {**asdict(cell), "verdict": cell.verdict, "factor": cell.factor if cell.verdict == BETTER else None}
+        for cell in row.cells
+    ]
     judged = {"verdict": row.verdict, "holds": row.conclusion.holds, "left_out": row.left_out, "reason": row.reason}
     return {"label": row.label, **judged, "cells": cells}
 
