@@ -249,61 +249,10 @@ def table_document(table: Table) -> dict[str, Any]:
 
 
 def _row(row: Row) -> dict[str, Any]:
-    factors = [cell.factor if cell.verdict == BETTER else None for cell in row.cells]
-    cells = [
-        {**asdict(cell), "verdict": cell.verdict, "factor": factor}
-        for cell, factor in zip(row.cells, factors, strict=True)
-    ]
-    judged = {"verdict": row.verdict, "holds": conclusion.holds, "reason": row.reason}
-    return {"number": number, "title": title, "claim": claim, **judged, "curves": list(curves)}
-
-
-def styled_curves(drawing: Mapping[str, Any], *keys: str) -> Iterator[Any]:
-    """Yield each curve's style and, in the order of the keys, its columns (n,); null is NaN."""
-    curves = drawing["curves"]
-    for curve, style in zip(curves, theme.label_styles([one["label"] for one in curves]), strict=True):
-        yield style, *(np.array(curve[key], dtype=np.float64) for key in keys)
-
-
-def padded(values: Iterable[float]) -> list[float]:
-    """Range of an axis that holds values, with a margin of a twentieth of their reach."""
-    seen = list(values)
-    margin = 0.05 * (max(seen) - min(seen)) or 1.0
-    return [min(seen) - margin, max(seen) + margin]
-
-
-def described(plan: Any) -> dict[str, Any]:
-    """Write a plan as JSON, with the versions that computed it; on how many processes it ran changes nothing."""
-    return {key: value for key, value in asdict(plan).items() if key != "processes"} | {"versions": dict(versions())}
-
-
-@dataclass(frozen=True)
-class Table:
-    """One table: number and title of the paper, what its rows are judged by, the heading of the labels, and the rows."""
-
-    number: str
-    title: str
-    conclusion: str
-    head: str
-    rows: tuple[Row, ...]
-
-
-def table_document(table: Table) -> dict[str, Any]:
-    """Write a table as JSON values."""
-    return {
-        "number": table.number,
-        "title": table.title,
-        "conclusion": table.conclusion,
-        "head": table.head,
-        "rows": [_row(row) for row in table.rows],
-    }
-
-
-def _row(row: Row) -> dict[str, Any]:
-    cells = [
-        {**asdict(cell), "verdict": cell.verdict, "factor": cell.factor if cell.verdict == BETTER else None}
-        for cell in row.cells
-    ]
+    cells = []
+    for cell in row.cells:
+        factor = cell.factor if cell.verdict == BETTER else None
+        cells.append({**asdict(cell), "verdict": cell.verdict, "factor": factor})
     judged = {"verdict": row.verdict, "holds": row.conclusion.holds, "left_out": row.left_out, "reason": row.reason}
     return {"label": row.label, **judged, "cells": cells}
 
