@@ -12,21 +12,22 @@ with Tukey's biweight, whose weight w = rho'(t) / t falls to nothing at t = c s:
 
     w(t) = (1 - t^2 / (c s)^2)^2   inside,   0 beyond,        s^2 = median of all t^2 over 2 ln 2.
 
-t is of the deleted star: its own weight is not in it, nor does leverage shrink it, so that t^2 of a good star is chi-square with 2
-degrees of freedom whatever the exposure. For given x the weights of an exposure follow from its stars alone: the largest set of which
-every two have the catalogue's arc (the vote, which half of the stars cannot break) begins with w = 1, attitude and weights are taken
-in turn until they reproduce themselves (`kernels.verification.weigh_stars`). Neither vote nor sums know an order of the stars.
+t is of the deleted star: its own weight is not in it, nor does leverage shrink it, so that t^2 of a good star is chi-square with
+2 degrees of freedom whatever the exposure. For given x the weights of an exposure follow from its stars alone: the largest set of
+which every two have the catalogue's arc (the vote, which half of the stars cannot break) begins with w = 1, attitude and weights
+are taken in turn until they reproduce themselves (`kernels.verification.weigh_stars`). Neither vote nor sums know an order of the
+stars.
 
-Minimising sum w_i |r_i|^2 / sigma_i^2 over the attitude is what whitened arcs do with the variances sigma_i^2 / w_i. So a round is
-to weigh at x, leave out stars without weight, whiten anew, and fit; the fixed point is where x moves by less than `REST_OF_ROUNDS` of its
-sigmas and s rests.
+Minimising sum w_i |r_i|^2 / sigma_i^2 over the attitude is what whitened arcs do with the variances sigma_i^2 / w_i. So a round
+is to weigh at x, leave out stars without weight, whiten anew, and fit; the fixed point is where x moves by less than
+`REST_OF_ROUNDS` of its sigmas and s rests.
 
 With t of unit scale the score of a star is psi = w r and
 
     a = 1/2 E[w^2 t^2],     b = E[w + 1/2 w' t],       P = s^2 (a / b^2) (n / (n - p)) (J^T J)^-1,
 
-n the arcs, p the free parameters, J^T J the information of the stars with weight by least squares: E[psi psi^T] = a I and
-E[d psi / d r] = b I for a residual whose two axes are alike (Huber 1981, Eq 6.6 in two dimensions). a and b are the means over these
+n the arcs, p the free parameters, J^T J the information of the stars with weight by least squares: E[psi psi^T] = a I and E[d psi
+/ d r] = b I for a residual whose two axes are alike (Huber 1981, chapter 6, in two dimensions). a and b are the means over these
 stars, so P needs neither a Gaussian nor the stated noise. At c = 5.123 Gaussian noise is served with 95 % of the information.
 
 The price: a redescending loss has several minima, so the start counts. Least squares on stars that were verified or matched is near
@@ -34,9 +35,9 @@ enough; it is not from a set with every tenth identity wrong that nobody looked 
 
 Arcs: Huber
 -----------
-For comparison: a whitened residual e counts rho(e) = e^2 up to the threshold k and 2 k |e| - k^2 beyond, so that the pull of one arc on the
-estimate, psi(e) = max(-k, min(k, e)), is bounded. `batch` minimises the sum by Levenberg-Marquardt with weights w = psi(e) / e
-taken at each iterate, for which A = H'^T W H' and b = H'^T psi(e).
+For comparison: a whitened residual e counts rho(e) = e^2 up to the threshold k and 2 k |e| - k^2 beyond,
+so that the pull of one arc on the estimate, psi(e) = max(-k, min(k, e)), is bounded. `batch` minimises the sum by
+Levenberg-Marquardt with weights w = psi(e) / e taken at each iterate, for which A = H'^T W H' and b = H'^T psi(e).
 
 Neither A nor H'^T H' is the information of such an estimate. With n arcs, p free parameters, m the share of arcs inside k, and the
 arcs' distribution free of assumptions but symmetry (Huber 1981, Eqs 7.6.5 and 7.6.6)::
@@ -85,7 +86,7 @@ class StarWeighing:
     minimum_stars: int
 
     def weigh(self, block: ArcSet) -> tuple[FloatArray, FloatArray]:
-        """Weights w and statistics t^2 in units of the scale, (n_stars,) each; zero and infinite where an exposure has no attitude."""
+        """Return weights w and t^2 in units of the scale, (n_stars,) each; zero and infinite where there is no attitude."""
         s = triad(block.camera.directions(self.x, block.row_px, block.col_px, block.pitch), self.parity)
         w, t2 = np.empty(block.n_stars), np.empty(block.n_stars)
         sigma = self.scale * angular_sigma(block.camera, self.x, block)
@@ -94,7 +95,7 @@ class StarWeighing:
 
 
 def weigh_part(arcs: ArcSet, how: StarWeighing, *, even: bool = False) -> ArcSet:
-    """Leave out stars without weight and whiten the others with sigma^2 / w, or with their own variances (`even`): for `Arcs.each`."""
+    """Leave out stars without weight and whiten the others with sigma^2 / w, or sigma^2 (`even`): for `Arcs.each`."""
     w, _ = how.weigh(arcs)
     out = w < LEAST_WEIGHT
     weighted = arcs if even else ArcSet(**{**vars(arcs), "sigma_px": arcs.sigma_px / np.sqrt(np.where(out, 1.0, w))})
@@ -118,7 +119,7 @@ class StarEffect:
 
 
 def measure_scale(arcs: Arcs, how: StarWeighing) -> float:
-    """s at a state, from that of `how`."""
+    """Return s at a state, from that of `how`."""
     t2 = np.concatenate(arcs.over_blocks(_statistics_in_block, how))
     t2 = t2[np.isfinite(t2)]
     return how.scale * float(np.sqrt(np.median(t2) / (2 * np.log(2)))) if len(t2) else how.scale

@@ -47,7 +47,6 @@ from boresight.calibration.matching.rematch import (
     joined_matches,
     matching_sky,
 )
-from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.matching.verification import (
     MOST_REFUSED,
     NONE,
@@ -58,6 +57,7 @@ from boresight.calibration.matching.verification import (
     verification_after,
     verification_before,
 )
+from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import (
     COLLINEAR_REASON,
     Problem,
@@ -621,9 +621,7 @@ class Dataset:
         """Hold the given stars against an estimate; the noise is that of the stars of a problem."""
         noise = measure_noise(problem.whitened(under.x), under.x, self._parity)
         n_free = len(self._parameters.free)
-        return self._verified(
-            verification_after(self._proposed.problem, under.x, under.P, noise, n_free, self._parity)
-        )
+        return self._verified(verification_after(self._proposed.problem, under.x, under.P, noise, n_free, self._parity))
 
     def _verified(self, how: Verification) -> Matched:
         """Verify the given stars; where the same stand as the last time, so do their arcs."""
