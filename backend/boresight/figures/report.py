@@ -26,6 +26,8 @@ from boresight.figures.tables import (
     match_facts,
     printed_rows,
     reason_tables,
+    removed_count,
+    removed_rows,
     side_by_side,
     star_rows,
     to_flag,
@@ -47,7 +49,7 @@ def embed_figures(figures: Mapping[str, go.Figure]) -> dict[str, Markup]:
     }
 
 
-MOST_STARS = 25  # in print; the run's CSV has more
+MOST_STARS = 25  # in print, and as many removed ones; the run's CSV has more
 
 
 def render_report(result: Calibration, *, four_eyes: bool = True) -> str:
@@ -93,6 +95,8 @@ def _matched(result: Calibration) -> dict[str, Any]:
         "side_by_side": side_by_side(result),
         "reasons": reason_tables(matching) if matching else [],
         "why_no_matching": why_no_matching(result),
+        "removed": removed_rows(result, MOST_STARS),
+        "removed_count": removed_count(result),
     }
 
 

@@ -24,6 +24,7 @@ from boresight.calibration.calibration import (
 from boresight.calibration.parameter_set import ParameterSetDocument
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import FAR_TYPICAL_SIGMAS
+from boresight.figures.chart import Table
 from boresight.verdicts.numbers import (
     MINUS,
     MISSING,
@@ -40,6 +41,8 @@ from boresight.verdicts.numbers import (
 
 #: Numbers by the parameter's name.
 Numbers = Mapping[str, float | None]
+#: Smallest probability that is written out.
+LEAST_PROBABILITY = 1e-12
 FAR_SIGMAS = 4.0  # of the eight parameters of an honest run one in 2,000 is so far from the truth
 
 
@@ -215,6 +218,51 @@ class Reasons:
     title: str
     unit: str
     rows: Sequence[tuple[str, int]]
+
+
+@dataclass(frozen=True)
+class RemovedRow:
+    """One proposed star that does not stand, as it is shown."""
+
+    cells: tuple[str, ...]
+    reason: str
+    probability: str
+
+
+def removed_rows(result: Calibration, most: int) -> list[RemovedRow]:
+    """Lay out the first removed stars: row, frame, exposure, star; why, and the probability of a right star so far off."""
+    return [
+        RemovedRow(
+            (count(one.row), count(one.frame), count(one.exposure), "–" if one.star_id is None else str(one.star_id)),
+            one.reason,
+            "–" if one.probability is None else _least_shown(one.probability),
+        )
+        for one in result.removed[:most]
+    ]
+
+
+def _least_shown(probability: float) -> str:
+    """Write a probability; below what a test can tell apart its bound."""
+    return f"{probability:.2g}" if probability >= LEAST_PROBABILITY else f"< {LEAST_PROBABILITY:.0e}"
+
+
+def removed_count(result: Calibration) -> str:
+    """Say how many of how many proposed stars were removed."""
+    of = result.removed_of
+    return "" if of is None else f"{count(of.removed)} of {count(of.proposed)}"
+
+
+def removed_table(result: Calibration) -> Table:
+    """Return the removed stars as columns, for a file."""
+    stars = result.removed
+    return {
+        "row": [one.row for one in stars],
+        "frame": [one.frame for one in stars],
+        "exposure": [one.exposure for one in stars],
+        "star_id": [one.star_id for one in stars],
+        "reason": [one.reason for one in stars],
+        "probability": [one.probability for one in stars],
+    }
 
 
 @dataclass(frozen=True)

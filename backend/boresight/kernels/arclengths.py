@@ -998,16 +998,21 @@ def order_stars(star_start, s, order, fatness):
     most = _largest_exposure(star_start)
     x, y, azimuth = np.empty(most), np.empty(most), np.empty(most)
     ranked, pool, trial = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int64)
+    few_x, few_y = np.empty(_FEW), np.empty(_FEW)
     few_trial, choice = np.empty(_FEW, np.int64), np.empty(_FEW, np.int64)
     used, limit = np.empty(_FEW, np.bool_), np.empty(_FEW + 1)
     for k in range(star_start.shape[0] - 1):
         s0, n = star_start[k], star_start[k + 1] - star_start[k]
         _flatten(s, s0, n, x, y, azimuth)
+        _rank(azimuth, n, ranked)  # so that the order of the rows decides nothing
         if n <= _FEW:
-            fatness[k] = _exhaustive(x, y, n, trial, few_trial, choice, used, limit)
-            _take(trial, s0, n, order)
+            for i in range(n):
+                few_x[i], few_y[i] = x[ranked[i]], y[ranked[i]]
+            fatness[k] = _exhaustive(few_x, few_y, n, trial, few_trial, choice, used, limit)
+            for i in range(n):
+                pool[i] = ranked[trial[i]]
+            _take(pool, s0, n, order)
             continue
-        _rank(azimuth, n, ranked)
         fatness[k] = -1.0
         for attempt in range(24 if n <= 20 else 6):
             _interleave(ranked, n, attempt, pool)

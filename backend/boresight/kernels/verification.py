@@ -1,8 +1,9 @@
 """Proposed stars held against one another as compiled loops; `calibration.matching.verification` derives the tests.
 
-Two loops look over a whole set and cost about as much as one evaluation of the batch. They tell which exposures need no closer look:
-where no arc of the estimator disagrees, no star does, and no star's own statistic can exceed the chi-square of its exposure. The
-third looks closely at the others, with the parts of `kernels.matching` (tangent axes, Wahba's problem, arcs that agree).
+Two loops look over a whole set and cost about as much as one evaluation of the batch. They tell which exposures need no closer
+look: where no arc of the estimator disagrees, no star does, and no star's own statistic can exceed the chi-square of its
+exposure. The third looks closely at the others, with the parts of `kernels.matching` (tangent axes, Wahba's problem, arcs that
+agree).
 """
 
 from __future__ import annotations
@@ -246,7 +247,7 @@ def verify_stars(star_start, s, G, sigma, c, gate, limit, bent, use, voted, d2):
 
 @_part
 def _redescend(s, T, A, sigma, C, c, tuning, w, N, L, r, f0, f1, t2, renewed):
-    """Fill `t2` (n,) with the statistic of each star against the others by their weights, `renewed` (n,) with Tukey's weights there."""
+    """Fill `t2` (n,) with each star's statistic against the others by their weights, `renewed` (n,) with Tukey's weights there."""
     n = s.shape[0]
     for a in range(3):
         for b in range(3):

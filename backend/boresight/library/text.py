@@ -39,12 +39,31 @@ def summary_lines(found: Calibration) -> Iterator[str]:
     yield headline(found)
     if left_out := "; ".join(f"{item.count:,} {item.what}: {item.reason}" for item in found.left_out):
         yield f"left out: {left_out}"
+    yield from _removed(found)
     yield ""
     yield aligned([HEADINGS, *(row.cells for row in printed_rows(found))], left=(0, 1, 6))
     yield ""
     yield aligned([("verdict", verdict(found)), *_scores(found)], left=(0, 1))
     for sentence in found.advice:
         yield f"\n- {sentence}"
+
+
+#: Removed stars that are named on a terminal.
+MOST_REMOVED = 5
+
+
+def _removed(found: Calibration) -> Iterator[str]:
+    """Say how many proposed stars were removed, and name the first."""
+    of = found.removed_of
+    if of is None or not of.removed:
+        return
+    yield f"removed: {of.removed:,} of {of.proposed:,} proposed stars"
+    for one in found.removed[:MOST_REMOVED]:
+        star = "" if one.star_id is None else f", HIP {one.star_id}"
+        chance = "" if one.probability is None else f" (p = {one.probability:.1g})"
+        yield f"  row {one.row}, frame {one.frame}, exposure {one.exposure}{star}: {one.reason}{chance}"
+    if of.removed > MOST_REMOVED:
+        yield f"  and {of.removed - MOST_REMOVED:,} more; --json writes them"
 
 
 def headline(found: Calibration) -> str:

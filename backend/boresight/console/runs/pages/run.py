@@ -53,6 +53,8 @@ from boresight.figures.tables import (
     match_facts,
     parameter_rows,
     reason_tables,
+    removed_count,
+    removed_rows,
     shown,
     side_by_side,
     star_rows,
@@ -324,6 +326,10 @@ def make_trust_part(result: Calibration | None, why_nothing: str) -> dict[str, A
     }
 
 
+#: Removed stars on a page; the file has more.
+MOST_REMOVED_SHOWN = 200
+
+
 def make_matching_part(result: Calibration | None, why_nothing: str) -> dict[str, Any]:
     """Gather what the matching part shows."""
     found = result or Calibration(status="running")
@@ -338,6 +344,11 @@ def make_matching_part(result: Calibration | None, why_nothing: str) -> dict[str
         "side_by_side": side_by_side(found),
         "cycles": MATCHING if matching else None,
         "shadow": SHADOW if shown(found) else None,
+        "removed": {
+            "count": removed_count(found),
+            "rows": removed_rows(found, MOST_REMOVED_SHOWN),
+            "more": len(found.removed) > MOST_REMOVED_SHOWN,
+        },
     }
 
 
