@@ -20,7 +20,7 @@ three ways, each of which may only widen it.
 3. Departures. What is the same in all frames (a lens, the phase of the pixels) leaves the scores of the blocks alone. Of each
    departure that the tests notice, `displacements` has d, how far the parameters are off if it is real. The departure that
    explains most for its number of coefficients (Schwarz's criterion) is taken first, others only while they explain what is left;
-   together they widen by d d^T + cov(d).
+   together they widen by d d^T + cov(d), and each parameter by a share `CURVATURE` of its own d besides, for d is of first order.
 
 A filter's estimate has its start in it too; it is widened by as much as the fit of the whole set is.
 
@@ -51,6 +51,8 @@ from boresight.estimation.statistics.special import chdtrc
 BLOCKS = (96, 48, 24)
 #: Chance of a clean set's trace, and quantile of the Tracy-Widom law of the same chance, from which on blocks are taken.
 LEVEL, TRACY_WIDOM = 0.005, 2.4224
+#: Share of d by which it may be wrong because the camera is not linear over it.
+CURVATURE = 0.05
 #: Factor below which nobody need hear of a widening.
 SAME = 1.05
 
@@ -165,7 +167,8 @@ def _of_departures(sums: ScoreSums, noticed: list[str]) -> tuple[FloatArray, tup
         taken.append(left[place])
     if best is None:
         return np.zeros_like(sums.A), ()
-    return np.outer(best.shift, best.shift) + best.shift_covariance, tuple(taken)
+    d = best.shift
+    return np.outer(d, d) + best.shift_covariance + np.diag((CURVATURE * d) ** 2), tuple(taken)
 
 
 def _noise(sums: ScoreSums, score: Score) -> float:

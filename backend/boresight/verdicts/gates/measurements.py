@@ -113,7 +113,14 @@ class GateInputs:
 
     def read_covariance(self, document: Document) -> FloatArray:
         """Spread a set's covariance over all parameters, (n_parameters, n_parameters) SI, 0 for those it held fixed."""
-        covariance = document["covariance"]
+        return self._spread(document["covariance"])
+
+    def read_reliable_covariance(self, document: Document) -> FloatArray:
+        """The same of the covariance to decide by: with misfit where the set has it, else of noise alone."""
+        misfit = document.get("misfit")
+        return self._spread(document["covariance"] if misfit is None else misfit["covariance"])
+
+    def _spread(self, covariance: Mapping[str, Any]) -> FloatArray:
         places = [self.names.index(name) for name in covariance["names"]]
         P = np.zeros((len(self.names),) * 2)
         P[np.ix_(places, places)] = np.array(covariance["matrix"], np.float64).reshape(len(places), len(places))
@@ -280,7 +287,7 @@ def parameter_shift(inputs: GateInputs) -> Measurement:
     x_0 = inputs.x_incumbent
     if inputs.incumbent is None or x_0 is None:
         return absent("There is no incumbent that it could have moved from.")
-    P, P_0 = (inputs.read_covariance(document) for document in (inputs.candidate, inputs.incumbent))
+    P, P_0 = (inputs.read_reliable_covariance(document) for document in (inputs.candidate, inputs.incumbent))
     sigma = np.sqrt(np.diag(P) + np.diag(P_0) + (FLOOR * inputs.sensor.typical_sigma) ** 2)
     shift = (inputs.x - x_0) / sigma
     i = int(np.argmax(np.abs(shift)))
@@ -367,7 +374,7 @@ def arc_uncertainty(inputs: GateInputs) -> Measurement:
 
 def _worst_arc(inputs: GateInputs, document: Document, x: Any) -> tuple[float, float]:
     """Largest sigma of an arc over the detector, rad, and the length of the arcs, degrees."""
-    sigma, length = field_arc_sigma(inputs.sensor, x, inputs.read_covariance(document))
+    sigma, length = field_arc_sigma(inputs.sensor, x, inputs.read_reliable_covariance(document))
     return float(np.nanmax(sigma)), float(np.degrees(length))
 
 

@@ -49,8 +49,10 @@ from boresight.figures.report import calibrate_command
 from boresight.figures.tables import (
     flight_rows,
     flight_tolerance,
+    interval_rows,
     match_counts,
     match_facts,
+    minimum_rows,
     parameter_rows,
     reason_tables,
     shown,
@@ -269,7 +271,20 @@ def make_summary_part(review: RunReview) -> dict[str, Any]:
     live = () if review.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
     return {
         "rows": parameter_rows(review.result) if review.result and review.result.parameters else [],
+        "uncertainty": make_uncertainty(review.result),
         "figures": () if review.is_void else (*live, *CHAPTERS["summary"]),
+    }
+
+
+def make_uncertainty(result: Calibration | None) -> dict[str, Any]:
+    """Gather what the sigmas do not tell of: misfit, other minima, and intervals that are not symmetric."""
+    if result is None:
+        return {}
+    return {
+        "misfit": result.misfit.sentence if result.misfit else "",
+        "minima": result.minima.sentence if result.minima else "",
+        "others": minimum_rows(result),
+        "intervals": interval_rows(result),
     }
 
 
