@@ -44,8 +44,8 @@ ROUNDS = 2
 MOST_ITERATIONS = 60
 #: Distance in sigmas from which two minima are two, and cost by which one must be lower to be taken for it.
 SAME_PLACE, LOWER = 0.3, 0.01
-#: Typical sigmas beyond which a profile is not followed.
-REACH = 50.0
+#: Typical sigmas beyond which a profile is not followed and a minimum not taken, and its largest sigma where the first fit's is larger.
+REACH, LARGEST_SIGMA = 50.0, 1e3
 #: Growth of the steps of a profile, most steps to its end, and accuracy of the rise there.
 GROWTH, MOST_STEPS, RISE_TOLERANCE = 1.4, 40, 0.01
 
@@ -136,7 +136,7 @@ def search(surface: Surface, fitted: BatchFit, rng: np.random.Generator) -> Sear
         arcs = surface.whiten(about.x)
         for x in _starts(surface, about, rng):
             starts += 1
-            _add(surface, found, surface.fit(arcs, x))
+            _add(surface, found, surface.fit(arcs, x), fitted)
         found.sort(key=lambda one: one.cost)
         if not found or found[0] is about:
             break
@@ -144,13 +144,23 @@ def search(surface: Surface, fitted: BatchFit, rng: np.random.Generator) -> Sear
     return Search(surface, starts, tuple(found))
 
 
-def _add(surface: Surface, found: list[BatchFit], ended: BatchFit) -> None:
-    """Add a minimum that is not among those found."""
+def _add(surface: Surface, found: list[BatchFit], ended: BatchFit, first: BatchFit) -> None:
+    """Add a minimum within reach of the first fit that is not among those found."""
     if not surface.is_minimum(ended) or any(surface.same(ended, one) for one in found):
         return
     settled = surface.settle(ended.x)
-    if surface.is_minimum(settled) and not any(surface.same(settled, one) for one in found):
+    if not surface.is_minimum(settled) or any(surface.same(settled, one) for one in found):
+        return
+    if _is_within_reach(surface, settled, first):
         found.append(settled)
+
+
+def _is_within_reach(surface: Surface, one: BatchFit, first: BatchFit) -> bool:
+    """Whether a minimum is not far from the first fit, nor a plain without end where that is none."""
+    step = (one.x - first.x)[surface.free] / surface.scale
+    near = not np.isfinite(first.x).all() or bool(np.abs(step).max() <= REACH)
+    weakest = float(batch.sigma_in_scale(first.A).max()) if np.isfinite(first.A).all() else 0.0
+    return near and bool(batch.sigma_in_scale(one.A).max() <= max(REACH, min(weakest, LARGEST_SIGMA)))
 
 
 def _starts(surface: Surface, about: BatchFit, rng: np.random.Generator) -> Iterator[FloatArray]:
