@@ -186,7 +186,7 @@ def evaluate_result(
             causes=judged.causes,
         ),
         *([] if matching is None else names_advice(matching.given, matching.kept)),
-        *trust_advice(judged.trust),
+        *trust_advice(judged.trust, calibration.coverage),
         *([] if calibration.robust is None else [calibration.robust.sentence]),
     )
 

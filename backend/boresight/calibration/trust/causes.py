@@ -177,7 +177,7 @@ CAUSES: dict[str, CauseKind] = {
 UNKNOWN = CauseKind(
     "unknown",
     "Something contradicts the model that is none of the causes looked for",
-    "look at the tests that noticed it",
+    "Look at the tests that noticed it",
     tuple(kind.name for kind in TRUST_TESTS),
 )
 
@@ -193,7 +193,7 @@ class Candidate:
 
 def find_causes(examined: Examined, tests: Sequence[TrustTest]) -> list[Cause]:
     """Name what explains the tests that noticed something, the likeliest first; none where no test did."""
-    noticed = [test.name for test in tests if test.noticed]
+    noticed = [test.name for test in sorted(tests, key=lambda test: test.probability) if test.noticed]
     if not noticed:
         return []
     candidates = [*_displacements(examined), *_of_stars(examined)]
@@ -201,14 +201,25 @@ def find_causes(examined: Examined, tests: Sequence[TrustTest]) -> list[Cause]:
     found = _in_order(examined, [one for one in candidates if one.gain > 0], len(tests))
     causes = [_describe(examined, one, share, noticed) for one, share in found]
     causes = [cause for place, cause in enumerate(causes) if cause.tests or not place]
-    return causes or [
-        Cause(name="unknown", likelihood=1.0, sentence=UNKNOWN.sentence + ".", remedy=UNKNOWN.remedy, tests=noticed)
+    return causes or [_guess(examined, candidates, noticed)]
+
+
+def _guess(examined: Examined, candidates: list[Candidate], noticed: list[str]) -> Cause:
+    """Name the best of the causes that may trip the tests where none explains the residuals better than the camera alone."""
+    may = [
+        one for one in candidates if set(noticed) & set(CAUSES[one.name].tests) and one.name not in {"places", "noise"}
     ]
+    best = max(may, key=lambda one: (one.name == noticed[0], one.gain), default=None)
+    if best is not None:
+        return _describe(examined, best, 1 / (1 + len(may)), noticed)
+    return Cause(
+        name="unknown", likelihood=1.0, sentence=f"{UNKNOWN.sentence}.", remedy=f"{UNKNOWN.remedy}.", tests=noticed
+    )
 
 
 def _gain(n: int, before: Score, coefficients: int) -> float:
     """Gain of a displacement whose fall and rest of chi-square are known."""
-    return n * np.log((before.fall + before.left) / before.left) - coefficients * np.log(n)
+    return float(n * np.log((before.fall + before.left) / before.left) - coefficients * np.log(n))
 
 
 def _evidence(n: int, score: Score) -> float:

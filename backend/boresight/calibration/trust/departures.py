@@ -10,10 +10,10 @@ polynomials, which keep the fields of one departure apart:
 `lens`         (L_i L_j, 0) and (0, L_i L_j), 1 <= i + j <= 3: any smooth residual of the lens
 `magnitude`    (m, 0), (0, m), (m x, m y) with m the star's magnitude: centroids pulled with brightness
 `colour`       the same with its colour B-V
-`phase`        sin and cos of 2 pi and 4 pi times the place in the pixel, along either axis: centroids drawn to pixel centres
+`phase`        sin and cos of 2 pi and 4 pi times the place in the pixel, along either axis: centroids drawn to its centre
 `readout`      the image's velocity times the row, or the column: one line after another
-`aberration`   v - (v.s) s with v the Earth's velocity, and the satellite's, in units of c, where times tell them, or else any constant
-               one of so many km/s as `ANY_VELOCITY`: directions of another observer
+`aberration`   v - (v.s) s with v the Earth's velocity, and the satellite's, in units of c, where times tell them, or else any
+               constant one of so many km/s as `ANY_VELOCITY`: directions of another observer
 `time`         (x, y) L_j(time), j = 1 ... 6: a focal length that changes
 `temperature`  (x, y) L_j(temperature), j = 1 ... 5
 `drift`        every free parameter times L_1(time)

@@ -337,7 +337,7 @@ NO_TESTS = "The run made no tests of the model: clone it and start it again to h
 
 
 def tests_of_model(name: str, inputs: GateInputs) -> Measurement:
-    """Measure the largest error that the noticed tests of a gate's kind tell of, in claimed sigmas; 0 where none noticed anything."""
+    """Measure the largest error that the noticed tests of a gate tell of, in claimed sigmas; 0 where none noticed anything."""
     if inputs.result is None or not inputs.result.tests:
         return absent(NO_RUN if inputs.result is None else NO_TESTS)
     made = [test for test in inputs.result.tests if test.name in KIND_OF_TEST and KIND_OF_TEST[test.name].gate == name]
