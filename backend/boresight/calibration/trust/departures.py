@@ -48,6 +48,8 @@ RADIAL, LENS, TIME, TEMPERATURE, HARMONICS = 4, 3, 6, 5, 2
 FAR_APART, FAR_TURN = 60.0, 0.2
 #: Velocity that directions may lack where no time tells the Earth's, km/s.
 ANY_VELOCITY = 20.0
+#: Seconds that the lines over half the diagonal take to read where a coefficient is one.
+READOUT_S = 0.03
 #: Frames that a change over them needs.
 FEWEST_FRAMES = 20
 #: Spread of a quantity below which nothing can depend on it.
@@ -281,7 +283,7 @@ def _aberration(velocity: FloatArray, block: Block) -> FloatArray:
 
 
 def _readout(rate: FloatArray, block: Block) -> FloatArray:
-    """The image's velocity times the row and times the column, px: the coefficients are line times times half the diagonal."""
+    """The image's velocity times the row and times the column, px, where half the diagonal takes `READOUT_S` to read."""
     arcs, parity = block.arcs, block.fitted.problem.sensor.parity
     s, J = block.on_detector
     first = int(block.fitted.arcs.frame_start[block.first])
@@ -291,7 +293,7 @@ def _readout(rate: FloatArray, block: Block) -> FloatArray:
     along = np.einsum("nij,ni->nj", J, moved)
     determinant = a * c - b * b
     velocity = np.stack([c * along[:, 0] - b * along[:, 1], a * along[:, 1] - b * along[:, 0]], axis=1)
-    velocity /= determinant[:, None]
+    velocity *= READOUT_S / determinant[:, None]
     x, y = _places(block)
     return np.stack([velocity * x[:, None], velocity * y[:, None]], axis=-1)
 

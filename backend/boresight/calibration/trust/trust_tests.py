@@ -308,6 +308,11 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
 KIND_OF_TEST: dict[str, TrustTestKind] = {kind.name: kind for kind in TRUST_TESTS}
 
 
+def gate_of_test(name: str) -> str:
+    """The gate that hears of a test; none of one that is not in the table any more."""
+    return KIND_OF_TEST[name].gate if name in KIND_OF_TEST else ""
+
+
 def make_tests(examined: Examined) -> list[TrustTest]:
     """Make every test that the set allows, and adjust their probabilities for their number."""
     outcomes = [(kind, kind.ask(examined)) for kind in TRUST_TESTS]
