@@ -21,8 +21,10 @@ from boresight.calibration.calibration import (
     Matching,
     ProfileInterval,
     ShadowOfSet,
+    TrustTest,
 )
 from boresight.calibration.parameter_set import ParameterSetDocument
+from boresight.calibration.trust.trust_tests import KIND_OF_TEST
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import FAR_TYPICAL_SIGMAS
 from boresight.verdicts.numbers import (
@@ -488,3 +490,56 @@ def star_rows(result: Calibration) -> list[StarRow]:
 def to_flag(result: Calibration) -> str:
     """List the suspects' Hipparcos numbers, ready to paste; empty where there are none."""
     return ", ".join(map(str, result.trust.suspects if result.trust else ()))
+
+
+@dataclass(frozen=True)
+class ModelTestRow:
+    """A test of the model in words; `numbers` are what its cells sort by."""
+
+    title: str
+    noticed: bool
+    cells: tuple[str, ...]
+    numbers: tuple[float | None, ...]
+    gate: str
+    sentence: str
+
+
+def model_test_rows(result: Calibration) -> list[ModelTestRow]:
+    """Lay the tests of a result out, the least probable first."""
+    return [_model_test_row(test) for test in sorted(result.tests, key=lambda test: test.probability)]
+
+
+def _model_test_row(test: TrustTest) -> ModelTestRow:
+    kind = KIND_OF_TEST.get(test.name)
+    values = (test.probability, test.adjusted, test.effect)
+    return ModelTestRow(
+        title=kind.title if kind else test.name.replace("_", " "),
+        noticed=test.noticed,
+        cells=tuple(number(value, 2) for value in values),
+        numbers=values,
+        gate=kind.gate if kind else "",
+        sentence=test.sentence,
+    )
+
+
+@dataclass(frozen=True)
+class CauseRow:
+    """A cause in words, with the tests that it explains."""
+
+    name: str
+    likelihood: str
+    sentence: str
+    remedy: str
+    tests: str
+
+
+def cause_rows(result: Calibration) -> list[CauseRow]:
+    """Lay the causes of a result out, the likeliest first."""
+    return [
+        CauseRow(cause.name, percent(cause.likelihood), cause.sentence, cause.remedy, ", ".join(_titles(cause.tests)))
+        for cause in result.causes
+    ]
+
+
+def _titles(names: list[str]) -> list[str]:
+    return [KIND_OF_TEST[name].title if name in KIND_OF_TEST else name for name in names]

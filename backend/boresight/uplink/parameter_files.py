@@ -41,9 +41,9 @@ def read_document(subject: Set) -> ParameterSetDocument:
 
 
 def changes(subject: Set, before: Set | None) -> list[dict[str, Any]]:
-    """Return each parameter's row, SI: name, symbol, unit, old, new, delta, sigma, sigma_with_misfit, three_sigma, delta_over_sigma.
+    """Return each parameter's row, SI: the first nine of `COLUMNS`, and its symbol.
 
-    The last two are of the sigma with misfit; where a set has none, it is that of noise alone.
+    `three_sigma` and `delta_over_sigma` are of the sigma with misfit; where a set has none, that is the one of noise alone.
     """
     found, replaced = read_document(subject), None if before is None else read_document(before)
     model = CAMERA_MODELS[found.camera_model]

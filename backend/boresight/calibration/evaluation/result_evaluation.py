@@ -188,7 +188,7 @@ def evaluate_result(
             misfit=judged.misfit,
         ),
         *([] if matching is None else names_advice(matching.given, matching.kept)),
-        *trust_advice(judged.trust),
+        *trust_advice(judged.trust, calibration.coverage),
         *([] if calibration.robust is None else [calibration.robust.sentence]),
     )
 

@@ -129,7 +129,7 @@ def sum_of_squares(scores: FloatArray, B: int, n_arcs: int) -> FloatArray:
     n, p = scores.shape
     starts = np.arange(B) * n // B
     g = np.add.reduceat(scores, starts, axis=0)
-    return np.asarray(g.T @ g) * (B / (B - 1) * (n_arcs - 1) / (n_arcs - p))
+    return np.asarray(B / (B - 1) * (n_arcs - 1) / (n_arcs - p) * (g.T @ g))
 
 
 def is_wider(M: FloatArray, B: int) -> bool:
@@ -176,13 +176,23 @@ def _noise(sums: ScoreSums, score: Score) -> float:
     return score.left / max(sums.n_arcs - len(sums.A) - score.dof, 1)
 
 
-def describe_misfit(fitted: FittedSet, found: Widening) -> tuple[Values[float | None], Misfit] | None:
-    """Put a widening into the form of a calibration: the sigmas with it, SI, and where they come from; None where unknown."""
+def find_misfit(
+    fitted: FittedSet, sums: ScoreSums, scores: Mapping[str, Score], tests: Sequence[TrustTest]
+) -> tuple[Values[float | None], Misfit] | None:
+    """Widen the sigmas of a fit: those with misfit, SI, and where they come from; None where a direction is not determined."""
+    if not fitted.determined or not np.isfinite(fitted.estimate.P).all():
+        return None
+    try:
+        return describe_misfit(fitted, widen(fitted, sums, scores, tests))
+    except np.linalg.LinAlgError:  # too near to singular
+        return None
+
+
+def describe_misfit(fitted: FittedSet, found: Widening) -> tuple[Values[float | None], Misfit]:
+    """Put a widening into the form of a calibration."""
     parameters, names = fitted.parameters, fitted.problem.camera.parameter_names
     noise = np.sqrt(np.diag(fitted.estimate.P))
     wide = np.sqrt(np.maximum(np.diag(found.P), noise**2))
-    if not fitted.determined or not np.isfinite(wide).all():
-        return None
     factor = wide / noise
     sigma: dict[str, float | None] = dict.fromkeys(names)
     by_name: dict[str, float | None] = dict.fromkeys(names)

@@ -166,7 +166,7 @@ PARAMETERS = make_figure(
     guide=(
         "On the left is each change in units of its own sigma (with misfit), on a log axis: beyond the dotted line at three it "
         "is more than noise, and paler bars are not. On the right is the same change in typical sigmas, the "
-        "spread from unit to unit, with a ±3σ bar, its thick part from noise alone: a wide bar means that the data say little, a far point that "
-        "the sensor or the matches deserve a look."
+        "spread from unit to unit, with a ±3σ bar, its thick part from noise alone: a wide bar means that the data say "
+        "little, a far point that the sensor or the matches deserve a look."
     ),
 )

@@ -47,12 +47,14 @@ from boresight.figures.charts.observability import helpful_data, weakest_words
 from boresight.figures.charts.shadow import SHADOW
 from boresight.figures.report import calibrate_command
 from boresight.figures.tables import (
+    cause_rows,
     flight_rows,
     flight_tolerance,
     interval_rows,
     match_counts,
     match_facts,
     minimum_rows,
+    model_test_rows,
     parameter_rows,
     reason_tables,
     shown,
@@ -329,6 +331,8 @@ def make_trust_part(result: Calibration | None, why_nothing: str) -> dict[str, A
         return {"marks": [], "said": f"No examination: {why_nothing}", "figures": ()}
     return {
         "marks": trust_marks(result),
+        "tests": model_test_rows(result),
+        "causes": cause_rows(result),
         "said": why_absent(result, ""),
         "prospects": prospects(result),
         "figures": CHAPTERS["trust"] if result.trust else (),
