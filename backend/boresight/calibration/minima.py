@@ -154,8 +154,8 @@ def _find_intervals(
     for place, p in enumerate(search.surface.free):
         found = minima.profile(search, place, rise)
         if found.lower is not None and follow:
-            fall = search.found[0].cost - search.surface.cost(found.lower)
-            raise LowerMinimum(found.lower, f"the profile of {names[p]}", fall)
+            fall = search.found[0].cost - found.lower.cost
+            raise LowerMinimum(found.lower.x, f"the profile of {names[p]}", fall)
         if not is_symmetric(found.pieces, x[p], np.sqrt(rise) * sigma[p]):
             pieces = [list(piece) for piece in found.pieces]
             intervals.append(ProfileInterval(name=names[p], confidence=CONFIDENCE, pieces=pieces))

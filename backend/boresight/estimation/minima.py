@@ -44,8 +44,9 @@ ROUNDS = 2
 MOST_ITERATIONS = 60
 #: Distance in sigmas from which two minima are two, and cost by which one must be lower to be taken for it.
 SAME_PLACE, LOWER = 0.3, 0.01
-#: Typical sigmas beyond which a profile is not followed.
-REACH = 50.0
+#: Typical sigmas beyond which a profile is not followed and a minimum not taken, and its largest sigma where the first fit's is
+#: larger.
+REACH, LARGEST_SIGMA = 50.0, 1e3
 #: Growth of the steps of a profile, most steps to its end, and accuracy of the rise there.
 GROWTH, MOST_STEPS, RISE_TOLERANCE = 1.4, 40, 0.01
 
@@ -112,6 +113,12 @@ class Search:
     starts: int
     found: tuple[BatchFit, ...]
 
+    def lower_minimum(self, x: FloatArray) -> BatchFit | None:
+        """The minimum that a state (n_parameters,) drains into, where it is one to take up in place of the lowest."""
+        settled, lowest = self.surface.settle(x), self.found[0]
+        lower = self.surface.is_minimum(settled) and settled.cost < lowest.cost - LOWER
+        return settled if lower and is_within_reach(self.surface, settled, lowest) else None
+
 
 def search(surface: Surface, fitted: BatchFit, rng: np.random.Generator) -> Search:
     """Look for every minimum about a fit.
@@ -136,7 +143,7 @@ def search(surface: Surface, fitted: BatchFit, rng: np.random.Generator) -> Sear
         arcs = surface.whiten(about.x)
         for x in _starts(surface, about, rng):
             starts += 1
-            _add(surface, found, surface.fit(arcs, x))
+            _add(surface, found, surface.fit(arcs, x), fitted)
         found.sort(key=lambda one: one.cost)
         if not found or found[0] is about:
             break
@@ -144,13 +151,23 @@ def search(surface: Surface, fitted: BatchFit, rng: np.random.Generator) -> Sear
     return Search(surface, starts, tuple(found))
 
 
-def _add(surface: Surface, found: list[BatchFit], ended: BatchFit) -> None:
-    """Add a minimum that is not among those found."""
+def _add(surface: Surface, found: list[BatchFit], ended: BatchFit, first: BatchFit) -> None:
+    """Add a minimum within reach of the first fit that is not among those found."""
     if not surface.is_minimum(ended) or any(surface.same(ended, one) for one in found):
         return
     settled = surface.settle(ended.x)
-    if surface.is_minimum(settled) and not any(surface.same(settled, one) for one in found):
+    if not surface.is_minimum(settled) or any(surface.same(settled, one) for one in found):
+        return
+    if is_within_reach(surface, settled, first):
         found.append(settled)
+
+
+def is_within_reach(surface: Surface, one: BatchFit, first: BatchFit) -> bool:
+    """Whether a minimum is not far from the first fit, nor a plain without end where that is none."""
+    step = (one.x - first.x)[surface.free] / surface.scale
+    near = not np.isfinite(first.x).all() or bool(np.abs(step).max() <= REACH)
+    weakest = float(batch.sigma_in_scale(first.A).max()) if np.isfinite(first.A).all() else 0.0
+    return near and bool(batch.sigma_in_scale(one.A).max() <= max(REACH, min(weakest, LARGEST_SIGMA)))
 
 
 def _starts(surface: Surface, about: BatchFit, rng: np.random.Generator) -> Iterator[FloatArray]:
@@ -182,11 +199,11 @@ Piece = tuple[float | None, float | None]
 class Profile:
     """Where a parameter may lie.
 
-    `pieces`: in ascending order. `lower`: a state (n_parameters,) with a cost below the lowest minimum's, where one was met.
+    `pieces`: in ascending order. `lower`: a minimum below the lowest, where the way led to one.
     """
 
     pieces: tuple[Piece, ...]
-    lower: FloatArray | None = None
+    lower: BatchFit | None = None
 
 
 def profile(searched: Search, place: int, rise: float) -> Profile:
@@ -204,14 +221,16 @@ def profile(searched: Search, place: int, rise: float) -> Profile:
     surface, minima = searched.surface, searched.found
     level, p = minima[0].cost + rise, int(surface.free[place])
     pieces: list[tuple[float, float]] = []
+    lower: BatchFit | None = None
     for one in (m for m in minima if m.cost < level):
         ends = [_end(surface, one, place, sign, level) for sign in (-1.0, 1.0)]
         lowest = min((end.lowest for end in ends), key=lambda fitted: fitted.cost)
-        if lowest.cost < minima[0].cost - LOWER:
-            return Profile((), lowest.x)
+        if lower is None and lowest.cost < minima[0].cost - LOWER:
+            lower = searched.lower_minimum(lowest.x)
         pieces.append((ends[0].value, ends[1].value))
     low, high = minima[0].x[p] - REACH * surface.scale[place], minima[0].x[p] + REACH * surface.scale[place]
-    return Profile(tuple((a if a > low else None, b if b < high else None) for a, b in _joined(pieces)))
+    ends_of = tuple((a if a > low else None, b if b < high else None) for a, b in _joined(pieces))
+    return Profile(ends_of, lower)
 
 
 @dataclass(frozen=True)

@@ -609,15 +609,15 @@ def square_root_filter(
             before = _prior_cost(S_prior, z_at, z_prior, n_free, f)
             for a in range(n_arcs):
                 before += e[a] * e[a]
-            for _ in range(_HALVINGS):
+            for halved in range(_HALVINGS + 1):
                 total = _frame_residuals(
                     camera, x, pitch, frame_start[k], frame_start[k + 1], star_start, row_px, col_px, phi, band, g, post
                 )
                 after = _prior_cost(S_prior, z, z_prior, n_free, f)
                 for a in range(n_arcs):
                     after += post[a] * post[a]
-                if after <= before * (1.0 + 1e-9):
-                    break
+                if after <= before * (1.0 + 1e-9) or halved == _HALVINGS:
+                    break  # x, its residuals and z belong together, after the last halving too
                 for p in range(n_free):  # overshot: the curvature is real, take half the step and linearise there
                     z[p] = 0.5 * (z[p] + z_at[p])
                     x[free[p]] = x0[p] + scale[p] * z[p]

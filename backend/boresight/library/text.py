@@ -41,9 +41,10 @@ def summary_lines(found: Calibration) -> Iterator[str]:
         yield f"left out: {left_out}"
     yield from _removed(found)
     yield ""
-    yield aligned([HEADINGS, *(row.cells for row in printed_rows(found))], left=(0, 1, 6))
+    yield aligned([HEADINGS, *(row.cells for row in printed_rows(found))], left=(0, 1, 7))
     yield ""
     yield aligned([("verdict", verdict(found)), *_scores(found)], left=(0, 1))
+    yield from _intervals(found)
     for sentence in found.advice:
         yield f"\n- {sentence}"
 
@@ -66,6 +67,21 @@ def _removed(found: Calibration) -> Iterator[str]:
         yield f"  and {of.removed - MOST_REMOVED:,} more; --json writes them"
 
 
+def _intervals(found: Calibration) -> Iterator[str]:
+    """Write other minima, and the intervals that are not those of the sigmas."""
+    from boresight.figures.tables import interval_rows, minimum_rows
+
+    others, intervals = minimum_rows(found), interval_rows(found)
+    if others:
+        yield ""
+        yield aligned([("other minima", ""), *((f"chi-square {one.above}", one.values) for one in others)], left=(0, 1))
+    if intervals:
+        yield ""
+        table = ((one.symbol, one.unit, one.interval, one.by_sigma) for one in intervals)
+        heading = ("parameter", "unit", f"{intervals[0].confidence} by profile likelihood", "by its sigma")
+        yield aligned([heading, *table], left=(0, 1))
+
+
 def headline(found: Calibration) -> str:
     """Return one line on what was calibrated, how, and from how much data."""
     words = [found.method, found.variant or "", found.status.replace("_", " ")]
@@ -82,6 +98,10 @@ def verdict(found: Calibration) -> str:
 
 def _scores(found: Calibration) -> Iterator[tuple[str, str]]:
     yield "RMS arc error", _pair(found.rms_arc_rad)
+    if found.misfit is not None:
+        yield "misfit", found.misfit.sentence
+    if found.minima is not None:
+        yield "minima", found.minima.sentence
     if found.chi2 is not None:
         yield "chi2 per degree of freedom", _test(found.chi2_per_dof, found.chi2)
     if found.nis is not None and found.method != "batch":

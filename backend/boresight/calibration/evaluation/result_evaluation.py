@@ -51,6 +51,7 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, whiten_at
 from boresight.calibration.trust import cause_advice, judge_trust, trust_advice
 from boresight.calibration.trust.fitted_set import chosen, nested
+from boresight.calibration.trust.misfit import misfit_advice
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import determined, normal_equations
 from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
@@ -205,7 +206,8 @@ def evaluate_result(
             misfit=judged.misfit,
         ),
         *([] if matching is None else names_advice(matching.given, matching.kept)),
-        *trust_advice(judged.trust),
+        *trust_advice(judged.trust, calibration.coverage),
+        *misfit_advice(judged.misfit),
         *([] if calibration.robust is None else [calibration.robust.sentence]),
     )
 

@@ -10,10 +10,10 @@ polynomials, which keep the fields of one departure apart:
 `lens`         (L_i L_j, 0) and (0, L_i L_j), 1 <= i + j <= 3: any smooth residual of the lens
 `magnitude`    (m, 0), (0, m), (m x, m y) with m the star's magnitude: centroids pulled with brightness
 `colour`       the same with its colour B-V
-`phase`        sin and cos of 2 pi and 4 pi times the place in the pixel, along either axis: centroids drawn to pixel centres
+`phase`        sin and cos of 2 pi and 4 pi times the place in the pixel, along either axis: centroids drawn to its centre
 `readout`      the image's velocity times the row, or the column: one line after another
-`aberration`   v - (v.s) s with v the Earth's velocity, and the satellite's, in units of c, where times tell them, or else any constant
-               one of so many km/s as `ANY_VELOCITY`: directions of another observer
+`aberration`   v - (v.s) s with v the Earth's velocity, and the satellite's, in units of c, where times tell them, or else any
+               constant one of so many km/s as `ANY_VELOCITY`: directions of another observer
 `time`         (x, y) L_j(time), j = 1 ... 6: a focal length that changes
 `temperature`  (x, y) L_j(temperature), j = 1 ... 5
 `drift`        every free parameter times L_1(time)
@@ -48,6 +48,8 @@ RADIAL, LENS, TIME, TEMPERATURE, HARMONICS = 4, 3, 6, 5, 2
 FAR_APART, FAR_TURN = 60.0, 0.2
 #: Velocity that directions may lack where no time tells the Earth's, km/s.
 ANY_VELOCITY = 20.0
+#: Seconds that the lines over half the diagonal take to read where a coefficient is one.
+READOUT_S = 0.03
 #: Frames that a change over them needs.
 FEWEST_FRAMES = 20
 #: Spread of a quantity below which nothing can depend on it.
@@ -281,7 +283,7 @@ def _aberration(velocity: FloatArray, block: Block) -> FloatArray:
 
 
 def _readout(rate: FloatArray, block: Block) -> FloatArray:
-    """The image's velocity times the row and times the column, px: the coefficients are line times times half the diagonal."""
+    """The image's velocity times the row and times the column, px, where half the diagonal takes `READOUT_S` to read."""
     arcs, parity = block.arcs, block.fitted.problem.sensor.parity
     s, J = block.on_detector
     first = int(block.fitted.arcs.frame_start[block.first])
@@ -291,7 +293,7 @@ def _readout(rate: FloatArray, block: Block) -> FloatArray:
     along = np.einsum("nij,ni->nj", J, moved)
     determinant = a * c - b * b
     velocity = np.stack([c * along[:, 0] - b * along[:, 1], a * along[:, 1] - b * along[:, 0]], axis=1)
-    velocity /= determinant[:, None]
+    velocity *= READOUT_S / determinant[:, None]
     x, y = _places(block)
     return np.stack([velocity * x[:, None], velocity * y[:, None]], axis=-1)
 

@@ -47,10 +47,14 @@ from boresight.figures.charts.observability import helpful_data, weakest_words
 from boresight.figures.charts.shadow import SHADOW
 from boresight.figures.report import calibrate_command
 from boresight.figures.tables import (
+    cause_rows,
     flight_rows,
     flight_tolerance,
+    interval_rows,
     match_counts,
     match_facts,
+    minimum_rows,
+    model_test_rows,
     parameter_rows,
     reason_tables,
     removed_count,
@@ -271,7 +275,20 @@ def make_summary_part(review: RunReview) -> dict[str, Any]:
     live = () if review.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
     return {
         "rows": parameter_rows(review.result) if review.result and review.result.parameters else [],
+        "uncertainty": make_uncertainty(review.result),
         "figures": () if review.is_void else (*live, *CHAPTERS["summary"]),
+    }
+
+
+def make_uncertainty(result: Calibration | None) -> dict[str, Any]:
+    """Gather what the sigmas do not tell of: misfit, other minima, and intervals that are not symmetric."""
+    if result is None:
+        return {}
+    return {
+        "misfit": result.misfit.sentence if result.misfit else "",
+        "minima": result.minima.sentence if result.minima else "",
+        "others": minimum_rows(result),
+        "intervals": interval_rows(result),
     }
 
 
@@ -316,6 +333,8 @@ def make_trust_part(result: Calibration | None, why_nothing: str) -> dict[str, A
         return {"marks": [], "said": f"No examination: {why_nothing}", "figures": ()}
     return {
         "marks": trust_marks(result),
+        "tests": model_test_rows(result),
+        "causes": cause_rows(result),
         "said": why_absent(result, ""),
         "prospects": prospects(result),
         "figures": CHAPTERS["trust"] if result.trust else (),
