@@ -58,7 +58,9 @@ def test_centroids_moved_back_are_those_of_a_global_shutter(catalogue, axis, lin
     assert len(away) > 100
     assert away[:, :2].max() > 0.5
     assert away[:, 2:].max() < 0.01  # a rate from two exposures a quarter of a second apart
-    assert done.largest_px == pytest.approx(away[:, :2].max(), rel=0.2)
+    assert done.largest_px == pytest.approx(
+        np.hypot(away[:, 0], away[:, 1]).max(), rel=0.15
+    )  # of unidentified stars too
     assert (done.exposures, done.moved) == (24, 24)
 
 
