@@ -14,13 +14,23 @@ import numpy as np
 
 from boresight.calibration import result
 from boresight.calibration.assumptions import list_assumptions
-from boresight.calibration.calibration import Assumption, Calibration, JudgedOn, Noise, StarOff, StarsOffDetector
+from boresight.calibration.calibration import (
+    Assumption,
+    Calibration,
+    JudgedOn,
+    Noise,
+    RemovedOf,
+    StarOff,
+    StarsOffDetector,
+)
 from boresight.calibration.corrections import Corrections
 from boresight.calibration.estimate import Estimate, Parameters, never
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
 from boresight.calibration.matching.match_report import CyclesEnd, Estimation, identification_advice
 from boresight.calibration.matching.matched import Dataset, Matched
+from boresight.calibration.matching.verification import advise
+from boresight.calibration.minima import LowerMinimum, describe_minima, minima_advice
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.telemetry_pieces import (
@@ -280,20 +290,25 @@ def _calibrated(
         advice = [*identification_advice(first.unidentified), *nothing.advice]
         return replace(nothing, advice=advice), None, None
     reporter = ProgressReporter(first.problem, parameters, settings, sha256s, context.report, sets.prepared)
-    ended = Estimation(sets, first, parameters, settings, reporter, context.cancelled).run()
-    ended = replace(ended, estimate=_checked(ended.matched.problem, ended.estimate))
-    clock.lap("fit")
-    found = result.describe_estimate(ended.matched.problem, parameters, settings, ended.estimate, sha256s)
-    if ended.estimate.status != "diverged":
-        judged = sets.judged(first, ended.matched)
-        last = _LastPass(judged.sets.telemetry, judged.last, ended.estimate, parameters, settings, corrections)
-        again = last.refined(in_memory=judged.last is ended.matched)
-        if again is not None:
-            return found, ended, again
-        found = evaluate_result(found, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
-        found = replace(found, noise=corrections.noise or last.noise, assumptions=last.assumptions())
-        found = _say_what_was_judged(found, judged.last.problem)
-        found = with_advice(found, *identification_advice(ended.matched.unidentified))
+    estimation = Estimation(sets, first, parameters, settings, reporter, context.cancelled)
+    ended = estimation.run()
+    while True:
+        ended = replace(ended, estimate=_checked(ended.matched.problem, ended.estimate))
+        clock.lap("fit")
+        try:
+            found = _judge(sets, first, ended, parameters, settings, sha256s, corrections)
+            break
+        except LowerMinimum as lower:
+            restarts = ended.estimate.searched.restarts + 1
+            ended = replace(estimation, first=ended.matched).fit_in_cycles(lower, restarts)
+    if isinstance(found, Corrections):
+        return (
+            result.describe_estimate(ended.matched.problem, parameters, settings, ended.estimate, sha256s),
+            ended,
+            found,
+        )
+    if sets.is_given:
+        found = _with_removed(found, sets, ended.matched)
     clock.lap("judge")
     return found, ended, None
 
@@ -330,6 +345,44 @@ class _LastPass:
         return list_assumptions(self.telemetry, self.matched.telemetry, of.sensor, of.catalogue, self.estimate.x, done)
 
 
+def _with_removed(found: Calibration, sets: Dataset, matched: Matched) -> Calibration:
+    """Say first which proposed stars were removed: wrong ones are graver than what they would have done."""
+    of = RemovedOf(proposed=sets.proposed_stars, removed=len(matched.refused))
+    listed = sets.removed(matched)
+    said = [*advise(of.proposed, of.removed, listed), *found.advice]
+    return replace(found, removed=listed, removed_of=of, advice=said)
+
+
+def _judge(
+    sets: Dataset,
+    first: Matched,
+    ended: CyclesEnd,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    sha256s: Mapping[str, str],
+    corrections: Corrections,
+) -> Calibration | Corrections:
+    """Describe and judge an estimate, or say what of the set is to be put right first.
+
+    Raises LowerMinimum where judging it leads to one, so often as that is taken up.
+    """
+    problem, estimate = ended.matched.problem, ended.estimate
+    found = result.describe_estimate(problem, parameters, settings, estimate, sha256s)
+    if estimate.status == "diverged":
+        return found
+    judged = sets.judged(first, ended.matched)
+    last = _LastPass(judged.sets.telemetry, judged.last, estimate, parameters, settings, corrections)
+    again = last.refined(in_memory=judged.last is ended.matched)
+    if again is not None:
+        return again
+    minima = describe_minima(problem, estimate.searched, estimate.x, result.find_sigma(problem, parameters, estimate))
+    found = with_advice(replace(found, minima=minima), *minima_advice(minima))
+    found = evaluate_result(found, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
+    found = replace(found, noise=corrections.noise or last.noise, assumptions=last.assumptions())
+    found = _say_what_was_judged(found, judged.last.problem)
+    return with_advice(found, *identification_advice(ended.matched.unidentified))
+
+
 def _say_what_was_judged(found: Calibration, judged: Problem) -> Calibration:
     """Say of a set too large to be judged whole what was."""
     if judged.arcs.n_frames == found.frames:
@@ -357,12 +410,7 @@ def select_free_parameters(sensor: Sensor, settings: CalibrationSettings) -> Par
 
 def _checked(problem: Problem, estimate: Estimate) -> Estimate:
     """Call an estimate diverged when a parameter left the range of what can be, or part of the detector has no direction."""
-    low, high = np.array(problem.camera.plausible).T
-    inside = np.isfinite(estimate.x).all() and bool(np.all((low <= estimate.x) & (estimate.x <= high)))
-    sensor = problem.sensor
-    if inside and problem.camera.blind_corner(estimate.x, sensor.rows, sensor.columns, sensor.pixel_pitch_m) is None:
-        return estimate
-    return replace(estimate, status="diverged")
+    return estimate if problem.can_be(estimate.x) else replace(estimate, status="diverged")
 
 
 class _Timer:

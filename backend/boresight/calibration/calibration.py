@@ -291,6 +291,14 @@ class RemovedStar:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RemovedOf:
+    """How many stars the telemetry proposed, and how many of them were removed; of very many the first alone are listed."""
+
+    proposed: int
+    removed: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrustTest:
     """One test of the data against the model.
 
@@ -1061,6 +1069,7 @@ class Calibration:
     rms_arc_rad: Change = field(default_factory=Change)
     robust: Robust | None = None
     removed: list[RemovedStar] = field(default_factory=list)
+    removed_of: RemovedOf | None = None
     tests: list[TrustTest] = field(default_factory=list)
     causes: list[Cause] = field(default_factory=list)
     sigma_with_misfit: Values[float | None] = field(default_factory=Values)

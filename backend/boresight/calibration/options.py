@@ -302,8 +302,13 @@ class CalibrationSettings:
         elsewhere="The cosine error is the batch's: choose method 'batch', or error 'arclength'.",
     )  # fmt: skip
     robust: str = option(
-        "Of the batch", "Loss", "Loss that bounds what a false star may say.", cell=(2, 1), default="none", flag="--robust",
-        words={"none": "Least squares", "huber": "Huber: bounds what a false star may say"},
+        "Of the batch", "Loss", "Loss that bounds what a false star may say; huber is weaker, for comparison.",
+        cell=(2, 1), default="none", flag="--robust",
+        words={
+            "none": "Least squares",
+            "stars": "By stars: one that lies far off says nothing",
+            "huber": "Huber on arcs: bounds what a false star may say, for comparison",
+        },
         elsewhere="Robust loss is the batch's: choose method 'batch', or set 'robust' to 'none'.",
     )  # fmt: skip
     huber_threshold: float = option(

@@ -277,7 +277,7 @@ def describe_estimate(
     """Put an estimate, finished or on its way, into the form of a calibration; what judges it is not in it yet."""
     arcs = problem.whitened(estimate.x)
     initial, final = tail_rms(arcs, np.stack([problem.sensor.initial, estimate.x]))
-    sigma = _sigma(problem, parameters, estimate)
+    sigma = find_sigma(problem, parameters, estimate)
     names = problem.camera.parameter_names
     with np.errstate(divide="ignore", invalid="ignore"):
         shift = (estimate.x - problem.sensor.initial) / sigma
@@ -303,7 +303,7 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _sigma(problem: Problem, parameters: Parameters, estimate: Estimate) -> FloatArray:
+def find_sigma(problem: Problem, parameters: Parameters, estimate: Estimate) -> FloatArray:
     """(n_parameters,) one-sigma in SI, NaN where not estimated or not determined."""
     sigma = np.full(len(problem.camera.parameter_names), np.nan)
     in_scale = np.sqrt(np.diag(estimate.P))

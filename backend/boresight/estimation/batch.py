@@ -194,6 +194,7 @@ def fit(  # noqa: PLR0913 - what is fitted, and six choices by name
     *,
     max_iterations: int = 50,
     threshold: float = np.inf,
+    rest: float = REST,
     begun: NormalEquations | None = None,
     report: Callable[[Step], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
@@ -212,6 +213,8 @@ def fit(  # noqa: PLR0913 - what is fitted, and six choices by name
         (n_free,) typical sigmas, SI.
     threshold
         Of Huber's loss, in whitened sigmas; infinite for least squares.
+    rest
+        Distance from the optimum, in standard deviations, at which to rest.
     begun
         A, b and the costs at the start, where they are known already.
     report
@@ -239,7 +242,7 @@ def fit(  # noqa: PLR0913 - what is fitted, and six choices by name
             steps.append(Step(x.copy(), sigma_in_scale(here.A), here.chi2, here.sum_of_squares, damping))
             if report is not None:
                 report(steps[-1])
-        if _decrement(here) < REST**2:
+        if _decrement(here) < rest**2:
             status = "converged"
             break
         if cancelled is not None and cancelled():

@@ -305,7 +305,7 @@ def _matched(
     last = first if ended.estimate.status == "diverged" else ended.matched
     return _Stars(
         last.problem.arcs.whole(),
-        None if sets.stands else sensor.camera_model,
+        None if sets.is_given else sensor.camera_model,
         tuple(identification_advice(last.unidentified)),
     )
 

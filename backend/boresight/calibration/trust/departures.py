@@ -10,9 +10,10 @@ polynomials, which keep the fields of one departure apart:
 `lens`         (L_i L_j, 0) and (0, L_i L_j), 1 <= i + j <= 3: any smooth residual of the lens
 `magnitude`    (m, 0), (0, m), (m x, m y) with m the star's magnitude: centroids pulled with brightness
 `colour`       the same with its colour B-V
-`phase`        sin and cos of 2 pi and 4 pi times the place within the pixel, along either axis: centroids drawn to pixel centres
+`phase`        sin and cos of 2 pi and 4 pi times the place in the pixel, along either axis: centroids drawn to pixel centres
 `readout`      the image's velocity times the row, or the column: one line after another
-`aberration`   v - (v.s) s with v a constant velocity in units of c: directions of another observer
+`aberration`   v - (v.s) s with v the Earth's velocity, and the satellite's, in units of c, where times tell them, or else any constant
+               one of so many km/s as `ANY_VELOCITY`: directions of another observer
 `time`         (x, y) L_j(time), j = 1 ... 6: a focal length that changes
 `temperature`  (x, y) L_j(temperature), j = 1 ... 5
 `drift`        every free parameter times L_1(time)
@@ -39,11 +40,14 @@ from boresight.calibration.trust.displacements import Block, Departure
 from boresight.calibration.trust.fitted_set import FittedSet
 from boresight.estimation.arcs import angular_sigma
 from boresight.estimation.attitude import attitudes, rotation_vector, to_quaternion, triad
+from boresight.sky.apparent import C_AU_DAY, C_M_S, days_since_j2000, earth_state
 
 #: Orders of the polynomials above.
 RADIAL, LENS, TIME, TEMPERATURE, HARMONICS = 4, 3, 6, 5, 2
 #: Seconds between exposures, and the angle between them, rad, beyond which they do not tell a rate.
 FAR_APART, FAR_TURN = 60.0, 0.2
+#: Velocity that directions may lack where no time tells the Earth's, km/s.
+ANY_VELOCITY = 20.0
 #: Frames that a change over them needs.
 FEWEST_FRAMES = 20
 #: Spread of a quantity below which nothing can depend on it.
@@ -54,6 +58,8 @@ SAME = 1e-9
 class Quantities:
     """Numbers of the stars and frames of a fitted set that fields are made of; None where the set has none, with the reason.
 
+    `velocity`: (n_exposures, 3, n_velocities) of the observer in units of c that may be left out.
+
     `magnitude`, `colour`: (n_stars,) about their mean. `time`, `temperature`: (n_frames,) within -1 and 1. `rate`: (n_exposures, 3)
     angular rate about the axes of the triad, rad/s, zero where it is not known.
     """
@@ -63,6 +69,7 @@ class Quantities:
     time: FloatArray | None
     temperature: FloatArray | None
     rate: FloatArray | None
+    velocity: FloatArray
     missing: dict[str, str]
 
 
@@ -75,7 +82,7 @@ def find_departures(fitted: FittedSet) -> tuple[list[Departure], dict[str, str]]
         Departure("affine", "detector", _affine),
         Departure("lens", "detector", _lens),
         Departure("phase", "detector", _phase),
-        Departure("aberration", "sky", _aberration),
+        Departure("aberration", "sky", partial(_aberration, known.velocity)),
     ]
     for name, values in (("magnitude", known.magnitude), ("colour", known.colour)):
         if values is not None:
@@ -99,7 +106,7 @@ def find_quantities(fitted: FittedSet) -> Quantities:
         found[name] = None if isinstance(values, str) else values
         if isinstance(values, str):
             missing[name] = values
-    return Quantities(**found, missing=missing)
+    return Quantities(**found, velocity=_velocity(fitted), missing=missing)
 
 
 def _magnitude(fitted: FittedSet) -> FloatArray | str:
@@ -183,6 +190,19 @@ def _rate(fitted: FittedSet) -> FloatArray | str:
     return np.asarray(total / np.maximum(count, 1)[:, None])
 
 
+def _velocity(fitted: FittedSet) -> FloatArray:
+    """Velocities in units of c that directions may lack, (n_exposures, 3, n_velocities)."""
+    arcs, telemetry = fitted.arcs, fitted.telemetry
+    rows = arcs.source_row[arcs.star_start[:-1]]
+    time = None if telemetry.time_utc is None else telemetry.time_utc[rows]
+    if time is None or np.isnat(time).any():
+        return np.broadcast_to(ANY_VELOCITY * 1e3 / C_M_S * np.eye(3), (arcs.n_exposures, 3, 3))
+    found = [earth_state(days_since_j2000(time))[1] / C_AU_DAY]
+    if telemetry.velocity_m_s is not None:
+        found.append(np.nan_to_num(telemetry.velocity_m_s[rows]) / C_M_S)
+    return np.stack(found, axis=-1)
+
+
 SOURCES: dict[str, Callable[[FittedSet], FloatArray | str]] = {
     "magnitude": _magnitude,
     "colour": _colour,
@@ -253,9 +273,11 @@ def _with(values: FloatArray, block: Block) -> FloatArray:
     return _pairs((m, none), (none, m), (m * x, m * y))
 
 
-def _aberration(block: Block) -> FloatArray:
-    J = block.in_sky[1]
-    return np.ascontiguousarray(J.transpose(0, 2, 1))
+def _aberration(velocity: FloatArray, block: Block) -> FloatArray:
+    first = int(block.fitted.arcs.frame_start[block.first])
+    of_exposure = velocity[first : first + block.arcs.n_exposures]
+    v = np.repeat(of_exposure, np.diff(block.arcs.star_start), axis=0)
+    return np.asarray(np.einsum("nij,nic->njc", block.in_sky[1], v))
 
 
 def _readout(rate: FloatArray, block: Block) -> FloatArray:

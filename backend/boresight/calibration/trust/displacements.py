@@ -17,9 +17,9 @@ A camera that was fitted to stars displaced by c is off by
 
     d = z_fitted - z_true = -A^-1 H^T G c_hat,
 
-how far its parameters are wrong if this departure is real. The square of d in claimed sigmas, d^T A d, is by noise alone
-tr(A^-1 H^T G F^-1 G^T H) on average, which is taken off. A direction of c that the camera nearly has itself is hardly known and
-moves the parameters far; so only those directions of c are counted here that stand clear of the noise.
+how far its parameters are wrong if this departure is real. A direction of c that the
+camera nearly has itself is hardly known and moves the parameters far: what is told of d in claimed sigmas counts only those
+directions that stand clear of the noise.
 
 Three kinds of field have three kinds of rows: displaced centroids, pixels (J = -ds/d(principal point), for a camera knows a place
 only by its distance from it); directions displaced in the sky, rad east and north, where the arcs of the catalogue are what moves;
@@ -118,7 +118,7 @@ class Block:
         return s, np.ascontiguousarray(np.stack([east, np.cross(s, east)], axis=-1))
 
     def displace(self, u: FloatArray, kind: str) -> FloatArray:
-        """Whitened change (n_arcs, n_fields) of the arcs by displacements u (n_stars, 2, n_fields) on the detector or in the sky."""
+        """Whitened change (n_arcs, n_fields) of the arcs by displacements u (n_stars, 2, n_fields) of a kind."""
         s, J = self.on_detector if kind == "detector" else self.in_sky
         rows = np.empty((self.arcs.n_arcs, u.shape[2]))
         kernels.displaced_rows(self.arcs.star_start, s, J, self.arcs.band, np.ascontiguousarray(u), rows)
@@ -179,9 +179,9 @@ class Score:
 
     `statistic`: fall of chi-square in the noise found, and `dof` its degrees of freedom; `p`: chance of as much. `c`, `covariance`:
     (n_fields,) and (n_fields, n_fields) the coefficients, zero along directions that were left out. `d`: (n_free,) how far the
-    parameters are off if it is real, typical sigmas. `misled`: the same in claimed sigmas, along the combination of parameters that
-    is misled most, from the directions of c that stand clear of noise, less what noise does alone. `fall`, `left`: of chi-square, in
-    the stated noise, and what remains of it.
+    parameters are off if it is real, typical sigmas. `misled`: that of the parameter that is misled most, in its claimed sigmas,
+    from the directions of c that stand clear of noise; `shift`, `shift_covariance`: d from these alone, and its covariance. `fall`,
+    `left`: of chi-square, in the stated noise, and what remains of it.
     """
 
     name: str
@@ -194,6 +194,8 @@ class Score:
     misled: float
     fall: float
     left: float
+    shift: FloatArray
+    shift_covariance: FloatArray
 
 
 def add_up(fitted: FittedSet, departures: Sequence[Departure], most_frames: int | None = None) -> ScoreSums:
@@ -272,25 +274,20 @@ def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:
     k, left = int(known.sum()), sums.chi2 - float(sums.b @ P @ sums.b)
     freedom = sums.n_arcs - len(sums.A) - k
     if k == 0 or freedom < 1:
-        return Score(name, 0.0, 0, 1.0, np.zeros(len(s)), np.zeros(F.shape), np.zeros(len(P)), 0.0, 0.0, left)
+        none = np.zeros(len(P))
+        return Score(
+            name, 0.0, 0, 1.0, np.zeros(len(s)), np.zeros(F.shape), none, 0.0, 0.0, left, none, np.zeros_like(P)
+        )
     square = float(fall @ fall)
     noise = max(left - square, np.finfo(float).tiny) / freedom
     F_inverse = inverse @ inverse.T
     c, towards = inverse @ fall, -P @ G_H.T
     clear = np.abs(fall) >= min(CLEAR * np.sqrt(noise), float(np.abs(fall).max()))
-    by_clear = towards @ inverse[:, clear]
-    misled = by_clear @ fall[clear]
-    square_misled = float(misled @ sums.A @ misled) - noise * float(np.sum((by_clear @ by_clear.T) * sums.A))
+    moving = towards @ inverse[:, clear]
+    by_clear = moving @ fall[clear]
+    misled = float(np.max(np.abs(by_clear) / np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))))
     p = float(fdtrc(k, freedom, square / k / noise))
     return Score(
-        name,
-        square / noise,
-        k,
-        p,
-        c,
-        F_inverse * noise,
-        towards @ c,
-        float(np.sqrt(max(square_misled, 0.0))),
-        square,
-        left - square,
-    )
+        name, square / noise, k, p, c, F_inverse * noise, towards @ c, misled, square, left - square,
+        by_clear, moving @ moving.T * noise,
+    )  # fmt: skip

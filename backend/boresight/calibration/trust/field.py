@@ -51,7 +51,7 @@ from boresight.calibration.calibration import (
     ResidualOutliers,
 )
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, pixel_residuals
-from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested, probability
+from boresight.calibration.trust.fitted_set import UNLIKELY, FittedSet, Unavailable, nested, probability
 from boresight.calibration.trust.residuals import LEAST_SHARE, StarResiduals
 from boresight.estimation.statistics.special import bdtr, bdtrc, chdtrc, ndtr
 
@@ -61,7 +61,6 @@ FEWEST_CELLS, MOST_CELLS = 4, 16
 STARS_A_CELL = 15
 #: Stars that a cell needs for a mean.
 LEAST_STARS = 4
-UNLIKELY = 0.01
 
 
 def residual_field(fitted: FittedSet, found: StarResiduals) -> ResidualField:

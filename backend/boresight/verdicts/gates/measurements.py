@@ -49,6 +49,7 @@ from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Calibration, ChiSquareTest, InnovationTest
 from boresight.calibration.parameter_file import parse_parameters
 from boresight.calibration.trust.efficiency import field_arc_sigma
+from boresight.calibration.trust.trust_tests import KIND_OF_TEST, MATTERS
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
@@ -331,6 +332,29 @@ def _around_one(value: float, test: ChiSquareTest | InnovationTest, what: str) -
     )
 
 
+#: What a finding counts whose error in claimed sigmas is not known.
+UNKNOWN_SIZE = 1.0
+#: And at least, so that what was noticed is never taken for nothing.
+LEAST_SIZE = 1e-3
+NO_TESTS = "The run made no tests of the model: clone it and start it again to have them."
+
+
+def tests_of_model(name: str, inputs: GateInputs) -> Measurement:
+    """Measure the largest error that the noticed tests of a gate's kind tell of, in claimed sigmas; 0 where none noticed anything."""
+    if inputs.result is None or not inputs.result.tests:
+        return absent(NO_RUN if inputs.result is None else NO_TESTS)
+    made = [test for test in inputs.result.tests if test.name in KIND_OF_TEST and KIND_OF_TEST[test.name].gate == name]
+    noticed = [test for test in made if test.noticed]
+    if not made:
+        return absent("The set allows none of these tests: add frames, times or magnitudes.")
+    if not noticed:
+        return Measurement(0.0, f"None of {len(made)} tests notices anything (1 % over all tests of the set).")
+    size = max((UNKNOWN_SIZE if test.effect is None else test.effect) for test in noticed)
+    first = min(noticed, key=lambda test: test.probability)
+    more = f" {len(noticed)} of {len(made)} tests noticed something." if len(noticed) > 1 else ""
+    return Measurement(max(size, LEAST_SIZE), f"{first.sentence}{more}")
+
+
 def arc_uncertainty(inputs: GateInputs) -> Measurement:
     """Measure what the covariance does to an arc at the worst place of the detector."""
     worst, degrees = _worst_arc(inputs, inputs.candidate, inputs.x)
@@ -531,6 +555,46 @@ GATES = {
             measure=chi_square,
             limit=9.0,
             marginal=1.1,
+        ),
+        Gate(
+            "lens-structure",
+            "Lens structure",
+            "How far is the image from the camera model, where a test of lens, skew or readout notices it, in claimed sigmas?",
+            "below",
+            "σ",
+            measure=partial(tests_of_model, "lens-structure"),
+            limit=MATTERS,
+            marginal=0.0,
+        ),
+        Gate(
+            "stability",
+            "Stability",
+            "How far does the camera change over time or temperature, where a test notices it, in claimed sigmas?",
+            "below",
+            "σ",
+            measure=partial(tests_of_model, "stability"),
+            limit=MATTERS,
+            marginal=0.0,
+        ),
+        Gate(
+            "centroid-noise",
+            "Centroid noise",
+            "How far do noise, pixel phase, brightness and colour pull the parameters, where a test notices it, in claimed sigmas?",
+            "below",
+            "σ",
+            measure=partial(tests_of_model, "centroid-noise"),
+            limit=MATTERS,
+            marginal=0.0,
+        ),
+        Gate(
+            "identities",
+            "Identities and directions",
+            "How far do wrong stars or directions pull the parameters, where a test notices it, in claimed sigmas?",
+            "below",
+            "σ",
+            measure=partial(tests_of_model, "identities"),
+            limit=MATTERS,
+            marginal=0.0,
         ),
         Gate(
             "nis",

@@ -91,7 +91,7 @@ class ChoiceView:
 def make_choice_part(request: Request, session: Session, actor: Actor, run: Run) -> dict[str, Any]:
     """Gather what the part `choice` of `runs/run.html` shows."""
     asked = choices.find_choice_run(session, run.id)
-    view = ChoiceView(asked, _why_not(run, actor))
+    view = ChoiceView(asked, _why_not(session, run, actor, asked))
     if asked is None:
         return {"choice": view}
     if asked.state != "SUCCEEDED":
@@ -103,11 +103,12 @@ def make_choice_part(request: Request, session: Session, actor: Actor, run: Run)
     return {"choice": _of_answer(session, view, found, run), "held_out": held_out_error}
 
 
-def _why_not(run: Run, actor: Actor) -> str | None:
-    """Say why a person may not ask for a choice, or why nobody may."""
+def _why_not(session: Session, run: Run, actor: Actor, asked: Run | None) -> str | None:
+    """Say why a person may not ask for a choice or stop it, or why nobody may ask."""
     if "analyst" not in actor.roles:
         return "Only an analyst may have a camera chosen; ask an administrator for the role."
-    return choices.find_obstacle(run)
+    is_on_its_way = asked is not None and asked.state not in TERMINAL_RUN_STATES
+    return None if is_on_its_way else choices.find_obstacle(session, run)
 
 
 def _of_state(request: Request, session: Session, view: ChoiceView, asked: Run) -> ChoiceView:
