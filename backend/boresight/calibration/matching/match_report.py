@@ -31,8 +31,8 @@ from boresight.calibration.estimate import Asked, Estimate, Parameters, ReportEs
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.matched_frames import MatchedFrames
 from boresight.calibration.matching.rematch import Matches, pixel_rad
-from boresight.calibration.minima import LowerMinimum
 from boresight.calibration.matching.verification import MOST_LISTED
+from boresight.calibration.minima import LowerMinimum
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.sequence import finished, run_sequential, standing_frames
 from boresight.estimation.metrics import rms
