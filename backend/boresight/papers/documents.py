@@ -249,10 +249,10 @@ def table_document(table: Table) -> dict[str, Any]:
 
 
 def _row(row: Row) -> dict[str, Any]:
-    cells = [
-        {**asdict(cell), "verdict": cell.verdict, "factor": cell.factor if cell.verdict == BETTER else None}
-        for cell in row.cells
-    ]
+    cells = []
+    for cell in row.cells:
+        factor = cell.factor if cell.verdict == BETTER else None
+        cells.append({**asdict(cell), "verdict": cell.verdict, "factor": factor})
     judged = {"verdict": row.verdict, "holds": row.conclusion.holds, "left_out": row.left_out, "reason": row.reason}
     return {"label": row.label, **judged, "cells": cells}
 
