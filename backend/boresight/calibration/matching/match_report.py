@@ -127,7 +127,7 @@ class Estimation:
     def _settled_by_batch(self, first: Matched) -> CyclesEnd:
         """Find which of the given stars stand, by the batch."""
         batch = replace(self.settings, method="batch", variant="no-q")
-        return replace(self, first=first, settings=batch, listen=lambda *_: None)._fitted_in_cycles()  # noqa: SLF001 - its own
+        return replace(self, first=first, settings=batch, listen=lambda *_: None).fit_in_cycles()
 
     def _filtered_once(self, matched: Matched) -> CyclesEnd:
         """Run a filter over matches that stand."""
