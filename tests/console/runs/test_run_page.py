@@ -12,10 +12,13 @@ from boresight.console.runs.pages.run import PARTS
 from boresight.console.runs.queries import Line, write_event
 from boresight.console.runs.tables import RUN_STATES, RunEvent
 from boresight.figures import CHAPTERS, FIGURES
+from boresight.figures.example_calibration import get_example_calibrations
 from boresight.figures.tables import parameter_rows
 from boresight.platform.db.sessions import open_writing, utc_after, utc_now
 from boresight.verdicts.verdict import PART_JUDGES, PartVerdict, judge_parts, make_verdict_marks
 from tests.figures.examined import matching, shadow, trust
+
+EXAMPLES = get_example_calibrations()
 
 
 def test_the_head_says_the_verdict_and_the_weakest_direction_over_every_part(site, read, results):
@@ -42,6 +45,22 @@ def test_a_simulated_sensor_shows_the_truth_and_how_many_sigmas_off_it_is(site, 
     text = read(site.visitor("victor").get("/runs/1"))
     assert "(new − truth) / σ" in text
     assert "16.0267" in text
+
+
+def test_a_run_lists_what_it_assumed_and_what_the_data_say_of_the_noise(site, read):
+    example = EXAMPLES["batch"]
+    undeclared = replace(example.assumptions[0], declared=False, sentence="Nobody declared the readout.")
+    applied = replace(example.noise.terms[0], needed=True, applied=True, sentence="Noise level: 1.2 times: applied.")
+    noise = replace(example.noise, terms=[applied, *example.noise.terms[1:]], unavailable={"rate": "There is no rate."})
+    result = replace(example, assumptions=[undeclared, *example.assumptions[1:]], noise=noise)
+    run_id = site.add_run("batch", state="SUCCEEDED", result=result.to_dict())
+    victor = site.visitor("victor")
+    summary = read(victor.get(f"/runs/{run_id}"))
+    assert "Nobody declared the readout." in summary
+    assert all(one.sentence in summary for one in example.assumptions[1:])
+    trust_part = read(victor.get(f"/runs/{run_id}?part=trust"))
+    assert "Noise level: 1.2 times: applied." in trust_part
+    assert "There is no rate." in trust_part
 
 
 def test_a_parameter_that_was_not_free_is_said_to_be_not_estimated_below_the_advice(site, results):
