@@ -221,8 +221,8 @@ class Observability:
 class Robust:
     """A robust loss beside least squares on the same arcs.
 
-    `threshold`: in whitened sigmas of an arc (huber), or in measured sigmas of a star (stars). `downweighted`, `share`: arcs or stars
-    beyond it, and how many of all; `expected_share`: under Gaussian noise.
+    `threshold`: in whitened sigmas of an arc (huber), or in measured sigmas of a star (stars). `downweighted`, `share`: arcs or
+    stars beyond it, and how many of all; `expected_share`: under Gaussian noise.
     """
 
     threshold: float

@@ -241,9 +241,9 @@ def removed_rows(result: Calibration, most: int) -> list[RemovedRow]:
     ]
 
 
-def printed_probability(probability: float) -> str:
-    """Write a probability; below what a test can tell apart its bound."""
-    return f"{probability:.2g}" if probability >= LEAST_PROBABILITY else f"< {LEAST_PROBABILITY:.0e}"
+def printed_probability(probability: float, equals: str = "") -> str:
+    """Write a probability, after `equals`; below what a test can tell apart its bound."""
+    return f"{equals}{probability:.2g}" if probability >= LEAST_PROBABILITY else f"< {LEAST_PROBABILITY:.0e}"
 
 
 def removed_count(result: Calibration) -> str:
