@@ -274,7 +274,7 @@ def test_on_clean_data_the_view_says_that_least_squares_agrees_and_without_sigma
     estimate, sigma = _estimate(make_telemetry(1, frames=60), sensor, catalogue, robust="huber")
     view = to_plain(robust_view(estimate.robust, NAMES, sigma))
     assert view["share"] == pytest.approx(view["expected_share"], abs=0.02)
-    assert view["downweighted"] == round(view["share"] * estimate.robust.arcs)
+    assert view["downweighted"] == round(view["share"] * estimate.robust.judged)
     assert max(map(abs, view["shift_in_sigma"].values())) < 1
     assert "least squares agrees" in view["sentence"]
     estimate, sigma = _estimate(make_telemetry(3), sensor, catalogue, robust="huber")

@@ -219,7 +219,11 @@ class Observability:
 
 @dataclass(frozen=True, kw_only=True)
 class Robust:
-    """Huber's loss beside least squares on the same arcs; `threshold` in whitened sigmas."""
+    """A robust loss beside least squares on the same arcs.
+
+    `threshold`: in whitened sigmas of an arc (huber), or in measured sigmas of a star (stars). `downweighted`, `share`: arcs or
+    stars beyond it, and how many of all; `expected_share`: under Gaussian noise.
+    """
 
     threshold: float
     downweighted: int

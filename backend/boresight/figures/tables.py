@@ -321,15 +321,15 @@ def removed_rows(result: Calibration, most: int) -> list[RemovedRow]:
         RemovedRow(
             (count(one.row), count(one.frame), count(one.exposure), "–" if one.star_id is None else str(one.star_id)),
             one.reason,
-            "–" if one.probability is None else _least_shown(one.probability),
+            "–" if one.probability is None else printed_probability(one.probability),
         )
         for one in result.removed[:most]
     ]
 
 
-def _least_shown(probability: float) -> str:
-    """Write a probability; below what a test can tell apart its bound."""
-    return f"{probability:.2g}" if probability >= LEAST_PROBABILITY else f"< {LEAST_PROBABILITY:.0e}"
+def printed_probability(probability: float, equals: str = "") -> str:
+    """Write a probability, after `equals`; below what a test can tell apart its bound."""
+    return f"{equals}{probability:.2g}" if probability >= LEAST_PROBABILITY else f"< {LEAST_PROBABILITY:.0e}"
 
 
 def removed_count(result: Calibration) -> str:

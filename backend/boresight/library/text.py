@@ -55,13 +55,15 @@ MOST_REMOVED = 5
 
 def _removed(found: Calibration) -> Iterator[str]:
     """Say how many proposed stars were removed, and name the first."""
+    from boresight.figures.tables import printed_probability
+
     of = found.removed_of
     if of is None or not of.removed:
         return
     yield f"removed: {of.removed:,} of {of.proposed:,} proposed stars"
     for one in found.removed[:MOST_REMOVED]:
         star = "" if one.star_id is None else f", HIP {one.star_id}"
-        chance = "" if one.probability is None else f" (p = {one.probability:.1g})"
+        chance = "" if one.probability is None else f" (p {printed_probability(one.probability, '= ')})"
         yield f"  row {one.row}, frame {one.frame}, exposure {one.exposure}{star}: {one.reason}{chance}"
     if of.removed > MOST_REMOVED:
         yield f"  and {of.removed - MOST_REMOVED:,} more; --json writes them"

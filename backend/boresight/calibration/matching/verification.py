@@ -61,6 +61,8 @@ from boresight.sky.matching import GATE
 
 #: Of clean sets the share that loses any star, and the largest share of the stars of a small one.
 FAMILY_LEVEL, LARGEST_LEVEL = 0.01, 1e-4
+#: Statistic beyond which a probability would be written as zero, which none is.
+LARGEST_T = 1400.0
 #: Stated centroid noise is believed so many times before there is an estimate to measure it by.
 START_NOISE = 3.0
 #: Share of a correction that its first order misses: 2 px where a ground calibration is 20 px off, little after an estimate.
@@ -158,7 +160,7 @@ def _verify_block(block: ArcSet, how: Verification) -> Refusals:
         how.limit, START_BENT if how.before_estimate else BENT, use, voted, t,
     )  # fmt: skip
     out = ~use
-    probability = np.where(np.isfinite(t), np.exp(-t / 2), np.nan)
+    probability = np.where(np.isfinite(t), np.exp(-np.minimum(t, LARGEST_T) / 2), np.nan)
     return Refusals(part.source_row[out], ~voted[out], probability[out])
 
 
