@@ -106,6 +106,11 @@ def _scores(found: Calibration) -> Iterator[tuple[str, str]]:
         yield "minima", found.minima.sentence
     if found.chi2 is not None:
         yield "chi2 per degree of freedom", _test(found.chi2_per_dof, found.chi2)
+    if found.tests:
+        yield (
+            "tests of the model",
+            f"{sum(test.noticed for test in found.tests)} of {len(found.tests)} noticed something",
+        )
     if found.nis is not None and found.method != "batch":
         yield "innovations (NIS)", _test(found.nis.mean, found.nis)
     if (seen := found.observability) is not None:
