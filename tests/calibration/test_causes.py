@@ -1,6 +1,7 @@
 """Tests of trust as one family, and the causes that explain them: false alarms, first advice, size, coverage."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from boresight.calibration.calibration import Coverage
 from boresight.calibration.trust import trust_advice
 from boresight.calibration.trust.causes import CAUSES
 from boresight.calibration.trust.fitted_set import FAMILY_LEVEL, UNLIKELY
-from boresight.calibration.trust.trust_tests import TRUST_TESTS, adjust
+from boresight.calibration.trust.trust_tests import KIND_OF_TEST, MATTERS, TRUST_TESTS, adjust
 from boresight.verdicts.gates.measurements import GATES
 from boresight.verdicts.verdict import make_verdict
 from tests.calibration.sets import case, field, simulated
@@ -100,6 +101,23 @@ def test_a_wrong_sigma_trips_the_test_of_noise_and_no_other_displacement(sensor,
     assert "chi_square" in noticed
     assert not noticed & {"tangential", "radial", "affine", "lens", "phase", "time", "drift", "aberration"}
     assert told.causes[0].sentence.startswith("The centroid noise is 2.2 times the stated one")
+
+
+def test_what_moves_stars_by_next_to_nothing_is_noticed_in_a_very_large_set_and_fails_nothing():
+    def effect(fall, n_arcs):
+        sums = SimpleNamespace(A=np.eye(8), n_arcs=n_arcs)
+        score = SimpleNamespace(dof=2, p=1e-30, fall=fall, misled=50.0)
+        return dict(outcome(SimpleNamespace(scores={"tangential": score, "phase": score}, sums=sums)))
+
+    def outcome(examined):
+        return [(name, KIND_OF_TEST[name].ask(examined)[1]) for name in ("tangential", "phase")]
+
+    assert effect(402.0, 10_000) == {
+        "tangential": pytest.approx(np.sqrt(400 / 8)),
+        "phase": 50.0,
+    }  # a fifth of the noise
+    assert effect(402.0, 1_000_000) == {"tangential": MATTERS, "phase": MATTERS}  # a fiftieth
+    assert effect(10.0, 1_000_000)["tangential"] == pytest.approx(1.0)
 
 
 def test_stars_in_one_quarter_of_the_detector_are_said_with_the_error_elsewhere_though_no_direction_is_weak(catalogue):

@@ -20,12 +20,14 @@ from boresight.figures.charts.matching import why_no_matching
 from boresight.figures.style.theme import LIGHT_TEMPLATE, TOKENS, declared
 from boresight.figures.tables import (
     HEADINGS,
+    cause_rows,
     flight_rows,
     flight_tolerance,
     interval_rows,
     match_counts,
     match_facts,
     minimum_rows,
+    model_test_rows,
     printed_rows,
     reason_tables,
     side_by_side,
@@ -81,6 +83,8 @@ def render_report(result: Calibration, *, four_eyes: bool = True) -> str:
 def _examined(result: Calibration) -> dict[str, Any]:
     return {
         "trust_marks": trust_marks(result),
+        "model_tests": model_test_rows(result),
+        "causes": cause_rows(result),
         "why_no_trust": why_absent(result, ""),
         "prospects": prospects(result),
         "stars": star_rows(result)[:MOST_STARS],

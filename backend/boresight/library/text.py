@@ -79,12 +79,16 @@ def verdict(found: Calibration) -> str:
 
 def _scores(found: Calibration) -> Iterator[tuple[str, str]]:
     yield "RMS arc error", _pair(found.rms_arc_rad)
-    if found.misfit is not None:
-        yield "misfit", found.misfit.sentence
-    if found.minima is not None:
-        yield "minima", found.minima.sentence
+    for name, part in (("misfit", found.misfit), ("minima", found.minima)):
+        if part is not None:
+            yield name, part.sentence
     if found.chi2 is not None:
         yield "chi2 per degree of freedom", _test(found.chi2_per_dof, found.chi2)
+    if found.tests:
+        yield (
+            "tests of the model",
+            f"{sum(test.noticed for test in found.tests)} of {len(found.tests)} noticed something",
+        )
     if found.nis is not None and found.method != "batch":
         yield "innovations (NIS)", _test(found.nis.mean, found.nis)
     if (seen := found.observability) is not None:

@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.calibration.calibration import Cause, Misfit, Trust, TrustTest, Values
+from boresight.calibration.calibration import Cause, ModelMisfit, Trust, TrustTest, Values
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
@@ -82,7 +82,7 @@ OF_THE_RESIDUALS: dict[str, Callable[[FittedSet, StarResiduals], Any]] = {
 }
 OF_THE_STARS = (*OF_THE_RESIDUALS, "stars", "residual_against")
 #: Frames that the score tests look at, in blocks spread over the set: a pass over many stars a departure.
-MOST_TESTED = 2_304
+MOST_TESTED = 1_792
 SINGULAR = "The numbers of this fit are too close to singular: free fewer parameters."
 
 
@@ -97,7 +97,7 @@ class Examination:
     tests: list[TrustTest]
     causes: list[Cause]
     sigma_with_misfit: Values[float | None] = dataclasses.field(default_factory=Values)
-    misfit: Misfit | None = None
+    misfit: ModelMisfit | None = None
 
 
 def judge_trust(
