@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boresight.calibration.calibrate import select_free_parameters
-from boresight.calibration.calibration import Calibration, Covariance, Misfit, Values
+from boresight.calibration.calibration import Calibration, Covariance, ModelMisfit, Values
 from boresight.calibration.estimate import run_batch
 from boresight.calibration.evaluation.contrast import read_covariance
 from boresight.calibration.options import CalibrationSettings
@@ -209,7 +209,7 @@ def test_what_decides_reads_the_sigmas_with_misfit_and_an_older_calibration_its_
         covariance=Covariance(names=["f_m"], matrix=[[1e-12]]),
     )  # fmt: skip
     wide = Covariance(names=["f_m"], matrix=[[9e-12]])
-    misfit = Misfit(covariance=wide, factor=Values({"f_m": 3.0}), blocks=0, sentence="")
+    misfit = ModelMisfit(covariance=wide, factor=Values({"f_m": 3.0}), blocks=0, sentence="")
     new = replace(old, sigma_with_misfit=Values({"f_m": 3e-6}), misfit=misfit)
     assert (old.reliable_sigma["f_m"], new.reliable_sigma["f_m"]) == (1e-6, 3e-6)
     assert read_covariance(old, ["f_m"])[0, 0] == 1e-12

@@ -331,7 +331,7 @@ class Cause:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Misfit:
+class ModelMisfit:
     """How much wider than noise alone makes them the sigmas are for what the model does not hold.
 
     `covariance`: SI, of the estimate with it. `factor`: by parameter. `blocks`: of frames that disagree by more than noise, 0 where
@@ -1085,7 +1085,7 @@ class Calibration:
     tests: list[TrustTest] = field(default_factory=list)
     causes: list[Cause] = field(default_factory=list)
     sigma_with_misfit: Values[float | None] = field(default_factory=Values)
-    misfit: Misfit | None = None
+    misfit: ModelMisfit | None = None
     minima: Minima | None = None
     noise: Noise | None = None
     assumptions: list[Assumption] = field(default_factory=list)

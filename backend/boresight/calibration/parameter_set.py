@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.calibration.calibration import Misfit, ResidualSpline, Values, parse_part
+from boresight.calibration.calibration import ModelMisfit, ResidualSpline, Values, parse_part
 from boresight.errors import RefusedInputError
 
 
@@ -26,7 +26,7 @@ class ParameterSetDocument:
     sigma: Values[float | None] | None = None
     covariance: dict[str, Any] | None = None
     sigma_with_misfit: Values[float | None] | None = None
-    misfit: Misfit | None = None
+    misfit: ModelMisfit | None = None
     free: list[str] | None = None
     method: str | None = None
     variant: str | None = None

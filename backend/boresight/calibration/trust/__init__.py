@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.calibration.calibration import Cause, Misfit, Trust, TrustTest, Values
+from boresight.calibration.calibration import Cause, ModelMisfit, Trust, TrustTest, Values
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
@@ -97,7 +97,7 @@ class Examination:
     tests: list[TrustTest]
     causes: list[Cause]
     sigma_with_misfit: Values[float | None] = dataclasses.field(default_factory=Values)
-    misfit: Misfit | None = None
+    misfit: ModelMisfit | None = None
 
 
 def judge_trust(

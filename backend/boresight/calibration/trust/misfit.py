@@ -43,7 +43,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.calibration.calibration import Covariance, Misfit, TrustTest, Values
+from boresight.calibration.calibration import Covariance, ModelMisfit, TrustTest, Values
 from boresight.calibration.estimate import covariance
 from boresight.calibration.trust.displacements import Score, ScoreSums, find_score
 from boresight.calibration.trust.fitted_set import FittedSet
@@ -194,7 +194,7 @@ def _noise(sums: ScoreSums, score: Score) -> float:
 
 def find_misfit(
     fitted: FittedSet, sums: ScoreSums, scores: Mapping[str, Score], tests: Sequence[TrustTest]
-) -> tuple[Values[float | None], Misfit] | None:
+) -> tuple[Values[float | None], ModelMisfit] | None:
     """Widen the sigmas of a fit: those with misfit, SI, and where they come from; None where a direction is not determined."""
     if not fitted.determined or not np.isfinite(fitted.estimate.P).all():
         return None
@@ -204,7 +204,7 @@ def find_misfit(
         return None
 
 
-def describe_misfit(fitted: FittedSet, found: Widening) -> tuple[Values[float | None], Misfit]:
+def describe_misfit(fitted: FittedSet, found: Widening) -> tuple[Values[float | None], ModelMisfit]:
     """Put a widening into the form of a calibration."""
     parameters, names = fitted.parameters, fitted.problem.camera.parameter_names
     noise = np.sqrt(np.diag(fitted.estimate.P))
@@ -215,7 +215,7 @@ def describe_misfit(fitted: FittedSet, found: Widening) -> tuple[Values[float | 
     for p, one, times in zip(parameters.free, wide * parameters.scale, factor, strict=True):
         sigma[names[p]], by_name[names[p]] = float(one), float(times)
     matrix = parameters.covariance(found.P).tolist()
-    return Values(sigma), Misfit(
+    return Values(sigma), ModelMisfit(
         covariance=Covariance(names=fitted.names, matrix=matrix),
         factor=Values(by_name),
         blocks=found.blocks,
@@ -223,7 +223,7 @@ def describe_misfit(fitted: FittedSet, found: Widening) -> tuple[Values[float | 
     )
 
 
-def misfit_advice(found: Misfit | None) -> list[str]:
+def misfit_advice(found: ModelMisfit | None) -> list[str]:
     """What a person should know of a widening that changes decisions."""
     factors = [] if found is None else [one for one in found.factor.values() if one is not None]
     return [found.sentence] if found is not None and max(factors, default=1.0) >= WIDE else []

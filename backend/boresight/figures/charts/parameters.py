@@ -18,6 +18,7 @@ from boresight.verdicts.history import free_names
 from boresight.verdicts.numbers import quantity
 
 SIGNIFICANT = 3.0
+WIDER = 1.05  # a bar of noise alone is drawn inside that with misfit where it is shorter by more
 FLOOR = 0.1  # the log axis starts here: a smaller change cannot be seen in the noise at all
 
 
@@ -29,7 +30,8 @@ def draw(drawn: Sequence[Part[Calibration]]) -> go.Figure:
         shown = [name for name in names if name in free_names(result)]
         figure.add_trace(_bars(result, shown, style, labelled=len(drawn) == 1), row=1, col=1)
         figure.add_trace(_points(result, shown, style), row=1, col=2)
-        figure.add_trace(_noise(result, shown, style), row=1, col=2)
+        if result.misfit is not None and any((one or 1.0) > WIDER for one in result.misfit.factor.values()):
+            figure.add_trace(_noise(result, shown, style), row=1, col=2)
     _dress(figure, drawn, len(names))
     return figure
 
