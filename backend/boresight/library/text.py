@@ -103,6 +103,21 @@ def _scores(found: Calibration) -> Iterator[tuple[str, str]]:
     for name, part in (("misfit", found.misfit), ("minima", found.minima)):
         if part is not None:
             yield name, part.sentence
+    yield from _statistics(found)
+    if found.matching is not None:
+        yield "matches", _matches(found.matching)
+    for name, scores in (("calibration set", found.evaluation), ("validation set", found.validation)):
+        if scores is not None:
+            yield f"{name}, availability", _share(scores)
+            yield f"{name}, RMS", _pair(scores.rms_arc_rad)
+    if found.alignment is not None:
+        yield "C_SD", found.alignment.sentence
+    yield from _noise(found)
+    yield from _assumed(found)
+
+
+def _statistics(found: Calibration) -> Iterator[tuple[str, str]]:
+    """Name what the residuals, the tests and the information say."""
     if found.chi2 is not None:
         yield "chi2 per degree of freedom", _test(found.chi2_per_dof, found.chi2)
     if found.tests:
@@ -116,16 +131,6 @@ def _scores(found: Calibration) -> Iterator[tuple[str, str]]:
         number = seen.condition_number
         yield "condition number", "infinite" if number is None else f"{number:,.4g}"
         yield "weakest direction", seen.weakest.sentence
-    if found.matching is not None:
-        yield "matches", _matches(found.matching)
-    for name, scores in (("calibration set", found.evaluation), ("validation set", found.validation)):
-        if scores is not None:
-            yield f"{name}, availability", _share(scores)
-            yield f"{name}, RMS", _pair(scores.rms_arc_rad)
-    if found.alignment is not None:
-        yield "C_SD", found.alignment.sentence
-    yield from _noise(found)
-    yield from _assumed(found)
 
 
 def _noise(found: Calibration) -> Iterator[tuple[str, str]]:
