@@ -37,7 +37,7 @@ _MODELS = 4
 _SQUARINGS = 40
 _ALONE = 1e-15  # share of the trace beside the largest eigenvalue that is rounding
 
-_part, _inlined = part(fastmath=FAST), part(fastmath=FAST, forceinline=True)
+_part = part(fastmath=FAST)
 
 
 @_part
@@ -92,7 +92,7 @@ def _catalogue_products(s, sigma, model, wanted, prefix, sums, A, P, value, valu
                 _add_multiple(T[t, r], T, t, 3 * c, r + 1, products, r)
 
 
-@_inlined
+@_part
 def _add_multiple(weight, T, t, first, last, products, r):
     """Add a multiple of a stretch of row t of T to row r; places without a sign need no look at whether they count from the end."""
     if weight != 0.0:
