@@ -77,7 +77,7 @@ def brown(x: Any, s: Any, pitch: float) -> tuple[Any, Any]:
 class Optics:
     """A star tracker: its camera with the truth, what its file says, its detector and noise; `truth` in the camera's order, SI.
 
-    `window`: the part of either side, from the origin on, on which stars are seen.
+    `window`: the part of either side, from the origin on, on which stars are seen; `faintest`: magnitude, Hp.
     """
 
     camera: str
@@ -90,6 +90,7 @@ class Optics:
     noise_px: float
     stars: int
     window: float = 1.0
+    faintest: float = FAINTEST
 
     def forward(self, x: Any, s: Any) -> tuple[Any, Any]:
         """Project directions."""
@@ -105,7 +106,7 @@ class Optics:
         return {
             "name": "SIMULATED", "camera_model": self.camera, "parity": 1, "centroid_sigma_px": self.noise_px,
             "detector": {"rows": self.size[0], "columns": self.size[1], "pixel_pitch_m": self.pitch_m},
-            "initial": self.start, "typical_sigma": self.typical_sigma, "magnitude_limit": 6.0,
+            "initial": self.start, "typical_sigma": self.typical_sigma, "magnitude_limit": self.faintest + 0.2,
         }  # fmt: skip
 
 
@@ -125,7 +126,7 @@ PINHOLE = replace(
     typical_sigma=dict(zip(BROWN, (2e-4, 8e-6, 10.0, 10.0, 1e-2, 0.1), strict=True)),
 )  # fmt: skip
 SPARSE = replace(
-    ST16, size=(768, 1024), pitch_m=6.9e-6, noise_px=0.13, stars=19,
+    ST16, size=(768, 1024), pitch_m=6.9e-6, noise_px=0.13, stars=20, faintest=6.8,
     truth=dict(zip(WANG, (0.0351, 380.0, 518.0, 0.0, 30.0, 1e-3, -1e-3, 1.0001), strict=True)),
     start=dict(zip(WANG, (0.035, 383.5, 511.5, 0.0, 0.0, 0.0, 0.0, 1.0), strict=True)),
     typical_sigma=dict(zip(WANG, (3e-4, 10.0, 10.0, 1e6, 100.0, 5e-3, 5e-3, 2e-4), strict=True)),
@@ -262,7 +263,7 @@ class Scene:
 
 def simulate(optics: Optics, frames: int, rng: np.random.Generator, exposures: int = 2) -> Scene:
     """Simulate a clean set."""
-    stars = sky(FAINTEST)
+    stars = sky(optics.faintest)
     # the orbit's plane, in which the satellite's velocity turns
     along, across = turns(rng.normal(size=(1, 3)))[0][:2]
     taken: list[dict[str, Any]] = []
