@@ -152,7 +152,7 @@ def drift(one: Set, px: float) -> Telemetry:
 def magnitude(one: Set, px: float) -> Telemetry:
     """Charge that lags behind along the columns, the fainter the star the more."""
     assert one.telemetry.magnitude is not None
-    given = np.nan_to_num(one.telemetry.magnitude, nan=np.nanmean(one.telemetry.magnitude))
+    given = np.nan_to_num(one.telemetry.magnitude, nan=float(np.nanmean(one.telemetry.magnitude)))
     return one.moved(0.0, px * (given - given.mean()) / np.ptp(given) * 2)
 
 
@@ -287,7 +287,9 @@ def _on_detector(sensor: Sensor, telemetry: Telemetry) -> Telemetry:
     inside = (np.abs(telemetry.row_px - (sensor.rows - 1) / 2) < sensor.rows / 2) & (
         np.abs(telemetry.col_px - (sensor.columns - 1) / 2) < sensor.columns / 2
     )
-    arrays = {name: value[inside] for name, value in vars(telemetry).items() if isinstance(value, np.ndarray)}
+    arrays: dict[str, Any] = {
+        name: value[inside] for name, value in vars(telemetry).items() if isinstance(value, np.ndarray)
+    }
     return replace(telemetry, **arrays)
 
 

@@ -304,13 +304,13 @@ def test_the_residual_grows_with_the_temperature_and_a_noisier_part_lies_outside
     assert slope == pytest.approx(700 * 5e-7 / 0.016, abs=4 * slope_sigma + 0.008)
     good = simulated(catalogue, 1, 120).telemetry
     rng = np.random.default_rng(5)
-    bad = good.frame >= 90
+    bad = good.frame >= 60
     good.row_px[bad] += 0.6 * rng.normal(size=bad.sum())
     part = case(good, st16_sensor(1), catalogue).trust["nis_over_time"]
     assert not part["consistent"]
     assert "do not follow one another as by chance" in part["sentence"]
     outside = np.array(part["nis_per_dof"]) > np.array(part["upper"])
-    assert outside[-25:].mean() > 3 * outside[:80].mean()
+    assert outside[-50:].mean() > 3 * outside[:50].mean()
 
 
 def _line(x, y, sigma):

@@ -282,6 +282,14 @@ def test_a_damaged_summary_is_a_damaged_row_of_its_lists_and_keeps_no_run_waitin
         assert len(list_timed_runs(session, "batch")) == 0  # none here told its time, and reading them refuses nothing
 
 
+def test_a_damaged_progress_is_told_on_the_runs_page_and_refuses_no_list(site, read):
+    running = site.add_run(state="RUNNING", progress={"fraction": "half"}, started_utc=NOW)
+    ada = site.visitor("ada")
+    assert f'href="/runs/{running}"' in ada.get("/runs")
+    assert ada.send("GET", f"/api/v1/runs/{running}").status_code == 200
+    assert "cannot be read (fraction" in read(ada.get(f"/runs/{running}"))
+
+
 @pytest.mark.parametrize(
     "quality", [{"time": 3}, {"verdict": "normal", "frames": "many"}, {"temperature_c": {"smallest": 1}}]
 )

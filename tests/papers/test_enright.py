@@ -52,7 +52,7 @@ def test_the_printed_numbers_are_what_the_papers_text_makes_of_them_or_not():
 
 
 def cell(printed_value, ours, **extra):
-    return Cell("column", "unit", printed_value, ours, **extra)
+    return Cell("column", "unit", printed_value, ours, **{"cause": "unstated setting"} | extra)
 
 
 @pytest.mark.parametrize(
@@ -75,6 +75,10 @@ def cell(printed_value, ours, **extra):
         (cell(-100.0, 30.0, low=-120.0, high=120.0, error=40.0), "reproduced"),
         (cell(100.0, 100.0, published=False), "data not published"),
         (cell(100.0, None, published=False), "data not published"),
+        (cell(100.0, 201.0, cause="no orbital data"), "data not published"),
+        (cell(100.0, 201.0, cause="no field data"), "data not published"),
+        (cell(100.0, 201.0, cause="erratum"), "not reproduced"),
+        (cell(100.0, 200.0, cause="no orbital data"), "in kind"),
         (cell(100.0, -100.0), "not reproduced"),
         (cell(-0.10, 0.02, low=-0.2, high=0.2), "reproduced"),
         (cell(16.031, 16.039), "reproduced"),

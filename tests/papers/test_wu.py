@@ -165,7 +165,13 @@ def test_the_head_counts_every_printed_number_once(study):
         for value in row
     ]
     theirs += [value for key, row in printed.TABLE_4.items() if key != ("B", "mean") for value in row]
-    theirs += [*printed.TABLE_3_TIME, *printed.TABLE_4_TIME, *printed.FIELD.values(), printed.SAVING_PERCENT]
+    theirs += [
+        *printed.TABLE_3_TIME,
+        *printed.TABLE_4_TIME,
+        *printed.FIELD.values(),
+        printed.IMAGES,
+        printed.SAVING_PERCENT,
+    ]
     for repeated in (
         0.465,
         0.465,
@@ -185,7 +191,7 @@ def test_the_head_counts_the_full_r_at_the_implied_noise_and_the_statements_of_n
     rows = [row for table in study["tables"][:3] for row in table["rows"]]
     assert {row["label"][-15:] for row in rows if not row["left_out"]} == {" full R, 0.2 px"}
     assert {row["left_out"] for row in rows if " R, " in row["label"]} == {"", "variant"}
-    assert sum(study["statements"].values()) == (8 + 2 + 5) + 1 + 5
+    assert sum(study["statements"].values()) == (8 + 2 + 5) + 2 + 5
 
 
 def test_an_error_that_is_far_smaller_than_the_printed_one_is_better_by_the_ratio_of_the_two(study):
@@ -198,7 +204,7 @@ def test_an_error_that_is_far_smaller_than_the_printed_one_is_better_by_the_rati
 
 
 def test_the_field_experiment_is_beside_a_simulation_with_its_stars_and_its_criterion_b(study):
-    (row,) = study["tables"][3]["rows"]
+    row, _ = study["tables"][3]["rows"]
     mean, deviation, stars, images = row["cells"]
     assert {cell["verdict"] for cell in row["cells"]} == {"data not published"}
     assert mean["ours"] == pytest.approx(8.33)
@@ -286,7 +292,9 @@ def test_the_grid_holds_the_fifteen_printed_means_and_names_the_nearest_and_ours
         if (record["set"], record["magnitude_limit"], record["noise_px"]) == (0, 5.5, 0.2)
         and (record["estimator"], record["weights"]) == ("svd-4-23", "diagonal")
     )
-    (same,) = (one for one in found["settings"] if (one["R"], one["P₀"], one["Q"]) == ("diagonal", "ours", 0.0))
+    (same,) = (
+        one for one in found["settings"] if (one["R"], one["P₀"], one["Q in precisions"]) == ("diagonal", "ours", 0.0)
+    )
     assert same["mean"]["svd-4-23 5.5"] == pytest.approx(diagonal["A"][0], rel=0.05)
 
 
@@ -341,7 +349,7 @@ def test_the_report_holds_every_table_figure_and_finding_and_every_row_fills_its
     html = report.render(study)
     assert re.findall(r'data-table="([^"]+)"', html) == ["2", "3", "4", "4.2", "4 (time)", "3 (time)"]
     assert re.findall(r'data-figure="(\w+)"', html) == ["3", "4", "6a", "6b", "8"]
-    assert html.count("<blockquote>") == len(study["findings"]) == 8
+    assert html.count("<blockquote>") == len(study["findings"]) == 9
     assert "A quick run" in html
     assert not re.search(r'(src|href)="', html.partition("<script>")[0])
     for table in re.findall(r"<table data-table.*?</table>", html, re.DOTALL):

@@ -219,7 +219,11 @@ class Observability:
 
 @dataclass(frozen=True, kw_only=True)
 class Robust:
-    """Huber's loss beside least squares on the same arcs; `threshold` in whitened sigmas."""
+    """A robust loss beside least squares on the same arcs.
+
+    `threshold`: in whitened sigmas of an arc (huber), or in measured sigmas of a star (stars). `downweighted`, `share`: arcs or
+    stars beyond it, and how many of all; `expected_share`: under Gaussian noise.
+    """
 
     threshold: float
     downweighted: int
@@ -327,10 +331,11 @@ class Cause:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Misfit:
+class ModelMisfit:
     """How much wider than noise alone makes them the sigmas are for what the model does not hold.
 
-    `covariance`: SI, of the estimate with it. `factor`: by parameter. `blocks`: of frames that the estimate was made from.
+    `covariance`: SI, of the estimate with it. `factor`: by parameter. `blocks`: of frames that disagree by more than noise, 0 where
+    none do.
     """
 
     covariance: Covariance
@@ -341,7 +346,10 @@ class Misfit:
 
 @dataclass(frozen=True, kw_only=True)
 class Minimum:
-    """A place where chi-square is lowest among its neighbours: parameters, SI, and how far above the best."""
+    """A place where chi-square, or a robust loss, is lowest among its neighbours.
+
+    `parameters`: SI. `chi2_above_best`: how far it lies above the lowest, each under its own weights.
+    """
 
     parameters: Values[float]
     chi2_above_best: float
@@ -358,7 +366,10 @@ class ProfileInterval:
 
 @dataclass(frozen=True, kw_only=True)
 class Minima:
-    """What a search from many starts found, the best first, and the intervals of the parameters that are not symmetric."""
+    """What a search from many starts found, the best first, and the intervals of the parameters that are not symmetric.
+
+    `taken_from`: what led to the minimum that was taken up, empty where the usual start had ended in it.
+    """
 
     starts: int
     found: list[Minimum] = field(default_factory=list)
@@ -1032,6 +1043,7 @@ class Calibration:
     """A calibration, ended or on its way (`running`).
 
     `parameters`, `sigma`, `initial`, `typical_sigma`: SI by name; a sigma is None where it was not estimated or is not determined.
+    `sigma` is of noise alone, `sigma_with_misfit` is that widened by what the model does not hold: decide by the second.
     `delta_over_sigma`: estimate less start over sigma. `rms_arc_rad`: unweighted, on common pairs. `pairs`: arcs, two a star less
     three an exposure. `frames_done`: of a filter on its way. `timing_s`: by stage.
     """
@@ -1073,7 +1085,7 @@ class Calibration:
     tests: list[TrustTest] = field(default_factory=list)
     causes: list[Cause] = field(default_factory=list)
     sigma_with_misfit: Values[float | None] = field(default_factory=Values)
-    misfit: Misfit | None = None
+    misfit: ModelMisfit | None = None
     minima: Minima | None = None
     noise: Noise | None = None
     assumptions: list[Assumption] = field(default_factory=list)
@@ -1092,6 +1104,16 @@ class Calibration:
     timing_s: dict[str, float | None] = field(default_factory=dict)
     stars_off_detector: StarsOffDetector | None = None
     frames_done: int | None = None
+
+    @property
+    def reliable_covariance(self) -> Covariance:
+        """The covariance to decide by: with misfit where that is known, else of noise alone."""
+        return self.covariance if self.misfit is None else self.misfit.covariance
+
+    @property
+    def reliable_sigma(self) -> Values[float | None]:
+        """The sigmas to decide by: with misfit where that is known, else of noise alone."""
+        return self.sigma if self.misfit is None else self.sigma_with_misfit
 
     @property
     def is_usable(self) -> bool:

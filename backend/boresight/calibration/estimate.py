@@ -76,8 +76,9 @@ MOVED = 1.0
 class Robustness:
     """A robust loss beside least squares.
 
-    `threshold`: in sigmas of what the loss judges. `downweighted`, `judged`: how many are beyond it at the estimate, and all; whitened
-    arcs, or stars (`by`). `x`, `x_without`: (n_parameters,) the estimate, and where least squares ends on the same arcs, SI.
+    `threshold`: in sigmas of what the loss judges. `downweighted`, `judged`: how many are beyond it at the estimate, and all;
+    whitened arcs, or stars (`by`). `x`, `x_without`: (n_parameters,) the estimate, and where least squares ends on the same arcs,
+    SI.
     """
 
     threshold: float
@@ -329,7 +330,7 @@ def _of_stars(
     A = effect.information_share * batch.normal_equations(even, how.x, parameters.free, parameters.scale).A
     chi2 = batch.normal_equations(problem.whitened(how.x), how.x, parameters.free, parameters.scale).chi2
     status = found.status if rested or found.status != "converged" else "max_iterations"
-    robust = Robustness(TUNING * effect.scale, effect.left_out, effect.stars, how.x, plain.x, "stars")
+    robust = Robustness(TUNING, effect.left_out, effect.stars, how.x, plain.x, "stars")
     return Estimate(how.x, A, covariance(A), chi2, status, max(len(steps) - 1, 0), tuple(steps), robust=robust)
 
 

@@ -136,7 +136,7 @@ def describe_minima(problem: Problem, searched: Searched, x: FloatArray, sigma: 
         alone = Minima(starts=0, taken_from=searched.taken_from, sentence=" ".join(_of_what_was_taken(searched)))
         return alone if searched.taken_from else None
     best = search.found[0]
-    rise = float(chdtri(1, 1 - CONFIDENCE)) * _residual_variance(search.surface, best)
+    rise = find_rise(problem, search)
     described = Minima(
         starts=search.starts,
         found=[_describe(names, one, best) for one in search.found if one.cost - best.cost <= TOLD],
@@ -154,12 +154,23 @@ def _find_intervals(
     for place, p in enumerate(search.surface.free):
         found = minima.profile(search, place, rise)
         if found.lower is not None and follow:
-            fall = search.found[0].cost - search.surface.cost(found.lower)
-            raise LowerMinimum(found.lower, f"the profile of {names[p]}", fall)
+            fall = search.found[0].cost - found.lower.cost
+            raise LowerMinimum(found.lower.x, f"the profile of {names[p]}", fall)
         if not is_symmetric(found.pieces, x[p], np.sqrt(rise) * sigma[p]):
             pieces = [list(piece) for piece in found.pieces]
             intervals.append(ProfileInterval(name=names[p], confidence=CONFIDENCE, pieces=pieces))
     return intervals
+
+
+def find_rise(problem: Problem, search: Search) -> float:
+    """Rise of the cost at the ends of an interval: the quantile of Wilks, times the residuals' variance, times how far it holds."""
+    best = search.found[0]
+    rise = float(chdtri(1, 1 - CONFIDENCE)) * _residual_variance(search.surface, best)
+    values, _, _ = determined(best.A)
+    bends = len(search.found) > 1 or values[0] < WEAK**-2
+    if not bends or problem.arcs.n_stars > FEW_STARS:
+        return rise
+    return rise * minima.measure_wilks_factor(search, np.random.default_rng(SEED))
 
 
 def _residual_variance(surface: Surface, best: BatchFit) -> float:

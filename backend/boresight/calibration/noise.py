@@ -47,7 +47,7 @@ from boresight.calibration.readout import compute_rates, find_speed_px_s
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.attitude import to_quaternion
-from boresight.estimation.statistics.cramer_rao import centroid_rows, each, sums
+from boresight.estimation.statistics.cramer_rao import centroid_rows
 from boresight.estimation.statistics.special import chdtrc
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
@@ -485,3 +485,13 @@ def apply_noise(
 
 def _centred(values: FloatArray, coefficients: Mapping[str, float]) -> FloatArray:
     return np.where(np.isfinite(values), values - coefficients["reference"], 0.0)
+
+
+def sums(values: FloatArray, start: IntArray) -> FloatArray:
+    """Sums of (n_stars, ...) over runs that all hold something, (n_runs, ...)."""
+    return np.asarray(np.add.reduceat(values, start[:-1], axis=0))
+
+
+def each(values: FloatArray, start: IntArray) -> FloatArray:
+    """Values of runs (n_runs, ...) given to each of their members, (n_stars, ...)."""
+    return np.repeat(values, np.diff(start), axis=0)

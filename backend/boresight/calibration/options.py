@@ -249,9 +249,9 @@ class CalibrationSettings:
         default=None, kind="names", flag="--free", usual=True,
     )  # fmt: skip
     match: str = option(
-        "Matching", "Star identities", "Star identities: those in the file, or made again as parameters improve.",
+        "Matching", "Star identities", "Star identities: those the file proposes, verified, or made again as parameters improve.",
         default="rematch", flag="--match", usual=True,
-        words={"given": "As given in the file", "rematch": "Made again as parameters improve"},
+        words={"given": "As the file proposes, verified", "rematch": "Made again as parameters improve"},
     )  # fmt: skip
     match_parameters: str = option(
         "Matching", "Parameters matched with", "Which parameters a filter matches each frame with.",

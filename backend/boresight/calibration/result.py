@@ -441,7 +441,9 @@ def trend_entry(result: Calibration) -> TrendEntry | None:
         camera_model=result.camera_model,
         names=list(result.covariance.names),
         parameters=result.parameters,
-        covariance=[[None if one is None else one * factor for one in row] for row in result.covariance.matrix],
+        covariance=[
+            [None if one is None else one * factor for one in row] for row in result.reliable_covariance.matrix
+        ],
         variance_factor=factor,
         said=said,
         left_out=_left_out(result),
@@ -449,10 +451,14 @@ def trend_entry(result: Calibration) -> TrendEntry | None:
 
 
 def _factors(result: Calibration) -> Iterator[tuple[str, float]]:
-    """Yield why variances must be larger, and by how much."""
+    """Yield why variances must be larger, and by how much; with misfit they have chi-square in them already."""
     chi2, nis, per_dof = result.chi2, result.nis, result.chi2_per_dof
+    if result.misfit is not None:
+        chi2 = None
     if per_dof is not None and chi2 is not None and chi2.upper is not None and per_dof > chi2.upper:
         yield f"sigmas widened {per_dof**0.5:.2f} times: chi-square is {per_dof:.3g} per degree of freedom", per_dof
+    if result.misfit is not None and result.method == "batch":
+        nis = None  # a batch has its chi-square there
     if nis is not None and nis.mean is not None and nis.upper is not None and nis.mean > nis.upper:
         yield f"sigmas widened {nis.mean**0.5:.2f} times: the normalised innovations are {nis.mean:.3g}", nis.mean
     efficiency = None if result.trust is None else result.trust.efficiency

@@ -241,7 +241,9 @@ class CameraModel:
         kernels.rays_and_jacobians(self.kind, np.asarray(x, dtype=float), pitch, row, col, s, D)
         return s.reshape(*shape, 3), D.reshape(*shape, 3, -1)
 
-    def project(self, x: FloatArray, s: FloatArray, pitch: float) -> tuple[FloatArray, FloatArray]:
+    def project(
+        self, x: FloatArray, s: FloatArray, pitch: float, near: tuple[FloatArray, FloatArray] | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Detector positions of directions.
 
         Parameters
@@ -252,6 +254,8 @@ class CameraModel:
             (n, 3) directions in D, any positive length.
         pitch
             Pixel pitch, metres.
+        near
+            (n,) rows and columns where the search begins; None is the principal point.
 
         Returns
         -------
@@ -260,7 +264,7 @@ class CameraModel:
         """
         s = np.asarray(s, dtype=float)
         rays = np.ascontiguousarray(s.reshape(-1, 3))
-        place = np.empty((len(rays), 2))
+        place = np.full((len(rays), 2), np.nan) if near is None else np.stack(near, axis=-1)
         kernels.project(self.kind, np.asarray(x, dtype=float), pitch, *self.principal_places, rays, place)
         return place[:, 0].reshape(s.shape[:-1]), place[:, 1].reshape(s.shape[:-1])
 

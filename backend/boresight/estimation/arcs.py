@@ -169,6 +169,8 @@ class ArcSet:
 
     def frames(self, first: int, last: int) -> ArcSet:
         """Return the frames first <= k < last as a set of their own (views, no copies of stars or arcs)."""
+        if (first, last) == (0, self.n_frames):
+            return self
         e0, e1 = int(self.frame_start[first]), int(self.frame_start[last])
         s0, s1 = int(self.star_start[e0]), int(self.star_start[e1])
         a0, a1 = 2 * s0 - 3 * e0, 2 * s1 - 3 * e1

@@ -37,7 +37,16 @@ _MODELS = 4
 _SQUARINGS = 40
 _ALONE = 1e-15  # share of the trace beside the largest eigenvalue that is rounding
 
-_part = part(fastmath=FAST)
+_part, _inlined = part(fastmath=FAST), part(fastmath=FAST, forceinline=True)
+
+
+@_part
+def _combinations_of_star(n, model, i):
+    """Return a, b, c, d: star i is in the combinations from a to b - 1, and from c to d - 1, none where these are equal."""
+    if model == 4:
+        return max(0, i - 2), n - 2, n - 2, n - 2
+    first = i + 1 - _window(n, model, 0)[1]
+    return (first, i + 1, n, n) if first >= 0 else (0, i + 1, n + first, n)
 
 
 @_part
@@ -73,12 +82,22 @@ def _catalogue_products(s, sigma, model, wanted, prefix, sums, A, P, value, valu
                     T[3 * i, 3 * c + k] = weight * (x - along * s[i, 0])
                     T[3 * i + 1, 3 * c + k] = weight * (y - along * s[i, 1])
                     T[3 * i + 2, 3 * c + k] = weight * (z - along * s[i, 2])
-    for t in range(3 * n):
-        for r in range(3 * count):
-            weight = T[t, r]
-            if weight != 0.0:
-                for u in range(r + 1):
-                    products[r, u] += weight * T[t, u]
+    for i in range(n):
+        a, b, c, d = _combinations_of_star(n, model, i)
+        for t in range(3 * i, 3 * i + 3):
+            for r in range(3 * a, 3 * b):
+                _add_multiple(T[t, r], T, t, 3 * a, r + 1, products, r)
+            for r in range(3 * c, 3 * d):
+                _add_multiple(T[t, r], T, t, 3 * a, 3 * b, products, r)
+                _add_multiple(T[t, r], T, t, 3 * c, r + 1, products, r)
+
+
+@_inlined
+def _add_multiple(weight, T, t, first, last, products, r):
+    """Add a multiple of a stretch of row t of T to row r; places without a sign need no look at whether they count from the end."""
+    if weight != 0.0:
+        for u in range(np.uint64(first), np.uint64(last)):
+            products[r, u] += weight * T[t, u]
 
 
 @_part

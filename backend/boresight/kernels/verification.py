@@ -1,8 +1,9 @@
 """Proposed stars held against one another as compiled loops; `calibration.matching.verification` derives the tests.
 
-Two loops look over a whole set and cost about as much as one evaluation of the batch. They tell which exposures need no closer look:
-where no arc of the estimator disagrees, no star does, and no star's own statistic can exceed the chi-square of its exposure. The
-third looks closely at the others, with the parts of `kernels.matching` (tangent axes, Wahba's problem, arcs that agree).
+Two loops look over a whole set and cost about as much as one evaluation of the batch. They tell which exposures need no closer
+look: where no arc of the estimator disagrees, no star does, and no star's own statistic can exceed the chi-square of its
+exposure. The third looks closely at the others, with the parts of `kernels.matching` (tangent axes, Wahba's problem, arcs that
+agree).
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from boresight.kernels.arclengths import _arclength, _exposure_residuals, _largest_exposure, _stars, _width
+from boresight.kernels.arclengths import _ROOM, _arcs, _exposure_residuals, _largest_exposure, _stars, _width
 from boresight.kernels.compilation import FAST, loop, part
 from boresight.kernels.matching import (
     _add,
@@ -48,26 +49,28 @@ def find_disagreeing(camera, x, pitch, star_start, row_px, col_px, phi, band, ro
     the factor `band`, and that of the parameters, |h^T root|^2 with root root^T = P (n_parameters, n_roots).
     """
     N = len(camera)
-    w, h = np.empty((_largest_exposure(star_start), _width(camera))), np.empty(N)
+    most = _largest_exposure(star_start)
+    w, g, h = np.empty((most, _width(camera))), np.empty((_ROOM, most)), np.empty(N)
     for k in range(star_start.shape[0] - 1):
         s0 = star_start[k]
         n = star_start[k + 1] - s0
         a0 = 2 * s0 - 3 * k
         _stars(camera, x, pitch, row_px, col_px, s0, n, w)
+        for i in range(n):
+            g[0, i], g[1, i], g[2, i] = w[i, 0], w[i, 1], w[i, 2]
+        _arcs(g, n, 1, 3)
+        _arcs(g, n, 2, 8)
         disagrees[k] = False
         for a in range(2 * n - 3):
-            i = a // 2
-            j = i + 1 + a % 2
-            phi_a, c, sine = _arclength(w, i, j)
-            excess = phi_a - phi[a0 + a]
+            i, odd = a // 2, a % 2
+            j, kind = i + 1 + odd, 3 + 5 * odd
+            excess = g[kind, i] - phi[a0 + a]
             variance = 0.0
             for d in range(5):
                 variance += band[a0 + a, d] * band[a0 + a, d]
             if excess * excess <= gate * gate * variance:
                 continue
-            ki, kj = w[i, 3] / sine, w[j, 3] / sine
-            ix, iy = ki * (c * w[i, 0] - w[j, 0]), ki * (c * w[i, 1] - w[j, 1])
-            jx, jy = kj * (c * w[j, 0] - w[i, 0]), kj * (c * w[j, 1] - w[i, 1])
+            ix, iy, jx, jy = g[kind + 1, i], g[kind + 2, i], g[kind + 3, i], g[kind + 4, i]
             for p in range(N):
                 h[p] = ix * w[i, 4 + p] + iy * w[i, 4 + N + p] + jx * w[j, 4 + p] + jy * w[j, 4 + N + p]
             for q in range(root.shape[1]):
@@ -87,11 +90,11 @@ def exposure_chi2(camera, x, pitch, star_start, row_px, col_px, phi, band, chi2)
     Called by `calibration.matching.verification`.
     """
     most = _largest_exposure(star_start)
-    w, e = np.empty((most, _width(camera))), np.empty(2 * most)
+    g, e = np.empty((_ROOM, most)), np.empty(2 * most)
     for k in range(star_start.shape[0] - 1):
         s0 = star_start[k]
         n = star_start[k + 1] - s0
-        _exposure_residuals(camera, x, pitch, s0, n, 2 * s0 - 3 * k, row_px, col_px, phi, band, w, e, 0)
+        _exposure_residuals(camera, x, pitch, s0, n, 2 * s0 - 3 * k, row_px, col_px, phi, band, g, e, 0)
         total = 0.0
         for a in range(2 * n - 3):
             total += e[a] * e[a]
@@ -246,7 +249,7 @@ def verify_stars(star_start, s, G, sigma, c, gate, limit, bent, use, voted, d2):
 
 @_part
 def _redescend(s, T, A, sigma, C, c, tuning, w, N, L, r, f0, f1, t2, renewed):
-    """Fill `t2` (n,) with the statistic of each star against the others by their weights, `renewed` (n,) with Tukey's weights there."""
+    """Fill `t2` (n,) with each star's statistic against the others by their weights, `renewed` (n,) with Tukey's weights there."""
     n = s.shape[0]
     for a in range(3):
         for b in range(3):

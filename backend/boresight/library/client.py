@@ -298,7 +298,7 @@ class Client(_Connection):
         validate: TelemetrySource | TelemetrySet | int | None = None,
         label: str = "",
         progress: Wanted = None,
-        **settings: Any,
+        **settings: Unpack[Choices],
     ) -> Choice:
         """Choose the least camera model for the data of a run that has ended, or its number; the server's workers compute.
 
@@ -492,7 +492,7 @@ class AsyncClient(_Connection):
         validate: TelemetrySource | TelemetrySet | int | None = None,
         label: str = "",
         progress: Wanted = None,
-        **settings: Any,
+        **settings: Unpack[Choices],
     ) -> Choice:
         """Choose the least camera model for the data of a run that has ended, or its number; the server's workers compute.
 

@@ -56,6 +56,7 @@ ENDED = ("SUCCEEDED", "FAILED", "CANCELLED", "LOST")
 #: Seconds between two requests about a run, short at first because most runs are.
 FIRST_PAUSE_S, LONGEST_PAUSE_S, SLOWER = 0.1, 1.0, 1.3
 FIRST_REDIRECT, FIRST_ERROR = 300, 400
+NAMES_SHOWN = 20
 FOREIGN = "it is of another version of Boresight, or a proxy's or log-in page stands before it; check the address"
 
 T = TypeVar("T")
@@ -313,11 +314,11 @@ def find_sensor(sensor: SensorSource | ServerSensor | int, *, register: bool = T
         answer = yield _get(f"/sensors/{sensor}")
         return parse_record(ServerSensor, answer.document())
     known = yield from list_sensors()
-    if isinstance(sensor, str) and not Path(sensor).exists():
+    if isinstance(sensor, str) and not _is_file(Path(sensor)):
         for one in known:
             if one.name == sensor:
                 return one
-        names = ", ".join(one.name for one in known) or "none"
+        names = ", ".join([one.name for one in known[:NAMES_SHOWN]] + ["..."] * (len(known) > NAMES_SHOWN)) or "none"
         raise errors.NotFoundError(f"The server has no sensor {sensor}, and there is no such file: it has {names}.")
     described = read_sensor(sensor)
     from boresight.telemetry.sensors import parse_sensor, sensor_document
@@ -352,12 +353,20 @@ def upload(
     return parse_record(TelemetrySet, answer.document())
 
 
+def _is_file(path: Path) -> bool:
+    """Whether there is such a file; not of a name that is longer than a name may be."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
 def _file_of(telemetry: TelemetrySource) -> tuple[str, Path | bytes]:
     """Return name and content of an upload: a file unchanged, or data in memory as Parquet."""
     if isinstance(telemetry, str | os.PathLike):
         path = Path(telemetry)
-        if not path.is_file():
-            raise RefusedInputError(f"{path} does not exist: check the name.")
+        if not _is_file(path):
+            raise RefusedInputError(f"{path} is no file: check the name.")
         return path.name.encode("utf-8", "replace").decode(), path  # a name may hold bytes that are no text
     import pyarrow.parquet as pq
 

@@ -7,7 +7,8 @@ count from an origin, 0 but for a parameter that is judged by its distance from 
     reproduced            when p lies in the interval, or |o - p| <= 10 % of |p|
     in kind               when o and p have the same sign and 1/2 <= o/p <= 2
     better                when o is an estimation error and |o| < |p| / 2: better by the factor |p| / |o|
-    data not published    when what the number rests on is not public and no simulation can stand for it
+    data not published    otherwise, when the cause that the column carries is data that are not public; and always of a number
+                          that no simulation can stand for
     not reproduced        otherwise.
 
 Of an error that is as often positive as negative, |o| is the root mean square over the sets. Better is said of estimation errors
@@ -66,7 +67,8 @@ SAME_KIND = 2.0
 NEAREST = 8
 #: No ratio counts for more in a typical factor.
 FAR = 100.0
-CAUSES = ("no orbital data", "no field data", "erratum", "unstated setting")
+NO_DATA = ("no orbital data", "no field data")
+CAUSES = (*NO_DATA, "erratum", "unstated setting")
 CIRCULAR, REPEATED, VARIANT, DERIVED = "circular", "repeated", "variant", "derived"
 LEFT_OUT = (CIRCULAR, REPEATED, VARIANT, DERIVED)
 
@@ -75,7 +77,7 @@ LEFT_OUT = (CIRCULAR, REPEATED, VARIANT, DERIVED)
 class Cell:
     """One printed number beside ours.
 
-    `error`: size of ours where it is an estimation error. `published`: False where nothing public determines the number.
+    `error`: size of ours where it is an estimation error. `published`: False where no simulation can stand for the number.
     `left_out`: why the head does not count it, one of `LEFT_OUT`.
     """
 
@@ -106,11 +108,13 @@ class Cell:
             return REPRODUCED
         if self._same_kind(self.ours):
             return IN_KIND
-        return BETTER if self.factor is not None else NOT_REPRODUCED
+        if self.factor is not None:
+            return BETTER
+        return NOT_PUBLISHED if self.cause in NO_DATA else NOT_REPRODUCED
 
     @property
     def factor(self) -> float | None:
-        """How many times smaller our error is than the printed one; None below `SAME_KIND`, and of what is no error."""
+        """How many times smaller our error is than the printed one, beyond `SAME_KIND`; None of what is no error."""
         if not self.error or abs(self.printed) <= SAME_KIND * self.error:
             return None
         return abs(self.printed) / self.error
@@ -210,6 +214,13 @@ def styled_curves(drawing: Mapping[str, Any], *keys: str) -> Iterator[Any]:
         yield style, *(np.array(curve[key], dtype=np.float64) for key in keys)
 
 
+def padded(values: Iterable[float]) -> list[float]:
+    """Range of an axis that holds values, with a margin of a twentieth of their reach."""
+    seen = list(values)
+    margin = 0.05 * (max(seen) - min(seen)) or 1.0
+    return [min(seen) - margin, max(seen) + margin]
+
+
 def described(plan: Any) -> dict[str, Any]:
     """Write a plan as JSON, with the versions that computed it; on how many processes it ran changes nothing."""
     return {key: value for key, value in asdict(plan).items() if key != "processes"} | {"versions": dict(versions())}
@@ -238,7 +249,10 @@ def table_document(table: Table) -> dict[str, Any]:
 
 
 def _row(row: Row) -> dict[str, Any]:
-    cells = [{**asdict(cell), "verdict": cell.verdict, "factor": cell.factor} for cell in row.cells]
+    cells = []
+    for cell in row.cells:
+        factor = cell.factor if cell.verdict == BETTER else None
+        cells.append({**asdict(cell), "verdict": cell.verdict, "factor": factor})
     judged = {"verdict": row.verdict, "holds": row.conclusion.holds, "left_out": row.left_out, "reason": row.reason}
     return {"label": row.label, **judged, "cells": cells}
 
@@ -329,12 +343,25 @@ def head_sentences(document: Mapping[str, Any]) -> list[str]:
 
 
 Document = Mapping[str, Any]
+Lines = Iterable[Sequence[Any]]
 Draw = Mapping[str, Callable[[Mapping[str, Any]], go.Figure]]
 
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 CELL_COLUMNS = (
     "column", "unit", "printed", "ours", "low", "high", "verdict", "factor", "left_out", "cause", "because",
 )  # fmt: skip
+
+
+def write_study(
+    name: str, document: Document, page: str, out: Path, curves: tuple[Sequence[str], Sequence[str]], **more: Lines
+) -> list[Path]:
+    """Write every file of a study: its page, its JSON, and as CSV its tables, its figures and `more`; returns their paths.
+
+    `curves`: what the curves of the figures run over, and what they are named by.
+    """
+    tables = {"tables": table_lines(document), "figures": figure_lines(document, *curves), **more}
+    files = {f"{name}.html": page.encode(), f"{name}.json": json_bytes(document)}
+    return write_files(files | {f"{name}-{part}.csv": csv_bytes(lines) for part, lines in tables.items()}, out)
 
 
 def write_files(files: Mapping[str, bytes], out: Path) -> list[Path]:
@@ -382,7 +409,7 @@ def json_bytes(document: Document) -> bytes:
     return orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
 
 
-def csv_bytes(lines: Iterable[Sequence[Any]]) -> bytes:
+def csv_bytes(lines: Lines) -> bytes:
     """Encode lines, None as an empty cell."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(lines)

@@ -2,6 +2,7 @@
 
 import json
 import re
+from concurrent.futures import ThreadPoolExecutor
 
 import orjson
 import pytest
@@ -264,6 +265,17 @@ def test_over_rest_it_is_asked_once_for_a_key_and_read_as_it_was_stored(house):
     assert victor.get(f"{address}/data").text.splitlines()[0].startswith("camera_model,free,chosen")
     assert victor.get(f"/api/v1/runs/{asked.json()['id']}/result").status_code == 409
     assert asked.json()["id"] not in [one["id"] for one in victor.get("/api/v1/runs").json()["items"]]
+
+
+def test_asked_by_many_at_once_it_is_one_run_and_a_key_without_the_scope_asks_for_none(house):
+    run_id = house.finished()
+    address = f"/api/v1/runs/{run_id}/choice"
+    assert house.key("ada", "telemetry-sets").post(address).status_code == 403
+    clients = [house.key("ada", "runs") for _ in range(8)]
+    with ThreadPoolExecutor(len(clients)) as pool:
+        answers = list(pool.map(lambda client: client.post(address), clients))
+    assert {one.status_code for one in answers} == {202}
+    assert len({one.json()["id"] for one in answers}) == 1
 
 
 def test_a_launch_that_is_on_its_way_has_no_choice_over_rest(house):

@@ -163,8 +163,11 @@ def test_no_validation_is_no_data_and_never_passes_and_noise_above_the_model_is_
     mark = find_mark({**results["batch"], "validation": None}, "validation_rms")
     assert (mark.word, mark.level == "normal") == ("NO DATA", False)
     result = {**results["batch"], "chi2_per_dof": 3.0, "chi2": {**results["batch"]["chi2"], "consistent": False}}
-    mark = find_mark(result, "chi_square")
-    assert (mark.level, mark.word) == ("caution", "noise above model")
+    assert find_mark(result, "chi_square").level == "normal"  # its test is one of the family, which noticed nothing
+    noticed = [{**test, "noticed": test["name"] == "chi_square"} for test in result["tests"]]
+    for tests in (noticed, []):  # a result of an earlier version has its bounds alone
+        mark = find_mark({**result, "tests": tests}, "chi_square")
+        assert (mark.level, mark.word) == ("caution", "noise above model")
 
 
 def test_an_estimate_far_from_the_truth_is_marked(results):
@@ -262,6 +265,23 @@ def test_every_sentence_of_the_examination_is_on_the_page(site, read, examined):
         assert result["trust"][name]["sentence"] in text
     assert result["trust"]["drop_one_sentence"] in text
     assert result["trust"]["stars_sentence"] in text
+
+
+def test_every_test_of_the_model_and_every_cause_is_on_the_page_with_its_gate_and_remedy(site, read, results):
+    noticed = {
+        "name": "phase", "probability": 1e-9, "adjusted": 2e-8, "noticed": True, "effect": 1.25, "unit": "σ",
+        "sentence": "Centroids depend on where in its pixel a star lies (p < 0.0001).",
+    }  # fmt: skip
+    sound = {**noticed, "name": "time", "probability": 0.4, "adjusted": 1.0, "noticed": False, "sentence": "No change."}
+    cause = {"name": "phase", "likelihood": 0.97, "sentence": "Drawn.", "remedy": "Defocus.", "tests": ["phase"]}
+    made = {**examined_result(results["batch"]), "tests": [sound, noticed], "causes": [cause]}
+    text = read(site.visitor("victor").get(f"/runs/{site.add_run(state='SUCCEEDED', result=made)}?part=trust"))
+    assert "2 tests of one family" in text
+    assert "phase 97" in text
+    assert "Drawn. Defocus. Pixel phase" in text
+    assert text.index(noticed["sentence"]) < text.index(sound["sentence"])
+    assert re.search(r"Pixel phase \S* ?noticed .*centroid-noise", text)
+    assert "Tests of the model departs 1 of 2 noticed" in text
 
 
 def test_suspect_stars_are_marked_by_shape_and_word_and_can_be_copied(site, examined):

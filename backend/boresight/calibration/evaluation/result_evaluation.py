@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,20 +28,30 @@ from boresight.calibration.calibration import (
     Calibration,
     Evaluation,
     FrameObservability,
+    Matching,
     ReferenceInformation,
+    RemovedOf,
     ShadowOfSet,
 )
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.evaluation.alignment import alignment_view
 from boresight.calibration.evaluation.evaluate import evaluate_matched_frames, shadow_view
-from boresight.calibration.matching.match_report import CyclesEnd, identification_advice, matching_view, names_advice
+from boresight.calibration.matching.match_report import (
+    CyclesEnd,
+    identification_advice,
+    list_refused_names,
+    matching_view,
+    names_advice,
+)
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.matched_frames import apply_flight_check
+from boresight.calibration.matching.rematch import Matches
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, whiten_at
 from boresight.calibration.trust import cause_advice, judge_trust, trust_advice
 from boresight.calibration.trust.fitted_set import chosen, nested
+from boresight.calibration.trust.misfit import misfit_advice
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import determined, normal_equations
 from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
@@ -185,6 +196,7 @@ def evaluate_result(
             evaluation=evaluation,
             shadow=replace(calibration.shadow, calibration=shadow),
             matching=matching,
+            **_refused_names(telemetry, ended.matched, matching),
             alignment=alignment_view(problem, sensor.initial, estimate.x, P),
             frame_observability=frame_observability(problem, parameters, estimate),
             trust=judged.trust,
@@ -194,9 +206,18 @@ def evaluate_result(
             misfit=judged.misfit,
         ),
         *([] if matching is None else names_advice(matching.given, matching.kept)),
-        *trust_advice(judged.trust),
+        *trust_advice(judged.trust, calibration.coverage),
+        *misfit_advice(judged.misfit),
         *([] if calibration.robust is None else [calibration.robust.sentence]),
     )
+
+
+def _refused_names(telemetry: Telemetry, matched: Matched, matching: Matching | None) -> dict[str, Any]:
+    """What a calibration lists of given stars that matching refused; nothing where given stars are verified instead."""
+    if matching is None or not isinstance(matched.matches, Matches):
+        return {}
+    of = RemovedOf(proposed=matching.given, removed=matching.removed)
+    return {"removed": list_refused_names(telemetry, matched.matches), "removed_of": of}
 
 
 def with_advice(calibration: Calibration, *sentences: str) -> Calibration:

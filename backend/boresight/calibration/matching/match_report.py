@@ -18,11 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, IntArray
-from boresight.calibration.calibration import Cycle, Evaluation, FlaggedStars, FlightScores, Matching, Tolerance
+from boresight.calibration.calibration import (
+    Cycle,
+    Evaluation,
+    FlaggedStars,
+    FlightScores,
+    Matching,
+    RemovedStar,
+    Tolerance,
+)
 from boresight.calibration.estimate import Asked, Estimate, Parameters, ReportEstimate, run_batch
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.matched_frames import MatchedFrames
 from boresight.calibration.matching.rematch import Matches, pixel_rad
+from boresight.calibration.matching.verification import MOST_LISTED
 from boresight.calibration.minima import LowerMinimum
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.sequence import finished, run_sequential, standing_frames
@@ -118,7 +127,7 @@ class Estimation:
     def _settled_by_batch(self, first: Matched) -> CyclesEnd:
         """Find which of the given stars stand, by the batch."""
         batch = replace(self.settings, method="batch", variant="no-q")
-        return replace(self, first=first, settings=batch, listen=lambda *_: None)._fitted_in_cycles()  # noqa: SLF001 - its own
+        return replace(self, first=first, settings=batch, listen=lambda *_: None).fit_in_cycles()
 
     def _filtered_once(self, matched: Matched) -> CyclesEnd:
         """Run a filter over matches that stand."""
@@ -298,6 +307,27 @@ def matching_view(telemetry: Telemetry, sensor: Sensor, ended: CyclesEnd, evalua
             matched_stars=evaluation.matched_stars,
         ),
     )
+
+
+def list_refused_names(telemetry: Telemetry, matches: Matches) -> list[RemovedStar]:
+    """List the given stars of which matching made another star or none, the first of very many."""
+    if telemetry.star_id is None:
+        return []
+    refused = np.flatnonzero((telemetry.star_id > 0) & (matches.star_id != telemetry.star_id))
+    return [
+        RemovedStar(
+            frame=int(telemetry.frame[row]),
+            exposure=int(telemetry.exposure[row]),
+            row=telemetry.first_row + int(row),
+            star_id=int(telemetry.star_id[row]),
+            reason=(
+                f"HIP {matches.star_id[row]} fits better"
+                if matches.star_id[row]
+                else ROW_REASONS[matches.row_reason[row]]
+            ),
+        )
+        for row in refused[:MOST_LISTED].tolist()
+    ]
 
 
 def counted(places: NDArray[np.int8], phrases: Sequence[str]) -> dict[str, int]:

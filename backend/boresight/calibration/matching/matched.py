@@ -442,7 +442,7 @@ class EvaluatedSet:
 
 def _unnamed(telemetry: Telemetry, rows: NDArray[np.int64]) -> Telemetry:
     """Take star numbers and directions from some rows."""
-    changed: dict[str, NDArray[Any]] = {}
+    changed: dict[str, Any] = {}
     for name, nothing in (("star_id", UNMATCHED), ("ra_rad", np.nan), ("dec_rad", np.nan)):
         values = getattr(telemetry, name)
         if values is not None:

@@ -12,11 +12,11 @@ y = (theta, w) the errors of that attitude and, in units of P^(1/2), of the para
 
     r_i = A_i y + noise,      Lambda = diag(0, I) + sum_j A_j^T A_j / (kappa sigma_j)^2,      t_i = r_i^T S_i^-1 r_i,
 
-with y at its estimate from Lambda. For a star that Lambda holds S_i = (kappa sigma_i)^2 I - A_i Lambda^-1 A_i^T is the covariance of
-its residual; for another, with a plus, that of its innovation. Both are the same number, the residual of the deleted star over its own
-covariance (matrix inversion lemma): attitude and parameters are marginalised and leverage is in it, so t_i is chi-square with 2
-degrees of freedom and exceeds a limit t with the probability exp(-t / 2). The worst beyond the limit is taken out, then the nearest
-within it taken in, one at a time, until nothing moves.
+with y at its estimate from Lambda. For a star that Lambda holds S_i = (kappa sigma_i)^2 I - A_i Lambda^-1 A_i^T is the covariance
+of its residual; for another, with a plus, that of its innovation. Both are the same number, the residual of the deleted star over
+its own covariance (matrix inversion lemma): attitude and parameters are marginalised and leverage is in it, so t_i is chi-square
+with 2 degrees of freedom and exceeds a limit t with the probability exp(-t / 2). The worst beyond the limit is taken out, then
+the nearest within it taken in, one at a time, until nothing moves.
 
 **Limit.** Of n proposed stars each is refused with the probability `FAMILY_LEVEL` / n, and `LARGEST_LEVEL` at most, if it is right:
 
@@ -25,10 +25,10 @@ within it taken in, one at a time, until nothing moves.
 so one clean set in a hundred loses any star.
 
 **Cycles.** Before the estimate P is that of the ground calibration and kappa is `START_NOISE`, for stated noise may be too small;
-where that refuses more than half of all stars it says more of the start than of the stars, and none is refused. After an estimate P
-is that of the estimate, widened by chi-square, and kappa^2 the median of the t_i over 2 ln 2, the median of chi-square with 2 degrees
-of freedom, where chi-square is above its bound: the median does not follow the stars that are to be found. Every proposed star is
-judged anew in each cycle, so that none is lost for good, until the set rests.
+where that refuses more than half of all stars it says more of the start than of the stars, and none is refused. After an estimate
+P is that of the estimate, widened by chi-square, and kappa^2 the median of the t_i over 2 ln 2, the median of chi-square with 2
+degrees of freedom, where chi-square is above its bound: the median does not follow the stars that are to be found. Every proposed
+star is judged anew in each cycle, so that none is lost for good, until the set rests.
 
 A first-order residual r misses a share of the correction that it makes, so (`BENT` |r|)^2 is added to its variance.
 
@@ -61,9 +61,11 @@ from boresight.sky.matching import GATE
 
 #: Of clean sets the share that loses any star, and the largest share of the stars of a small one.
 FAMILY_LEVEL, LARGEST_LEVEL = 0.01, 1e-4
+#: Statistic beyond which a probability would be written as zero, which none is.
+LARGEST_T = 1400.0
 #: Stated centroid noise is believed so many times before there is an estimate to measure it by.
 START_NOISE = 3.0
-#: Share of a correction that its first order misses: 2 px where a ground calibration is 20 px off, little once there is an estimate.
+#: Share of a correction that its first order misses: 2 px where a ground calibration is 20 px off, little after an estimate.
 START_BENT, BENT = 0.1, 0.02
 #: Share of the proposed stars beyond which refusals speak against the start.
 MOST_REFUSED = 0.5
@@ -119,9 +121,9 @@ NONE = Refusals.joined(())
 class Verification:
     """How the proposed stars of a set are held against a state.
 
-    `camera`, `parity`: of the sensor; the parity is the data's. `x`: (n_parameters,) state, SI. `root`: (n_parameters, n_roots) P^(1/2).
-    `noise`: kappa. `limit`: largest t of a star that stands. `before_estimate`: whether the estimator's own arcs, not chi-square, tell
-    which exposures to look at. `everywhere`: whether to look at all.
+    `camera`, `parity`: of the sensor; the parity is the data's. `x`: (n_parameters,) state, SI. `root`: (n_parameters, n_roots)
+    P^(1/2). `noise`: kappa. `limit`: largest t of a star that stands. `before_estimate`: whether the estimator's own arcs, not
+    chi-square, tell which exposures to look at. `everywhere`: whether to look at all.
     """
 
     camera: str
@@ -158,7 +160,7 @@ def _verify_block(block: ArcSet, how: Verification) -> Refusals:
         how.limit, START_BENT if how.before_estimate else BENT, use, voted, t,
     )  # fmt: skip
     out = ~use
-    probability = np.where(np.isfinite(t), np.exp(-t / 2), np.nan)
+    probability = np.where(np.isfinite(t), np.exp(-np.minimum(t, LARGEST_T) / 2), np.nan)
     return Refusals(part.source_row[out], ~voted[out], probability[out])
 
 
@@ -186,7 +188,7 @@ def _chi2_in_block(block: ArcSet, x: FloatArray) -> FloatArray:
 
 
 def measure_noise(arcs: Arcs, x: FloatArray, parity: int) -> float:
-    """Kappa of whitened arcs at x: 1 where chi-square is within its bounds, else from the median of the stars' statistics."""
+    """Return kappa of whitened arcs at x: 1 where chi-square is within its bounds, else from the median of the t_i."""
     chi2 = float(sum(arcs.over_blocks(_chi2_of_block, x)))
     if not arcs.n_arcs or chi2 <= arcs.n_arcs * chi_square(arcs.n_arcs, arcs.n_arcs).upper:
         return 1.0
@@ -201,7 +203,7 @@ def _chi2_of_block(block: ArcSet, x: FloatArray) -> float:
 
 
 def _statistics_in_block(block: ArcSet, x: FloatArray, parity: int, step: int) -> FloatArray:
-    """T of the stars of every so many exposures of one block, x taken as known, (n,)."""
+    """Statistics t of the stars of every so many exposures of one block, x taken as known, (n,)."""
     part = block.exposures(np.arange(block.n_exposures) % step == 0)
     nothing = FreeCovariance(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0)))
     seen = pixel_residuals(part.camera, x, part, parity, nothing)
@@ -268,8 +270,13 @@ def advise(proposed: int, removed: int, listed: Sequence[RemovedStar]) -> list[s
         if many
         else "the result stands without them; correct the file, or match the stars anew (match 'rematch')"
     )
-    return [
-        f"{removed:,} of {proposed:,} proposed stars {'was' if removed == 1 else 'were'} removed because the other stars of "
-        f"{'its exposure contradict it' if removed == 1 else 'their exposures contradict them'}: most likely wrong identities in the "
-        f"file, or false images; {which}; {remedy}."
-    ]
+    did = (
+        "was removed: the other stars of its exposure contradict it"
+        if removed == 1
+        else ("were removed: the other stars of their exposures contradict them")
+    )
+    sentence = (
+        f"{removed:,} of {proposed:,} proposed stars {did}, most likely because of wrong identities in the file or false images; "
+        f"{which}; {remedy}."
+    )
+    return [sentence]

@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.calibration.calibration import Cause, Misfit, Trust, TrustTest, Values
+from boresight.calibration.calibration import Cause, ModelMisfit, Trust, TrustTest, Values
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
@@ -46,7 +46,7 @@ from boresight.calibration.trust.efficiency import arc_sigma_map, efficiency, mo
 from boresight.calibration.trust.field import residual_against, residual_distribution, residual_field, residual_outliers
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, fit_best
 from boresight.calibration.trust.innovations import nis_over_time, whiteness, worst_frames
-from boresight.calibration.trust.misfit import describe_misfit, widen
+from boresight.calibration.trust.misfit import find_misfit
 from boresight.calibration.trust.refits import drop_one, drop_one_sentence, two_halves
 from boresight.calibration.trust.residual_spline import find_residual_spline
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals, residuals
@@ -55,7 +55,7 @@ from boresight.calibration.trust.trust_tests import Examined, make_tests
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 
-__all__ = ["Judgement", "cause_advice", "judge_trust", "trust_advice", "trust_view"]
+__all__ = ["Examination", "cause_advice", "judge_trust", "trust_advice"]
 
 Part = Callable[[FittedSet], Any]
 #: Members of the trust by name.
@@ -82,12 +82,12 @@ OF_THE_RESIDUALS: dict[str, Callable[[FittedSet, StarResiduals], Any]] = {
 }
 OF_THE_STARS = (*OF_THE_RESIDUALS, "stars", "residual_against")
 #: Frames that the score tests look at, in blocks spread over the set: a pass over many stars a departure.
-MOST_TESTED = 2_304
+MOST_TESTED = 1_792
 SINGULAR = "The numbers of this fit are too close to singular: free fewer parameters."
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Examination:
     """What trust makes of an estimate: its parts, the tests made, and what explains those that noticed something.
 
     `sigma_with_misfit`, `misfit`: by how much that widens the sigmas; empty and None where it is not known.
@@ -97,7 +97,7 @@ class Judgement:
     tests: list[TrustTest]
     causes: list[Cause]
     sigma_with_misfit: Values[float | None] = dataclasses.field(default_factory=Values)
-    misfit: Misfit | None = None
+    misfit: ModelMisfit | None = None
 
 
 def judge_trust(
@@ -107,7 +107,7 @@ def judge_trust(
     estimate: Estimate,
     telemetry: Telemetry,
     catalogue: Catalogue | None = None,
-) -> Judgement:
+) -> Examination:
     """Judge a finished estimate in every way there is.
 
     `problem`, `parameters`, `settings`, `estimate`: as `calibrate` has them at its end; the arcs are whitened here. `telemetry`:
@@ -117,7 +117,7 @@ def judge_trust(
     try:
         fitted = fit_best(problem, parameters, settings, estimate, telemetry, catalogue)
     except Unavailable as reason:
-        return Judgement(Trust(unavailable=dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS), str(reason))), [], [])
+        return Examination(Trust(unavailable=dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS), str(reason))), [], [])
     parts, unavailable = _computed({name: partial(part, fitted) for name, part in OF_THE_FIT.items()})
     if "drop_one" in parts:
         parts["drop_one_sentence"] = drop_one_sentence(fitted, parts["drop_one"])
@@ -127,19 +127,7 @@ def judge_trust(
     return _tested(fitted, trust, parts, stars)
 
 
-def trust_view(
-    problem: Problem,
-    parameters: Parameters,
-    settings: CalibrationSettings,
-    estimate: Estimate,
-    telemetry: Telemetry,
-    catalogue: Catalogue | None = None,
-) -> Trust:
-    """The parts of `judge_trust` alone."""
-    return judge_trust(problem, parameters, settings, estimate, telemetry, catalogue).trust
-
-
-def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> Judgement:
+def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> Examination:
     """Make every test that can be made, look for what explains them, and widen the sigmas by it."""
     departures, _ = find_departures(fitted)
     try:
@@ -148,10 +136,10 @@ def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> 
         examined = Examined(fitted, sums, scores, parts, stars.found, stars.table)
         tests = make_tests(examined)
         causes = find_causes(examined, tests)
-        wider = describe_misfit(fitted, widen(fitted, sums, scores, tests))
     except np.linalg.LinAlgError:  # the numbers are too near to singular
-        return Judgement(trust, [], [])
-    return Judgement(trust, tests, causes) if wider is None else Judgement(trust, tests, causes, *wider)
+        return Examination(trust, [], [])
+    wider = find_misfit(fitted, sums, scores, tests)
+    return Examination(trust, tests, causes) if wider is None else Examination(trust, tests, causes, *wider)
 
 
 def _computed(parts: Mapping[str, Callable[[], Any]]) -> tuple[Parts, dict[str, str]]:

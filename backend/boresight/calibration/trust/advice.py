@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from boresight.calibration.calibration import Cause, Trust
+import numpy as np
+
+from boresight.arrays import BoolArray
+from boresight.calibration.calibration import Cause, Coverage, Trust
 from boresight.calibration.trust.residuals import OTHER_PARITY
 
 #: The claimed sigmas over the bound below which they are too small to be honest.
 TOO_SMALL = 0.97
 #: So many spare parameters mean a set too small for the model rather than a lucky start.
 SEVERAL = 2
+#: Parts of the detector, rows and columns of them, and the share that has stars below which the rest is spoken of.
+PARTS, COVERED = (6, 8), 0.7
 #: Causes of which the stars' own sentence says more, for it names them.
 OF_STARS = ("places", "identities")
 
@@ -20,9 +25,9 @@ def cause_advice(trust: Trust, causes: Sequence[Cause]) -> list[str]:
     return [*_of_geometry(trust), *_of_causes(trust, causes)]
 
 
-def trust_advice(trust: Trust) -> list[str]:
-    """Collect what else in the trust calls for something."""
-    return [*_of_the_estimate(trust), *_of_spare_parameters(trust)]
+def trust_advice(trust: Trust, coverage: Coverage | None = None) -> list[str]:
+    """Collect what else in the trust calls for something; `coverage`: where on the detector the stars were."""
+    return [*_of_coverage(trust, coverage), *_of_the_estimate(trust), *_of_spare_parameters(trust)]
 
 
 def _of_geometry(trust: Trust) -> Iterator[str]:
@@ -41,6 +46,43 @@ def _of_causes(trust: Trust, causes: Sequence[Cause]) -> Iterator[str]:
         yield f"{opening}{cause.sentence} {cause.remedy}"
         if cause.name in OF_STARS and trust.suspects and trust.stars_sentence is not None:
             yield trust.stars_sentence
+
+
+def _of_coverage(trust: Trust, coverage: Coverage | None) -> Iterator[str]:
+    """Say how much of the detector held no star, and how far off arcs may be there if the camera model holds."""
+    if coverage is None:
+        return
+    counts = np.array(coverage.counts)
+    parts = (
+        counts.reshape(PARTS[0], counts.shape[0] // PARTS[0], PARTS[1], counts.shape[1] // PARTS[1]).sum(axis=(1, 3))
+        > 0
+    )
+    if parts.mean() >= COVERED:
+        return
+    yield (
+        f"Stars lie in {int(parts.sum())} of {parts.size} parts of the detector; elsewhere the camera is extrapolated"
+        f"{_predicted(trust, coverage, parts)}: add frames with stars in the other parts, or use only the part that is covered."
+    )
+
+
+def _predicted(trust: Trust, coverage: Coverage, parts: BoolArray) -> str:
+    """The error of arcs in the parts without stars, and in the others."""
+    seen = trust.arc_sigma_map
+    if seen is None:
+        return ""
+    rows, columns = np.array(coverage.row_edges_px, float), np.array(coverage.col_edges_px, float)
+    i, j = (
+        np.clip((np.array(at, float) - edges[0]) / (edges[-1] - edges[0]) * n, 0, n - 1).astype(int)
+        for at, edges, n in ((seen.row_px, rows, PARTS[0]), (seen.col_px, columns, PARTS[1]))
+    )
+    sigma = np.array(seen.sigma_arcsec, float)
+    inside = parts[np.ix_(i, j)]
+    if not inside.any() or inside.all() or not np.isfinite(sigma).all():
+        return ""
+    return (
+        f", where an arc of {seen.arc_deg:.2g}° may be {sigma[~inside].max():.2g} arcsec off (1 sigma, if the camera model "
+        f"holds there) and {sigma[inside].max():.2g} at most where stars are"
+    )
 
 
 def _of_the_estimate(trust: Trust) -> Iterator[str]:

@@ -10,17 +10,18 @@ number k of coefficients; n are the arcs. Its gain over the camera alone, both w
     sum over stars (z^2 - 2 ln n)                               catalogue places: a star seen twice or more, off by z sigmas
     n (r - 1 - ln r) - ln n                                     noise misstated: r times the stated variance
 
-the difference of Schwarz's criterion; of aberration, of which all may be missing or none, the evidence
-itself: with c normal of sigma one beforehand, F and s in units of the noise,
+the difference of Schwarz's criterion; of aberration, of which all may be missing or none, and of readout, whose lines take some
+time that is not long, the evidence itself: with c normal of sigma one beforehand, F and s in units of the noise,
 
-    n ln(RSS_0 / (RSS_0 - s^T (F + I)^-1 s)) - ln det(I + F).
+    n ln(RSS_0 / (RSS_0 - s^T (F + I)^-1 s)) - ln det(I + F),                    but no more than by the first line.
 
 e^(gain / 2) is the cause's likelihood beside the camera's (Schwarz 1978). Where more than `FEW` centroids lie
 `FARTHEST` spreads off, tails are none of the causes: no noise does that. r is taken from
 what the best displacement leaves, or where the tails are heavy from the median, so that no other cause passes for noise.
 
-The cause with the largest gain is told first, with its share of likelihood among all; that the noise is misstated is told last, for
-every other cause makes it so. A displacement is then taken out, the other
+A cause explains every test that is not of a single departure (`GENERAL`), its own, and those of other displacements that notice
+nothing any more where its coefficients are free. The cause with the largest gain is told first, with its share of likelihood among
+all; that the noise is misstated is told last, for every other cause makes it so. A displacement is then taken out, the other
 displacements are tested with it free, and what is still noticed comes next. Nothing is told of a set in which no test notices
 anything.
 
@@ -38,8 +39,8 @@ from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Cause, TrustTest
 from boresight.calibration.trust.departures import ANY_VELOCITY
 from boresight.calibration.trust.displacements import Score, find_score
-from boresight.calibration.trust.fitted_set import FAMILY_LEVEL
-from boresight.calibration.trust.trust_tests import TRUST_TESTS, Examined
+from boresight.calibration.trust.fitted_set import UNLIKELY
+from boresight.calibration.trust.trust_tests import TRUST_TESTS, Examined, gate_of_test
 from boresight.estimation.statistics.special import fdtrc
 
 #: Degrees of freedom of Student's distribution that are tried, and rounds of its fit and of the mixture's.
@@ -48,6 +49,8 @@ DEGREES, ROUNDS = (3.0, 4.0, 6.0, 10.0), 30
 NOISE_OFF = 1.01
 #: What the Earth's velocity is, and a satellite's, km/s.
 VELOCITIES_KM_S = (29.8, 7.5)
+#: Departures whose fields have the size that a coefficient of one gives them.
+KNOWN_SIZE = ("aberration", "readout")
 #: Fields of a velocity of which nothing is known.
 FREE_VELOCITY = 3
 #: More centroids than `FEW` beyond so many spreads are no noise, whatever its tails.
@@ -68,85 +71,87 @@ class CauseKind:
     tests: tuple[str, ...]
 
 
-LENS = ("residual_field", "residual_spline", "residual_radius", "lens")
-SPREAD = ("chi_square", "residual_distribution")
-SERIES = ("two_halves", "whiteness", "nis_over_time", "residual_time")
+#: Tests that are no test of one departure: any displacement may trip them.
+GENERAL = (
+    "residual_field", "residual_spline", "residual_radius", "residual_magnitude", "residual_time", "residual_temperature",
+    "two_halves", "whiteness", "nis_over_time", "worst_frames", "chi_square", "residual_distribution", "outliers", "stars",
+)  # fmt: skip
 #: Every cause by its name; those of displaced stars have the name of their departure.
 CAUSES: dict[str, CauseKind] = {
     kind.name: kind
     for kind in (
         CauseKind(
             "tangential",
-            "The lens is decentred: stars are displaced by up to {size} px as tangential distortion displaces them",
+            "The lens is decentred: tangential distortion that the camera does not have still displaces stars by about {size} px",
             "calibrate with a camera model that has it, such as brown_conrady, or free the tilt",
-            ("tangential", "radial", "affine", *LENS, *SPREAD, *SERIES),
+            ("tangential", *GENERAL),
         ),
         CauseKind(
             "radial",
-            "The lens distorts in a higher radial order than is free: stars are displaced by up to {size} px along the radius",
+            "The lens distorts in a higher radial order than is free, which still displaces stars by about {size} px",
             "free the higher radial terms, or calibrate with a camera model that has them; `boresight choose` names the least",
-            ("radial", *LENS, *SPREAD, *SERIES),
+            ("radial", *GENERAL),
         ),
         CauseKind(
             "affine",
-            "The image is skewed or stretched by up to {size} px: lines read out one after another while the image moves steadily, "
+            "The image is skewed or stretched by about {size} px: lines read out one after another while the image moves steadily, "
             "or pixels that are not square",
             "state readout mode and line time in the sensor file, or free the aspect where the camera model has one",
-            ("affine", *LENS, *SPREAD, *SERIES, "readout"),
+            ("affine", *GENERAL),
         ),
         CauseKind(
             "lens",
-            "The lens leaves a smooth residual of up to {size} px that no simple term takes up",
+            "The lens leaves a smooth residual of about {size} px that no simple term takes up",
             "try `boresight choose`; if no camera model suffices, load the correction table of the residual spline",
-            ("tangential", "radial", "affine", *LENS, *SPREAD, *SERIES),
+            ("lens", *GENERAL),
         ),
         CauseKind(
             "readout",
-            "Lines are read out one after another: stars are displaced by up to {size} px with their line and the image's velocity",
+            "Lines are read out one after another: stars are displaced by about {size} px with their line and the image's velocity",
             "state readout mode and line time in the sensor file, or use frames taken at rest",
-            ("readout", "affine", *LENS, *SPREAD, *SERIES, "time", "drift"),
+            ("readout", *GENERAL),
         ),
         CauseKind(
             "time",
-            "The focal length changes during the set, which moves stars by up to {size} px",
+            "The focal length changes during the set, which moves stars by about {size} px",
             "calibrate shorter stretches apart, or run a filter with process noise and use its last state",
-            ("time", "drift", "temperature", *SERIES, *SPREAD, "residual_temperature", "residual_radius"),
+            ("time", *GENERAL),
         ),
         CauseKind(
             "temperature",
-            "The focal length changes with temperature, which moves stars by up to {size} px",
+            "The focal length changes with temperature, which moves stars by about {size} px",
             "calibrate at the temperatures of use, or one set for each range of temperature",
-            ("temperature", "time", "drift", *SERIES, *SPREAD, "residual_temperature", "residual_radius"),
+            ("temperature", *GENERAL),
         ),
         CauseKind(
             "drift",
             "The camera drifts over the set, not by its focal length alone",
             "calibrate shorter stretches apart, or run a filter with process noise and use its last state",
-            ("drift", "time", "temperature", *SERIES, *SPREAD, "residual_temperature"),
+            ("drift", *GENERAL),
         ),
         CauseKind(
             "magnitude",
-            "Centroids are pulled with brightness, by up to {size} px between the brightest and the faintest stars",
+            "Centroids are pulled with brightness, by about {size} px between the brightest and the faintest stars",
             "look at saturation, background and charge transfer in the centroiding, or leave the brightest stars out",
-            ("magnitude", "residual_magnitude", *LENS, *SPREAD, "stars"),
+            ("magnitude", *GENERAL),
         ),
         CauseKind(
             "colour",
-            "Centroids depend on the star's colour, by up to {size} px: the lens is not achromatic",
+            "Centroids depend on the star's colour, by about {size} px: the lens is not achromatic",
             "restrict the set to stars of like colour, or add the colour term to the noise model",
-            ("colour", *LENS, *SPREAD, "stars", "magnitude", "residual_magnitude"),
+            ("colour", *GENERAL),
         ),
         CauseKind(
             "phase",
-            "Centroids are drawn towards fixed places within the pixel, by up to {size} px",
+            "Centroids are drawn towards fixed places within the pixel, by about {size} px",
             "correct the centroiding for pixel phase or defocus more; until then state a larger centroid sigma",
-            ("phase", *SPREAD),
+            ("phase", *GENERAL),
         ),
         CauseKind(
             "aberration",
             "Directions are those of another observer: a velocity of {size} km/s is missing or too much",
             "give apparent directions, or the satellite's velocity and right times; J2000 places are not apparent",
-            ("aberration", "radial", "affine", "tangential", *LENS, *SPREAD, *SERIES, "time", "drift"),
+            ("aberration", *GENERAL),
         ),
         CauseKind(
             "identities",
@@ -158,13 +163,13 @@ CAUSES: dict[str, CauseKind] = {
             "places",
             "{size} stars are off their catalogue places in all their sightings",
             "leave them out: they are double, or their catalogue entries are wrong",
-            ("stars", "outliers", "worst_frames", *LENS, *SPREAD, *SERIES),
+            GENERAL,
         ),
         CauseKind(
             "tails",
             "The centroid noise has heavier tails than the normal distribution: Student's with {size} degrees of freedom fits",
             "look for hot pixels and blends, or calibrate with Huber's loss",
-            ("residual_distribution", "outliers", "worst_frames", "chi_square", *SERIES, "stars"),
+            GENERAL,
         ),
         CauseKind(
             "noise",
@@ -177,9 +182,23 @@ CAUSES: dict[str, CauseKind] = {
 UNKNOWN = CauseKind(
     "unknown",
     "Something contradicts the model that is none of the causes looked for",
-    "look at the tests that noticed it",
+    "Look at the tests that noticed it",
     tuple(kind.name for kind in TRUST_TESTS),
 )
+
+
+#: Gates of the causes that are no displacement; the others have that of the test of their name.
+GATES_OF_OTHERS = {
+    "identities": "identities",
+    "places": "identities",
+    "tails": "centroid-noise",
+    "noise": "centroid-noise",
+}
+
+
+def gate_of_cause(name: str) -> str:
+    """The gate that hears of a cause."""
+    return GATES_OF_OTHERS.get(name) or gate_of_test(name)
 
 
 @dataclass(frozen=True)
@@ -193,31 +212,64 @@ class Candidate:
 
 def find_causes(examined: Examined, tests: Sequence[TrustTest]) -> list[Cause]:
     """Name what explains the tests that noticed something, the likeliest first; none where no test did."""
-    noticed = [test.name for test in tests if test.noticed]
+    noticed = [test.name for test in sorted(tests, key=lambda test: test.probability) if test.noticed]
     if not noticed:
         return []
     candidates = [*_displacements(examined), *_of_stars(examined)]
     candidates.append(_noise(examined, candidates))
-    found = _in_order(examined, [one for one in candidates if one.gain > 0], len(tests))
-    causes = [_describe(examined, one, share, noticed) for one, share in found]
-    causes = [cause for place, cause in enumerate(causes) if cause.tests or not place]
-    return causes or [
-        Cause(name="unknown", likelihood=1.0, sentence=UNKNOWN.sentence + ".", remedy=UNKNOWN.remedy, tests=noticed)
+    found = _in_order(examined, [one for one in candidates if one.gain > 0])
+    explained = _explained(examined, [one.name for one, _ in found if one.name in examined.scores], noticed)
+    causes = [
+        _describe(examined, one, share, noticed, explained if not place else ())
+        for place, (one, share) in enumerate(found)
     ]
+    causes = [cause for place, cause in enumerate(causes) if cause.tests or not place]
+    return causes or [_guess(examined, candidates, noticed)]
+
+
+def _explained(examined: Examined, free: list[str], noticed: list[str]) -> list[str]:
+    """Tests of displacements that notice nothing any more where those that were found are free."""
+    others = [name for name in noticed if name in examined.scores and name not in free]
+    return [name for name in others if free and not _notices(examined, free, name)]
+
+
+def _notices(examined: Examined, free: list[str], name: str) -> float:
+    """Gain of a displacement beside those that are free where its test notices it there; else 0."""
+    alone, both = find_score(examined.sums, *free), find_score(examined.sums, *free, name)
+    k, n = both.dof - alone.dof, examined.sums.n_arcs
+    if k < 1:
+        return 0.0
+    freedom = n - both.dof - len(examined.sums.A)
+    p = fdtrc(k, freedom, (alone.left - both.left) / k / (both.left / freedom))
+    return max(float(n * np.log(alone.left / both.left) - k * np.log(n)), 0.0) if p < UNLIKELY else 0.0
+
+
+def _guess(examined: Examined, candidates: list[Candidate], noticed: list[str]) -> Cause:
+    """Name the best of the causes that may trip the tests where none explains the residuals better than the camera alone."""
+    may = [
+        one for one in candidates if set(noticed) & set(CAUSES[one.name].tests) and one.name not in {"places", "noise"}
+    ]
+    best = max(may, key=lambda one: (one.name == noticed[0], one.gain), default=None)
+    if best is not None:
+        return _describe(examined, best, 1 / (1 + len(may)), noticed)
+    return Cause(
+        name="unknown", likelihood=1.0, sentence=f"{UNKNOWN.sentence}.", remedy=f"{UNKNOWN.remedy}.", tests=noticed
+    )
 
 
 def _gain(n: int, before: Score, coefficients: int) -> float:
     """Gain of a displacement whose fall and rest of chi-square are known."""
-    return n * np.log((before.fall + before.left) / before.left) - coefficients * np.log(n)
+    return float(n * np.log((before.fall + before.left) / before.left) - coefficients * np.log(n))
 
 
 def _evidence(n: int, score: Score) -> float:
-    """Gain of a velocity that was known to be small beforehand."""
+    """Gain of a departure whose coefficients were known to be of order one beforehand."""
     F = np.linalg.pinv(score.covariance, rcond=1e-12, hermitian=True)
     s, one = F @ score.c, np.eye(len(score.c))
     fall = score.fall / max(score.statistic, 1e-9) * float(s @ np.linalg.solve(F + one, s))
     before = score.fall + score.left
-    return float(n * np.log(before / (before - fall)) - np.linalg.slogdet(one + F)[1])
+    evidence = n * np.log(before / (before - fall)) - np.linalg.slogdet(one + F)[1]
+    return min(float(evidence), _gain(n, score, score.dof))
 
 
 def _displacements(examined: Examined) -> list[Candidate]:
@@ -225,7 +277,7 @@ def _displacements(examined: Examined) -> list[Candidate]:
     return [
         Candidate(
             name,
-            _evidence(n, score) if name == "aberration" else _gain(n, score, score.dof),
+            _evidence(n, score) if name in KNOWN_SIZE else _gain(n, score, score.dof),
             _size(examined, name, score),
         )
         for name, score in examined.scores.items()
@@ -234,12 +286,15 @@ def _displacements(examined: Examined) -> list[Candidate]:
 
 
 def _size(examined: Examined, name: str, score: Score) -> float:
-    """How far a departure displaces stars: root mean square over the set, times two for the largest; aberration in km/s."""
+    """How far a departure still displaces stars, as the amplitude of a wave would: its root mean square times the root of two.
+
+    Of aberration the velocity, km/s.
+    """
     if name == "aberration":
         speeds = VELOCITIES_KM_S[: len(score.c)] if len(score.c) < FREE_VELOCITY else [ANY_VELOCITY] * FREE_VELOCITY
         return float(np.linalg.norm(score.c * speeds))
     sigma = float(np.sqrt(np.mean(examined.fitted.arcs.sigma_px**2)))
-    return 2 * sigma * float(np.sqrt(max(score.fall - score.dof, 0.0) / examined.sums.n_arcs))
+    return sigma * float(np.sqrt(2 * max(score.fall - score.dof, 0.0) / examined.sums.n_arcs))
 
 
 def _of_stars(examined: Examined) -> list[Candidate]:
@@ -319,7 +374,7 @@ def _noise(examined: Examined, others: Sequence[Candidate]) -> Candidate:
     return Candidate("noise", -np.inf if little else float(off), float(np.sqrt(variance)))
 
 
-def _in_order(examined: Examined, candidates: list[Candidate], tests: int) -> list[tuple[Candidate, float]]:
+def _in_order(examined: Examined, candidates: list[Candidate]) -> list[tuple[Candidate, float]]:
     """Take the best, then what is still noticed beside it, and so on; each with its share of likelihood at its turn."""
     left, found = list(candidates), list[tuple[Candidate, float]]()
     while left:
@@ -327,11 +382,11 @@ def _in_order(examined: Examined, candidates: list[Candidate], tests: int) -> li
         best = max(special or left, key=lambda one: one.gain)
         gains = np.array([one.gain for one in special or left])
         found.append((best, float(1 / np.sum(np.exp(np.clip((gains - best.gain) / 2, -700, 0))))))
-        left = _beside(examined, [one for one, _ in found], [one for one in left if one is not best], tests)
+        left = _beside(examined, [one for one, _ in found], [one for one in left if one is not best])
     return found
 
 
-def _beside(examined: Examined, taken: list[Candidate], left: list[Candidate], tests: int) -> list[Candidate]:
+def _beside(examined: Examined, taken: list[Candidate], left: list[Candidate]) -> list[Candidate]:
     """What stands beside the causes that were taken: displacements with theirs free, and those of another kind."""
     free = [one.name for one in taken if one.name in examined.scores]
     stars = {"identities", "tails", "places"}
@@ -349,18 +404,15 @@ def _beside(examined: Examined, taken: list[Candidate], left: list[Candidate], t
                 continue  # what displaces stars can be told when the stars are right
             found.append(one)
             continue
-        alone, both = find_score(examined.sums, *free), find_score(examined.sums, *free, one.name)
-        k, n = both.dof - alone.dof, examined.sums.n_arcs
-        if k < 1:
-            continue
-        value = (alone.left - both.left) / k / (both.left / (n - both.dof - len(examined.sums.A)))
-        gain = n * np.log(alone.left / both.left) - k * np.log(n)
-        if gain > 0 and fdtrc(k, n - both.dof, value) < FAMILY_LEVEL / tests:
-            found.append(replace(one, gain=float(gain)))
+        gain = _notices(examined, free, one.name)
+        if gain > 0:
+            found.append(replace(one, gain=gain))
     return found
 
 
-def _describe(examined: Examined, one: Candidate, share: float, noticed: list[str]) -> Cause:
+def _describe(
+    examined: Examined, one: Candidate, share: float, noticed: list[str], besides: Sequence[str] = ()
+) -> Cause:
     kind = CAUSES[one.name]
     if one.name == "noise" and np.isfinite(examined.fitted.threshold):
         kind = replace(
@@ -372,5 +424,5 @@ def _describe(examined: Examined, one: Candidate, share: float, noticed: list[st
         likelihood=share,
         sentence=kind.sentence.format(size=f"{one.size:.2g}") + ".",
         remedy=kind.remedy[0].upper() + kind.remedy[1:] + ".",
-        tests=[name for name in noticed if name in kind.tests],
+        tests=[name for name in noticed if name in kind.tests or name in besides],
     )

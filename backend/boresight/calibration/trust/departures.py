@@ -10,10 +10,10 @@ polynomials, which keep the fields of one departure apart:
 `lens`         (L_i L_j, 0) and (0, L_i L_j), 1 <= i + j <= 3: any smooth residual of the lens
 `magnitude`    (m, 0), (0, m), (m x, m y) with m the star's magnitude: centroids pulled with brightness
 `colour`       the same with its colour B-V
-`phase`        sin and cos of 2 pi and 4 pi times the place in the pixel, along either axis: centroids drawn to pixel centres
+`phase`        sin and cos of 2 pi and 4 pi times the place in the pixel, along either axis: centroids drawn to its centre
 `readout`      the image's velocity times the row, or the column: one line after another
-`aberration`   v - (v.s) s with v the Earth's velocity, and the satellite's, in units of c, where times tell them, or else any constant
-               one of so many km/s as `ANY_VELOCITY`: directions of another observer
+`aberration`   v - (v.s) s with v the Earth's velocity, and the satellite's, in units of c, where times tell them, or else any
+               constant one of so many km/s as `ANY_VELOCITY`: directions of another observer
 `time`         (x, y) L_j(time), j = 1 ... 6: a focal length that changes
 `temperature`  (x, y) L_j(temperature), j = 1 ... 5
 `drift`        every free parameter times L_1(time)
@@ -34,11 +34,11 @@ from functools import partial
 
 import numpy as np
 from numpy.polynomial import legendre
+from numpy.typing import NDArray
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.trust.displacements import Block, Departure
 from boresight.calibration.trust.fitted_set import FittedSet
-from boresight.estimation.arcs import angular_sigma
 from boresight.estimation.attitude import attitudes, rotation_vector, to_quaternion, triad
 from boresight.sky.apparent import C_AU_DAY, C_M_S, days_since_j2000, earth_state
 
@@ -48,6 +48,8 @@ RADIAL, LENS, TIME, TEMPERATURE, HARMONICS = 4, 3, 6, 5, 2
 FAR_APART, FAR_TURN = 60.0, 0.2
 #: Velocity that directions may lack where no time tells the Earth's, km/s.
 ANY_VELOCITY = 20.0
+#: Seconds that the lines over half the diagonal take to read where a coefficient is one.
+READOUT_S = 0.03
 #: Frames that a change over them needs.
 FEWEST_FRAMES = 20
 #: Spread of a quantity below which nothing can depend on it.
@@ -58,18 +60,14 @@ SAME = 1e-9
 class Quantities:
     """Numbers of the stars and frames of a fitted set that fields are made of; None where the set has none, with the reason.
 
-    `velocity`: (n_exposures, 3, n_velocities) of the observer in units of c that may be left out.
-
-    `magnitude`, `colour`: (n_stars,) about their mean. `time`, `temperature`: (n_frames,) within -1 and 1. `rate`: (n_exposures, 3)
-    angular rate about the axes of the triad, rad/s, zero where it is not known.
+    `magnitude`, `colour`: (n_stars,) about their mean. `time`, `temperature`: (n_frames,) within -1 and 1. `missing`: what the
+    set has not, with the reason.
     """
 
     magnitude: FloatArray | None
     colour: FloatArray | None
     time: FloatArray | None
     temperature: FloatArray | None
-    rate: FloatArray | None
-    velocity: FloatArray
     missing: dict[str, str]
 
 
@@ -82,13 +80,13 @@ def find_departures(fitted: FittedSet) -> tuple[list[Departure], dict[str, str]]
         Departure("affine", "detector", _affine),
         Departure("lens", "detector", _lens),
         Departure("phase", "detector", _phase),
-        Departure("aberration", "sky", partial(_aberration, known.velocity)),
+        Departure("aberration", "sky", _aberration),
     ]
     for name, values in (("magnitude", known.magnitude), ("colour", known.colour)):
         if values is not None:
             found.append(Departure(name, "detector", partial(_with, values)))
-    if known.rate is not None:
-        found.append(Departure("readout", "detector", partial(_readout, known.rate)))
+    if "rate" not in known.missing:
+        found.append(Departure("readout", "detector", _readout))
     for name, values, order in (("time", known.time, TIME), ("temperature", known.temperature, TEMPERATURE)):
         if values is not None:
             found.append(Departure(name, "rows", partial(_scale_with, values, order)))
@@ -106,7 +104,9 @@ def find_quantities(fitted: FittedSet) -> Quantities:
         found[name] = None if isinstance(values, str) else values
         if isinstance(values, str):
             missing[name] = values
-    return Quantities(**found, velocity=_velocity(fitted), missing=missing)
+    if why := _why_no_rate(fitted):
+        missing["rate"] = why
+    return Quantities(**found, missing=missing)
 
 
 def _magnitude(fitted: FittedSet) -> FloatArray | str:
@@ -165,34 +165,42 @@ def _within_one(values: FloatArray, alike: str) -> FloatArray | str:
     return alike if not high - low > SAME else 2 * (values - low) / (high - low) - 1
 
 
-def _rate(fitted: FittedSet) -> FloatArray | str:
-    """Angular rate of each exposure from those that follow closely."""
-    arcs, camera, given = fitted.arcs, fitted.problem.camera, fitted.telemetry.time_utc
+def _why_no_rate(fitted: FittedSet) -> str:
+    """Say why nothing tells how fast the image moves; empty where something does."""
+    arcs, given = fitted.arcs, fitted.telemetry.time_utc
     if given is None:
         return "The telemetry has no times, so it is not known how fast the image moves."
-    at = given[arcs.source_row[arcs.star_start[:-1]]]
-    step = np.diff(at) / np.timedelta64(1, "s")
-    near = np.flatnonzero((step > 0) & (step < FAR_APART))
-    if not len(near):
+    if not len(_near(given[arcs.source_row[arcs.star_start[:-1]]])[0]):
         return "No exposures follow each other closely, so it is not known how fast the image moves."
-    s_d = camera.directions(fitted.x, arcs.row_px, arcs.col_px, arcs.pitch)
-    found = attitudes(
-        arcs.star_start, s_d, arcs.s_i, angular_sigma(camera, fitted.x, arcs), fitted.problem.sensor.parity
-    ).C
-    turn = rotation_vector(to_quaternion(found[near + 1] @ found[near].transpose(0, 2, 1)))
-    slow = np.linalg.norm(turn, axis=1) < FAR_TURN
+    return ""
+
+
+def _near(time: NDArray[np.datetime64]) -> tuple[IntArray, FloatArray]:
+    """Exposures, by their times (n_exposures,), that the next follows closely, and after how many seconds."""
+    step = np.diff(time) / np.timedelta64(1, "s")
+    near = np.flatnonzero((step > 0) & (step < FAR_APART))
+    return near, step[near]
+
+
+def _find_rates(block: Block) -> FloatArray:
+    """Angular rates (n_exposures, 3) of a block about the axes of the triad, rad/s; zero where nothing tells one."""
+    arcs, sensor, telemetry = block.arcs, block.fitted.problem.sensor, block.fitted.telemetry
     total, count = np.zeros((arcs.n_exposures, 3)), np.zeros(arcs.n_exposures)
+    if telemetry.time_utc is None:
+        return total
+    near, step = _near(telemetry.time_utc[arcs.source_row[arcs.star_start[:-1]]])
+    C = attitudes(arcs.star_start, block.on_detector[0], arcs.s_i, block.sigma_rad, sensor.parity).C
+    turn = rotation_vector(to_quaternion(C[near + 1] @ C[near].transpose(0, 2, 1)))
+    slow = np.linalg.norm(turn, axis=1) < FAR_TURN
     for place in (near[slow], near[slow] + 1):
-        total[place] += turn[slow] / step[near[slow], None]
+        total[place] += turn[slow] / step[slow, None]
         count[place] += 1
-    if not slow.any():
-        return "The image turns too far between exposures to tell how fast it moves."
     return np.asarray(total / np.maximum(count, 1)[:, None])
 
 
-def _velocity(fitted: FittedSet) -> FloatArray:
-    """Velocities in units of c that directions may lack, (n_exposures, 3, n_velocities)."""
-    arcs, telemetry = fitted.arcs, fitted.telemetry
+def _find_velocities(block: Block) -> FloatArray:
+    """Velocities in units of c that the directions of a block may lack, (n_exposures, 3, n_velocities)."""
+    arcs, telemetry = block.arcs, block.fitted.telemetry
     rows = arcs.source_row[arcs.star_start[:-1]]
     time = None if telemetry.time_utc is None else telemetry.time_utc[rows]
     if time is None or np.isnat(time).any():
@@ -208,7 +216,6 @@ SOURCES: dict[str, Callable[[FittedSet], FloatArray | str]] = {
     "colour": _colour,
     "time": _time,
     "temperature": _temperature,
-    "rate": _rate,
 }
 
 
@@ -273,25 +280,22 @@ def _with(values: FloatArray, block: Block) -> FloatArray:
     return _pairs((m, none), (none, m), (m * x, m * y))
 
 
-def _aberration(velocity: FloatArray, block: Block) -> FloatArray:
-    first = int(block.fitted.arcs.frame_start[block.first])
-    of_exposure = velocity[first : first + block.arcs.n_exposures]
-    v = np.repeat(of_exposure, np.diff(block.arcs.star_start), axis=0)
+def _aberration(block: Block) -> FloatArray:
+    v = np.repeat(_find_velocities(block), np.diff(block.arcs.star_start), axis=0)
     return np.asarray(np.einsum("nij,nic->njc", block.in_sky[1], v))
 
 
-def _readout(rate: FloatArray, block: Block) -> FloatArray:
-    """The image's velocity times the row and times the column, px: the coefficients are line times times half the diagonal."""
+def _readout(block: Block) -> FloatArray:
+    """The image's velocity times the row and times the column, px, where half the diagonal takes `READOUT_S` to read."""
     arcs, parity = block.arcs, block.fitted.problem.sensor.parity
     s, J = block.on_detector
-    first = int(block.fitted.arcs.frame_start[block.first])
-    w = np.repeat(rate[first : first + arcs.n_exposures], np.diff(arcs.star_start), axis=0)
+    w = np.repeat(_find_rates(block), np.diff(arcs.star_start), axis=0)
     moved = triad(np.cross(triad(s, parity), w), parity)
     a, b, c = (np.einsum("ni,ni->n", J[:, :, i], J[:, :, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
     along = np.einsum("nij,ni->nj", J, moved)
     determinant = a * c - b * b
     velocity = np.stack([c * along[:, 0] - b * along[:, 1], a * along[:, 1] - b * along[:, 0]], axis=1)
-    velocity /= determinant[:, None]
+    velocity *= READOUT_S / determinant[:, None]
     x, y = _places(block)
     return np.stack([velocity * x[:, None], velocity * y[:, None]], axis=-1)
 
@@ -299,7 +303,9 @@ def _readout(rate: FloatArray, block: Block) -> FloatArray:
 def _scale_with(values: FloatArray, order: int, block: Block) -> FloatArray:
     """Rows of a scale of the image that changes with a quantity of the frame."""
     L = legendre.legvander(values[block.frame_of_arc], order)[:, 1:]
-    return block.displace(_pairs(_places(block)), "detector") * L
+    if "scale" not in block.kept:
+        block.kept["scale"] = block.displace(_pairs(_places(block)), "detector")
+    return block.kept["scale"] * L
 
 
 def _drift(time: FloatArray, block: Block) -> FloatArray:

@@ -125,6 +125,11 @@ class Block:
         return rows
 
     @cached_property
+    def kept(self) -> dict[str, FloatArray]:
+        """Rows that several departures are made of."""
+        return {}
+
+    @cached_property
     def sigma_rad(self) -> FloatArray:
         """(n_stars,) isotropic direction error of each star."""
         J = self.on_detector[1]
@@ -247,7 +252,7 @@ def _displace(
     sigma = block.arcs.sigma_px if kind == "detector" else block.sigma_rad
     fields = np.concatenate([u[name] for name in names], axis=2)
     rows = block.displace(fields, kind)
-    weighted = np.einsum("nic,n->c", fields**2, 1 / sigma**2)
+    weighted = np.repeat(1 / sigma**2, 2) @ (fields * fields).reshape(-1, fields.shape[2])
     begin = 0
     for name in names:
         end = begin + u[name].shape[2]

@@ -1,7 +1,7 @@
 """Sigmas that tell the truth about misfit: what noise alone leaves in the parameters, widened by what the model does not hold.
 
 The covariance A^-1 of a fit is right when every centroid errs by the stated noise alone. What is wrong with the model shows in
-three ways, each of which may only widen it.
+four ways, each of which may only widen it.
 
 1. Level. Where chi-square per degree of freedom, s, is above its 95 % bound, residuals are larger than stated: s A^-1.
 
@@ -15,12 +15,16 @@ three ways, each of which may only widen it.
    B - 1 numbers only. Whitened by the level's covariance, P_B is a Wishart matrix over B - 1 when nothing is wrong. It is taken
    only where its trace or its largest eigenvalue (Johnstone) is beyond what noise gives once in 200 sets, and only along the
    eigenvectors where it is wider: so clean sets keep their sigmas. Blocks of several lengths are tried, for slow changes must fit
-   inside.
+   inside: what is correlated over a tenth of a block is still underestimated by a tenth.
 
 3. Departures. What is the same in all frames (a lens, the phase of the pixels) leaves the scores of the blocks alone. Of each
    departure that the tests notice, `displacements` has d, how far the parameters are off if it is real. The departure that
    explains most for its number of coefficients (Schwarz's criterion) is taken first, others only while they explain what is left;
-   together they widen by d d^T + cov(d).
+   together they widen by d d^T + cov(d), and each parameter by a share `CURVATURE` of its own d besides, for d is of first order.
+
+4. Selection. A filter that matches by the tolerance of the flight code takes in, frame by frame, the arcs that agree with where it
+   stands. From a start that is off by more than that tolerance it keeps few, and those lean to the start. The fit of the whole set
+   as it is matched in the end does not; the distance between the two, d, widens by d d^T.
 
 A filter's estimate has its start in it too; it is widened by as much as the fit of the whole set is.
 
@@ -39,7 +43,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.calibration.calibration import Covariance, Misfit, TrustTest, Values
+from boresight.calibration.calibration import Covariance, ModelMisfit, TrustTest, Values
 from boresight.calibration.estimate import covariance
 from boresight.calibration.trust.displacements import Score, ScoreSums, find_score
 from boresight.calibration.trust.fitted_set import FittedSet
@@ -51,21 +55,25 @@ from boresight.estimation.statistics.special import chdtrc
 BLOCKS = (96, 48, 24)
 #: Chance of a clean set's trace, and quantile of the Tracy-Widom law of the same chance, from which on blocks are taken.
 LEVEL, TRACY_WIDOM = 0.005, 2.4224
-#: Factor below which nobody need hear of a widening.
-SAME = 1.05
+#: Share of d by which it may be wrong because the camera is not linear over it.
+CURVATURE = 0.05
+#: Factor below which nobody need hear of a widening, and from which on it belongs among the advice.
+SAME, WIDE = 1.05, 2.0
 
 
 @dataclass(frozen=True)
 class Widening:
     """What was found: the covariance with it, (n_free, n_free) in typical sigmas, and what it came from.
 
-    `level`: s above. `blocks`: how many were taken, 0 where none were. `departures`: taken, the first first.
+    `level`: s above. `blocks`: how many were taken, 0 where none were. `departures`: taken, the first first. `selected`: distance
+    of a filter that selects its arcs from the fit of the whole set, in claimed sigmas of its worst parameter.
     """
 
     P: FloatArray
     level: float = 1.0
     blocks: int = 0
     departures: tuple[str, ...] = ()
+    selected: float = 0.0
 
 
 def widen(
@@ -91,8 +99,18 @@ def widen(
     shift, taken = np.zeros_like(noise), tuple[str, ...]()
     if sums is not None and scores:
         shift, taken = _of_departures(sums, [one.name for one in tests if one.noticed and one.name in scores])
-    excess = np.asarray(widest - noise + shift)
-    return Widening(fitted.estimate.P + excess, level, blocks, taken)
+    lean = _lean(fitted)
+    excess = np.asarray(widest - noise + shift + np.outer(lean, lean))
+    selected = float(np.max(np.abs(lean) / np.sqrt(np.diag(fitted.estimate.P))))
+    return Widening(fitted.estimate.P + excess, level, blocks, taken, selected)
+
+
+def _lean(fitted: FittedSet) -> FloatArray:
+    """How far a filter that selects its arcs ended from the fit of the whole set, (n_free,) typical sigmas; none of the others."""
+    settings, parameters = fitted.settings, fitted.parameters
+    if not settings.sequential or settings.match_rule != "flight":
+        return np.zeros(len(parameters.free))
+    return np.asarray((fitted.estimate.x - fitted.x)[parameters.free] / parameters.scale)
 
 
 def _level(fitted: FittedSet) -> float:
@@ -127,7 +145,7 @@ def sum_of_squares(scores: FloatArray, B: int, n_arcs: int) -> FloatArray:
     n, p = scores.shape
     starts = np.arange(B) * n // B
     g = np.add.reduceat(scores, starts, axis=0)
-    return np.asarray(g.T @ g) * (B / (B - 1) * (n_arcs - 1) / (n_arcs - p))
+    return np.asarray(B / (B - 1) * (n_arcs - 1) / (n_arcs - p) * (g.T @ g))
 
 
 def is_wider(M: FloatArray, B: int) -> bool:
@@ -165,7 +183,8 @@ def _of_departures(sums: ScoreSums, noticed: list[str]) -> tuple[FloatArray, tup
         taken.append(left[place])
     if best is None:
         return np.zeros_like(sums.A), ()
-    return np.outer(best.shift, best.shift) + best.shift_covariance, tuple(taken)
+    d = best.shift
+    return np.outer(d, d) + best.shift_covariance + np.diag((CURVATURE * d) ** 2), tuple(taken)
 
 
 def _noise(sums: ScoreSums, score: Score) -> float:
@@ -173,25 +192,41 @@ def _noise(sums: ScoreSums, score: Score) -> float:
     return score.left / max(sums.n_arcs - len(sums.A) - score.dof, 1)
 
 
-def describe_misfit(fitted: FittedSet, found: Widening) -> tuple[Values[float | None], Misfit] | None:
-    """Put a widening into the form of a calibration: the sigmas with it, SI, and where they come from; None where unknown."""
+def find_misfit(
+    fitted: FittedSet, sums: ScoreSums, scores: Mapping[str, Score], tests: Sequence[TrustTest]
+) -> tuple[Values[float | None], ModelMisfit] | None:
+    """Widen the sigmas of a fit: those with misfit, SI, and where they come from; None where a direction is not determined."""
+    if not fitted.determined or not np.isfinite(fitted.estimate.P).all():
+        return None
+    try:
+        return describe_misfit(fitted, widen(fitted, sums, scores, tests))
+    except np.linalg.LinAlgError:  # too near to singular
+        return None
+
+
+def describe_misfit(fitted: FittedSet, found: Widening) -> tuple[Values[float | None], ModelMisfit]:
+    """Put a widening into the form of a calibration."""
     parameters, names = fitted.parameters, fitted.problem.camera.parameter_names
     noise = np.sqrt(np.diag(fitted.estimate.P))
     wide = np.sqrt(np.maximum(np.diag(found.P), noise**2))
-    if not fitted.determined or not np.isfinite(wide).all():
-        return None
     factor = wide / noise
     sigma: dict[str, float | None] = dict.fromkeys(names)
     by_name: dict[str, float | None] = dict.fromkeys(names)
     for p, one, times in zip(parameters.free, wide * parameters.scale, factor, strict=True):
         sigma[names[p]], by_name[names[p]] = float(one), float(times)
     matrix = parameters.covariance(found.P).tolist()
-    return Values(sigma), Misfit(
+    return Values(sigma), ModelMisfit(
         covariance=Covariance(names=fitted.names, matrix=matrix),
         factor=Values(by_name),
         blocks=found.blocks,
         sentence=_sentence(fitted, found, factor),
     )
+
+
+def misfit_advice(found: ModelMisfit | None) -> list[str]:
+    """What a person should know of a widening that changes decisions."""
+    factors = [] if found is None else [one for one in found.factor.values() if one is not None]
+    return [found.sentence] if found is not None and max(factors, default=1.0) >= WIDE else []
 
 
 def _sentence(fitted: FittedSet, found: Widening, factor: FloatArray) -> str:
@@ -209,6 +244,11 @@ def _sentence(fitted: FittedSet, found: Widening, factor: FloatArray) -> str:
     if found.blocks:
         reasons.append(
             f"{found.blocks} blocks of frames disagree by more than noise: look for drift, a temperature or wrong matches"
+        )
+    if found.selected > 1:
+        reasons.append(
+            f"the filter kept only arcs that agreed with where it stood, and ended {found.selected:.2g} of its sigmas from the fit "
+            "of the whole set: choose the statistical tolerance, or the batch"
         )
     if found.level > 1:
         reasons.append(

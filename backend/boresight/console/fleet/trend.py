@@ -266,7 +266,7 @@ def _periods(promoted: Sequence[tuple[str, ParameterSet]]) -> Iterator[BaselineP
             to_utc,
             row.run_id is not None,
             document.parameters.to_dict(),
-            document.sigma.to_dict() if document.sigma else {},
+            document.reliable_sigma.to_dict(),
         )
 
 

@@ -117,17 +117,8 @@ TOLERANCE_FACTORS = (1.0, 1.2, 1.5, 2.0, 3.0)
 STEP_SIGMA = 1e-2
 #: Parts of a calibration that a record keeps as they are.
 KEPT = (
-    "status",
-    "parameters",
-    "sigma",
-    "covariance",
-    "chi2_per_dof",
-    "nis",
-    "rms_arc_rad",
-    "iterations",
-    "frames",
-    "stars",
-)
+    "status", "parameters", "sigma", "covariance", "chi2_per_dof", "nis", "rms_arc_rad", "iterations", "frames", "stars",
+)  # fmt: skip
 #: Parts of the first set's calibration that only the figures need.
 DRAWN = ("history", "observability", "matching")
 

@@ -60,6 +60,7 @@ class Setting:
 
 
 SETTINGS = tuple(Setting(*one) for one in product(START_SIGMAS, Q_SIGMAS, LINEARISATIONS, TOLERANCES))
+AXES = ("P₀ in typical sigmas", "Q in typical sigmas", "linearisations", "matching")
 #: What a quick study runs.
 FEW = tuple(one for one in SETTINGS if one.start_sigma == START_SIGMAS[0] and one.arc_sigmas is None)
 
@@ -100,7 +101,7 @@ def _record(setting: Setting, ratios: dict[str, list[float]]) -> Finding:
     found = np.array(list(ratios.values()))
     matching = "statistical" if setting.arc_sigmas is None else f"flight, {setting.arc_sigmas:g} arc sigmas"
     return {
-        "P₀": setting.start_sigma, "Q": setting.q_sigma, "linearisations": setting.linearisations, "matching": matching,
+        **dict(zip(AXES, (setting.start_sigma, setting.q_sigma, setting.linearisations, matching), strict=True)),
         "factor": compute_typical_factor(found), "factor_of_rms": compute_typical_factor(found[:, 0]),
         "within_two": count_within_two(found), "numbers": found.size, "ratios": ratios,
     }  # fmt: skip
@@ -125,9 +126,6 @@ def _change_ratios(x: dict[str, float], place: int) -> Iterator[float]:
     for name, values in printed.TABLE_VII.items():
         unit = printed.TABLE_VII_UNITS[name][0]
         yield (x[name] - START[name]) / (values[place] * unit - START[name])
-
-
-AXES = ("P₀", "Q", "linearisations", "matching")
 
 
 def grids(pooled: Pooled, varied: Sequence[Finding]) -> list[Finding]:

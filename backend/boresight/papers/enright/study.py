@@ -15,16 +15,12 @@ from boresight.errors import RefusedInputError
 from boresight.papers.documents import (
     SCHEMA,
     Finding,
-    csv_bytes,
     described,
-    figure_lines,
     head,
-    json_bytes,
     number,
     rendered,
     table_document,
-    table_lines,
-    write_files,
+    write_study,
 )
 from boresight.papers.enright.drawings import draw_convergence, draw_radial, draw_rms, drawings
 from boresight.papers.enright.estimators import DRAWN, ESTIMATORS, SPARSE_EVERY, Record, Trial, run_trial
@@ -70,15 +66,11 @@ def _kept(record: Record) -> Record:
 
 def _timing(pooled: Pooled) -> dict[str, Any]:
     """Milliseconds a frame of each estimator, matching included: the median over sets, by the clock of this run."""
-    return {
-        "ms_per_frame": {
-            key: float(
-                np.median([1e3 * record["timing_s"]["calibration"] / max(record["frames"], 1) for record in found])
-            )
-            for key in ESTIMATORS
-            if (found := pooled.of(key))
-        }
+    spent = {
+        key: [1e3 * record["timing_s"]["calibration"] / max(record["frames"], 1) for record in pooled.of(key)]
+        for key in ESTIMATORS
     }
+    return {"ms_per_frame": {key: float(np.median(times)) for key, times in spent.items() if times}}
 
 
 #: Share of a study's time that its sets take.
@@ -149,27 +141,15 @@ DRAW: dict[str, Callable[[Mapping[str, Any]], go.Figure]] = {
 
 def write(document: Document, out: Path) -> list[Path]:
     """Write every file of a study into a folder, made where it is not there; returns their paths."""
-    files = {
-        "enright.html": render(document).encode(),
-        "enright.json": json_bytes(document),
-        "enright-tables.csv": csv_bytes(table_lines(document)),
-        "enright-estimators.csv": csv_bytes(_estimator_lines(document)),
-        "enright-figures.csv": csv_bytes(figure_lines(document, ("frame", "radius_px"), ("estimator", "label"))),
-    }
-    return write_files(files, out)
+    curves = ("frame", "radius_px"), ("estimator", "label")
+    return write_study("enright", document, render(document), out, curves, estimators=_estimator_lines(document))
 
 
 def render(document: Document) -> str:
     """Render the report as HTML text."""
-    return rendered(
-        "papers/enright.html",
-        document,
-        DRAW,
-        table_i=TABLE_I,
-        table_ii=TABLE_II,
-        ukf_cost=ukf_cost(document),
-        lines=list(_record_lines(document)),
-    )
+    inputs = {"table_i": TABLE_I, "table_ii": TABLE_II}
+    lines = list(_record_lines(document))
+    return rendered("papers/enright.html", document, DRAW, ukf_cost=ukf_cost(document), lines=lines, **inputs)
 
 
 def _record_lines(document: Document) -> Iterator[dict[str, Any]]:
@@ -211,13 +191,8 @@ def ukf_cost(document: Document) -> str:
 
 
 def _estimator_lines(document: Document) -> Iterable[Sequence[Any]]:
-    yield (
-        "estimator",
-        "sets",
-        "converged",
-        *(f"nees_{key}" for key in _NEES),
-        *(f"ratio_to_bound_{key}" for key in _RATIO),
-    )
+    spreads = *(f"nees_{key}" for key in _NEES), *(f"ratio_to_bound_{key}" for key in _RATIO)
+    yield "estimator", "sets", "converged", *spreads
     for found in document["estimators"]:
         nees, ratio = found["nees"] or dict.fromkeys(_NEES), found["ratio_to_bound"] or dict.fromkeys(_RATIO)
         spread = *(nees[key] for key in _NEES), *(ratio[key] for key in _RATIO)

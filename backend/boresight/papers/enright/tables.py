@@ -306,11 +306,11 @@ def _range(
 def _conditions(pooled: Pooled) -> Row:
     records = pooled.firsts("batch")
     plain = [record["plain_condition_number"] for record in records]
-    unscaled = np.array([compute_unscaled_condition(record["observability"]) for record in records]) / 1e14
+    unscaled = np.array([compute_unscaled_condition(record["observability"]) for record in records]) / 1e12
     theirs, (low, high) = printed.CONDITION_NUMBERS, (min(plain), max(plain))
     before = Cell(
-        "unscaled (10¹⁴)", "", printed.UNSCALED_CONDITION / 1e14, float(np.exp(np.log(unscaled).mean())),
-        float(unscaled.min()), float(unscaled.max()), 0.1, 0.0, *UNITS,
+        "unscaled (10¹²)", "", printed.UNSCALED_CONDITION / 1e12, float(np.exp(np.log(unscaled).mean())),
+        float(unscaled.min()), float(unscaled.max()), 10.0, 0.0, *UNITS,
     )  # fmt: skip
     inside = sum(theirs[0] <= one <= theirs[1] for one in plain)
     said = f"{inside} of {len(plain)} sensors lie between {theirs[0]:.0f} and {theirs[1]:.0f}."

@@ -271,7 +271,7 @@ def _judged(head: Record, arcs: ArcSet, judges: Judges) -> list[Record]:
             **head, "estimator": estimator.key, "weights": estimator.weights, **_criteria(x, judges),
             "error": error.tolist(), "nees": nees(error / START_SIGMA, run.P),
         }  # fmt: skip
-        if head["magnitude_limit"] == FIELD_LIMIT:
+        if (estimator.key, estimator.weights) == ("svd-4-23", "full"):
             record["settled"] = _settled(run.states)
         drawn = head["set"] == 0 and head["magnitude_limit"] == 5.5 and head["noise_px"] == WU_IMPLIED_SIGMA_PX
         if drawn and estimator.key in {"svd-4-23", "angular"}:

@@ -186,7 +186,7 @@ def _printed_a() -> dict[tuple[str, float], tuple[float, float]]:
 PRINTED_A = _printed_a()
 
 
-AXES = ("R", "P₀", "Q", "order")
+AXES = ("R", "P₀", "Q in precisions", "order")
 
 
 def grids(records: Sequence[Mapping[str, Any]]) -> list[Finding]:
@@ -216,7 +216,7 @@ def compare(records: Sequence[Mapping[str, Any]]) -> list[Finding]:
 def _compared(setting: Setting, order: str, A: Mapping[tuple[str, float], FloatArray]) -> Finding:
     ratios = np.array([A[place] / np.array(theirs) for place, theirs in PRINTED_A.items()])
     return {
-        "R": setting.weights, "P₀": setting.p_0, "Q": setting.q, "order": order,
+        **dict(zip(AXES, (setting.weights, setting.p_0, setting.q, order), strict=True)),
         "factor": compute_typical_factor(ratios[:, 0]), "within_two": count_within_two(ratios[:, 0]), "numbers": len(ratios),
         "factor_of_deviations": compute_typical_factor(ratios[:, 1]),
         "mean": {f"{key} {limit:g}": float(A[key, limit][0]) for key, limit in PRINTED_A},

@@ -13,15 +13,11 @@ import plotly.graph_objects as go
 from boresight.errors import RefusedInputError
 from boresight.papers.documents import (
     SCHEMA,
-    csv_bytes,
     described,
-    figure_lines,
     head,
-    json_bytes,
     rendered,
     table_document,
-    table_lines,
-    write_files,
+    write_study,
 )
 from boresight.papers.processes import Report, keep_silent, run_all, run_on_one_thread
 from boresight.papers.wu.drawings import LABELS, draw_criteria, draw_observability, draw_parameters, drawings
@@ -136,14 +132,8 @@ HEAD = ("set", "magnitude_limit", "noise_px", "stars", "estimator", "weights")
 
 def write(document: Document, out: Path) -> list[Path]:
     """Write every file of a study into a folder, made where it is not there; returns their paths."""
-    files = {
-        "wu.html": render(document).encode(),
-        "wu.json": json_bytes(document),
-        "wu-tables.csv": csv_bytes(table_lines(document)),
-        "wu-sets.csv": csv_bytes(_set_lines(document)),
-        "wu-figures.csv": csv_bytes(figure_lines(document, ("frame",), ("label", "unit", "truth"))),
-    }
-    return write_files(files, out)
+    curves = ("frame",), ("label", "unit", "truth")
+    return write_study("wu", document, render(document), out, curves, sets=_set_lines(document))
 
 
 def render(document: Document) -> str:

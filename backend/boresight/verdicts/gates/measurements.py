@@ -38,7 +38,7 @@ Critical gates ask whether the numbers are numbers of this sensor at all: nobody
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -46,10 +46,11 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.calibration.calibration import Calibration, ChiSquareTest, InnovationTest
+from boresight.calibration.calibration import Calibration, ChiSquareTest, InnovationTest, TrustTest
 from boresight.calibration.parameter_file import parse_parameters
+from boresight.calibration.trust.causes import gate_of_cause
 from boresight.calibration.trust.efficiency import field_arc_sigma
-from boresight.calibration.trust.trust_tests import KIND_OF_TEST, MATTERS
+from boresight.calibration.trust.trust_tests import MATTERS, gate_of_test
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
@@ -116,7 +117,14 @@ class GateInputs:
 
     def read_covariance(self, document: Document) -> FloatArray:
         """Spread a set's covariance over all parameters, (n_parameters, n_parameters) SI, 0 for those it held fixed."""
-        covariance = document["covariance"]
+        return self._spread(document["covariance"])
+
+    def read_reliable_covariance(self, document: Document) -> FloatArray:
+        """The same of the covariance to decide by: with misfit where the set has it, else of noise alone."""
+        misfit = document.get("misfit")
+        return self._spread(document["covariance"] if misfit is None else misfit["covariance"])
+
+    def _spread(self, covariance: Mapping[str, Any]) -> FloatArray:
         places = [self.names.index(name) for name in covariance["names"]]
         P = np.zeros((len(self.names),) * 2)
         P[np.ix_(places, places)] = np.array(covariance["matrix"], np.float64).reshape(len(places), len(places))
@@ -283,7 +291,7 @@ def parameter_shift(inputs: GateInputs) -> Measurement:
     x_0 = inputs.x_incumbent
     if inputs.incumbent is None or x_0 is None:
         return absent("There is no incumbent that it could have moved from.")
-    P, P_0 = (inputs.read_covariance(document) for document in (inputs.candidate, inputs.incumbent))
+    P, P_0 = (inputs.read_reliable_covariance(document) for document in (inputs.candidate, inputs.incumbent))
     sigma = np.sqrt(np.diag(P) + np.diag(P_0) + (FLOOR * inputs.sensor.typical_sigma) ** 2)
     shift = (inputs.x - x_0) / sigma
     i = int(np.argmax(np.abs(shift)))
@@ -334,25 +342,45 @@ def _around_one(value: float, test: ChiSquareTest | InnovationTest, what: str) -
 
 #: What a finding counts whose error in claimed sigmas is not known.
 UNKNOWN_SIZE = 1.0
+#: Tests that tell the size of a cause that is no displacement.
+OF_STARS = ("outliers",)
 #: And at least, so that what was noticed is never taken for nothing.
 LEAST_SIZE = 1e-3
 NO_TESTS = "The run made no tests of the model: clone it and start it again to have them."
 
 
 def tests_of_model(name: str, inputs: GateInputs) -> Measurement:
-    """Measure the largest error that the noticed tests of a gate's kind tell of, in claimed sigmas; 0 where none noticed anything."""
+    """Measure the largest error that the noticed tests of a gate tell of, in claimed sigmas; 0 where none noticed anything.
+
+    What a cause explains counts once, for the gate of the cause and with the cause's own size.
+    """
     if inputs.result is None or not inputs.result.tests:
         return absent(NO_RUN if inputs.result is None else NO_TESTS)
-    made = [test for test in inputs.result.tests if test.name in KIND_OF_TEST and KIND_OF_TEST[test.name].gate == name]
-    noticed = [test for test in made if test.noticed]
+    made = sum(gate_of_test(test.name) == name for test in inputs.result.tests)
+    found = [(size, sentence) for gate, size, sentence in _findings(inputs.result) if gate == name]
     if not made:
         return absent("The set allows none of these tests: add frames, times or magnitudes.")
-    if not noticed:
-        return Measurement(0.0, f"None of {len(made)} tests notices anything (1 % over all tests of the set).")
-    size = max((UNKNOWN_SIZE if test.effect is None else test.effect) for test in noticed)
-    first = min(noticed, key=lambda test: test.probability)
-    more = f" {len(noticed)} of {len(made)} tests noticed something." if len(noticed) > 1 else ""
-    return Measurement(max(size, LEAST_SIZE), f"{first.sentence}{more}")
+    if not found:
+        return Measurement(0.0, f"None of {made} tests tells of such an error (1 % over all tests of the set).")
+    return Measurement(max(LEAST_SIZE, *(size for size, _ in found)), " ".join(sentence for _, sentence in found))
+
+
+def _findings(result: Calibration) -> Iterator[tuple[str, float, str]]:
+    """Gate, size in claimed sigmas and sentence of every cause, and of every noticed test that no cause explains."""
+    noticed = {test.name: test for test in result.tests if test.noticed}
+    for cause in result.causes:
+        own = [
+            noticed[name] for name in (cause.name, *OF_STARS) if name in noticed and name in (cause.name, *cause.tests)
+        ]
+        yield gate_of_cause(cause.name), _size(own), cause.sentence
+    explained = {name for cause in result.causes for name in cause.tests}
+    for name in noticed.keys() - explained:
+        yield gate_of_test(name), _size([noticed[name]]), noticed[name].sentence
+
+
+def _size(tests: Sequence[TrustTest]) -> float:
+    known = [test.effect for test in tests if test.effect is not None]
+    return known[0] if known else UNKNOWN_SIZE
 
 
 def arc_uncertainty(inputs: GateInputs) -> Measurement:
@@ -370,7 +398,7 @@ def arc_uncertainty(inputs: GateInputs) -> Measurement:
 
 def _worst_arc(inputs: GateInputs, document: Document, x: Any) -> tuple[float, float]:
     """Largest sigma of an arc over the detector, rad, and the length of the arcs, degrees."""
-    sigma, length = field_arc_sigma(inputs.sensor, x, inputs.read_covariance(document))
+    sigma, length = field_arc_sigma(inputs.sensor, x, inputs.read_reliable_covariance(document))
     return float(np.nanmax(sigma)), float(np.degrees(length))
 
 

@@ -18,7 +18,7 @@ from boresight.console.pages.rendering import make_change
 from boresight.console.runs import choices
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.live import StateNotice, describe_progress, heard_s, list_notices
-from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
+from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run, parse_progress
 from boresight.errors import ConflictError
 from boresight.figures import held_out_error
 from boresight.platform.actors import Actor
@@ -119,13 +119,13 @@ def _of_state(request: Request, session: Session, view: ChoiceView, asked: Run) 
         return replace(view, notices=[StateNotice(level, cause)])
     workers = get_server(request).workers
     notices = list_notices(session, asked, log, workers.state() if workers else None)
-    progress = asked.progress or {}
+    progress = parse_progress(asked.progress)
     return replace(
         view,
         notices=notices,
         heard_s=heard_s(asked, log),
-        fraction=float(progress.get("fraction") or 0.0),
-        message=progress.get("message") or "",
+        fraction=progress.fraction or 0.0,
+        message=progress.message or "",
         pace=describe_progress(session, asked),
     )
 
