@@ -12,6 +12,7 @@ from boresight.calibration.calibrate import calibrate
 from boresight.calibration.calibration import to_plain
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.matching.rematch import Matches, Rematcher, ground_covariance
+from boresight.calibration.matching.verification import NONE, Verification
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.telemetry_pieces import TelemetryFile
@@ -60,6 +61,11 @@ def case(telemetry, sensor, catalogue, **settings):
     ):
         calibrate(telemetry, sensor, catalogue, chosen)
     return Case(*written.call_args.args[:4], telemetry, catalogue)
+
+
+def unverified():
+    """Let given stars stand whatever they are: for what is said of wrong ones that nothing removed."""
+    return mock.patch.object(Verification, "verify", return_value=NONE)
 
 
 def measured(rng, s_i, place, noise_px, frames, exposures=1):

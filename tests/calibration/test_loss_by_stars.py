@@ -7,7 +7,7 @@ import pytest
 
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
-from boresight.estimation.robust import TUNING, StarWeighing
+from boresight.estimation.robust import TUNING, StarWeights
 from boresight.estimation.statistics.special import chdtri
 from tests.calibration.sets import field, in_memory, st16, streamed, written
 from tests.calibration.test_verification import calibrated, normalised_error, with_wrong
@@ -97,7 +97,7 @@ def test_the_weights_of_an_exposure_reproduce_themselves(catalogue):
     telemetry = with_gross(field(6, frames=3, exposures=1), 0.1, 6, reach_px=4.0)
     problem = build_problem(telemetry, st16(), catalogue)
     arcs = problem.arcs.whole()
-    w, t2 = StarWeighing(1, TRUTH, 1.0, 4).weigh(arcs)
+    w, t2 = StarWeights(1, TRUTH, 1.0, 4).compute_weights(arcs)
     assert (w > 0.99).any()
     assert (w < 0.5).any()
     camera = problem.camera

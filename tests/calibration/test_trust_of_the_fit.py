@@ -20,7 +20,7 @@ from boresight.estimation.statistics.consistency import chi_square
 from boresight.estimation.statistics.cramer_rao import centroid_rows
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.guide_stars import phrases, star_flags
-from tests.calibration.sets import case, field, simulated
+from tests.calibration.sets import case, field, simulated, unverified
 from tests.estimation.fields import TRUTH
 
 
@@ -40,7 +40,8 @@ def test_two_halves_of_clean_sets_differ_as_their_covariances_say(sensor, catalo
 def test_halves_of_a_set_with_wrong_matches_in_a_part_of_it_disagree_and_some_cannot_stand_alone(sensor, catalogue):
     telemetry = field(1)
     telemetry.row_px[:24] += 30 * np.random.default_rng(1).normal(size=24)  # the first frame
-    part = to_plain(two_halves(case(telemetry, sensor, catalogue).ground))
+    with unverified():
+        part = to_plain(two_halves(case(telemetry, sensor, catalogue).ground))
     assert not part["chi2"]["consistent"]
     assert "disagree by more than their sigmas allow" in part["sentence"]
     one = case(field(2, frames=1, stars=30), sensor, catalogue).ground

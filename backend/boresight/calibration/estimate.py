@@ -21,11 +21,11 @@ from boresight.estimation.robust import (
     REST_OF_ROUNDS,
     SCALE_RESTS,
     TUNING,
-    StarWeighing,
-    even_part,
+    StarWeights,
     measure_scale,
     measure_star_effect,
-    weigh_part,
+    whiten_even,
+    whiten_weighted,
 )
 from boresight.estimation.statistics.special import ndtr
 from boresight.estimation.stored_arcs import Arcs
@@ -294,7 +294,7 @@ def _run_by_star(
     if fitted.status == "diverged":
         return fitted
     parity = find_parity(problem.arcs, fitted.x, problem.sensor.parity)
-    how = StarWeighing(parity, fitted.x, 1.0, settings.minimum_stars)
+    how = StarWeights(parity, fitted.x, 1.0, settings.minimum_stars)
     x, rested = fitted.x, False
     for _ in range(MOST_ROUNDS):
         scale = measure_scale(problem.arcs, replace(how, x=x))
@@ -302,7 +302,7 @@ def _run_by_star(
         if rested:
             break
         how = replace(how, x=x, scale=scale)
-        arcs = problem.arcs.each(weigh_part, how)
+        arcs = problem.arcs.each(whiten_weighted, how)
         found = batch.fit(
             arcs, x, parameters.free, parameters.scale,
             max_iterations=settings.max_iterations, report=report, cancelled=cancelled, rest=REST_OF_ROUNDS,
@@ -317,7 +317,7 @@ def _run_by_star(
 def _of_stars(
     problem: Problem,
     parameters: Parameters,
-    how: StarWeighing,
+    how: StarWeights,
     found: batch.BatchFit,
     plain: Estimate,
     steps: Sequence[batch.Step],
@@ -325,7 +325,7 @@ def _of_stars(
     rested: bool,
 ) -> Estimate:
     """Give an estimate by stars its own information, and the chi-square that shows what it did not follow."""
-    even = problem.arcs.each(even_part, how)
+    even = problem.arcs.each(whiten_even, how)
     effect = measure_star_effect(problem.arcs, how, len(parameters.free))
     A = effect.information_share * batch.normal_equations(even, how.x, parameters.free, parameters.scale).A
     chi2 = batch.normal_equations(problem.whitened(how.x), how.x, parameters.free, parameters.scale).chi2

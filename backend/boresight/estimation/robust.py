@@ -79,7 +79,7 @@ MOST_ROUNDS, REST_OF_ROUNDS, SCALE_RESTS = 60, 1e-8, 1e-10
 
 
 @dataclass(frozen=True)
-class StarWeighing:
+class StarWeights:
     """How the stars of any part of a set are weighed: parity of the sensor, state x (n_parameters,) SI, scale s, least stars."""
 
     parity: int
@@ -87,7 +87,7 @@ class StarWeighing:
     scale: float
     minimum_stars: int
 
-    def weigh(self, block: ArcSet) -> tuple[FloatArray, FloatArray]:
+    def compute_weights(self, block: ArcSet) -> tuple[FloatArray, FloatArray]:
         """Return weights w and t^2 in units of the scale, (n_stars,) each; zero and infinite where there is no attitude."""
         s = triad(block.camera.directions(self.x, block.row_px, block.col_px, block.pitch), self.parity)
         w, t2 = np.empty(block.n_stars), np.empty(block.n_stars)
@@ -96,18 +96,18 @@ class StarWeighing:
         return w, t2
 
 
-def weigh_part(arcs: ArcSet, how: StarWeighing, *, even: bool = False) -> ArcSet:
+def whiten_weighted(arcs: ArcSet, how: StarWeights, *, even: bool = False) -> ArcSet:
     """Leave out stars without weight and whiten the others with sigma^2 / w, or sigma^2 (`even`): for `Arcs.each`."""
-    w, _ = how.weigh(arcs)
+    w, _ = how.compute_weights(arcs)
     out = w < LEAST_WEIGHT
     weighted = arcs if even else ArcSet(**{**vars(arcs), "sigma_px": arcs.sigma_px / np.sqrt(np.where(out, 1.0, w))})
     kept, _, _ = weighted.without(arcs.source_row[out], how.minimum_stars)
     return whiten(kept, angular_sigma(kept.camera, how.x, kept))[0]
 
 
-def even_part(arcs: ArcSet, how: StarWeighing) -> ArcSet:
+def whiten_even(arcs: ArcSet, how: StarWeights) -> ArcSet:
     """Leave out stars without weight and whiten the others with their own variances: for `Arcs.each`."""
-    return weigh_part(arcs, how, even=True)
+    return whiten_weighted(arcs, how, even=True)
 
 
 @dataclass(frozen=True)
@@ -119,19 +119,19 @@ class StarEffect:
     information_share: float
 
 
-def measure_scale(arcs: Arcs, how: StarWeighing) -> float:
+def measure_scale(arcs: Arcs, how: StarWeights) -> float:
     """Return s at a state, from that of `how`."""
     t2 = np.concatenate(arcs.over_blocks(_statistics_in_block, how))
     t2 = t2[np.isfinite(t2)]
     return how.scale * float(np.sqrt(np.median(t2) / (2 * np.log(2)))) if len(t2) else how.scale
 
 
-def _statistics_in_block(block: ArcSet, how: StarWeighing) -> FloatArray:
+def _statistics_in_block(block: ArcSet, how: StarWeights) -> FloatArray:
     """t^2 of the stars of one block."""
-    return how.weigh(block)[1]
+    return how.compute_weights(block)[1]
 
 
-def measure_star_effect(arcs: Arcs, how: StarWeighing, n_free: int) -> StarEffect:
+def measure_star_effect(arcs: Arcs, how: StarWeights, n_free: int) -> StarEffect:
     """Judge the weights at one state; a share of zero where nothing is left over."""
     stars, held, n_arcs, psi, slope = np.sum(arcs.over_blocks(_consistency_in_block, how), axis=0).tolist()
     left_out = int(stars - held)
@@ -141,18 +141,18 @@ def measure_star_effect(arcs: Arcs, how: StarWeighing, n_free: int) -> StarEffec
     return StarEffect(int(stars), left_out, b**2 / a * (n_arcs - n_free) / n_arcs)
 
 
-def _consistency_in_block(block: ArcSet, how: StarWeighing) -> FloatArray:
+def _consistency_in_block(block: ArcSet, how: StarWeights) -> FloatArray:
     """Stars, those with weight, their arcs, and the sums of 1/2 w^2 q^2 and w + 1/2 w' t over one block, (5,)."""
-    kept = even_part(block, how)
+    kept = whiten_even(block, how)
     if not kept.n_stars:
         return np.array([block.n_stars, 0.0, 0.0, 0.0, 0.0])
-    w, t2 = how.weigh(kept)
+    w, t2 = how.compute_weights(kept)
     psi = 0.5 * np.sum(w**2 * _plain_statistics(kept, how))
     slope = np.sum(w - 2 * t2 / TUNING**2 * np.sqrt(w))
     return np.array([block.n_stars, kept.n_stars, 2 * kept.n_stars - 3 * kept.n_exposures, psi, slope])
 
 
-def _plain_statistics(arcs: ArcSet, how: StarWeighing) -> FloatArray:
+def _plain_statistics(arcs: ArcSet, how: StarWeights) -> FloatArray:
     """Return q^2 of each star, (n_stars,): attitudes by least squares, leverage taken out."""
     n = arcs.n_stars
     s = triad(arcs.camera.directions(how.x, arcs.row_px, arcs.col_px, arcs.pitch), how.parity)

@@ -313,6 +313,21 @@ def test_matching_shows_both_counts_starts_reasons_flags_and_the_view_of_flight(
     assert "420 µrad" in text
 
 
+def test_removed_stars_are_a_table_with_reason_and_probability_and_a_file(site, read, results):
+    one = {"frame": 12, "exposure": 1, "row": 345, "star_id": 4567, "reason": "it lies too far", "probability": 1e-30}
+    removed = [one, {**one, "row": 346, "star_id": None, "probability": None}]
+    result = {**results["batch"], "removed": removed, "removed_of": {"proposed": 5000, "removed": 2}}
+    run_id, victor = site.add_run("batch", state="SUCCEEDED", result=result), site.visitor("victor")
+    text = read(victor.get(f"/runs/{run_id}?part=matching"))
+    assert re.search(r"2 of 5\W?000 proposed stars were removed", text)
+    assert re.search("345 12 1 4567 it lies too far (<|&lt;) 1e-12", text)
+    assert "346 12 1 – it lies too far –" in text
+    lines = victor.get(f"/api/v1/runs/{run_id}/removed/data").splitlines()
+    assert lines[0] == "row,frame,exposure,star_id,reason,probability"
+    assert lines[1].startswith("345,12,1,4567,it lies too far,1e-30")
+    assert len(lines) == 3
+
+
 def test_a_result_from_before_the_examination_says_how_to_have_one(site, read, results):
     old = {name: said for name, said in results["batch"].items() if name not in ("trust", "matching", "shadow")}
     run_id = site.add_run("batch", state="SUCCEEDED", result=old)
