@@ -53,7 +53,7 @@ from boresight.calibration.trust.trust_tests import Examined, make_tests
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 
-__all__ = ["Examination", "cause_advice", "judge_trust", "trust_advice"]
+__all__ = ["TrustReport", "cause_advice", "judge_trust", "trust_advice"]
 
 Part = Callable[[FittedSet], Any]
 #: Members of the trust by name.
@@ -85,7 +85,7 @@ SINGULAR = "The numbers of this fit are too close to singular: free fewer parame
 
 
 @dataclass(frozen=True)
-class Examination:
+class TrustReport:
     """What trust makes of an estimate: its parts, the tests made, and what explains those that noticed something."""
 
     trust: Trust
@@ -100,7 +100,7 @@ def judge_trust(
     estimate: Estimate,
     telemetry: Telemetry,
     catalogue: Catalogue | None = None,
-) -> Examination:
+) -> TrustReport:
     """Judge a finished estimate in every way there is.
 
     `problem`, `parameters`, `settings`, `estimate`: as `calibrate` has them at its end; the arcs are whitened here. `telemetry`:
@@ -110,14 +110,14 @@ def judge_trust(
     try:
         fitted = fit_best(problem, parameters, settings, estimate, telemetry, catalogue)
     except Unavailable as reason:
-        return Examination(Trust(unavailable=dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS), str(reason))), [], [])
+        return TrustReport(Trust(unavailable=dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS), str(reason))), [], [])
     parts, unavailable = _computed({name: partial(part, fitted) for name, part in OF_THE_FIT.items()})
     if "drop_one" in parts:
         parts["drop_one_sentence"] = drop_one_sentence(fitted, parts["drop_one"])
     stars = _of_stars(fitted)
     parts |= stars.parts
     trust = Trust(**parts, unavailable=unavailable | stars.unavailable)
-    return Examination(trust, *_tested(fitted, parts, stars))
+    return TrustReport(trust, *_tested(fitted, parts, stars))
 
 
 def _tested(fitted: FittedSet, parts: Parts, stars: StarParts) -> tuple[list[TrustTest], list[Cause]]:
