@@ -79,9 +79,7 @@ def verdict(found: Calibration) -> str:
 
 def _scores(found: Calibration) -> Iterator[tuple[str, str]]:
     yield "RMS arc error", _pair(found.rms_arc_rad)
-    for name, part in (("misfit", found.misfit), ("minima", found.minima)):
-        if part is not None:
-            yield name, part.sentence
+    yield from ((name, part.sentence) for name, part in (("misfit", found.misfit), ("minima", found.minima)) if part)
     if found.chi2 is not None:
         yield "chi2 per degree of freedom", _test(found.chi2_per_dof, found.chi2)
     if found.tests:
