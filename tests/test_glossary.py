@@ -14,7 +14,7 @@ REPLACED = set(
     re.findall(
         r"\w+",
         """Answering AtHand Border Climb ClusterSpread Codings Conditions Course Desk Drawn Engine Evidence Fitness Flight
-        Flights Insurance InThisProcess Examination Keeping Kept Loan Lookout Mark Marks MatchedSet Misfit Once OnlyTry Orders
+        Flights Insurance InThisProcess Judgement Keeping Kept Loan Lookout Mark Marks MatchedSet Misfit Once OnlyTry Orders
         Paces Place Ready RematchedSet Rounds Shown Sighting Sightings Sought Specimen Spread Standing StreamedSet Telling
         Told Turns Upkeep Watch Workplace climb course dressed fitness held_out judgements lookout only_try orders paces
         desk sighting specimen upkeep weigh weigh_block weighed wu_weighed""",

@@ -15,7 +15,7 @@ from boresight.calibration.matching.rematch import Matches, Rematcher, ground_co
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.telemetry_pieces import TelemetryFile
-from boresight.calibration.trust import Examination, judge_trust
+from boresight.calibration.trust import TrustReport, judge_trust
 from boresight.calibration.trust.fitted_set import FittedSet, fit_best
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.inverted_wang import INVERTED_WANG
@@ -42,12 +42,12 @@ class Case:
         return fit_best(**vars(self))
 
     @property
-    def examination(self) -> Examination:
+    def report(self) -> TrustReport:
         return judge_trust(**vars(self))
 
     @property
     def trust(self) -> dict:
-        return to_plain(self.examination.trust)
+        return to_plain(self.report.trust)
 
 
 def case(telemetry, sensor, catalogue, **settings):

@@ -95,7 +95,7 @@ def test_at_most_one_of_a_hundred_clean_sets_is_called_into_question(catalogue):
 
 
 def test_a_wrong_sigma_trips_the_test_of_noise_and_no_other_displacement(sensor, catalogue):
-    told = case(field(3, frames=120), replace(sensor, centroid_sigma_px=0.2), catalogue).examination
+    told = case(field(3, frames=120), replace(sensor, centroid_sigma_px=0.2), catalogue).report
     assert [cause.name for cause in told.causes] == ["noise"]
     noticed = {test.name for test in told.tests if test.noticed}
     assert "chi_square" in noticed
@@ -121,7 +121,7 @@ def test_what_moves_stars_by_next_to_nothing_is_noticed_in_a_very_large_set_and_
 
 
 def test_stars_in_one_quarter_of_the_detector_are_said_with_the_error_elsewhere_though_no_direction_is_weak(catalogue):
-    trust = simulated(catalogue, seed=3).examination.trust
+    trust = simulated(catalogue, seed=3).report.trust
     counts = np.zeros((12, 16), int)
     counts[:6, :8] = 9
     edges = {

@@ -69,7 +69,7 @@ def test_a_reduced_set_is_judged_by_its_own_parameters_and_the_wrong_parity_foun
 
 
 def test_a_model_that_does_not_fit_is_said_before_drift_and_stars(catalogue):
-    judged = simulated(catalogue, seed=1, free=("f_m",)).examination
+    judged = simulated(catalogue, seed=1, free=("f_m",)).report
     trust = to_plain(judged.trust)
     advice = advise(trust, judged.causes)
     assert trust["unavailable"] == {"drop_one": "Only one parameter is free, so there is no other to fit without it."}

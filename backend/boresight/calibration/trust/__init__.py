@@ -55,7 +55,7 @@ from boresight.calibration.trust.trust_tests import Examined, make_tests
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 
-__all__ = ["Examination", "cause_advice", "judge_trust", "trust_advice"]
+__all__ = ["TrustReport", "cause_advice", "judge_trust", "trust_advice"]
 
 Part = Callable[[FittedSet], Any]
 #: Members of the trust by name.
@@ -87,7 +87,7 @@ SINGULAR = "The numbers of this fit are too close to singular: free fewer parame
 
 
 @dataclass(frozen=True)
-class Examination:
+class TrustReport:
     """What trust makes of an estimate: its parts, the tests made, and what explains those that noticed something.
 
     `sigma_with_misfit`, `misfit`: by how much that widens the sigmas; empty and None where it is not known.
@@ -107,7 +107,7 @@ def judge_trust(
     estimate: Estimate,
     telemetry: Telemetry,
     catalogue: Catalogue | None = None,
-) -> Examination:
+) -> TrustReport:
     """Judge a finished estimate in every way there is.
 
     `problem`, `parameters`, `settings`, `estimate`: as `calibrate` has them at its end; the arcs are whitened here. `telemetry`:
@@ -117,7 +117,7 @@ def judge_trust(
     try:
         fitted = fit_best(problem, parameters, settings, estimate, telemetry, catalogue)
     except Unavailable as reason:
-        return Examination(Trust(unavailable=dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS), str(reason))), [], [])
+        return TrustReport(Trust(unavailable=dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS), str(reason))), [], [])
     parts, unavailable = _computed({name: partial(part, fitted) for name, part in OF_THE_FIT.items()})
     if "drop_one" in parts:
         parts["drop_one_sentence"] = drop_one_sentence(fitted, parts["drop_one"])
@@ -127,7 +127,7 @@ def judge_trust(
     return _tested(fitted, trust, parts, stars)
 
 
-def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> Examination:
+def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> TrustReport:
     """Make every test that can be made, look for what explains them, and widen the sigmas by it."""
     departures, _ = find_departures(fitted)
     try:
@@ -137,9 +137,9 @@ def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> 
         tests = make_tests(examined)
         causes = find_causes(examined, tests)
     except np.linalg.LinAlgError:  # the numbers are too near to singular
-        return Examination(trust, [], [])
+        return TrustReport(trust, [], [])
     wider = find_misfit(fitted, sums, scores, tests)
-    return Examination(trust, tests, causes) if wider is None else Examination(trust, tests, causes, *wider)
+    return TrustReport(trust, tests, causes) if wider is None else TrustReport(trust, tests, causes, *wider)
 
 
 def _computed(parts: Mapping[str, Callable[[], Any]]) -> tuple[Parts, dict[str, str]]:

@@ -257,8 +257,8 @@ def _affine(block: Block) -> FloatArray:
 def _lens(block: Block) -> FloatArray:
     x, y = _places(block)
     L_x, L_y = legendre.legvander(x, LENS), legendre.legvander(y, LENS)
-    orders = [(i, j) for i in range(LENS + 1) for j in range(LENS + 1 - i) if i + j]
-    values = np.stack([L_x[:, i] * L_y[:, j] for i, j in orders], axis=-1)
+    exponents = [(i, j) for i in range(LENS + 1) for j in range(LENS + 1 - i) if i + j]
+    values = np.stack([L_x[:, i] * L_y[:, j] for i, j in exponents], axis=-1)
     none = np.zeros_like(values)
     return np.stack([np.concatenate([values, none], axis=1), np.concatenate([none, values], axis=1)], axis=1)
 
