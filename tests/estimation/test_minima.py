@@ -7,12 +7,13 @@ from scipy.spatial.transform import Rotation
 from boresight.calibration.estimate import Parameters, run_batch
 from boresight.calibration.minima import LowerMinimum, describe_minima, is_symmetric, look_for_minima
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.problem import make_problem
+from boresight.calibration.problem import build_problem, make_problem
 from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import batch, minima
 from boresight.estimation.statistics.special import chdtri
-from boresight.telemetry.schema import Telemetry
-from boresight.telemetry.sensors import Sensor
+from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.schema import Telemetry, select_rows
+from boresight.telemetry.sensors import Sensor, read_sensor
 
 #: A lens of 35 mm over 11 by 8 degrees, where tilts and principal point are hardly told apart.
 ROWS, COLUMNS, PITCH, NOISE_PX = 768, 1024, 6.9e-6, 0.13
@@ -174,3 +175,18 @@ def test_profile_intervals_hold_the_truth():
 def test_profile_intervals_of_sparse_sets_hold_the_truth_as_often_as_they_say():
     share = coverage(10, 12, 200)
     assert share == pytest.approx(0.95, abs=0.035)
+
+
+def test_a_real_sparse_exposure_has_other_minima_and_huber_is_taken_to_the_lowest(real_sky, catalogue):
+    sensor, telemetry = read_sensor(real_sky / "esa.sensor.json"), read_telemetry(real_sky / "esa-5-frames.csv")
+    problem = build_problem(select_rows(telemetry, slice(0, int(np.sum(telemetry.frame == 0)))), sensor, catalogue)
+    free, scale = np.arange(8), sensor.typical_sigma
+    for threshold, above in ((np.inf, 4.4), (1.345, 1.8)):
+        x = sensor.initial
+        for _ in range(2):
+            fitted = batch.fit(problem.whitened(x), x, free, scale, threshold=threshold)
+            x = fitted.x
+        found = look_for_minima(problem, free, scale, threshold, fitted, None).search.found
+        assert found[1].cost - found[0].cost == pytest.approx(above, abs=0.1)
+        moved = (found[1].x - found[0].x) / scale / batch.sigma_in_scale(found[1].A)
+        assert np.abs(moved).max() > 3
