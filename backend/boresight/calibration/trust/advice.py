@@ -18,6 +18,8 @@ SEVERAL = 2
 PARTS, COVERED = (6, 8), 0.7
 #: Causes of which the stars' own sentence says more, for it names them.
 OF_STARS = ("places", "identities")
+#: Causes of which the residual spline says more, for it names the camera model that takes them up.
+OF_THE_LENS = ("tangential", "radial", "affine", "lens")
 
 
 def cause_advice(trust: Trust, causes: Sequence[Cause]) -> list[str]:
@@ -44,6 +46,8 @@ def _of_causes(trust: Trust, causes: Sequence[Cause]) -> Iterator[str]:
             "Besides: " if place else f"Likeliest cause ({cause.likelihood:.0%}): " if cause.likelihood < 0.995 else ""
         )
         yield f"{opening}{cause.sentence} {cause.remedy}"
+        if cause.name in OF_THE_LENS and trust.residual_spline is not None and trust.residual_spline.structure:
+            yield trust.residual_spline.sentence
         if cause.name in OF_STARS and trust.suspects and trust.stars_sentence is not None:
             yield trust.stars_sentence
 

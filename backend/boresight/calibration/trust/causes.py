@@ -15,8 +15,8 @@ time that is not long, the evidence itself: with c normal of sigma one beforehan
 
     n ln(RSS_0 / (RSS_0 - s^T (F + I)^-1 s)) - ln det(I + F),                    but no more than by the first line.
 
-e^(gain / 2) is the cause's likelihood beside the camera's (Schwarz 1978). Where more than `FEW` centroids lie
-`FARTHEST` spreads off, tails are none of the causes: no noise does that. r is taken from
+e^(gain / 2) is the cause's likelihood beside the camera's (Schwarz 1978). Where more than `FEW` centroids lie `FARTHEST` spreads
+off, tails and places are none of the causes: no noise does that, and the attitudes that places rest on are spoiled. r is taken from
 what the best displacement leaves, or where the tails are heavy from the median, so that no other cause passes for noise.
 
 A cause explains every test that is not of a single departure (`GENERAL`), its own, and those of other displacements that notice
@@ -251,7 +251,7 @@ def _guess(examined: Examined, candidates: list[Candidate], noticed: list[str]) 
     ]
     best = max(may, key=lambda one: (one.name == noticed[0], one.gain), default=None)
     if best is not None:
-        return _describe(examined, best, 1 / (1 + len(may)), noticed)
+        return _describe(examined, best, _share(best, may), noticed)
     return Cause(
         name="unknown", likelihood=1.0, sentence=f"{UNKNOWN.sentence}.", remedy=f"{UNKNOWN.remedy}.", tests=noticed
     )
@@ -307,13 +307,14 @@ def _of_stars(examined: Examined) -> list[Candidate]:
     plain = _normal(q)
     mixed, share = _mixture(q)
     student, degrees = _student(q)
-    if np.sum(q > (FARTHEST * found.spread) ** 2) > FEW:
+    gross = np.sum(q > (FARTHEST * found.spread) ** 2) > FEW
+    if gross:
         student = -np.inf
     candidates = [
         Candidate("identities", 2 * (mixed - plain) - 2 * np.log(n), 100 * share),
         Candidate("tails", 2 * (student - plain) - np.log(n), degrees),
     ]
-    return [*candidates, *_places(examined, n)]
+    return candidates if gross else [*candidates, *_places(examined, n)]
 
 
 def _places(examined: Examined, n: int) -> list[Candidate]:
@@ -380,10 +381,15 @@ def _in_order(examined: Examined, candidates: list[Candidate]) -> list[tuple[Can
     while left:
         special = [one for one in left if one.name != "noise"]
         best = max(special or left, key=lambda one: one.gain)
-        gains = np.array([one.gain for one in special or left])
-        found.append((best, float(1 / np.sum(np.exp(np.clip((gains - best.gain) / 2, -700, 0))))))
+        found.append((best, _share(best, special or left)))
         left = _beside(examined, [one for one, _ in found], [one for one in left if one is not best])
     return found
+
+
+def _share(one: Candidate, among: list[Candidate]) -> float:
+    """Share of a candidate's likelihood among some that it is one of, and the camera with no cause at all."""
+    gains = np.array([0.0, *(other.gain for other in among)])
+    return float(1 / np.sum(np.exp(np.clip((gains - one.gain) / 2, -700, 700))))
 
 
 def _beside(examined: Examined, taken: list[Candidate], left: list[Candidate]) -> list[Candidate]:
