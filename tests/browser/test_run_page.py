@@ -182,7 +182,7 @@ def test_the_page_can_be_read_before_its_figures_are_drawn(people, batch_run):
     with people.seat("analyst") as window:
         window.page.route("**/figures/*", lambda _: None)  # no figure ever arrives
         window.open(f"/runs/{batch_run}?part=trust")
-        expect(window.page.get_by_role("heading", name="TrustReport")).to_be_visible()
+        expect(window.page.get_by_role("heading", name="Examination")).to_be_visible()
         expect(window.page.get_by_role("table", name="Residuals of each star")).to_be_visible()
         window.page.unroute_all(behavior="ignoreErrors")
 

@@ -4,15 +4,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from boresight.calibration.calibrate import calibrate
 from boresight.calibration.estimate import Parameters, run_batch
 from boresight.calibration.minima import LowerMinimum, describe_minima, is_symmetric, look_for_minima
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.problem import make_problem
+from boresight.calibration.problem import build_problem, make_problem
 from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import batch, minima
+from boresight.estimation.minima import LOWER
 from boresight.estimation.statistics.special import chdtri
-from boresight.telemetry.schema import Telemetry
-from boresight.telemetry.sensors import Sensor
+from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.schema import Telemetry, select_rows
+from boresight.telemetry.sensors import Sensor, read_sensor
 
 #: A lens of 35 mm over 11 by 8 degrees, where tilts and principal point are hardly told apart.
 ROWS, COLUMNS, PITCH, NOISE_PX = 768, 1024, 6.9e-6, 0.13
@@ -24,20 +27,26 @@ RISE = float(chdtri(1, 0.05))
 SEVERAL, HIGHER = 37, 38
 
 
-def sparse(seed, exposures=1, stars=60):
+def sparse_set(seed, exposures=1, stars=60):
     rng = np.random.default_rng(seed)
     truth, n = START + SCALE * rng.normal(size=8), exposures * stars
     row, col = rng.uniform(0, ROWS - 1, n), rng.uniform(0, COLUMNS - 1, n)
     s = INVERTED_WANG.directions(truth, row, col, PITCH).reshape(-1, stars, 3)
     s_i = np.einsum("eij,enj->eni", Rotation.random(exposures, rng=rng).as_matrix(), s).reshape(n, 3)
     telemetry = Telemetry(
-        frame=np.repeat(np.arange(exposures), stars), exposure=np.zeros(n, int),
-        row_px=row + NOISE_PX * rng.normal(size=n), col_px=col + NOISE_PX * rng.normal(size=n), star_id=np.arange(1, n + 1),
+        frame=np.repeat(np.arange(exposures), stars), exposure=np.zeros(n, int), star_id=np.arange(1, n + 1),
+        row_px=row + NOISE_PX * rng.normal(size=n), col_px=col + NOISE_PX * rng.normal(size=n),
+        ra_rad=np.arctan2(s_i[:, 1], s_i[:, 0]), dec_rad=np.arcsin(s_i[:, 2]),
     )  # fmt: skip
     sensor = Sensor(
         name="S", rows=ROWS, columns=COLUMNS, pixel_pitch_m=PITCH, camera_model="inverted_wang", parity=1,
         centroid_sigma_px=NOISE_PX, initial=START.copy(), typical_sigma=SCALE.copy(), free=INVERTED_WANG.parameter_names,
     )  # fmt: skip
+    return telemetry, sensor, s_i, truth
+
+
+def sparse(seed, exposures=1, stars=60):
+    telemetry, sensor, s_i, truth = sparse_set(seed, exposures, stars)
     return make_problem(telemetry, sensor, s_i, 4), truth
 
 
@@ -174,3 +183,31 @@ def test_profile_intervals_hold_the_truth():
 def test_profile_intervals_of_sparse_sets_hold_the_truth_as_often_as_they_say():
     share = coverage(10, 12, 200)
     assert share == pytest.approx(0.95, abs=0.035)
+
+
+def test_a_real_sparse_exposure_has_other_minima_and_huber_is_taken_to_the_lowest(real_sky, catalogue):
+    sensor, telemetry = read_sensor(real_sky / "esa.sensor.json"), read_telemetry(real_sky / "esa-5-frames.csv")
+    problem = build_problem(select_rows(telemetry, slice(0, int(np.sum(telemetry.frame == 0)))), sensor, catalogue)
+    free, scale = np.arange(8), sensor.typical_sigma
+    for threshold, above in ((np.inf, 4.4), (1.345, 1.8)):
+        x = sensor.initial
+        for _ in range(2):
+            fitted = batch.fit(problem.whitened(x), x, free, scale, threshold=threshold)
+            x = fitted.x
+        found = look_for_minima(problem, free, scale, threshold, fitted, None).search.found
+        assert found[1].cost - found[0].cost == pytest.approx(above, abs=0.1)
+        moved = (found[1].x - found[0].x) / scale / batch.sigma_in_scale(found[1].A)
+        assert np.abs(moved).max() > 3
+
+
+@pytest.mark.parametrize("robust", ["none", "huber"])
+def test_what_drop_one_leads_to_is_taken_up_and_said(robust, catalogue, monkeypatch):
+    telemetry, sensor, *_ = sparse_set(HIGHER)
+    settings = CalibrationSettings(match="given", robust=robust)
+    sought = calibrate(telemetry, sensor, catalogue, settings)
+    monkeypatch.setattr("boresight.calibration.minima.MOST_STARS", 0)  # as of a set that is not searched
+    found = calibrate(telemetry, sensor, catalogue, settings)
+    assert found.minima.taken_from.startswith("the fit with")
+    assert found.minima.sentence in found.advice
+    assert all(entry.chi2_increase > -LOWER for entry in found.trust.drop_one)
+    assert found.chi2.value == pytest.approx(sought.chi2.value, abs=0.1)

@@ -21,7 +21,7 @@ from boresight.calibration.problem import Problem, whiten_at
 from boresight.estimation import minima
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import BatchFit, determined
-from boresight.estimation.minima import LOWER, Piece, Search, Surface
+from boresight.estimation.minima import LOWER, CostSurface, Piece, Search
 from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.estimation.statistics.observability import WEAK, chi2_rise, is_curved
@@ -100,7 +100,7 @@ def look_for_minima(
     def whiten(x: FloatArray) -> ArcSet:
         return whiten_at(arcs, problem.camera, x)
 
-    surface = Surface(whiten, free, scale, threshold, problem.can_be, cancelled)
+    surface = CostSurface(whiten, free, scale, threshold, problem.can_be, cancelled)
     found = minima.search(surface, fitted, np.random.default_rng(SEED))
     if not found.found:
         return NOT_SEARCHED
@@ -120,7 +120,7 @@ def _is_worth_it(problem: Problem, free: IntArray, scale: FloatArray, fitted: Ba
     return values[0] < WEAK**-2 or is_curved(chi2_rise(problem.whitened(fitted.x), fitted.x, free, scale, fitted.A))
 
 
-def _fall(surface: Surface, lowest: BatchFit, fitted: BatchFit) -> float:
+def _fall(surface: CostSurface, lowest: BatchFit, fitted: BatchFit) -> float:
     """By how much a minimum lies below where a fit ended; infinite where that was none."""
     return surface.cost(fitted.x) - lowest.cost if surface.is_minimum(fitted) else np.inf
 
@@ -173,7 +173,7 @@ def find_rise(problem: Problem, search: Search) -> float:
     return rise * minima.measure_wilks_factor(search, np.random.default_rng(SEED))
 
 
-def _residual_variance(surface: Surface, best: BatchFit) -> float:
+def _residual_variance(surface: CostSurface, best: BatchFit) -> float:
     """By how much the cost rises where it would rise by 1 if the noise were as stated; see `estimation.minima`."""
     arcs, n_free = surface.whiten(best.x), len(surface.free)
     if np.isfinite(surface.threshold):

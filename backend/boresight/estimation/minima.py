@@ -60,7 +60,7 @@ GROWTH, MOST_STEPS, RISE_TOLERANCE = 1.4, 40, 0.01
 
 
 @dataclass(frozen=True)
-class Surface:
+class CostSurface:
     """A cost to be searched.
 
     Parameters
@@ -117,7 +117,7 @@ class Surface:
 class Search:
     """What a search found: what was searched, how many starts it made, and the minima, (n_minima,), the lowest first."""
 
-    surface: Surface
+    surface: CostSurface
     starts: int
     found: tuple[BatchFit, ...]
 
@@ -128,7 +128,7 @@ class Search:
         return settled if lower and is_within_reach(self.surface, settled, lowest) else None
 
 
-def search(surface: Surface, fitted: BatchFit, rng: np.random.Generator) -> Search:
+def search(surface: CostSurface, fitted: BatchFit, rng: np.random.Generator) -> Search:
     """Look for every minimum about a fit.
 
     Parameters
@@ -159,7 +159,7 @@ def search(surface: Surface, fitted: BatchFit, rng: np.random.Generator) -> Sear
     return Search(surface, starts, tuple(found))
 
 
-def _add(surface: Surface, found: list[BatchFit], ended: BatchFit, first: BatchFit) -> None:
+def _add(surface: CostSurface, found: list[BatchFit], ended: BatchFit, first: BatchFit) -> None:
     """Add a minimum within reach of the first fit that is not among those found."""
     if not surface.is_minimum(ended) or any(surface.same(ended, one) for one in found):
         return
@@ -170,7 +170,7 @@ def _add(surface: Surface, found: list[BatchFit], ended: BatchFit, first: BatchF
         found.append(settled)
 
 
-def is_within_reach(surface: Surface, one: BatchFit, first: BatchFit) -> bool:
+def is_within_reach(surface: CostSurface, one: BatchFit, first: BatchFit) -> bool:
     """Whether a minimum is not far from the first fit, nor a plain without end where that is none."""
     step = (one.x - first.x)[surface.free] / surface.scale
     near = not np.isfinite(first.x).all() or bool(np.abs(step).max() <= REACH)
@@ -178,7 +178,7 @@ def is_within_reach(surface: Surface, one: BatchFit, first: BatchFit) -> bool:
     return near and bool(batch.sigma_in_scale(one.A).max() <= max(REACH, min(weakest, LARGEST_SIGMA)))
 
 
-def _starts(surface: Surface, about: BatchFit, rng: np.random.Generator) -> Iterator[FloatArray]:
+def _starts(surface: CostSurface, about: BatchFit, rng: np.random.Generator) -> Iterator[FloatArray]:
     """States (n_parameters,) spread about a fit, and along its weakest directions both ways."""
     n_free = len(surface.free)
     for spread in SPREADS:
@@ -192,7 +192,7 @@ def _starts(surface: Surface, about: BatchFit, rng: np.random.Generator) -> Iter
             yield _moved(surface, about.x, -length * v)
 
 
-def _moved(surface: Surface, x: FloatArray, z: FloatArray) -> FloatArray:
+def _moved(surface: CostSurface, x: FloatArray, z: FloatArray) -> FloatArray:
     """A state (n_parameters,) moved by z (n_free,) typical sigmas."""
     moved = x.copy()
     moved[surface.free] += surface.scale * z
@@ -249,7 +249,7 @@ class _End:
     lowest: BatchFit
 
 
-def _end(surface: Surface, minimum: BatchFit, place: int, sign: float, level: float) -> _End:
+def _end(surface: CostSurface, minimum: BatchFit, place: int, sign: float, level: float) -> _End:
     """Follow the profile from a minimum one way until its cost crosses the level."""
     scale, p = float(surface.scale[place]), int(surface.free[place])
     sigma = float(batch.sigma_in_scale(minimum.A)[place])
@@ -269,7 +269,7 @@ def _end(surface: Surface, minimum: BatchFit, place: int, sign: float, level: fl
     return _End(_cross(surface, inner, outer, place, level), lowest)
 
 
-def _cross(surface: Surface, inner: BatchFit, outer: BatchFit, place: int, level: float) -> float:
+def _cross(surface: CostSurface, inner: BatchFit, outer: BatchFit, place: int, level: float) -> float:
     """Close in on the crossing between a fit below the level and one above, by halving and by the chord in turn."""
     p = int(surface.free[place])
     a, b = inner, outer
@@ -284,7 +284,7 @@ def _cross(surface: Surface, inner: BatchFit, outer: BatchFit, place: int, level
     return float(a.x[p])
 
 
-def _held(surface: Surface, near: BatchFit, place: int, value: float) -> BatchFit:
+def _held(surface: CostSurface, near: BatchFit, place: int, value: float) -> BatchFit:
     """Fit the others while a parameter is held at a value, SI, beginning at the nearest fit."""
     x = near.x.copy()
     x[surface.free[place]] = value
@@ -311,7 +311,7 @@ def measure_wilks_factor(search: Search, rng: np.random.Generator) -> float:
     return max(float(np.mean(rises)), 1.0) if rises else 1.0
 
 
-def _rises(surface: Surface, arcs: ArcSet, minima: tuple[BatchFit, ...]) -> list[float]:
+def _rises(surface: CostSurface, arcs: ArcSet, minima: tuple[BatchFit, ...]) -> list[float]:
     """J_p(truth) - J of every parameter on a set whose truth is the first of some minima; none where no fit came to rest."""
     held = [surface.fit(arcs, minima[0].x, held=place) for place in range(len(surface.free))]
     starts = [one.x for one in (*minima, *held)]

@@ -56,7 +56,7 @@ BLOCKS = (96, 48, 24)
 #: Chance of a clean set's trace, and quantile of the Tracy-Widom law of the same chance, from which on blocks are taken.
 LEVEL, TRACY_WIDOM = 0.005, 2.4224
 #: Share of d by which it may be wrong because the camera is not linear over it.
-CURVATURE = 0.05
+CURVATURE = 0.1
 #: Factor below which nobody need hear of a widening, and from which on it belongs among the advice.
 SAME, WIDE = 1.05, 2.0
 

@@ -43,7 +43,7 @@ from boresight.calibration.minima import MOST_RESTARTS, LowerMinimum
 from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailable, chosen, grid, nested, probability
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
-from boresight.estimation.minima import LOWER, Surface, is_within_reach
+from boresight.estimation.minima import LOWER, CostSurface, is_within_reach
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.estimation.statistics.special import chdtrc, chdtri
 from boresight.estimation.statistics.uncertainty import difference_over_detector, expected_difference
@@ -200,7 +200,9 @@ def _hand_back(ground: FittedSet, held: batch.BatchFit, name: str) -> None:
     parameters, restarts = ground.parameters, ground.estimate.searched.restarts
     ended = batch.fit(ground.arcs, held.x, parameters.free, parameters.scale, threshold=ground.threshold)
     fall = _equations(ground, ground.arcs, ground.x).chi2 - ended.cost
-    surface = Surface(lambda _: ground.arcs, parameters.free, parameters.scale, ground.threshold, ground.problem.can_be)
+    surface = CostSurface(
+        lambda _: ground.arcs, parameters.free, parameters.scale, ground.threshold, ground.problem.can_be
+    )
     here = replace(ended, x=ground.x, A=ground.A)
     if fall < LOWER or not surface.is_minimum(ended) or not is_within_reach(surface, ended, here):
         return

@@ -282,13 +282,12 @@ def make_summary_part(review: RunReview) -> dict[str, Any]:
 
 def make_uncertainty(result: Calibration | None) -> dict[str, Any]:
     """Gather what the sigmas do not tell of: misfit, other minima, and intervals that are not symmetric."""
-    if result is None:
-        return {}
+    found = result or Calibration(status="running")
     return {
-        "misfit": result.misfit.sentence if result.misfit else "",
-        "minima": result.minima.sentence if result.minima else "",
-        "others": minimum_rows(result),
-        "intervals": interval_rows(result),
+        "misfit": found.misfit.sentence if found.misfit else "",
+        "minima": found.minima.sentence if found.minima else "",
+        "others": minimum_rows(found),
+        "intervals": interval_rows(found),
     }
 
 
