@@ -183,7 +183,7 @@ def _carried(
 
 
 SCHEMA = "boresight.parameters/1"
-#: ModelMisfit that is allowed, as a share of the sensor's centroid_sigma_px.
+#: Misfit that is allowed, as a share of the sensor's centroid_sigma_px.
 ALLOWED_SHARE = 0.01
 ARCSEC_PER_RAD = math.degrees(1.0) * 3600.0
 
