@@ -264,7 +264,7 @@ def test_a_set_that_the_other_model_can_say_shows_values_sigmas_and_misfit_and_a
     page = site.visitor("victor").get(STRAIGHT)
     text = read(page)
     assert "In the camera model pinhole_radial" in text
-    assert "ModelMisfit over the detector" in text
+    assert "Misfit over the detector" in text
     assert "1 % of the sensor’s centroid error" in text
     assert "Uncertainty left out" in text
     assert "/api/v1/parameter-sets/1/conversion?to=pinhole_radial" in page
