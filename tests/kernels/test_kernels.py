@@ -80,7 +80,7 @@ def test_the_angle_that_needs_no_branch_is_the_arctangents(phi, size):
 def _plain_centroids(field, x, free, scale, kept):
     """The rows of the bound and the residuals in pixels, exposure by exposure, by NumPy's own means."""
     s, ds = INVERTED_WANG.directions_and_jacobian(x, field.row_px, field.col_px, PITCH)
-    at = lambda down, right: INVERTED_WANG.directions(x, field.row_px + down, field.col_px + right, PITCH)  # noqa: E731
+    at = lambda down, right: INVERTED_WANG.directions(x, field.row_px + down, field.col_px + right, PITCH)  # noqa: E731 - short
     D = np.stack([at(0.5, 0) - at(-0.5, 0), at(0, 0.5) - at(0, -0.5)], axis=-1)
     inverse = np.linalg.pinv(D)
     J = inverse @ (ds[:, :, free] * scale) / field.sigma_px[:, None, None]

@@ -189,7 +189,7 @@ def _squares_of_block(block: ArcSet, x: FloatArray) -> float:
 def determined(A: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Eigenvalues (ascending), eigenvectors and which of them carry information rather than rounding."""
     values, vectors = np.linalg.eigh(A)
-    return values, vectors, values > RANK_TOLERANCE * max(values[-1], np.finfo(float).tiny)
+    return values, vectors, values > RANK_TOLERANCE * max(values.max(initial=0.0), np.finfo(float).tiny)
 
 
 def sigma_in_scale(A: FloatArray) -> FloatArray:

@@ -142,8 +142,8 @@ RESIDUAL_AGAINST = part_figure(
     name="residual-against",
     title="Residual against causes",
     guide=(
-        "Each panel bins the residual by one possible cause: the mean with its 95 % bar, and its RMS dotted. The residual is "
-        "radial (outward positive); against row, column and pixel phase it is that along the axis. Means that stay within "
+        "Each panel bins the residual, radial (outward positive) or along the axis for row, column and pixel phase, by one "
+        "possible cause: the mean with its 95 % bar, and its RMS dotted. Means that stay within "
         "their bars of zero are good; a slope names what the model or the centroiding has left out."
     ),
 )
