@@ -2,6 +2,7 @@
 
 import ast
 import json
+import os
 import re
 import subprocess
 import sys
@@ -103,9 +104,20 @@ def test_the_script_over_rest_runs(place, house):
 
 def test_the_examples_are_of_the_types_that_the_library_promises(tmp_path):
     (tmp_path / "program.py").write_text("\n".join(BLOCKS) + TYPES)
+    words = (
+        "--strict",
+        "--follow-imports=silent",
+        "--cache-dir",
+        str(tmp_path),
+        "--config-file",
+        os.devnull,
+        "program.py",
+    )
+    environment = os.environ | {"MYPYPATH": str(ROOT / "backend")}
     done = subprocess.run(
-        [sys.executable, "-m", "mypy", str(tmp_path / "program.py")],  # as the package is checked, whose cache serves
-        cwd=ROOT,
+        [sys.executable, "-m", "mypy", *words],
+        cwd=tmp_path,
+        env=environment,
         capture_output=True,
         text=True,
         check=False,

@@ -79,7 +79,7 @@ def _start_at_once(url: str, folder: Path, times: int = SERVERS) -> list[tuple[i
     return [(process.communicate(timeout=120)[0], process.returncode)[::-1] for process in started]
 
 
-@pytest.mark.parametrize("kind", few_of(["postgresql", "sqlite"], 1))
+@pytest.mark.parametrize("kind", few_of(["sqlite", "postgresql"], 1))
 def test_servers_that_start_at_once_on_an_empty_database_make_one_schema(
     kind: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:

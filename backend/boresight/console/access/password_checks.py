@@ -85,7 +85,7 @@ class PasswordWorker:
         )
         self._anybody = _PasswordThread("log-ins", yields=True)
         self._held = 0
-        self._guard, self._recording = threading.Lock(), threading.Lock()
+        self._guard = threading.Lock()
         self._failed: dict[FailedAttempt, Failures] = {}
         self._prompt: set[FailedAttempt] = set()
         self._told: set[FailedAttempt] = set()
@@ -214,17 +214,16 @@ class PasswordWorker:
 
     def record_failures(self, *, whole: bool = False) -> None:
         """Write the failures that are due at once, and once a minute all of them."""
-        with self._recording:  # until what another thread took is written too
-            with self._guard:
-                if whole or time.monotonic() - self._told_s >= TELL_EVERY_S:
-                    failed, self._failed = self._failed, {}
-                    self._told_s, self._told = time.monotonic(), set()
-                else:
-                    failed = {one: self._failed.pop(one) for one in self._prompt if one in self._failed}
-                self._prompt = set()
-            if failed:
-                with open_writing(self._database) as session:
-                    failed_log_ins.record(session, failed)
+        with self._guard:
+            if whole or time.monotonic() - self._told_s >= TELL_EVERY_S:
+                failed, self._failed = self._failed, {}
+                self._told_s, self._told = time.monotonic(), set()
+            else:
+                failed = {one: self._failed.pop(one) for one in self._prompt if one in self._failed}
+            self._prompt = set()
+        if failed:
+            with open_writing(self._database) as session:
+                failed_log_ins.record(session, failed)
 
 
 def _read_stored_at(session: Session, name: str, place: str) -> tuple[StoredPassword, bool]:
