@@ -46,7 +46,7 @@ from boresight.platform.db.sessions import (
     open_writing,
 )
 from boresight.uplink.table_definition import plain_definition
-from tests.effort import few_of
+from tests.effort import effort, few_of
 from tests.furniture import rows_of_tables
 from tests.passwords import add_person, approve, proved
 from tests.postgresql import TEMPLATE, Server, server
@@ -94,6 +94,21 @@ def test_servers_that_start_at_once_on_an_empty_database_make_one_schema(
     engine.dispose()
     if kind == "postgresql":
         place.drop("empty")
+
+
+def test_a_new_file_that_several_open_at_once_refuses_none_of_them(tmp_path: Path) -> None:
+    def open_it(url: str, start: threading.Barrier) -> None:
+        start.wait()
+        engine = open_engine(url)
+        with engine.connect() as connection:
+            connection.exec_driver_sql("PRAGMA user_version")
+        engine.dispose()
+
+    with ThreadPoolExecutor(8) as pool:
+        for number in range(effort(30, 300)):
+            start = threading.Barrier(8)
+            opened = [pool.submit(open_it, f"sqlite:///{tmp_path}/{number}.sqlite3", start) for _ in range(8)]
+            assert [one.exception() for one in opened] == [None] * 8
 
 
 def test_writers_of_two_databases_on_one_server_do_not_wait_for_each_other(two: list[Engine]) -> None:

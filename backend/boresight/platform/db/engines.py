@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sqlite3
+import time
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -13,11 +15,12 @@ from sqlalchemy import Engine
 from boresight.disks import Opened, absent, failing, full, read_only, refuse_unwritable, storage_error
 from boresight.errors import NotFoundError, RefusedInputError, StorageError, UnavailableError
 
+BUSY_S = 10  # wait for another writer of SQLite
+WRITE_AHEAD = "PRAGMA journal_mode=WAL"
 PRAGMAS = (
-    "PRAGMA journal_mode=WAL",
+    f"PRAGMA busy_timeout={BUSY_S * 1000}",
     "PRAGMA synchronous=NORMAL",
     "PRAGMA foreign_keys=ON",
-    "PRAGMA busy_timeout=10000",
     "PRAGMA journal_size_limit=67108864",
 )
 MEMORY = ":memory:"
@@ -113,6 +116,21 @@ def _on_sqlite_connect(connection: Any, record: Any) -> None:  # noqa: ARG001 - 
     connection.isolation_level = None
     for pragma in PRAGMAS:
         connection.execute(pragma).close()
+    _write_ahead(connection)
+
+
+def _write_ahead(connection: Any) -> None:
+    """Turn on the write-ahead log; of servers that do so at once on a new file SQLite refuses all but one without waiting."""
+    until = time.monotonic() + BUSY_S
+    while True:
+        try:
+            connection.execute(WRITE_AHEAD).close()
+        except sqlite3.OperationalError:
+            if time.monotonic() > until:
+                raise
+            time.sleep(0.01)
+        else:
+            return
 
 
 def _on_sqlite_begin(connection: sa.Connection) -> None:
