@@ -97,6 +97,7 @@ $(MADE)/runtime: requirements.lock pyproject.toml | $(BIN)/python
 	@echo "Installing what Boresight runs on (about 800 MB on disk)."
 	$(INSTALL) --require-hashes --only-binary :all: --requirement requirements.lock
 	$(INSTALL) --no-deps --editable .
+	@$(BIN)/python -m compileall -q backend/boresight  # as pip does for wheels: a command starts 0.15 s sooner
 	@mkdir -p $(MADE) && touch $@
 
 $(NODE_MODULES): frontend/package-lock.json | $(MADE)/dev
@@ -110,4 +111,5 @@ $(MADE)/dev: requirements-dev.lock pyproject.toml | $(BIN)/python
 	@echo "Installing what Boresight runs on and is tested with (about 1 GB on disk)."
 	$(INSTALL) --require-hashes --only-binary :all: --requirement requirements-dev.lock
 	$(INSTALL) --no-deps --editable .
+	@$(BIN)/python -m compileall -q backend/boresight  # as pip does for wheels: a command starts 0.15 s sooner
 	@mkdir -p $(MADE) && touch $@ $(MADE)/runtime

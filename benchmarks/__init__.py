@@ -68,6 +68,12 @@ PARTS: dict[str, Part] = {
     "choice": Part(
         "choice:measure", "the camera chosen for lenses of every camera, by sensors of every camera: false choices, held-out error"
     ),
+    "trust": Part(
+        "trust.measure:measure", "what is told of clean sets, of known cases and of thirty faults, each before it matters or not"
+    ),
+    "causes": Part(
+        "causes:measure", "what the first advice names in sets spoiled by seventeen causes, and false alarms over clean sets"
+    ),
     "fresh": Part("growth:measure_fresh", "what a fresh process pays before its first calibration, beside a warm one"),
     "growth": Part("growth:measure", "time and memory from a thousand frames to a million"),
     "spread": Part("spread:measure", "one batch over one worker, two, and two of which one is killed"),

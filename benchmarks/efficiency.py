@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -51,6 +51,34 @@ STEP = 1e-30  # of a complex step, which has no rounding
 BOOTSTRAP = 2000
 START_SIGMA = 10.0
 PITCH_M = 2.2e-6
+
+
+class Centroids(Protocol):
+    """What the maximum-likelihood fit needs of a set: centroids and directions (n, 3) by star, exposure after exposure."""
+
+    @property
+    def n_exposures(self) -> int:
+        """How many exposures."""
+
+    @property
+    def star_start(self) -> Any:
+        """(n_exposures + 1,) where the stars of each begin."""
+
+    @property
+    def s_i(self) -> FloatArray:
+        """(n, 3) directions of the stars, turned by attitudes that are nearly right."""
+
+    @property
+    def sigma_px(self) -> FloatArray:
+        """(n,) of one axis."""
+
+    @property
+    def row_px(self) -> FloatArray:
+        """(n,) measured."""
+
+    @property
+    def col_px(self) -> FloatArray:
+        """(n,) measured."""
 
 
 @dataclass(frozen=True)
@@ -172,8 +200,8 @@ def trial(case: Case, frames: int, rng: np.random.Generator) -> Trial:
     history = FILTERS["sqrf"](
         _whitened(field, x0), start(x0, len(free), START_SIGMA), free, scale, Tuning(process_noise=0.0)
     )
-    x, information = likelihood_fit(case, field, x0)
-    at_truth = normal_matrix(case, field, truth, np.broadcast_to(np.eye(3), (frames, 3, 3)))[0]
+    x, information, _ = likelihood_fit(case.forward, field, x0)
+    at_truth = normal_matrix(case.forward, field, truth, np.broadcast_to(np.eye(3), (frames, 3, 3)))[0]
     return Trial(
         at_truth * np.outer(scale, scale),
         {
@@ -188,37 +216,39 @@ def _whitened(field: ArcSet, x: FloatArray) -> ArcSet:
     return arcsets.whiten(field, arcsets.angular_sigma(field.camera, x, field))[0]
 
 
-def likelihood_fit(case: Case, field: ArcSet, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Maximum-likelihood parameters (n,) with every attitude a nuisance, and their information (n, n) there, units of the file."""
+def likelihood_fit(forward: Forward, field: Centroids, x0: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Maximum-likelihood parameters (n,) of the file, every attitude a nuisance, their information (n, n), and chi-square."""
     x, C = x0.copy(), np.broadcast_to(np.eye(3), (field.n_exposures, 3, 3)).copy()
     for _ in range(ITERATIONS):
-        A, b, N, E, k = normal_matrix(case, field, x, C)
+        A, b, N, E, k = normal_matrix(forward, field, x, C)
         dx = np.linalg.solve(A, b)
         x += dx
         w = np.einsum("eij,ej->ei", N, k - np.einsum("eni,n->ei", E, dx))
         C = rotations(w) @ C
         if dx @ A @ dx < SETTLED**2:
             break
-    return x, normal_matrix(case, field, x, C)[0]
+    s = np.einsum("nij,nj->ni", np.repeat(C, np.diff(field.star_start), axis=0), field.s_i)
+    r = (np.stack([field.row_px, field.col_px]) - np.stack(forward(x, s))) / field.sigma_px
+    return x, normal_matrix(forward, field, x, C)[0], float(np.sum(r**2))
 
 
 def normal_matrix(
-    case: Case, field: ArcSet, x: FloatArray, C: FloatArray
+    forward: Forward, field: Centroids, x: FloatArray, C: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Reduced normal equations A, b of the parameters, and N, E, K^T r of every exposure; whitened by the centroids' sigma."""
     runs = field.star_start[:-1]
     of = np.repeat(np.arange(field.n_exposures), np.diff(field.star_start))
     s = np.einsum("nij,nj->ni", C[of], field.s_i)
     weight = 1 / field.sigma_px
-    r = np.stack([field.row_px, field.col_px], axis=1) - np.stack(case.forward(x, s), axis=1)
+    r = np.stack([field.row_px, field.col_px], axis=1) - np.stack(forward(x, s), axis=1)
     r *= weight[:, None]
     J, K = np.empty((len(s), 2, len(x))), np.empty((len(s), 2, 3))
     for p in range(len(x)):
         moved = x.astype(complex)
         moved[p] += 1j * STEP
-        J[:, :, p] = np.stack(case.forward(moved, s), axis=1).imag / STEP
+        J[:, :, p] = np.stack(forward(moved, s), axis=1).imag / STEP
     for axis, unit in enumerate(np.eye(3)):
-        K[:, :, axis] = np.stack(case.forward(x, s + 1j * STEP * np.cross(unit, s)), axis=1).imag / STEP
+        K[:, :, axis] = np.stack(forward(x, s + 1j * STEP * np.cross(unit, s)), axis=1).imag / STEP
     J, K = J * weight[:, None, None], K * weight[:, None, None]
     N = np.linalg.inv(np.add.reduceat(np.einsum("nai,naj->nij", K, K), runs))
     E = np.add.reduceat(np.einsum("nap,nai->npi", J, K), runs)

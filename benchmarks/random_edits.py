@@ -516,7 +516,7 @@ def choices(rng: np.random.Generator, method: str, names: list[str]) -> dict[str
         ("initial_sigma_scale", 0.15, [1e-3, 1.0, 100.0, 1e4]),
     ]
     in_batch: Choices = [
-        ("max_iterations", 0.1, [1, 2]), ("error", 0.15, ["cosine"]), ("robust", 0.2, ["huber"]),
+        ("max_iterations", 0.1, [1, 2]), ("error", 0.15, ["cosine"]), ("robust", 0.2, ["stars", "huber"]),
         ("huber_threshold", 0.1, [0.1, 10.0]),
     ]  # fmt: skip
     in_filters: Choices = [

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from boresight.cameras import CAMERA_MODELS
+from boresight.telemetry.declarations import AXES, DECLARATIONS, GLOBAL, LINE_TIME_S, ROLLING, Declared, Readout
 from boresight.telemetry.schema import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Telemetry
 from boresight.telemetry.sensors import Sensor
 
@@ -48,6 +49,20 @@ def sensors(draw):
         typical_sigma=np.array(model.default_typical_sigma),
         free=tuple(name for name in names if name in free),
         magnitude_limit=draw(st.none() | st.floats(3.0, 9.0, **_FLOAT_OPTIONS)),
+        readout=draw(st.none() | st.just(Readout(GLOBAL)) | readouts()),
+        declared=Declared(
+            **{name: draw(st.none() | st.sampled_from(list(one.words))) for name, one in DECLARATIONS.items()}
+        ),
+    )
+
+
+def readouts():
+    return st.builds(
+        Readout,
+        st.just(ROLLING),
+        st.floats(*LINE_TIME_S).flatmap(lambda s: st.sampled_from([s, -s])),
+        st.sampled_from(AXES),
+        st.booleans(),
     )
 
 

@@ -198,7 +198,8 @@ def names_files(thing, *paths):
 #: Who may name a camera model: the simulated sensors, and the papers that each derive one.
 PRESETS = {
     "simulation/sensors.py",
-    "papers/enright/drawings.py", "papers/wu/drawings.py", "papers/wu/estimators.py", "papers/wu/tables.py",
+    "papers/enright/drawings.py", "papers/wu/drawings.py", "papers/wu/estimators.py", "papers/wu/grid.py",
+    "papers/wu/tables.py",
 }  # fmt: skip
 
 

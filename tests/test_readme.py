@@ -19,6 +19,7 @@ from boresight.console.operation import PREFIX
 from boresight.console.routes import NOUNS, routers
 from boresight.figures import FIGURES
 from boresight.settings import SETTINGS
+from boresight.telemetry.declarations import DECLARATIONS
 from boresight.telemetry.schema import OPTIONAL_COLUMNS, REQUIRED_COLUMNS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -29,7 +30,8 @@ PROJECT, GROUPS = DECLARED["project"], DECLARED["dependency-groups"]
 STATUSES = ("converged", "max_iterations", "rank_deficient", "diverged", "too_few_stars")
 SENSOR_FIELDS = (
     "name", "detector", "rows", "columns", "pixel_pitch_m", "camera_model", "parity", "centroid_sigma_px", "initial",
-    "typical_sigma", "free", "magnitude_limit",
+    "typical_sigma", "free", "magnitude_limit", "readout", "mode", "line_time_s", "axis", "corrected", "declared",
+    *DECLARATIONS,
 )  # fmt: skip
 
 

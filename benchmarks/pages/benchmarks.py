@@ -10,6 +10,7 @@ from benchmarks import PARTS, ROOT
 from benchmarks.accuracy import LEAST_GROWTH_FRAMES
 from benchmarks.estimators import PEERS
 from benchmarks.pages.tables import NOT_MEASURED, all_figures, number, promise, table, told
+from benchmarks.trust.tables import render as _trust
 
 Found = Mapping[str, Any]
 
@@ -354,7 +355,7 @@ def _fleet(found: Found) -> str:
 
 SECTIONS = {
     "kernels": _kernels, "accuracy": _accuracy, "efficiency": _efficiency, "choice": _choice, "growth": _growth, "whole": _whole,
-    "spread": _spread, "queue": _queue, "clients": _clients, "fleet": _fleet,
+    "spread": _spread, "queue": _queue, "clients": _clients, "fleet": _fleet, "trust": _trust,
 }  # fmt: skip
 
 

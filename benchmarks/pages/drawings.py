@@ -29,7 +29,7 @@ from boresight.simulation.scenes import calibration_scenario, simulate, validati
 from boresight.sky.catalogue import Catalogue, load_catalogue
 
 DOCS = ROOT / "docs"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 WIDTH_PX, WIDE_PX, GROWTH_PX = 640, 900, (860, 330)
 DRAW = """([text, format, width]) => {
     const { data, layout } = JSON.parse(text);

@@ -22,7 +22,9 @@ def test_the_plain_information_is_the_product_s_bound(case):
     rng = np.random.default_rng(1)
     camera, truth, scale = CAMERA_MODELS[case.camera], np.array(case.truth), np.array(case.typical_sigma)
     field = efficiency.uniform_field(camera, truth, case.size, PITCH_M, np.full(20, 15), 1e-6, rng)
-    A = efficiency.normal_matrix(case, field, truth, np.broadcast_to(np.eye(3), (20, 3, 3)))[0] * np.outer(scale, scale)
+    A = efficiency.normal_matrix(case.forward, field, truth, np.broadcast_to(np.eye(3), (20, 3, 3)))[0] * np.outer(
+        scale, scale
+    )
     held = centroid_rows(camera, truth, field, np.arange(len(truth)), scale).information
     np.testing.assert_allclose(np.linalg.inv(A) @ held, np.eye(len(truth)), atol=1e-3)
 

@@ -12,10 +12,11 @@ from boresight.calibration.calibrate import calibrate
 from boresight.calibration.calibration import to_plain
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.matching.rematch import Matches, Rematcher, ground_covariance
+from boresight.calibration.matching.verification import NONE, Verification
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.telemetry_pieces import TelemetryFile
-from boresight.calibration.trust import trust_view
+from boresight.calibration.trust import TrustReport, judge_trust
 from boresight.calibration.trust.fitted_set import FittedSet, fit_best
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.inverted_wang import INVERTED_WANG
@@ -42,8 +43,12 @@ class Case:
         return fit_best(**vars(self))
 
     @property
+    def report(self) -> TrustReport:
+        return judge_trust(**vars(self))
+
+    @property
     def trust(self) -> dict:
-        return to_plain(trust_view(**vars(self)))
+        return to_plain(self.report.trust)
 
 
 def case(telemetry, sensor, catalogue, **settings):
@@ -56,6 +61,11 @@ def case(telemetry, sensor, catalogue, **settings):
     ):
         calibrate(telemetry, sensor, catalogue, chosen)
     return Case(*written.call_args.args[:4], telemetry, catalogue)
+
+
+def unverified():
+    """Let given stars stand whatever they are: for what is said of wrong ones that nothing removed."""
+    return mock.patch.object(Verification, "verify", return_value=NONE)
 
 
 def measured(rng, s_i, place, noise_px, frames, exposures=1):

@@ -327,11 +327,13 @@ def asked(monkeypatch):
     return calls
 
 
-def test_given_matches_stand_under_every_state(field):
+def test_right_given_stars_stand_under_every_state_near_the_truth_and_none_is_added(field):
     sets = matched_set(field, field.blanked(0.4), match="given")
     first = sets.at_start()
-    assert sets.stands
-    assert sets.at_covariance(field.x * 1.01, np.eye(8)) is first
+    assert sets.is_given
+    again = sets.at_covariance(field.x * 1.01, np.eye(8))
+    assert again.problem is first.problem
+    assert len(again.refused) == 0
     assert first.problem.arcs.n_stars <= (field.blanked(0.4).star_id > 0).sum()
 
 

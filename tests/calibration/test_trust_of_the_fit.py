@@ -20,7 +20,7 @@ from boresight.estimation.statistics.consistency import chi_square
 from boresight.estimation.statistics.cramer_rao import centroid_rows
 from boresight.simulation.sensors import st16_sensor
 from boresight.sky.guide_stars import phrases, star_flags
-from tests.calibration.sets import case, field, simulated
+from tests.calibration.sets import case, field, simulated, unverified
 from tests.estimation.fields import TRUTH
 
 
@@ -40,7 +40,8 @@ def test_two_halves_of_clean_sets_differ_as_their_covariances_say(sensor, catalo
 def test_halves_of_a_set_with_wrong_matches_in_a_part_of_it_disagree_and_some_cannot_stand_alone(sensor, catalogue):
     telemetry = field(1)
     telemetry.row_px[:24] += 30 * np.random.default_rng(1).normal(size=24)  # the first frame
-    part = to_plain(two_halves(case(telemetry, sensor, catalogue).ground))
+    with unverified():
+        part = to_plain(two_halves(case(telemetry, sensor, catalogue).ground))
     assert not part["chi2"]["consistent"]
     assert "disagree by more than their sigmas allow" in part["sentence"]
     one = case(field(2, frames=1, stars=30), sensor, catalogue).ground
@@ -304,13 +305,13 @@ def test_the_residual_grows_with_the_temperature_and_a_noisier_part_lies_outside
     assert slope == pytest.approx(700 * 5e-7 / 0.016, abs=4 * slope_sigma + 0.008)
     good = simulated(catalogue, 1, 120).telemetry
     rng = np.random.default_rng(5)
-    bad = good.frame >= 90
+    bad = good.frame >= 60
     good.row_px[bad] += 0.6 * rng.normal(size=bad.sum())
     part = case(good, st16_sensor(1), catalogue).trust["nis_over_time"]
     assert not part["consistent"]
     assert "do not follow one another as by chance" in part["sentence"]
     outside = np.array(part["nis_per_dof"]) > np.array(part["upper"])
-    assert outside[-25:].mean() > 3 * outside[:80].mean()
+    assert outside[-50:].mean() > 3 * outside[:50].mean()
 
 
 def _line(x, y, sigma):

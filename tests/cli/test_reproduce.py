@@ -54,7 +54,10 @@ def test_a_quick_study_writes_report_json_and_csv_and_prints_its_verdicts(enrigh
     assert "Table IV" in done.stdout
     assert "Figure 3a" in done.stdout
     assert json.loads((out / "enright.json").read_text())["plan"]["frames"] == 20
-    assert _table(out, "enright") == {"III", "IV", "V", "VI"}
+    assert _table(out, "enright") == {"III", "IV", "V", "VI", "text"}
+    counted = re.search(r"Of (\d+) printed numbers", done.stdout)
+    verdicts = json.loads((out / "enright.json").read_text())["verdicts"]
+    assert int(counted[1]) == sum(verdicts.values())
 
 
 @pytest.mark.full

@@ -18,6 +18,7 @@ from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.tables import Sensor
 from boresight.console.list_queries import LISTS, ListQuery, Signatory
 from boresight.console.parameter_sets.tables import ParameterSet
+from boresight.console.runs.dry_runs import list_timed_runs
 from boresight.console.runs.tables import Run
 from boresight.console.telemetry.tables import TelemetrySet
 from boresight.platform.audit.chain import append_own
@@ -263,3 +264,46 @@ def test_other_lists_page_by_the_same_rule(house, path):
     whole = list(chain(*_all(client, f"/api/v1/{path}", limit=200)))
     assert len(paged) == len(set(paged)) >= 2
     assert paged == whole
+
+
+def test_a_damaged_summary_is_a_damaged_row_of_its_lists_and_keeps_no_run_waiting(site, results):
+    whole = site.add_run(state="SUCCEEDED", result=results["batch"])
+    damaged = site.add_run(state="SUCCEEDED", result=results["batch"], summary={"stars": "many"})
+    ada = site.visitor("ada")
+    for page in ("/runs", "/", "/sensors/1", "/telemetry/1", "/sensors/1/trend"):
+        assert ada.send("GET", page).status_code == 200, page
+    page = ada.get("/runs")
+    assert f'href="/runs/{whole}"' in page
+    row = page[page.index(f'href="/runs/{damaged}"') :]
+    assert "damaged" in row[: row.index("</tr>")]
+    assert "damaged" in ada.get("/runs.csv")
+    assert ada.send("GET", f"/runs/{damaged}").status_code == 200
+    with open_reading(site.engine) as session:
+        assert len(list_timed_runs(session, "batch")) == 0  # none here told its time, and reading them refuses nothing
+
+
+def test_a_damaged_progress_is_told_on_the_runs_page_and_refuses_no_list(site, read):
+    running = site.add_run(state="RUNNING", progress={"fraction": "half"}, started_utc=NOW)
+    ada = site.visitor("ada")
+    assert f'href="/runs/{running}"' in ada.get("/runs")
+    assert ada.send("GET", f"/api/v1/runs/{running}").status_code == 200
+    assert "cannot be read (fraction" in read(ada.get(f"/runs/{running}"))
+
+
+@pytest.mark.parametrize(
+    "quality", [{"time": 3}, {"verdict": "normal", "frames": "many"}, {"temperature_c": {"smallest": 1}}]
+)
+def test_a_damaged_quality_report_is_a_damaged_row_of_its_lists(site, read, quality):
+    with site.engine.begin() as connection:
+        connection.execute(sa.update(TelemetrySet).where(TelemetrySet.id == 1).values(quality=quality))
+    ada = site.visitor("ada")
+    for page in (
+        "/telemetry",
+        "/telemetry.csv",
+        "/telemetry/1",
+        "/sensors/1",
+        "/sensors/1/trend",
+        "/runs/new?sensor=1",
+    ):
+        assert ada.send("GET", page).status_code == 200, page
+    assert "A quality report is damaged" in read(ada.get("/telemetry/1"))

@@ -318,3 +318,21 @@ def test_a_start_under_which_the_stars_have_no_direction_is_called_diverged():
     blind = WU_TRUTH.copy()
     blind[4] = -50.0
     assert batch.fit(field, blind, SIX, WU_SCALE).status == "diverged"
+
+
+@pytest.mark.parametrize("method", ["angular", "ekf", "sqrf", "svd"])
+def test_state_step_and_errors_belong_together_also_where_no_halving_helps(method):
+    finite = 0
+    for seed in (0, 1, 5, 6, 11, 13):
+        x_0 = TRUTH + 300 * SCALE * np.random.default_rng(seed).normal(size=8)  # every step from there overshoots
+        field = whitened(star_field(np.random.default_rng(seed), frames=1, mean_stars=4), TRUTH)
+        begin = start(x_0, 8, 100.0)
+        history = FILTERS[method](field, begin, FREE, SCALE, Tuning(linearisations=1))
+        if not history.finite:
+            continue
+        finite += 1
+        last = history.last
+        np.testing.assert_allclose((last.x - x_0) / SCALE, last.z - begin.z, rtol=1e-6, atol=1e-5)
+        e = arc_errors(field, last.x)
+        assert history.sum_of_squares[-1] == pytest.approx(float(e @ e), rel=1e-9)
+    assert finite

@@ -1,6 +1,6 @@
 """Singular values of star combinations and the angles of all pairs: rightly differentiated, honest about what they hold."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +16,7 @@ from boresight.estimation.arcs import angular_sigma, arclength, whiten
 from boresight.estimation.batch import normal_equations
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
+from boresight.estimation.filters.singular import SingularValues
 from boresight.estimation.singular_values import APART, CHOSEN, STAR_MODELS, Selection
 from boresight.estimation.statistics import references
 from boresight.estimation.statistics.consistency import chi_square, nees
@@ -426,8 +427,33 @@ def test_a_frame_with_fewer_rows_than_parameters_observes_nothing():
 def test_the_runs_in_which_frames_are_taken_change_nothing(field, monkeypatch, most_squares):
     monkeypatch.setattr(references, "MOST_SQUARES", most_squares)
     runs = seen(VIEW, field)
-    smallest, information = judged(VIEW, runs, Selection(4))
-    one_by_one = [judged(VIEW, seen(VIEW, field.frames(k, k + 1)), Selection(4)) for k in range(field.n_frames)]
+    smallest, information = judged(VIEW, runs, [Selection(4)])
+    one_by_one = [judged(VIEW, seen(VIEW, field.frames(k, k + 1)), [Selection(4)]) for k in range(field.n_frames)]
     assert sum(len(run.frame_start) - 1 for run in runs) == field.n_frames
-    np.testing.assert_allclose(smallest, np.concatenate([found[0] for found in one_by_one]), rtol=1e-9)
+    np.testing.assert_allclose(smallest, np.concatenate([found[0] for found in one_by_one], axis=1), rtol=1e-9)
     np.testing.assert_allclose(information, sum(found[1] for found in one_by_one), rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("noise_px", [0.1, 40.0])  # values that lie apart, and some that noise does not tell apart
+@pytest.mark.parametrize("free", [FREE, FREE[[0, 4, 7]]])
+def test_selections_judged_together_hold_what_each_holds_by_the_loops_of_the_filter(field, noise_px, free):
+    view = replace(VIEW, free=free, scale=SCALE[free])
+    field = whitened(replace(field, sigma_px=np.full(field.n_stars, noise_px)), TRUTH)
+    chosen = [
+        *(Selection(model) for model in STAR_MODELS),
+        *(Selection(4, k) for k in ((1,), (2,), (3,), (1, 2, 3), (1, 2))),
+    ]
+    smallest, information = judged(view, seen(view, field), chosen, unmeasured=[chosen[-1]])
+    assert np.isnan(smallest[-1]).all()
+    for place, selection in enumerate(chosen):
+        (run,) = seen(view, field)
+        filtered = SingularValues(selection, view.free, view.scale)
+        filtered.whiten(run.star_start, run.s_i, run.sigma_rad)
+        _, H = filtered.rows(run.s, run.D)
+        np.testing.assert_allclose(information[place], H.T @ H, rtol=1e-9, atol=1e-9 * np.abs(H.T @ H).max())
+        _, rows = filtered.unwhitened(run.s, run.D)
+        of_frames = [rows[first:last].reshape(-1, len(free)) for first, last in pairwise(run.frame_start)]
+        enough = [(H != 0).any(axis=1).sum() >= len(free) for H in of_frames]
+        plain = np.where(enough, [np.linalg.svd(H, compute_uv=False)[-1] for H in of_frames], 0.0)
+        if selection != chosen[-1]:
+            np.testing.assert_allclose(smallest[place], plain, rtol=1e-8, atol=1e-14)

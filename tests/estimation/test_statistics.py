@@ -390,6 +390,7 @@ ARGUMENTS = {
     "bdtrc": SUCCESSES,
     "stdtrit": [(dof, p) for dof in DOF for p in (0.6, 0.95, 0.975)],
     "fdtri": [(3.0, dof, 0.99) for dof in DOF],
+    "fdtrc": [(first, dof, x) for first in (1.0, 4.0, 20.0) for dof in DOF for x in (0.0, 0.5, 1.0, 3.0, 9.0)],
 }
 
 

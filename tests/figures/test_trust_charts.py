@@ -16,7 +16,7 @@ from boresight.figures.charts.more_data import round_ticks
 from boresight.figures.charts.residual_distribution import shares
 from boresight.figures.charts.residual_map import (
     CIRCLE,
-    CLEAR_SIGMA,
+    CLEAR_SIGMAS,
     ArrowField,
     MeanCells,
     cell_means,
@@ -153,7 +153,7 @@ def test_a_cell_mean_is_clear_only_where_it_leaves_its_noise():
     means = cell_means(ArrowField(row, col, noise[0] + 0.2 * shifted, noise[1], np.zeros(20_000, dtype=bool)))
     assert means.clear[means.row < 90].all()
     assert means.clear[means.row > 110].mean() < 0.05  # 0.5 % are expected beyond three sigmas in either component
-    assert CLEAR_SIGMA == 3.0
+    assert CLEAR_SIGMAS == 3.0
 
 
 def test_matching_draws_both_counts_of_every_cycle_or_says_that_matches_were_given(sequential_result):

@@ -1,5 +1,6 @@
 """Every compiled loop of estimation and matching against plain NumPy: the clever form is proven by the naive one."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,16 +11,18 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.peers import plain_directions
 from boresight import kernels
+from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, pixel_residuals
 from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation import angular, singular_values
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import angular_sigma
 from boresight.estimation.attitude import attitudes, rotation_vector, wahba
-from boresight.estimation.batch import normal_equations
+from boresight.estimation.batch import compute_chi2, normal_equations
 from boresight.estimation.filters.angular import AllPairs
 from boresight.estimation.filters.singular import SingularValues
 from boresight.estimation.metrics import arc_errors, tail_rms
 from boresight.estimation.singular_values import STAR_MODELS, Selection
+from boresight.estimation.statistics.cramer_rao import centroid_rows
 from boresight.kernels import arclengths, matching
 from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import load_catalogue
@@ -60,6 +63,73 @@ def test_the_fused_normal_equations_equal_the_plain_weighted_sums(x):
     np.testing.assert_allclose(fused.A, A, rtol=1e-8, atol=1e-10 * np.abs(A).max())
     np.testing.assert_allclose(fused.b, b, rtol=1e-7, atol=1e-9 * np.abs(b).max())
     np.testing.assert_allclose([fused.chi2, fused.sum_of_squares], [chi2, total], rtol=1e-8)
+
+
+def test_a_pass_without_derivatives_finds_the_same_chi_square():
+    field = whitened(star_field(np.random.default_rng(5), frames=3), GROUND)
+    whole = normal_equations(field, TRUTH, FREE, SCALE)
+    assert compute_chi2(field, TRUTH) == pytest.approx(whole.chi2, rel=1e-12)
+
+
+@given(st.floats(0.0, np.pi), st.floats(1e-3, 1e3))
+def test_the_angle_that_needs_no_branch_is_the_arctangents(phi, size):
+    sine, cosine = size * np.sin(phi), size * np.cos(phi)
+    assert parts.angle(sine, cosine) == pytest.approx(np.arctan2(sine, cosine), rel=4e-16, abs=1e-300)
+
+
+def _plain_centroids(field, x, free, scale, kept):
+    """The rows of the bound and the residuals in pixels, exposure by exposure, by NumPy's own means."""
+    s, ds = INVERTED_WANG.directions_and_jacobian(x, field.row_px, field.col_px, PITCH)
+    at = lambda down, right: INVERTED_WANG.directions(x, field.row_px + down, field.col_px + right, PITCH)  # noqa: E731 - short
+    D = np.stack([at(0.5, 0) - at(-0.5, 0), at(0, 0.5) - at(0, -0.5)], axis=-1)
+    inverse = np.linalg.pinv(D)
+    J = inverse @ (ds[:, :, free] * scale) / field.sigma_px[:, None, None]
+    K = -inverse @ np.stack([np.cross(axis, s) for axis in np.eye(3)], axis=-1) / field.sigma_px[:, None, None]
+    N = []
+    for first, last in pairwise(field.star_start):
+        of = slice(first, last)
+        rests_on = K[of][kept[of]].reshape(-1, 3), J[of][kept[of]].reshape(-1, len(free))
+        N.append(np.linalg.inv(rests_on[0].T @ rests_on[0]))
+        J[of] = J[of] - K[of] @ (N[-1] @ rests_on[0].T @ rests_on[1])
+    return inverse, J, K, np.array(N)
+
+
+@pytest.mark.parametrize("left_out", [0.0, 0.2])
+@pytest.mark.parametrize("parity", [1, -1])
+def test_centroids_and_their_residuals_are_those_of_plain_sums(left_out, parity):
+    rng = np.random.default_rng(3)
+    field = whitened(star_field(rng, frames=4, mean_stars=9.0), GROUND)
+    field = replace(field, s_i=field.s_i * [1, parity, 1], sigma_px=rng.uniform(0.1, 0.5, field.n_stars))
+    free, kept = FREE[[0, 3, 4, 7]], rng.uniform(size=field.n_stars) >= left_out
+    inverse, J, K, N = _plain_centroids(field, TRUTH, free, SCALE[free], kept)
+    rows = centroid_rows(INVERTED_WANG, TRUTH, field, free, SCALE[free], kept)
+    for found, plain in ((rows.inverse, inverse), (rows.J, J), (rows.K, K), (rows.N, N)):
+        np.testing.assert_allclose(found, plain, rtol=1e-8, atol=1e-9 * np.abs(plain).max())
+    root = rng.normal(size=(4, 4))
+    seen = pixel_residuals(INVERTED_WANG, TRUTH, field, parity, FreeCovariance(free, SCALE[free], root @ root.T), kept)
+    of = np.repeat(np.arange(field.n_exposures), np.diff(field.star_start))
+    M = K @ N[of] @ K.transpose(0, 2, 1) + J @ root @ root.T @ J.transpose(0, 2, 1)
+    np.testing.assert_allclose(seen.M, np.eye(2) + np.where(kept, -1, 1)[:, None, None] * M, rtol=1e-7, atol=1e-9)
+    whitened_r = np.where(kept[:, None], seen.r / field.sigma_px[:, None], 0.0)
+    left = np.add.reduceat(np.einsum("nki,nk->ni", K, whitened_r), field.star_start[:-1])
+    size = np.add.reduceat(np.einsum("nki,nk->ni", np.abs(K), np.abs(whitened_r)), field.star_start[:-1])
+    assert (np.abs(left) < 1e-8 * size).all()  # no turn of an exposure makes its residuals smaller
+    _stars_move_with_their_places(seen, field, parity)
+
+
+def _stars_move_with_their_places(seen, field, parity):
+    """`from_sky` against the projection of places moved to the east and to the north."""
+    ra, dec, step = np.arctan2(field.s_i[:, 1], field.s_i[:, 0]), np.arcsin(field.s_i[:, 2]), 1e-6
+    of = np.repeat(np.arange(field.n_exposures), np.diff(field.star_start))
+    for k, (east, north) in enumerate([(step, 0.0), (0.0, step)]):
+        moved = []
+        for sign in (1, -1):
+            a, d = ra + sign * east / np.cos(dec), dec + sign * north
+            s_i = np.stack([np.cos(d) * np.cos(a), np.cos(d) * np.sin(a), np.sin(d)], axis=-1)
+            s = np.einsum("nij,nj->ni", seen.C[of], s_i) * [1, parity, 1]
+            moved.append(np.stack(INVERTED_WANG.project(TRUTH, s, PITCH), axis=-1))
+        slope = (moved[0] - moved[1]) / (2 * step)
+        np.testing.assert_allclose(seen.from_sky[:, :, k], slope, rtol=3e-3, atol=3e-3 * np.abs(slope).max())
 
 
 def test_a_subset_of_parameters_gives_the_subset_of_the_equations_finite_on_the_principal_point():

@@ -8,8 +8,11 @@ from threading import Thread
 
 
 @contextmanager
-def answering(answers) -> Iterator[tuple[str, list]]:
-    """Serve answers in turn, (status, JSON) or None to hang up; yields the address and the headers that were seen."""
+def answering(answers, context=None) -> Iterator[tuple[str, list]]:
+    """Serve answers in turn: (status, JSON or bytes, headers if there are any), or None to hang up; a context is of TLS.
+
+    Yields the address and the headers that were seen.
+    """
     left, seen = list(answers), []
 
     class Handler(BaseHTTPRequestHandler):
@@ -20,9 +23,11 @@ def answering(answers) -> Iterator[tuple[str, list]]:
             if answer is None:
                 self.connection.close()
                 return
-            content = json.dumps(answer[1]).encode()
-            self.send_response(answer[0])
-            self.send_header("Content-Length", str(len(content)))
+            status, body, headers = (*answer, {})[:3]
+            content = body if isinstance(body, bytes) else json.dumps(body).encode()
+            self.send_response(status)
+            for name, value in ({"Content-Length": str(len(content))} | headers).items():
+                self.send_header(name, value)
             self.end_headers()
             self.wfile.write(content)
 
@@ -32,10 +37,13 @@ def answering(answers) -> Iterator[tuple[str, list]]:
             pass
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.handle_error = lambda *_: None  # what a client breaks off is no fault of the server's
+    if context is not None:
+        server.socket = context.wrap_socket(server.socket, server_side=True)
     thread = Thread(target=server.serve_forever, daemon=True)
     thread.start()
     try:
-        yield f"http://127.0.0.1:{server.server_port}", seen
+        yield f"http{'s' if context else ''}://127.0.0.1:{server.server_port}", seen
     finally:
         server.shutdown()
         server.server_close()

@@ -127,8 +127,10 @@ def test_waiting_has_an_end_where_it_is_given_one(client, house):
         (lambda client: client.sensor("no such sensor"), bs.NotFoundError),
         (lambda client: client.launch(10**6), bs.NotFoundError),
         (lambda client: client.upload("nowhere.csv", 1), bs.RefusedInputError),
+        (lambda client: client.sensor("s" * 5000), bs.NotFoundError),
+        (lambda client: client.upload("t" * 5000, 1), bs.RefusedInputError),
     ],
-    ids=["run", "sensor", "set", "file"],
+    ids=["run", "sensor", "set", "file", "long sensor", "long file"],
 )
 def test_a_refusal_is_one_sentence(client, ask, error):
     with pytest.raises(error) as refused:

@@ -34,6 +34,7 @@ bs.calibrate("esa-5-frames.csv", "esa.sensor.json", fre="f_m")  # type: ignore[c
 bs.calibrate("esa-5-frames.csv", "esa.sensor.json", minimum_stars="few")  # type: ignore[arg-type]
 bs.choose("esa-5-frames.csv", "esa.sensor.json", mach="given")  # type: ignore[call-arg]
 bs.Client("https://boresight.example").launch(1, metod="sqrf")  # type: ignore[call-arg]
+bs.Client("https://boresight.example").choose("esa-5-frames.csv", "esa", mach="given")  # type: ignore[call-arg]
 cal.sigma.f_m * 2  # type: ignore[operator]
 """
 
@@ -66,6 +67,7 @@ def test_every_name_of_the_library_has_a_heading_and_an_example_and_nothing_else
 def test_every_method_of_the_client_is_in_the_reference():
     public = {name for name in dir(bs.Client) if name[0] != "_"} - {"close", "url"}
     assert [name for name in public if f"`{name}(" not in REFERENCE] == []
+    assert [name for name in public if not any(f".{name}(" in block for block in BLOCKS)] == []
 
 
 @pytest.mark.usefixtures("computing")

@@ -42,6 +42,7 @@ def star_at(ra_rad, dec_rad, parallax_arcsec=0.0, pm_ra_arcsec=0.0, pm_dec_arcse
         pm_dec_rad_yr=pm_dec_arcsec * ARCSEC * one,
         magnitude=one,
         solution_type=np.array([5]),
+        colour_bv=one,
     )
 
 

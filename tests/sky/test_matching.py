@@ -399,7 +399,15 @@ def star(catalogue, hip):
 
 
 def same(one, other):
-    return all(np.array_equal(getattr(one, field.name), getattr(other, field.name)) for field in fields(Catalogue))
+    pairs = ((getattr(one, field.name), getattr(other, field.name)) for field in fields(Catalogue))
+    return all(np.array_equal(a, b, equal_nan=a.dtype.kind == "f") for a, b in pairs)
+
+
+def test_the_colours_are_those_of_known_stars_and_unknown_where_the_catalogue_writes_none(catalogue):
+    polaris, betelgeuse, sirius = catalogue.colour_bv[catalogue.find_index(np.array([11767, 27989, 32349]))]
+    assert (polaris, betelgeuse, sirius) == (0.636, 1.500, 0.009)
+    assert np.isnan(catalogue.colour_bv).sum() == 1143
+    assert np.nanmin(catalogue.colour_bv) > -0.6
 
 
 def test_the_catalogue_goes_down_to_the_magnitude_asked_for(catalogue):

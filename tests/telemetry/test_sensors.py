@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from boresight.calibration.parameter_file import parse_parameters
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
+from boresight.telemetry.declarations import DECLARATIONS, NOTHING_DECLARED, Declared, Readout
 from boresight.telemetry.quality.detector import OffDetector, check_against_sensor
 from boresight.telemetry.schema import select_rows
 from boresight.telemetry.sensors import parse_sensor, read_sensor, sensor_document
@@ -75,6 +76,49 @@ def test_a_sensor_survives_its_document_and_json(sensor):
     np.testing.assert_array_equal(again.initial, sensor.initial)
     np.testing.assert_array_equal(again.typical_sigma, sensor.typical_sigma)
     assert sensor_document(again) == sensor_document(sensor)
+
+
+def test_what_no_data_can_show_is_declared_by_words(document):
+    assert (parse_sensor(document).readout, parse_sensor(document).declared) == (None, NOTHING_DECLARED)
+    rolling = {"mode": "rolling", "line_time_s": -3.6e-5, "axis": "columns"}
+    sensor = parse_sensor(document | {"readout": rolling, "declared": {"directions": "j2000"}})
+    assert sensor.readout == Readout("rolling", -3.6e-5, "columns", corrected=False)
+    assert sensor.readout.is_in_centroids
+    assert sensor.declared == Declared(directions="j2000")
+    corrected = parse_sensor(document | {"readout": {"mode": "rolling", "corrected": True}}).readout
+    assert (corrected.line_time_s, corrected.is_in_centroids, corrected.axis) == (None, False, "rows")
+    assert sensor_document(parse_sensor(document | {"readout": {"mode": "global"}}))["readout"] == {"mode": "global"}
+    everything = {name: next(iter(one.words)) for name, one in DECLARATIONS.items()}
+    assert sensor_document(parse_sensor(document | {"declared": everything}))["declared"] == everything
+
+
+ROLLING_READOUT = {"mode": "rolling", "line_time_s": 3.6e-5}
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("readout", "rolling", "readout.mode is 'rolling': write global, or rolling"),
+        ("readout", {"mode": "line"}, "readout.mode is 'line'"),
+        ("readout", {"mode": ["global"]}, "readout.mode is ['global']"),
+        ("readout", {"mode": "rolling"}, "readout.line_time_s is missing"),
+        ("readout", {"mode": "global", "line_time_s": 1e-5}, "leave the others out"),
+        ("readout", ROLLING_READOUT | {"line_time_s": 0}, "readout.line_time_s is 0"),
+        ("readout", ROLLING_READOUT | {"line_time_s": True}, "readout.line_time_s is True"),
+        ("readout", ROLLING_READOUT | {"line_time_s": float("nan")}, "readout.line_time_s is nan"),
+        ("readout", ROLLING_READOUT | {"line_time_s": 36}, "readout.line_time_s is 36"),
+        ("readout", ROLLING_READOUT | {"axis": "x"}, "readout.axis is 'x': write rows"),
+        ("readout", ROLLING_READOUT | {"corrected": "no"}, "readout.corrected is 'no': write true"),
+        ("readout", ROLLING_READOUT | {"line_times_s": 1}, "readout.line_times_s is not a field"),
+        ("declared", ["apparent"], "declared is ['apparent']: write an object"),
+        ("declared", {"directions": "J2000"}, "declared.directions is 'J2000': write apparent or j2000"),
+        ("declared", {"refraction": None}, "declared.refraction is None"),
+        ("declared", {"velocity": "given"}, "declared.velocity is not a field: it has satellite_velocity"),
+        ("readouts", ROLLING_READOUT, "readouts is not a field: write readout"),
+    ],
+)
+def test_a_wrong_declaration_is_named_in_one_sentence(document, field, value, words):
+    assert words in refusal(document | {field: value})
 
 
 @pytest.mark.parametrize(

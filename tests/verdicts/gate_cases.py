@@ -6,14 +6,17 @@ from typing import Any
 import numpy as np
 
 from boresight.calibration.calibration import (
+    Assumption,
     Calibration,
     ChiSquareTest,
     Coverage,
     InnovationTest,
     Observability,
+    TrustTest,
     Values,
     WeakestDirection,
 )
+from boresight.calibration.trust.trust_tests import TRUST_TESTS
 from boresight.simulation.sensors import st16_sensor
 from boresight.verdicts.gates import GateInputs
 from boresight.verdicts.gates.assessment import ground_set
@@ -53,7 +56,9 @@ def a_result(**changed: Any) -> Calibration:
             sigma_of_direction=[0.01, 0.1],
             weakest=WeakestDirection(direction=Values(), sentence="n0 and a1 move together."),
         ),
+        tests=[TrustTest(name=kind.name, probability=0.5, adjusted=1.0, noticed=False) for kind in TRUST_TESTS],
         coverage=Coverage(row_edges_px=[], col_edges_px=[], counts=np.ones((12, 16), int).tolist()),
+        assumptions=[Assumption(name="readout", declared=True, value="global shutter", sentence="Declared.")],
     )
     return replace(sound, **changed)
 

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight.calibration.calibrate import calibrate
-from boresight.calibration.calibration import Calibration, Shadow, Values, parse_calibration, to_plain
+from boresight.calibration.calibration import Calibration, Shadow, TrustTest, Values, parse_calibration, to_plain
 from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.trust.trust_tests import TRUST_TESTS
 from boresight.platform.db.documents import canonical
 from boresight.simulation.scenes import calibration_scenario, simulate, validation_scenario
 from boresight.simulation.sensors import st16_truth
@@ -169,11 +170,48 @@ def test_observability_is_told_with_its_weakest_direction_and_coverage_counts_re
     assert found("coverage", result=half_seen).value == pytest.approx(1 / 4)
 
 
-@pytest.mark.parametrize("name", ["chi-square", "nis", "condition-number", "weak-directions", "coverage"])
+def _with_test(name, effect):
+    noticed = TrustTest(name=name, probability=1e-9, adjusted=1e-8, noticed=True, effect=effect, sentence=f"{name}!")
+    return a_result(tests=[noticed if test.name == name else test for test in a_result().tests])
+
+
+@pytest.mark.parametrize("kind", TRUST_TESTS, ids=lambda kind: kind.name)
+def test_what_any_test_notices_reaches_its_gate_and_fails_it_by_its_size(kind):
+    def status(effect):
+        report = judge(parse_profile({}), measure(gate_inputs(result=_with_test(kind.name, effect))))
+        return {one.name: one.status for one in report.gates}
+
+    assert status(None)[kind.gate] == status(0.0)[kind.gate] == status(2.9)[kind.gate] == "MARGINAL"
+    assert status(3.1)[kind.gate] == "FAIL"
+    assert [name for name, one in status(3.1).items() if one == "FAIL"] == [kind.gate]
+    assert found(kind.gate, result=_with_test(kind.name, 2.0)).sentence == f"{kind.name}!"
+
+
+def test_a_run_without_tests_has_no_data_for_their_gates():
+    for gate in {kind.gate for kind in TRUST_TESTS}:
+        assert "start it again" in found(gate, result=a_result(tests=[])).sentence
+
+
+@pytest.mark.parametrize(
+    "name", ["chi-square", "nis", "condition-number", "weak-directions", "coverage", "assumptions"]
+)
 def test_what_no_run_measured_has_no_data(name):
     assert found(name, result=None).sentence == "The set was declared with the sensor; no run measured this."
     nothing = Calibration(status="converged")
     assert "run it again" in found(name, result=nothing).sentence or "open" in found(name, result=nothing).sentence
+
+
+def test_assumptions_pass_once_declared_warn_until_then_and_are_marginal_where_something_is_left_in():
+    (made,) = a_result().assumptions
+    assert (found("assumptions").met, "global shutter" in found("assumptions").sentence) == ("PASS", True)
+    asked = dataclasses.replace(made, declared=False, sentence="Nobody declared the readout.")
+    unknown = found("assumptions", result=a_result(assumptions=[made, asked]))
+    assert (unknown.met, unknown.value) == (None, None)
+    assert unknown.sentence == "Nobody declared the readout. Then run again."
+    left = dataclasses.replace(made, left_in=True, sentence="It stays in the centroids.")
+    assert found("assumptions", result=a_result(assumptions=[made, left])).met == "MARGINAL"
+    (threshold,) = (one for one in parse_profile({}).thresholds if one.name == "assumptions")
+    assert (threshold.must_have_data, threshold.critical, threshold.waivable) == (False, False, True)
 
 
 def definition(kind, **scaling):

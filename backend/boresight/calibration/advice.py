@@ -1,5 +1,8 @@
 """What a person should know before believing a calibration: one sentence each, the gravest first.
 
+What contradicts the model, and why, is told before all of these (`trust.causes`): a fit that does not come to rest or ends far from
+its start mostly does so because of it.
+
 A weak direction is made known by a parameter to hold fixed, more frames, or stars elsewhere on the detector. Holding parameter p
 strikes its row and column from the information A. The direction that is left open longest goes first: of all parameters the one
 is held whose absence leaves the least known direction known best, until none is weak. Frames like these add to A in proportion,
@@ -26,6 +29,8 @@ from boresight.estimation.statistics.observability import WEAK, Observability, i
 
 #: Shift beyond which it is another sensor: no launch moves a focal length by a hundred times the spread of its make.
 ANOTHER_SENSOR = 100.0
+#: Chi-square per degree of freedom up to which stars and camera agree: a sensor that is another's does not fit its stars.
+FITS = 9.0
 #: Sigma of a direction, in typical sigmas, from which on a bend in it does not show: its departure goes with the fourth power.
 STRAIGHT = WEAK / 4
 #: Claimed over available information beyond which a filter is called over-confident.
@@ -44,11 +49,11 @@ def advice(
 ) -> list[str]:
     """Collect every sentence that applies; `rise` is what `chi2_rise` found of a batch."""
     return [
-        *_of_status(estimate, observed),
-        *_of_shift(problem, parameters, estimate),
+        *_of_status(estimate, observed, settings),
+        *_of_shift(problem, parameters, estimate, fit),
         *_of_curvature(observed, estimate, rise),
         *_of_weak_directions(observed, estimate),
-        *_of_consistency(fit, nis, problem, settings, estimate),
+        *_of_consistency(fit, nis, settings, estimate),
         *estimate.remarks,
         *_of_data(problem),
         *_of_gain_form(problem, settings),
@@ -68,9 +73,10 @@ def too_few(problem: Problem, minimum_stars: int) -> list[str]:
     return [sentence]
 
 
-def _of_status(estimate: Estimate, observed: Observability) -> Iterator[str]:
+def _of_status(estimate: Estimate, observed: Observability, settings: CalibrationSettings) -> Iterator[str]:
     if estimate.status == "diverged":
-        yield "The fit diverged: do not use these numbers; free fewer parameters, or start closer to the truth."
+        named = "match the stars again, for wrong identities do this first; or " if settings.match == "given" else ""
+        yield f"The fit diverged: do not use these numbers; {named}free fewer parameters, or start closer to the truth."
     if estimate.status == "max_iterations":
         yield "The fit was still moving at its last iteration: allow more iterations, or free fewer parameters."
     if estimate.status == "rank_deficient":
@@ -112,28 +118,10 @@ def _listed(words: list[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-def _of_consistency(
-    fit: ChiSquare, nis: ChiSquare, problem: Problem, settings: CalibrationSettings, estimate: Estimate
-) -> Iterator[str]:
+def _of_consistency(fit: ChiSquare, nis: ChiSquare, settings: CalibrationSettings, estimate: Estimate) -> Iterator[str]:
+    """Say where a filter claims too much; what the size of the residuals says is one of the tests of trust."""
     if estimate.status == "diverged":
         return
-    implied = _centroid_sigma_px(problem) * np.sqrt(fit.mean)
-    if fit.mean > fit.upper and estimate.robust is not None:
-        yield (
-            f"The residuals are larger than the stated centroid noise explains (chi-square {fit.mean:.4g} per degree of "
-            f"freedom, at most {fit.upper:.4g} expected); the sigmas hold the scale that the robust fit measured."
-        )
-    elif fit.mean > fit.upper:
-        yield (
-            f"The residuals are larger than the stated centroid noise explains (chi-square {fit.mean:.4g} per degree of "
-            f"freedom, at most {fit.upper:.4g} expected): the sigmas are about {np.sqrt(fit.mean) - 1:.1%} too small; a "
-            f"centroid sigma of {implied:.3g} px would explain them, or look for wrong matches."
-        )
-    elif fit.mean < fit.lower:
-        yield (
-            f"The residuals are smaller than the stated centroid noise explains (chi-square {fit.mean:.4g} per degree of "
-            f"freedom, at least {fit.lower:.4g} expected): the sigmas are too wide; {implied:.3g} px would fit."
-        )
     if settings.sequential and nis.mean > max(nis.upper, fit.mean * 1.05):
         yield (
             f"The filter is over-confident (normalised innovations {nis.mean:.3g} per degree of freedom, at most "
@@ -152,16 +140,7 @@ def _of_consistency(
         )
 
 
-def _centroid_sigma_px(problem: Problem) -> float:
-    return float(np.sqrt(sum(problem.arcs.over_blocks(_variance_in_block)) / problem.arcs.n_stars))
-
-
-def _variance_in_block(block: ArcSet) -> float:
-    """Sum of the stated variances of one block, px^2."""
-    return float(np.sum(block.sigma_px**2))
-
-
-def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate) -> Iterator[str]:
+def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate, fit: ChiSquare) -> Iterator[str]:
     if estimate.status == "diverged":
         return
     shift = (estimate.x - problem.sensor.initial)[parameters.free] / parameters.scale
@@ -169,7 +148,7 @@ def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate) -> I
     far = ", ".join(f"{name} {steps:+.0f}" for name, steps in moved if abs(steps) > FAR_TYPICAL_SIGMAS)
     if not far:
         return
-    if np.abs(shift).max() > ANOTHER_SENSOR:
+    if np.abs(shift).max() > ANOTHER_SENSOR and fit.mean > FITS:
         yield f"This telemetry hardly comes from this sensor (moved in typical sigmas: {far}): choose the right sensor."
     else:
         yield f"Moved far from the start, in typical sigmas: {far}; check the sensor file's start and typical_sigma."

@@ -6,17 +6,31 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from boresight.calibration import result
-from boresight.calibration.calibration import Calibration, JudgedOn, StarOff, StarsOffDetector
+from boresight.calibration.assumptions import list_assumptions
+from boresight.calibration.calibration import (
+    Assumption,
+    Calibration,
+    JudgedOn,
+    Noise,
+    RemovedOf,
+    StarOff,
+    StarsOffDetector,
+)
+from boresight.calibration.corrections import Corrections
 from boresight.calibration.estimate import Estimate, Parameters, never
+from boresight.calibration.evaluation.pixel_residuals import FreeCovariance
 from boresight.calibration.evaluation.result_evaluation import evaluate_result, validate, with_advice
 from boresight.calibration.matching.match_report import CyclesEnd, Estimation, identification_advice
-from boresight.calibration.matching.matched import Dataset
+from boresight.calibration.matching.matched import Dataset, Matched
+from boresight.calibration.matching.verification import advise
+from boresight.calibration.minima import LowerMinimum, describe_minima, minima_advice
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.telemetry_pieces import (
@@ -120,20 +134,23 @@ def open_dataset(
     parameters: Parameters,
     settings: CalibrationSettings,
     context: CalibrationContext,
+    corrections: Corrections,
 ) -> Iterator[tuple[Dataset, OffDetector]]:
-    """Make a set ready, and say which stars of it lie off the detector.
+    """Make a set ready, put right as `corrections` say, and say which stars of it lie off the detector.
 
     While the context lasts it can be matched and computed on.
     """
     if not is_large(telemetry):
-        inside = read_whole(telemetry)
-        off = check_against_sensor(inside, sensor)
-        chosen = choose_match_mode(inside, settings)
+        measured = read_whole(telemetry)
+        off = check_against_sensor(measured, sensor)
+        chosen = choose_match_mode(measured, settings)
+        inside = corrections.apply(measured, whole=True)
         yield Dataset(inside, sensor, catalogue, parameters, chosen, context.cache_folder), off
         return
     executor = context.executor or LocalExecutor(context.cancelled)
     with context.folder() as folder:
-        copy = copied(telemetry, sensor, folder, executor, context.tell, context.cancelled)
+        correct = corrections.apply if corrections.needed else None
+        copy = copied(telemetry, sensor, folder, executor, context.tell, context.cancelled, correct)
         chosen = choose_match_mode(copy.pieces[0].read(), settings)
         sets = Dataset(copy, sensor, catalogue, parameters, chosen, context.cache_folder, context.tell)
         yield sets, copy.off_detector
@@ -220,11 +237,18 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     parameters = select_free_parameters(sensor, settings)
     context = CalibrationContext(cancelled or never, report, cache_folder, scratch_folder, executor)
     told = nullcontext() if report is None else report_waits_to(lambda message, _: report(Progress(0.0, message, None)))
-    with told, open_dataset(telemetry, sensor, catalogue, parameters, settings, context) as (sets, off):
-        found, ended = _calibrated(sets, parameters, sets.settings, sha256s or {}, context, clock)
+    corrections: Corrections | None = Corrections(sensor, catalogue)
+    with told:
+        while corrections is not None:
+            used = corrections
+            with open_dataset(telemetry, sensor, catalogue, parameters, settings, context, used) as (sets, off):
+                found, ended, corrections = _calibrated(
+                    sets, parameters, sets.settings, sha256s or {}, context, clock, used
+                )
     found = with_advice(replace(found, stars_off_detector=_describe_off(off)), *off.sentences())
     if validation is not None and ended is not None and ended.estimate.status != "diverged":
         judged, off = open_validation_set(validation, sensor, JUDGED_STARS)
+        judged = used.apply(judged)
         chosen = choose_match_mode(judged, settings)
         found = validate(found, judged, sensor, catalogue, ended.estimate, parameters, chosen, cache_folder)
         found = with_advice(found, *off.sentences(" in the validation set"))
@@ -253,25 +277,110 @@ def _calibrated(
     sha256s: Mapping[str, str],
     context: CalibrationContext,
     clock: _Timer,
-) -> tuple[Calibration, CyclesEnd | None]:
-    """Estimate and judge; returns where it ended too, None where there was nothing to estimate from."""
+    corrections: Corrections,
+) -> tuple[Calibration, CyclesEnd | None, Corrections | None]:
+    """Estimate and judge; returns where it ended too, None where there was nothing to estimate from.
+
+    Where more of the set is to be put right than `corrections` did, nothing is judged, and that comes back last.
+    """
     first = sets.at_start()
     clock.lap("arcs")
     if first.problem.arcs.n_exposures == 0:
         nothing = result.nothing_estimated(first.problem, parameters, settings, sha256s)
-        return replace(nothing, advice=[*identification_advice(first.unidentified), *nothing.advice]), None
+        advice = [*identification_advice(first.unidentified), *nothing.advice]
+        return replace(nothing, advice=advice), None, None
     reporter = ProgressReporter(first.problem, parameters, settings, sha256s, context.report, sets.prepared)
-    ended = Estimation(sets, first, parameters, settings, reporter, context.cancelled).run()
-    ended = replace(ended, estimate=_checked(ended.matched.problem, ended.estimate))
-    clock.lap("fit")
-    found = result.describe_estimate(ended.matched.problem, parameters, settings, ended.estimate, sha256s)
-    if ended.estimate.status != "diverged":
-        judged = sets.judged(first, ended.matched)
-        found = evaluate_result(found, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
-        found = _say_what_was_judged(found, judged.last.problem)
-        found = with_advice(found, *identification_advice(ended.matched.unidentified))
+    estimation = Estimation(sets, first, parameters, settings, reporter, context.cancelled)
+    ended = estimation.run()
+    while True:
+        ended = replace(ended, estimate=_checked(ended.matched.problem, ended.estimate))
+        clock.lap("fit")
+        try:
+            found = _judge(sets, first, ended, parameters, settings, sha256s, corrections)
+            break
+        except LowerMinimum as lower:
+            restarts = ended.estimate.searched.restarts + 1
+            ended = replace(estimation, first=ended.matched).fit_in_cycles(lower, restarts)
+    if isinstance(found, Corrections):
+        return (
+            result.describe_estimate(ended.matched.problem, parameters, settings, ended.estimate, sha256s),
+            ended,
+            found,
+        )
+    if sets.is_given:
+        found = _with_removed(found, sets, ended.matched)
     clock.lap("judge")
-    return found, ended
+    return found, ended, None
+
+
+@dataclass(frozen=True)
+class _LastPass:
+    """A set at the result of a pass: what its noise is, what it assumes, and what is still to be put right."""
+
+    telemetry: Telemetry
+    matched: Matched
+    estimate: Estimate
+    parameters: Parameters
+    settings: CalibrationSettings
+    corrections: Corrections
+
+    @cached_property
+    def noise(self) -> Noise:
+        """How noise and bias depend on what is known of the stars."""
+        free = FreeCovariance(self.parameters.free, self.parameters.scale, self.estimate.P)
+        arcs = self.matched.problem.arcs.whole()
+        return self.corrections.estimate_noise(
+            self.matched.telemetry, arcs, self.estimate.x, free, to_apply=self.settings.noise_model == "from-data"
+        )
+
+    def refined(self, *, in_memory: bool) -> Corrections | None:
+        """What another pass should put right."""
+        star_id = self.matched.telemetry.star_id if in_memory else None
+        estimate = (lambda: self.noise) if self.settings.noise_model == "from-data" else None
+        return self.corrections.refined(self.estimate.x, star_id, estimate)
+
+    def assumptions(self) -> list[Assumption]:
+        """What was assumed that the set cannot show."""
+        of, done = self.corrections, self.corrections.done
+        return list_assumptions(self.telemetry, self.matched.telemetry, of.sensor, of.catalogue, self.estimate.x, done)
+
+
+def _with_removed(found: Calibration, sets: Dataset, matched: Matched) -> Calibration:
+    """Say first which proposed stars were removed: wrong ones are graver than what they would have done."""
+    of = RemovedOf(proposed=sets.proposed_stars, removed=len(matched.refused))
+    listed = sets.removed(matched)
+    said = [*advise(of.proposed, of.removed, listed), *found.advice]
+    return replace(found, removed=listed, removed_of=of, advice=said)
+
+
+def _judge(
+    sets: Dataset,
+    first: Matched,
+    ended: CyclesEnd,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    sha256s: Mapping[str, str],
+    corrections: Corrections,
+) -> Calibration | Corrections:
+    """Describe and judge an estimate, or say what of the set is to be put right first.
+
+    Raises LowerMinimum where judging it leads to one, so often as that is taken up.
+    """
+    problem, estimate = ended.matched.problem, ended.estimate
+    found = result.describe_estimate(problem, parameters, settings, estimate, sha256s)
+    if estimate.status == "diverged":
+        return found
+    judged = sets.judged(first, ended.matched)
+    last = _LastPass(judged.sets.telemetry, judged.last, estimate, parameters, settings, corrections)
+    again = last.refined(in_memory=judged.last is ended.matched)
+    if again is not None:
+        return again
+    minima = describe_minima(problem, estimate.searched, estimate.x, result.find_sigma(problem, parameters, estimate))
+    found = with_advice(replace(found, minima=minima), *minima_advice(minima))
+    found = evaluate_result(found, judged.sets, judged.first, ended.judged_by(judged.last), parameters, settings)
+    found = replace(found, noise=corrections.noise or last.noise, assumptions=last.assumptions())
+    found = _say_what_was_judged(found, judged.last.problem)
+    return with_advice(found, *identification_advice(ended.matched.unidentified))
 
 
 def _say_what_was_judged(found: Calibration, judged: Problem) -> Calibration:
@@ -301,12 +410,7 @@ def select_free_parameters(sensor: Sensor, settings: CalibrationSettings) -> Par
 
 def _checked(problem: Problem, estimate: Estimate) -> Estimate:
     """Call an estimate diverged when a parameter left the range of what can be, or part of the detector has no direction."""
-    low, high = np.array(problem.camera.plausible).T
-    inside = np.isfinite(estimate.x).all() and bool(np.all((low <= estimate.x) & (estimate.x <= high)))
-    sensor = problem.sensor
-    if inside and problem.camera.blind_corner(estimate.x, sensor.rows, sensor.columns, sensor.pixel_pitch_m) is None:
-        return estimate
-    return replace(estimate, status="diverged")
+    return estimate if problem.can_be(estimate.x) else replace(estimate, status="diverged")
 
 
 class _Timer:

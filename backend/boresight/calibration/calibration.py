@@ -219,7 +219,11 @@ class Observability:
 
 @dataclass(frozen=True, kw_only=True)
 class Robust:
-    """Huber's loss beside least squares on the same arcs; `threshold` in whitened sigmas."""
+    """A robust loss beside least squares on the same arcs.
+
+    `threshold`: in whitened sigmas of an arc (huber), or in measured sigmas of a star (stars). `downweighted`, `share`: arcs or
+    stars beyond it, and how many of all; `expected_share`: under Gaussian noise.
+    """
 
     threshold: float
     downweighted: int
@@ -273,6 +277,141 @@ class Evaluation:
     flight_tolerance_rad: float | None = None
     intervals: EvaluationIntervals | None = None
     reasons: ReasonChange = field(default_factory=ReasonChange)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RemovedStar:
+    """A detection whose proposed star did not stand: its row as an editor counts, its numbers, and why.
+
+    `probability`: that a detection of this star under the same noise would lie as far from its place, where a test decided.
+    """
+
+    frame: int
+    exposure: int
+    row: int
+    star_id: int | None
+    reason: str
+    probability: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RemovedOf:
+    """How many stars the telemetry proposed, and how many of them were removed; of very many the first alone are listed."""
+
+    proposed: int
+    removed: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrustTest:
+    """One test of the data against the model.
+
+    `probability`: of a statistic so large when all is as the model says; `adjusted`: the same after Holm's correction for all tests
+    made, by which it is `noticed`. `effect`: the size of what was found, in `unit`.
+    """
+
+    name: str
+    probability: float
+    adjusted: float
+    noticed: bool
+    effect: float | None = None
+    unit: str = ""
+    sentence: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cause:
+    """What explains the tests that were noticed, with its share of likelihood among all causes, and what to do about it."""
+
+    name: str
+    likelihood: float
+    sentence: str
+    remedy: str
+    tests: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelMisfit:
+    """How much wider than noise alone makes them the sigmas are for what the model does not hold.
+
+    `covariance`: SI, of the estimate with it. `factor`: by parameter. `blocks`: of frames that disagree by more than noise, 0 where
+    none do.
+    """
+
+    covariance: Covariance
+    factor: Values[float | None]
+    blocks: int
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Minimum:
+    """A place where chi-square, or a robust loss, is lowest among its neighbours.
+
+    `parameters`: SI. `chi2_above_best`: how far it lies above the lowest, each under its own weights.
+    """
+
+    parameters: Values[float]
+    chi2_above_best: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProfileInterval:
+    """Where a parameter, SI, may lie by profile likelihood: pieces, each with its ends; None is beyond what was searched."""
+
+    name: str
+    confidence: float
+    pieces: list[Numbers]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Minima:
+    """What a search from many starts found, the best first, and the intervals of the parameters that are not symmetric.
+
+    `taken_from`: what led to the minimum that was taken up, empty where the usual start had ended in it.
+    """
+
+    starts: int
+    found: list[Minimum] = field(default_factory=list)
+    intervals: list[ProfileInterval] = field(default_factory=list)
+    taken_from: str = ""
+    sentence: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseTerm:
+    """One term of the noise model: its coefficients with sigmas, the probability that it is none, and whether it was applied."""
+
+    name: str
+    unit: str
+    coefficients: dict[str, float]
+    sigma: dict[str, float | None]
+    probability: float
+    needed: bool
+    applied: bool
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """How the centroid noise and bias of a set depend on magnitude, field angle, rate, pixel phase and colour."""
+
+    terms: list[NoiseTerm] = field(default_factory=list)
+    unavailable: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assumption:
+    """What the data cannot show: whether it was declared, what was taken to be so, and what an error in it would do.
+
+    `left_in`: declared to be in the data, and not taken out of them.
+    """
+
+    name: str
+    declared: bool
+    value: str
+    sentence: str
+    left_in: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -653,19 +792,22 @@ class ResidualDependence:
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualAgainst:
-    """The radial residual against radius, magnitude, temperature and time."""
+    """The residual against what may explain it: radial, or along the rows or columns against places and phases along them."""
 
     radius: ResidualDependence | None = None
     magnitude: ResidualDependence | None = None
     temperature: ResidualDependence | None = None
     time: ResidualDependence | None = None
+    colour: ResidualDependence | None = None
+    row: ResidualDependence | None = None
+    column: ResidualDependence | None = None
+    row_phase: ResidualDependence | None = None
+    column_phase: ResidualDependence | None = None
 
     @property
     def by_cause(self) -> dict[str, ResidualDependence | None]:
         """The dependence on each, by its name."""
-        return {
-            "radius": self.radius, "magnitude": self.magnitude, "temperature": self.temperature, "time": self.time,
-        }  # fmt: skip
+        return dict(vars(self))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -901,6 +1043,7 @@ class Calibration:
     """A calibration, ended or on its way (`running`).
 
     `parameters`, `sigma`, `initial`, `typical_sigma`: SI by name; a sigma is None where it was not estimated or is not determined.
+    `sigma` is of noise alone, `sigma_with_misfit` is that widened by what the model does not hold: decide by the second.
     `delta_over_sigma`: estimate less start over sigma. `rms_arc_rad`: unweighted, on common pairs. `pairs`: arcs, two a star less
     three an exposure. `frames_done`: of a filter on its way. `timing_s`: by stage.
     """
@@ -937,6 +1080,15 @@ class Calibration:
     advice: list[str] = field(default_factory=list)
     rms_arc_rad: Change = field(default_factory=Change)
     robust: Robust | None = None
+    removed: list[RemovedStar] = field(default_factory=list)
+    removed_of: RemovedOf | None = None
+    tests: list[TrustTest] = field(default_factory=list)
+    causes: list[Cause] = field(default_factory=list)
+    sigma_with_misfit: Values[float | None] = field(default_factory=Values)
+    misfit: ModelMisfit | None = None
+    minima: Minima | None = None
+    noise: Noise | None = None
+    assumptions: list[Assumption] = field(default_factory=list)
     validation: Evaluation | None = None
     judged_on: JudgedOn | None = None
     evaluation: Evaluation | None = None
@@ -952,6 +1104,16 @@ class Calibration:
     timing_s: dict[str, float | None] = field(default_factory=dict)
     stars_off_detector: StarsOffDetector | None = None
     frames_done: int | None = None
+
+    @property
+    def reliable_covariance(self) -> Covariance:
+        """The covariance to decide by: with misfit where that is known, else of noise alone."""
+        return self.covariance if self.misfit is None else self.misfit.covariance
+
+    @property
+    def reliable_sigma(self) -> Values[float | None]:
+        """The sigmas to decide by: with misfit where that is known, else of noise alone."""
+        return self.sigma if self.misfit is None else self.sigma_with_misfit
 
     @property
     def is_usable(self) -> bool:

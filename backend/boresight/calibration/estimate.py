@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,21 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.calibration import Robust, Status, Values
 from boresight.calibration.history_recorder import RecordedHistory
+from boresight.calibration.minima import NOT_SEARCHED, LowerMinimum, Searched, look_for_minima
 from boresight.calibration.options import CalibrationSettings
-from boresight.calibration.problem import Problem
+from boresight.calibration.problem import Problem, find_parity
 from boresight.estimation import batch, cosine
+from boresight.estimation.robust import (
+    MOST_ROUNDS,
+    REST_OF_ROUNDS,
+    SCALE_RESTS,
+    TUNING,
+    StarWeights,
+    measure_scale,
+    measure_star_effect,
+    whiten_even,
+    whiten_weighted,
+)
 from boresight.estimation.statistics.special import ndtr
 from boresight.estimation.stored_arcs import Arcs
 
@@ -61,17 +74,26 @@ MOVED = 1.0
 
 @dataclass(frozen=True)
 class Robustness:
-    """Huber's loss beside least squares.
+    """A robust loss beside least squares.
 
-    `threshold`: in whitened sigmas. `downweighted`, `arcs`: arcs beyond it at the estimate, and all. `x`, `x_without`:
-    (n_parameters,) the estimate, and where least squares ends on the same arcs, SI.
+    `threshold`: in sigmas of what the loss judges. `downweighted`, `judged`: how many are beyond it at the estimate, and all;
+    whitened arcs, or stars (`by`). `x`, `x_without`: (n_parameters,) the estimate, and where least squares ends on the same arcs,
+    SI.
     """
 
     threshold: float
     downweighted: int
-    arcs: int
+    judged: int
     x: FloatArray
     x_without: FloatArray
+    by: Literal["arcs", "stars"] = "arcs"
+
+    @property
+    def expected_share(self) -> float:
+        """Share beyond the threshold under Gaussian noise: of one whitened arc, or of a star's two residuals."""
+        if self.by == "stars":
+            return float(np.exp(-(self.threshold**2) / 2))
+        return 2 * float(ndtr(-self.threshold))
 
 
 def robust_view(found: Robustness, names: Sequence[str], sigma: FloatArray) -> Robust:
@@ -81,7 +103,7 @@ def robust_view(found: Robustness, names: Sequence[str], sigma: FloatArray) -> R
     estimated.
     """
     shift = (found.x - found.x_without) / np.where(sigma > 0, sigma, np.nan)
-    share, expected = found.downweighted / found.arcs, 2 * float(ndtr(-found.threshold))
+    share, expected = found.downweighted / found.judged, found.expected_share
     return Robust(
         threshold=found.threshold,
         downweighted=found.downweighted,
@@ -91,14 +113,17 @@ def robust_view(found: Robustness, names: Sequence[str], sigma: FloatArray) -> R
         shift_in_sigma=Values(
             {name: float(z) if np.isfinite(z) else None for name, z in zip(names, shift, strict=True)}
         ),
-        sentence=_sentence(found.downweighted, share, expected, dict(zip(names, shift, strict=True))),
+        sentence=_sentence(found, share, dict(zip(names, shift, strict=True))),
     )
 
 
-def _sentence(count: int, share: float, expected: float, shift: dict[str, float]) -> str:
+def _sentence(found: Robustness, share: float, shift: dict[str, float]) -> str:
     """Say what the loss did, against what it does to noise alone."""
+    did = "Huber's loss held back" if found.by == "arcs" else "The loss by stars left out"
     counted = (
-        f"Huber's loss held back {count:,} arcs, {share:.1%} of them, where Gaussian noise alone gives {expected:.1%}"
+        f"{did} {found.downweighted:,} {found.by}, {share:.2g} of all, where Gaussian noise alone gives {found.expected_share:.2g}"
+        if found.by == "stars"
+        else f"{did} {found.downweighted:,} arcs, {share:.1%} of them, where Gaussian noise alone gives {found.expected_share:.1%}"
     )
     moved = {name: z for name, z in shift.items() if np.isfinite(z)}
     if not moved:
@@ -143,6 +168,7 @@ class Estimate:
     set at x. `status`: as in the contract, or `running`. `iterations`: batch iterations, or linearisations of a filter in all.
     `steps`: batch iterates, empty for a filter. `history`: a filter's updates so far; None for the batch. `robust`: what
     Huber's loss changed; None for any other estimate. `remarks`: sentences that a person should read beside the numbers.
+    `searched`: what the search for other minima found.
     """
 
     x: FloatArray
@@ -155,6 +181,7 @@ class Estimate:
     history: RecordedHistory | None = None
     robust: Robustness | None = None
     remarks: tuple[str, ...] = ()
+    searched: Searched = NOT_SEARCHED
 
     @property
     def updated(self) -> IntArray | None:
@@ -167,25 +194,73 @@ Asked = Callable[[], bool]
 
 
 def run_batch(
-    problem: Problem, parameters: Parameters, settings: CalibrationSettings, listen: ReportEstimate, cancelled: Asked
+    problem: Problem,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    listen: ReportEstimate,
+    cancelled: Asked,
+    begin: LowerMinimum | None = None,
+    restarts: int = 0,
 ) -> Estimate:
-    """Fit, take the weights at the solution, and fit again."""
+    """Fit, take the weights at the solution, and fit again; of a small set look for other minima too and take up the lowest.
+
+    `begin`: where judging a former estimate led to, in place of the sensor's start; `restarts`: how often it has.
+    """
     steps: list[batch.Step] = []
 
     def report(step: batch.Step) -> None:
         steps.append(step)
         _report_batch(tuple(steps), listen)
 
-    fitted = _fit(problem, problem.sensor.initial, parameters, settings, report, cancelled)
-    for _ in range(WHITENING_ROUNDS - 1):
-        if fitted.status != "diverged":
-            fitted = _fit(problem, fitted.x, parameters, settings, report, cancelled)
+    if settings.robust == "stars":
+        plain = run_batch(
+            problem, parameters, replace(settings, robust="none"), lambda *_: None, cancelled, begin, restarts
+        )
+        return replace(
+            _run_by_star(problem, parameters, settings, plain, report, steps, cancelled), searched=plain.searched
+        )
+
+    def fit(x: FloatArray) -> batch.BatchFit:
+        return _fit(problem, x, parameters, settings, report, cancelled)
+
+    fitted = _rewhitened(fit, problem.sensor.initial if begin is None else begin.x)
+    searched = _search(problem, parameters, settings, fitted, cancelled).begun_from(begin, restarts)
+    if searched.lowest is not None:
+        fitted = _rewhitened(fit, searched.lowest.x)
     estimate = Estimate(
-        fitted.x, fitted.A, covariance(fitted.A), fitted.chi2, fitted.status, max(len(steps) - 1, 0), tuple(steps)
-    )
+        fitted.x, fitted.A, covariance(fitted.A), fitted.chi2, fitted.status, max(len(steps) - 1, 0), tuple(steps),
+        searched=searched,
+    )  # fmt: skip
     if settings.robust != "none":
         return replace(estimate, robust=_robustness(problem, parameters, settings, fitted))
     return _of_cosine(problem, parameters, estimate) if settings.error == "cosine" else estimate
+
+
+def _rewhitened(fit: Callable[[FloatArray], batch.BatchFit], x: FloatArray) -> batch.BatchFit:
+    """Fit from x, and again with the weights of where that ended."""
+    fitted = fit(x)
+    for _ in range(WHITENING_ROUNDS - 1):
+        if fitted.status != "diverged":
+            fitted = fit(fitted.x)
+    return fitted
+
+
+def _search(
+    problem: Problem,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    fitted: batch.BatchFit,
+    cancelled: Asked,
+) -> Searched:
+    """Look for other minima; the cosine error is there for comparison only, and has none looked for."""
+    if settings.error == "cosine":
+        return NOT_SEARCHED
+    return look_for_minima(problem, parameters.free, parameters.scale, _threshold(settings), fitted, cancelled)
+
+
+def _threshold(settings: CalibrationSettings) -> float:
+    """The threshold of Huber's loss, in whitened sigmas; infinite for least squares."""
+    return settings.huber_threshold if settings.robust == "huber" else np.inf
 
 
 def _fit(
@@ -201,8 +276,62 @@ def _fit(
     return batch.fit(
         cosine.unweighted(arcs) if settings.error == "cosine" else arcs, x, parameters.free, parameters.scale,
         max_iterations=settings.max_iterations, report=report, cancelled=cancelled,
-        threshold=settings.huber_threshold if settings.robust == "huber" else np.inf,
+        threshold=_threshold(settings),
     )  # fmt: skip
+
+
+def _run_by_star(
+    problem: Problem,
+    parameters: Parameters,
+    settings: CalibrationSettings,
+    plain: Estimate,
+    report: Callable[[batch.Step], None],
+    steps: list[batch.Step],
+    cancelled: Asked,
+) -> Estimate:
+    """Weigh every star and fit again, from the fit by least squares, until the weights reproduce themselves."""
+    fitted = plain
+    if fitted.status == "diverged":
+        return fitted
+    parity = find_parity(problem.arcs, fitted.x, problem.sensor.parity)
+    how = StarWeights(parity, fitted.x, 1.0, settings.minimum_stars)
+    x, rested = fitted.x, False
+    for _ in range(MOST_ROUNDS):
+        scale = measure_scale(problem.arcs, replace(how, x=x))
+        rested = rested and abs(scale / how.scale - 1) < SCALE_RESTS
+        if rested:
+            break
+        how = replace(how, x=x, scale=scale)
+        arcs = problem.arcs.each(whiten_weighted, how)
+        found = batch.fit(
+            arcs, x, parameters.free, parameters.scale,
+            max_iterations=settings.max_iterations, report=report, cancelled=cancelled, rest=REST_OF_ROUNDS,
+        )  # fmt: skip
+        if found.status == "diverged":
+            break
+        step = (found.x - x)[parameters.free] / parameters.scale
+        rested, x = float(step @ found.A @ step) < REST_OF_ROUNDS**2, found.x
+    return _of_stars(problem, parameters, replace(how, x=x), found, plain, steps, rested=rested)
+
+
+def _of_stars(
+    problem: Problem,
+    parameters: Parameters,
+    how: StarWeights,
+    found: batch.BatchFit,
+    plain: Estimate,
+    steps: Sequence[batch.Step],
+    *,
+    rested: bool,
+) -> Estimate:
+    """Give an estimate by stars its own information, and the chi-square that shows what it did not follow."""
+    even = problem.arcs.each(whiten_even, how)
+    effect = measure_star_effect(problem.arcs, how, len(parameters.free))
+    A = effect.information_share * batch.normal_equations(even, how.x, parameters.free, parameters.scale).A
+    chi2 = batch.normal_equations(problem.whitened(how.x), how.x, parameters.free, parameters.scale).chi2
+    status = found.status if rested or found.status != "converged" else "max_iterations"
+    robust = Robustness(TUNING, effect.left_out, effect.stars, how.x, plain.x, "stars")
+    return Estimate(how.x, A, covariance(A), chi2, status, max(len(steps) - 1, 0), tuple(steps), robust=robust)
 
 
 def _robustness(

@@ -249,9 +249,9 @@ class CalibrationSettings:
         default=None, kind="names", flag="--free", usual=True,
     )  # fmt: skip
     match: str = option(
-        "Matching", "Star identities", "Star identities: those in the file, or made again as parameters improve.",
+        "Matching", "Star identities", "Star identities: those the file proposes, verified, or made again as parameters improve.",
         default="rematch", flag="--match", usual=True,
-        words={"given": "As given in the file", "rematch": "Made again as parameters improve"},
+        words={"given": "As the file proposes, verified", "rematch": "Made again as parameters improve"},
     )  # fmt: skip
     match_parameters: str = option(
         "Matching", "Parameters matched with", "Which parameters a filter matches each frame with.",
@@ -276,6 +276,14 @@ class CalibrationSettings:
         "Matching", "Leave out doubles and unreliable stars",
         "Leave out double stars and stars with unreliable astrometry.", cell=(2, 2), default=False, flag="--leave-out-doubles",
     )  # fmt: skip
+    noise_model: str = option(
+        "Method", "Centroid noise", "Noise of centroids: as stated, or with what the data show of it beyond chance.",
+        cell=(3, 1), default="stated", flag="--noise-model",
+        words={
+            "stated": "As stated by telemetry or sensor file",
+            "from-data": "From the data: magnitude, field angle, rate, pixel phase and colour, where needed",
+        },
+    )  # fmt: skip
     minimum_stars: int = option(
         "Method", "Fewest stars of an exposure", "Exposures with fewer stars take no part.",
         cell=(2, 1), default=MINIMUM_STARS, lowest=MINIMUM_STARS, highest=1000, flag="--minimum-stars",
@@ -294,8 +302,13 @@ class CalibrationSettings:
         elsewhere="The cosine error is the batch's: choose method 'batch', or error 'arclength'.",
     )  # fmt: skip
     robust: str = option(
-        "Of the batch", "Loss", "Loss that bounds what a false star may say.", cell=(2, 1), default="none", flag="--robust",
-        words={"none": "Least squares", "huber": "Huber: bounds what a false star may say"},
+        "Of the batch", "Loss", "Loss that bounds what a false star may say; huber is weaker, for comparison.",
+        cell=(2, 1), default="none", flag="--robust",
+        words={
+            "none": "Least squares",
+            "stars": "By stars: one that lies far off says nothing",
+            "huber": "Huber on arcs: bounds what a false star may say, for comparison",
+        },
         elsewhere="Robust loss is the batch's: choose method 'batch', or set 'robust' to 'none'.",
     )  # fmt: skip
     huber_threshold: float = option(
@@ -430,6 +443,7 @@ class Choices(TypedDict, total=False):
     match_rule: str
     flight_tolerance_urad: float | None
     leave_out_doubles: bool
+    noise_model: str
     minimum_stars: int
     max_iterations: int
     error: str

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from boresight.calibration.calibration import ResidualSpline, Values, parse_part
+from boresight.calibration.calibration import ModelMisfit, ResidualSpline, Values, parse_part
 from boresight.errors import RefusedInputError
 
 
@@ -25,6 +25,8 @@ class ParameterSetDocument:
     parameters: Values[float]
     sigma: Values[float | None] | None = None
     covariance: dict[str, Any] | None = None
+    sigma_with_misfit: Values[float | None] | None = None
+    misfit: ModelMisfit | None = None
     free: list[str] | None = None
     method: str | None = None
     variant: str | None = None
@@ -38,6 +40,11 @@ class ParameterSetDocument:
     inputs: dict[str, Any] | None = None
     residual_spline: ResidualSpline | None = None
     truth: Values[float] | None = None
+
+    @property
+    def reliable_sigma(self) -> Values[float | None]:
+        """The sigmas to decide by: with misfit where that is known, else of noise alone."""
+        return (self.sigma if self.misfit is None else self.sigma_with_misfit) or Values()
 
 
 def parse_parameter_set(document: Mapping[str, Any]) -> ParameterSetDocument:

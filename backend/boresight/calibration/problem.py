@@ -34,6 +34,11 @@ STAR_REASONS = (
 COLLINEAR_REASON = "all usable stars on one line"
 
 
+def too_few_reason(minimum_stars: int) -> str:
+    """Say why an exposure with fewer stars takes no part."""
+    return f"fewer than {minimum_stars} usable stars"
+
+
 @dataclass(frozen=True)
 class Problem:
     """A telemetry set ready for estimation.
@@ -65,6 +70,14 @@ class Problem:
             self._whitened_at[key] = arcs
         return arcs
 
+    def can_be(self, x: FloatArray) -> bool:
+        """Whether a state (n_parameters,) is one that can be: inside its ranges, with a direction for every corner."""
+        low, high = np.array(self.camera.plausible).T
+        if not (np.isfinite(x).all() and bool(np.all((low <= x) & (x <= high)))):
+            return False
+        sensor = self.sensor
+        return self.camera.blind_corner(x, sensor.rows, sensor.columns, sensor.pixel_pitch_m) is None
+
     def find_place(self, frame: IntArray) -> IntArray:
         """Places (n,) of frame numbers (n,) among those that take part."""
         return np.asarray(np.searchsorted(self.arcs.frame, frame))
@@ -89,6 +102,24 @@ def whiten_at(arcs: ArcSet, camera: CameraModel, x: FloatArray) -> ArcSet:
 def whiten_part(arcs: ArcSet, camera_model: str, x: FloatArray) -> ArcSet:
     """The same of any part of a set, the camera by its name: for `Arcs.each`."""
     return arcsets.whiten(arcs, arcsets.angular_sigma(CAMERA_MODELS[camera_model], x, arcs))[0]
+
+
+#: Frames that tell the parity.
+PARITY_FRAMES = 1024
+
+
+def find_parity(arcs: Arcs, x: FloatArray, stated: int) -> int:
+    """Parity under which most of the first frames are no mirror image of their stars: a wrong one in the file refuses none."""
+    same = sum(arcs.frames(0, min(arcs.n_frames, PARITY_FRAMES)).over_blocks(_handedness_of_block, x))
+    return stated if same == 0 else int(np.sign(same))
+
+
+def _handedness_of_block(block: ArcSet, x: FloatArray) -> int:
+    """How many more exposures of one block have their first three stars the right way round in D than not."""
+    three = block.star_start[:-1, None] + np.arange(3)
+    s = block.camera.directions(x, block.row_px[three.ravel()], block.col_px[three.ravel()], block.pitch)
+    turns = np.linalg.det(s.reshape(-1, 3, 3)) * np.linalg.det(block.s_i[three])
+    return int(np.sign(turns[np.isfinite(turns)]).sum())
 
 
 def build_problem(
@@ -124,7 +155,7 @@ def make_problem(telemetry: Telemetry, sensor: Sensor, s_i: FloatArray, minimum_
     rows, few = _full_exposures(telemetry, rows, minimum_stars)
     arcs, collinear = _ordered(telemetry, sensor, s_i, rows)
     left_out += [
-        LeftOut(what="exposures", count=few, reason=f"fewer than {minimum_stars} usable stars"),
+        LeftOut(what="exposures", count=few, reason=too_few_reason(minimum_stars)),
         LeftOut(what="exposures", count=collinear, reason=COLLINEAR_REASON),
     ]
     first_rows = arcs.source_row[arcs.star_start[arcs.frame_start[:-1]]]

@@ -277,7 +277,7 @@ def describe_estimate(
     """Put an estimate, finished or on its way, into the form of a calibration; what judges it is not in it yet."""
     arcs = problem.whitened(estimate.x)
     initial, final = tail_rms(arcs, np.stack([problem.sensor.initial, estimate.x]))
-    sigma = _sigma(problem, parameters, estimate)
+    sigma = find_sigma(problem, parameters, estimate)
     names = problem.camera.parameter_names
     with np.errstate(divide="ignore", invalid="ignore"):
         shift = (estimate.x - problem.sensor.initial) / sigma
@@ -303,7 +303,7 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _sigma(problem: Problem, parameters: Parameters, estimate: Estimate) -> FloatArray:
+def find_sigma(problem: Problem, parameters: Parameters, estimate: Estimate) -> FloatArray:
     """(n_parameters,) one-sigma in SI, NaN where not estimated or not determined."""
     sigma = np.full(len(problem.camera.parameter_names), np.nan)
     in_scale = np.sqrt(np.diag(estimate.P))
@@ -441,7 +441,9 @@ def trend_entry(result: Calibration) -> TrendEntry | None:
         camera_model=result.camera_model,
         names=list(result.covariance.names),
         parameters=result.parameters,
-        covariance=[[None if one is None else one * factor for one in row] for row in result.covariance.matrix],
+        covariance=[
+            [None if one is None else one * factor for one in row] for row in result.reliable_covariance.matrix
+        ],
         variance_factor=factor,
         said=said,
         left_out=_left_out(result),
@@ -449,10 +451,14 @@ def trend_entry(result: Calibration) -> TrendEntry | None:
 
 
 def _factors(result: Calibration) -> Iterator[tuple[str, float]]:
-    """Yield why variances must be larger, and by how much."""
+    """Yield why variances must be larger, and by how much; with misfit they have chi-square in them already."""
     chi2, nis, per_dof = result.chi2, result.nis, result.chi2_per_dof
+    if result.misfit is not None:
+        chi2 = None
     if per_dof is not None and chi2 is not None and chi2.upper is not None and per_dof > chi2.upper:
         yield f"sigmas widened {per_dof**0.5:.2f} times: chi-square is {per_dof:.3g} per degree of freedom", per_dof
+    if result.misfit is not None and result.method == "batch":
+        nis = None  # a batch has its chi-square there
     if nis is not None and nis.mean is not None and nis.upper is not None and nis.mean > nis.upper:
         yield f"sigmas widened {nis.mean**0.5:.2f} times: the normalised innovations are {nis.mean:.3g}", nis.mean
     efficiency = None if result.trust is None else result.trust.efficiency

@@ -219,12 +219,16 @@ def copied(
     executor: Executor,
     told: Prepared,
     cancelled: Callable[[], bool],
+    correct: Callable[[Telemetry], Telemetry] | None = None,
 ) -> Pieces:
     """Take a stored table in its parts, which are mapped where they are; read a file into pieces.
 
-    Stretches of a file are read wherever the executor does it; from its start where it has none or is refused.
+    Stretches of a file are read wherever the executor does it; from its start where it has none or is refused. What `correct`
+    puts right is copied from the start too, piece by piece.
     """
-    if isinstance(file, StoredTable):
+    if correct is not None:
+        pieces = _copied_in_turn(file, sensor, folder, told, cancelled, correct)
+    elif isinstance(file, StoredTable):
         pieces = _mapped(file, sensor, folder, executor, told)
     else:
         apart = _copied_apart(file, sensor, folder, executor, told)
@@ -273,12 +277,18 @@ def _copied_apart(
 
 
 def _copied_in_turn(
-    file: TelemetryFile, sensor: Sensor, folder: Path, told: Prepared, cancelled: Callable[[], bool]
+    file: TelemetryFile | StoredTable,
+    sensor: Sensor,
+    folder: Path,
+    told: Prepared,
+    cancelled: Callable[[], bool],
+    correct: Callable[[Telemetry], Telemetry] | None = None,
 ) -> tuple[TelemetryPiece, ...]:
     """Copy a file from its start to its end; refuses it in its words."""
-    rows = max(file.about_rows(), 1)
+    rows = max(len(file.table) if isinstance(file, StoredTable) else file.about_rows(), 1)
     pieces: list[TelemetryPiece] = []
-    for piece in write_pieces(file.chunks(), sensor, folder / "telemetry"):
+    chunks = file.chunks() if correct is None else map(correct, file.chunks())
+    for piece in write_pieces(chunks, sensor, folder / "telemetry"):
         if cancelled():
             raise CancelledError(f"Stopped as asked after reading {piece.begins} rows")
         pieces.append(piece)

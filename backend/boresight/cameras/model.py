@@ -180,13 +180,14 @@ class CameraModel:
         return [one.role for one in self.parameters].index(role)
 
     @cached_property
-    def _principal(self) -> tuple[int, int]:
+    def principal_places(self) -> tuple[int, int]:
+        """Places in the state of the principal point's row and column."""
         return self.place(Role.ROW), self.place(Role.COLUMN)
 
     def plain(self, focal_px: float, row_px: float, col_px: float, pitch: float) -> FloatArray:
         """State (n_parameters,) without tilt and distortion, with this focal length and this principal point, pixels."""
         x = np.array([one.neutral or 0.0 for one in self.parameters])
-        x[[self.place(Role.FOCAL), *self._principal]] = focal_px * self.focal_unit(pitch), row_px, col_px
+        x[[self.place(Role.FOCAL), *self.principal_places]] = focal_px * self.focal_unit(pitch), row_px, col_px
         return x
 
     def focal_unit(self, pitch: float) -> float:
@@ -199,7 +200,7 @@ class CameraModel:
 
     def principal_point(self, x: FloatArray) -> tuple[float, float]:
         """Row and column of the principal point, pixels."""
-        row, col = self._principal
+        row, col = self.principal_places
         return float(x[row]), float(x[col])
 
     def directions(self, x: FloatArray, row_px: ArrayLike, col_px: ArrayLike, pitch: float) -> FloatArray:
@@ -240,7 +241,9 @@ class CameraModel:
         kernels.rays_and_jacobians(self.kind, np.asarray(x, dtype=float), pitch, row, col, s, D)
         return s.reshape(*shape, 3), D.reshape(*shape, 3, -1)
 
-    def project(self, x: FloatArray, s: FloatArray, pitch: float) -> tuple[FloatArray, FloatArray]:
+    def project(
+        self, x: FloatArray, s: FloatArray, pitch: float, near: tuple[FloatArray, FloatArray] | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Detector positions of directions.
 
         Parameters
@@ -251,6 +254,8 @@ class CameraModel:
             (n, 3) directions in D, any positive length.
         pitch
             Pixel pitch, metres.
+        near
+            (n,) rows and columns where the search begins; None is the principal point.
 
         Returns
         -------
@@ -259,8 +264,8 @@ class CameraModel:
         """
         s = np.asarray(s, dtype=float)
         rays = np.ascontiguousarray(s.reshape(-1, 3))
-        place = np.empty((len(rays), 2))
-        kernels.project(self.kind, np.asarray(x, dtype=float), pitch, *self._principal, rays, place)
+        place = np.full((len(rays), 2), np.nan) if near is None else np.stack(near, axis=-1)
+        kernels.project(self.kind, np.asarray(x, dtype=float), pitch, *self.principal_places, rays, place)
         return place[:, 0].reshape(s.shape[:-1]), place[:, 1].reshape(s.shape[:-1])
 
     def radial_tangent(self, x: FloatArray, radius_px: ArrayLike, pitch: float) -> tuple[FloatArray, FloatArray]:
@@ -276,7 +281,7 @@ class CameraModel:
         neutral = [one.neutral for one in self.parameters]
         at = np.where([one is None for one in neutral], x, [one or 0.0 for one in neutral])
         s, D = self.directions_and_jacobian(
-            at, x[self._principal[0]] + np.asarray(radius_px), x[self._principal[1]], pitch
+            at, x[self.principal_places[0]] + np.asarray(radius_px), x[self.principal_places[1]], pitch
         )
         kept = [one.role in {Role.FOCAL, Role.RADIAL} for one in self.parameters]
         gradient = (D[..., 0, :] - (s[..., 0] / s[..., 2])[..., None] * D[..., 2, :]) / s[..., 2, None]
@@ -285,7 +290,7 @@ class CameraModel:
     def solid_angle(self, x: FloatArray, row_px: FloatArray, col_px: FloatArray, pitch: float) -> FloatArray:
         """Solid angle of one pixel at each place, (n,) steradian: |ds/dm x ds/dn|."""
         omega = np.empty(len(row_px))
-        kernels.solid_angles(self.kind, x, pitch, *self._principal, row_px, col_px, omega)
+        kernels.solid_angles(self.kind, x, pitch, *self.principal_places, row_px, col_px, omega)
         return omega
 
     def cone_rad(self, x: FloatArray, rows: int, columns: int, pitch: float) -> float:

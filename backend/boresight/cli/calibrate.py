@@ -11,7 +11,7 @@ import click
 
 from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
 from boresight.cli.output import check_writable, json_option, write_json
-from boresight.cli.remote import open_client, server_option
+from boresight.cli.remote import first_message, open_client, server_option
 from boresight.errors import RefusedInputError
 from boresight.library.functions import calibrate as estimate
 from boresight.library.functions import parse_choices
@@ -111,7 +111,7 @@ def calibrate(
     check_writable(json_file)
     settings = chosen(choices)
     parse_settings(settings)
-    with progress("reading the telemetry") as report:
+    with progress(first_message(server_url)) as report:
         if server_url is None:
             found = estimate(telemetry, sensor_file, validate=validate, progress=report, **settings)
         else:

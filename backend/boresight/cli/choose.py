@@ -10,7 +10,7 @@ import click
 
 from boresight.cli.calibrate import chosen, parse_settings, setting_option
 from boresight.cli.output import STANDARD_OUTPUT, check_one_stream, check_writable, json_option, write_json
-from boresight.cli.remote import open_client, server_option
+from boresight.cli.remote import first_message, open_client, server_option
 from boresight.errors import RefusedInputError
 from boresight.library import functions as library
 from boresight.library.progress import progress
@@ -58,7 +58,7 @@ def choose(
         raise RefusedInputError(f"{out_file} is the sensor file that is read, and is kept: choose another name.")
     settings = chosen(choices)
     parse_settings(settings)
-    with progress("reading the telemetry") as report:
+    with progress(first_message(server_url)) as report:
         if server_url is None:
             sensor = library.read_sensor(sensor_file)
             found = library.choose(telemetry, sensor, validate=validate, progress=report, **settings)
@@ -97,11 +97,13 @@ def _terms(found: Choice) -> Iterator[tuple[str, ...]]:
 
 
 def _tested(one: TermTest) -> tuple[str, ...]:
+    from boresight.calibration.choice.result import shown_p
+
     return (
         " + ".join(one.terms),
         f"{one.chi2_difference:.1f}",
         str(one.df),
-        f"{one.p_corrected:.2g}",
+        shown_p(one.log10_p_corrected).removeprefix("= "),
         "-" if one.held_out_ratio is None else f"{100 * (one.held_out_ratio - 1):+.2f} %",
         written(one.change_px, ".3f"),
         written(one.change_3_sigma_px, ".3f"),

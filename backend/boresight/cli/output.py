@@ -133,8 +133,9 @@ class RefusingGroup(click.Group):
         except BoresightError as error:
             _print_refusal(error)
             ctx.exit(REFUSED)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as stop:
             click.echo("boresight: stopped.", err=True)
+            _print_notes(stop)
             ctx.exit(INTERRUPTED)
         except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
             raise
@@ -152,9 +153,16 @@ class RefusingGroup(click.Group):
             ctx.exit(REFUSED)
 
 
+def _print_notes(error: BaseException) -> None:
+    """Print what goes on in spite of it."""
+    for note in getattr(error, "__notes__", ()):
+        click.echo(f"  {note}", err=True)
+
+
 def _print_refusal(error: BoresightError) -> None:
     """Print the sentence, then the places it speaks of."""
     click.echo(f"boresight: {error}", err=True)
+    _print_notes(error)
     faults = error.faults if isinstance(error, RefusedInputError) else ()
     if len(faults) == 1:  # the sentence contains it already
         return

@@ -20,6 +20,11 @@ server_option = click.option(
 )
 
 
+def first_message(url: str | None) -> str:
+    """Say what a command begins with."""
+    return "reading the telemetry" if url is None else "asking the server"
+
+
 def open_client(url: str) -> Client:
     """Return a client of a server."""
     from boresight.library.client import Client

@@ -66,11 +66,14 @@ def reproduce(
     use_kernel_folder(settings)
     size = (QUICK if quick else FULL)[paper]
     sizes = {"quick": quick, "frames": frames or size[0], "sets": sets or size[2], "processes": processes}
+    from boresight.papers.documents import head_sentences
+
     with progress(f"reproducing {paper}") as report:
         make = _enright if paper == "enright" else _wu
         document, written = make(sizes, size[1], sensors, settings.catalogue_folder, out, report)
-    click.echo(aligned([("table or figure", "row", "verdict"), *_verdicts(document)], left=(0, 1, 2)))
-    click.echo("\n".join(f"Wrote {path}" for path in written))
+    click.echo(aligned([("table or figure", "row", "verdict", "left out"), *_verdicts(document)], left=(0, 1, 2, 3)))
+    said = [*head_sentences(document), *(sentence for grid in document["grids"] for sentence in grid["sentences"])]
+    click.echo("\n".join([*said, *(f"Wrote {path}" for path in written)]))
 
 
 def _enright(
@@ -103,10 +106,11 @@ def _numbers(text: str) -> tuple[int, ...]:
         raise RefusedInputError(f"--sensors {text!r} is no list of numbers: write it as 3,4.") from error
 
 
-def _verdicts(document: dict[str, Any]) -> list[tuple[str, str, str]]:
+def _verdicts(document: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    """List every row and figure with its verdict, and why the head leaves it out."""
     rows = [
-        (f"Table {table['number']}", str(row["label"]), str(row["verdict"]))
+        (f"Table {table['number']}", str(row["label"]), str(row["verdict"]), str(row["left_out"]))
         for table in (*document["tables"], *document["timing"].get("tables", ()))
         for row in table["rows"]
     ]
-    return rows + [(f"Figure {figure['number']}", "", str(figure["verdict"])) for figure in document["figures"]]
+    return rows + [(f"Figure {figure['number']}", "", str(figure["verdict"]), "") for figure in document["figures"]]

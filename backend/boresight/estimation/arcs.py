@@ -132,8 +132,45 @@ class ArcSet:
             band=self.band[kept] if self.n_arcs else self.band,
         )
 
+    def without(self, rows: IntArray, minimum_stars: int) -> tuple[ArcSet, int, int]:
+        """Return the set without the stars of some telemetry rows, unwhitened; exposures that lose one are ordered anew.
+
+        Returns also how many exposures are lost with them: with fewer stars left than `minimum_stars`, and all on one line.
+        """
+        stays = ~np.isin(self.source_row, rows)
+        first = self.star_start[:-1]
+        left = np.add.reduceat(stays, first, dtype=np.int64) if len(first) else np.zeros(0, np.int64)
+        touched, full = left < np.diff(self.star_start), left >= minimum_stars
+        stays &= np.repeat(full, np.diff(self.star_start))
+        stars = np.flatnonzero(stays)
+        counts = left[full]
+        starts = np.append(0, np.cumsum(counts))
+        anew = np.flatnonzero(np.repeat(touched[full], counts))
+        fat = np.ones(len(counts), np.bool_)
+        if len(anew):
+            places, fatness = order(np.append(0, np.cumsum(counts[touched[full]])), self.s_i[stars[anew]])
+            stars[anew] = stars[anew[places]]
+            fat[touched[full]] = fatness > COLLINEAR
+        chosen = np.zeros(self.n_exposures, np.bool_)
+        chosen[np.flatnonzero(full)[fat]] = True
+        stars, counts = stars[np.repeat(fat, counts)], counts[fat]
+        starts = np.append(0, np.cumsum(counts))
+        in_frame = np.add.reduceat(chosen, self.frame_start[:-1], dtype=np.int64) if self.n_frames else left
+        arcs = replace(
+            self,
+            frame=self.frame[in_frame > 0],
+            frame_start=np.append(0, np.cumsum(in_frame[in_frame > 0])),
+            star_start=starts,
+            **{name: getattr(self, name)[stars] for name in ("row_px", "col_px", "sigma_px", "s_i", "source_row")},
+            phi=np.empty(0),
+            band=np.empty((0, kernels.HALF_BANDWIDTH + 1)),
+        )
+        return arcs, int((~full).sum()), int((~fat).sum())
+
     def frames(self, first: int, last: int) -> ArcSet:
         """Return the frames first <= k < last as a set of their own (views, no copies of stars or arcs)."""
+        if (first, last) == (0, self.n_frames):
+            return self
         e0, e1 = int(self.frame_start[first]), int(self.frame_start[last])
         s0, s1 = int(self.star_start[e0]), int(self.star_start[e1])
         a0, a1 = 2 * s0 - 3 * e0, 2 * s1 - 3 * e1

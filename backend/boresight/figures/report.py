@@ -20,12 +20,18 @@ from boresight.figures.charts.matching import why_no_matching
 from boresight.figures.style.theme import LIGHT_TEMPLATE, TOKENS, declared
 from boresight.figures.tables import (
     HEADINGS,
+    cause_rows,
     flight_rows,
     flight_tolerance,
+    interval_rows,
     match_counts,
     match_facts,
+    minimum_rows,
+    model_test_rows,
     printed_rows,
     reason_tables,
+    removed_count,
+    removed_rows,
     side_by_side,
     star_rows,
     to_flag,
@@ -47,7 +53,7 @@ def embed_figures(figures: Mapping[str, go.Figure]) -> dict[str, Markup]:
     }
 
 
-MOST_STARS = 25  # in print; the run's CSV has more
+MOST_STARS = 25  # in print, and as many removed ones; the run's CSV has more
 
 
 def render_report(result: Calibration, *, four_eyes: bool = True) -> str:
@@ -62,6 +68,9 @@ def render_report(result: Calibration, *, four_eyes: bool = True) -> str:
         summary=list(_summary(result)),
         headings=HEADINGS,
         rows=printed_rows(result),
+        beyond=[one.sentence for one in (result.misfit, result.minima) if one],
+        minima=minimum_rows(result),
+        intervals=interval_rows(result),
         chapters=CHAPTERS,
         **embed_figures({name: figure.draw([_trace(result)]) for name, figure in FIGURES.items()}),
         **_examined(result),
@@ -76,6 +85,8 @@ def render_report(result: Calibration, *, four_eyes: bool = True) -> str:
 def _examined(result: Calibration) -> dict[str, Any]:
     return {
         "trust_marks": trust_marks(result),
+        "model_tests": model_test_rows(result),
+        "causes": cause_rows(result),
         "why_no_trust": why_absent(result, ""),
         "prospects": prospects(result),
         "stars": star_rows(result)[:MOST_STARS],
@@ -93,6 +104,8 @@ def _matched(result: Calibration) -> dict[str, Any]:
         "side_by_side": side_by_side(result),
         "reasons": reason_tables(matching) if matching else [],
         "why_no_matching": why_no_matching(result),
+        "removed": removed_rows(result, MOST_STARS),
+        "removed_count": removed_count(result),
     }
 
 
@@ -117,6 +130,12 @@ def _summary(result: Calibration) -> Iterator[tuple[str, str]]:
     yield "Condition number", f"{condition:,.4g}" if condition is not None else "–"
     validation = result.validation
     yield "Validation RMS", _pair(validation.rms_arc_rad) if validation else "no validation set was given"
+    for term in result.noise.terms if result.noise else ():
+        if term.needed:
+            yield "Centroid noise", term.sentence
+    for one in result.assumptions:
+        word = "declared" if one.declared else "assumed, not declared"
+        yield f"{one.name.replace('_', ' ').capitalize()}, {word}", one.sentence
 
 
 def _pair(rms: Change) -> str:

@@ -19,11 +19,15 @@ from boresight.calibration.calibration import (
     EvaluationIntervals,
     IntervalChange,
     Matching,
+    ProfileInterval,
     ShadowOfSet,
+    TrustTest,
 )
 from boresight.calibration.parameter_set import ParameterSetDocument
+from boresight.calibration.trust.trust_tests import KIND_OF_TEST
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import FAR_TYPICAL_SIGMAS
+from boresight.figures.chart import Table
 from boresight.verdicts.numbers import (
     MINUS,
     MISSING,
@@ -40,6 +44,8 @@ from boresight.verdicts.numbers import (
 
 #: Numbers by the parameter's name.
 Numbers = Mapping[str, float | None]
+#: Smallest probability that is written out.
+LEAST_PROBABILITY = 1e-12
 FAR_SIGMAS = 4.0  # of the eight parameters of an honest run one in 2,000 is so far from the truth
 
 
@@ -47,7 +53,7 @@ FAR_SIGMAS = 4.0  # of the eight parameters of an honest run one in 2,000 is so 
 class ParameterRow:
     """One parameter of a result; values are SI, None where nothing was estimated.
 
-    `old`, `new`, `delta`, `sigma`: In the parameter's SI unit.
+    `old`, `new`, `delta`, `sigma`, `sigma_with_misfit`: in the parameter's SI unit; the last is `sigma` where misfit is not known.
     """
 
     name: str
@@ -55,6 +61,7 @@ class ParameterRow:
     new: float | None
     delta: float | None
     sigma: float | None
+    sigma_with_misfit: float | None
     typical_sigma: float | None
     truth: float | None
 
@@ -65,8 +72,8 @@ class ParameterRow:
 
     @property
     def delta_over_sigma(self) -> float | None:
-        """Return the change in sigmas."""
-        return _ratio(self.delta, self.sigma)
+        """Return the change in sigmas, with misfit."""
+        return _ratio(self.delta, self.sigma_with_misfit)
 
     @property
     def delta_over_typical(self) -> float | None:
@@ -75,8 +82,8 @@ class ParameterRow:
 
     @property
     def error_over_sigma(self) -> float | None:
-        """Return how many sigmas the estimate is off the truth."""
-        return _ratio(_difference(self.new, self.truth), self.sigma)
+        """Return how many sigmas, with misfit, the estimate is off the truth."""
+        return _ratio(_difference(self.new, self.truth), self.sigma_with_misfit)
 
     @property
     def off_truth(self) -> bool:
@@ -102,7 +109,8 @@ def _ratio(value: float | None, scale: float | None) -> float | None:
 def parameter_rows(result: Calibration) -> list[ParameterRow]:
     """Lay out every parameter of a calibration, in model order."""
     names = _model_order(result.camera_model, result.parameters)
-    return _lay_out(names, result.initial, result.parameters, result.sigma, result.typical_sigma, result.truth or {})
+    sigmas = result.sigma, result.reliable_sigma
+    return _lay_out(names, result.initial, result.parameters, sigmas, result.typical_sigma, result.truth or {})
 
 
 def _model_order(camera_model: str, values: Numbers) -> list[str]:
@@ -112,7 +120,7 @@ def _model_order(camera_model: str, values: Numbers) -> list[str]:
 
 
 def _lay_out(
-    names: Sequence[str], old: Numbers, new: Numbers, sigma: Numbers, typical: Numbers, truth: Numbers
+    names: Sequence[str], old: Numbers, new: Numbers, sigmas: tuple[Numbers, Numbers], typical: Numbers, truth: Numbers
 ) -> list[ParameterRow]:
     return [
         ParameterRow(
@@ -120,7 +128,8 @@ def _lay_out(
             old=old.get(name),
             new=new[name],
             delta=_difference(new[name], old.get(name)),
-            sigma=sigma.get(name),
+            sigma=sigmas[0].get(name),
+            sigma_with_misfit=sigmas[1].get(name),
             typical_sigma=typical.get(name),
             truth=truth.get(name),
         )
@@ -134,11 +143,23 @@ def set_rows(
     """Lay out a parameter set's values against the set it replaces, on the scale of its sensor's typical sigmas."""
     old = incumbent.parameters if incumbent else {}
     names = _model_order(found.camera_model, found.parameters)
-    return _lay_out(names, old, found.parameters, found.sigma or {}, typical_sigma, found.truth or {})
+    sigmas: tuple[Numbers, Numbers] = found.sigma or {}, found.reliable_sigma
+    return _lay_out(names, old, found.parameters, sigmas, typical_sigma, found.truth or {})
 
 
 LARGE = 1e5  # the width of a terminal's column
-HEADINGS = ("parameter", "unit", "initial", "final", "change", "sigma", "unit", "change / sigma", "typical sigmas")
+HEADINGS = (
+    "parameter",
+    "unit",
+    "initial",
+    "final",
+    "change",
+    "sigma",
+    "with misfit",
+    "unit",
+    "change / sigma",
+    "typical sigmas",
+)
 
 
 @dataclass(frozen=True)
@@ -151,6 +172,7 @@ class PrintedRow:
     final: str
     change: str
     sigma: str
+    with_misfit: str
     change_unit: str
     worth: str
     typical: str
@@ -168,6 +190,7 @@ def printed_rows(result: Calibration) -> list[PrintedRow]:
 
 def _printed(row: ParameterRow, item: Quantity) -> PrintedRow:
     known, change_sigma = _scaled(row.sigma, item.factor), _scaled(row.sigma, item.change_factor)
+    wide = _scaled(row.sigma_with_misfit, item.change_factor)
     return PrintedRow(
         symbol=item.symbol,
         unit=item.unit,
@@ -175,6 +198,7 @@ def _printed(row: ParameterRow, item: Quantity) -> PrintedRow:
         final=digits(_scaled(row.new, item.factor), known),
         change=_changed(_scaled(row.delta, item.change_factor), change_sigma),
         sigma=digits(change_sigma, change_sigma),
+        with_misfit=digits(wide, wide),
         change_unit=item.change_unit,
         worth=_signed(row.delta_over_sigma),
         typical=_signed(row.delta_over_typical) if row.estimated else MISSING,
@@ -204,6 +228,71 @@ def _signed(value: float | None) -> str:
     return MISSING if value is None else f"{value:+,.1f}".replace("-", MINUS)
 
 
+@dataclass(frozen=True)
+class MinimumRow:
+    """Another minimum: how far above the estimate it lies in chi-square, and its parameters in their page units."""
+
+    above: str
+    values: str
+
+
+def minimum_rows(result: Calibration) -> list[MinimumRow]:
+    """Lay out the minima besides the estimate, the lowest first."""
+    others = result.minima.found[1:] if result.minima else []
+    names = [name for name in result.parameters if name in result.free]
+    return [
+        MinimumRow(
+            above=f"+{one.chi2_above_best:.3g}",
+            values=", ".join(_with_unit(name, one.parameters.get(name), result) for name in names),
+        )
+        for one in others
+    ]
+
+
+def _with_unit(name: str, value: float | None, result: Calibration) -> str:
+    item = quantity(name, result)
+    number_of = digits(_scaled(value, item.factor), _scaled(result.sigma.get(name), item.factor))
+    return f"{item.symbol} {number_of}{NARROW_SPACE + item.unit if item.unit else ''}"
+
+
+@dataclass(frozen=True)
+class IntervalRow:
+    """Where a parameter may be by profile likelihood, beside what its sigma says, both with its unit."""
+
+    name: str
+    symbol: str
+    confidence: str
+    interval: str
+    by_sigma: str
+    unit: str
+
+
+#: Sigmas on either side of an estimate that hold 95 of 100 errors, as intervals by profile likelihood do.
+OF_95 = 1.96
+
+
+def interval_rows(result: Calibration) -> list[IntervalRow]:
+    """Lay out the intervals that are not those of the sigmas: not symmetric, in pieces, or open."""
+    return [_interval_row(one, result) for one in (result.minima.intervals if result.minima else [])]
+
+
+def _interval_row(one: ProfileInterval, result: Calibration) -> IntervalRow:
+    item, sigma, value = quantity(one.name, result), result.sigma.get(one.name), result.parameters.get(one.name)
+    known = _scaled(sigma, item.factor)
+
+    def end(number_of: float | None) -> str:
+        return digits(_scaled(number_of, item.factor), known)
+
+    pieces = [
+        f"{end(low) if low is not None else 'any'} to {end(high) if high is not None else 'any'}"
+        for low, high in one.pieces
+    ]
+    by_sigma = (
+        MISSING if sigma is None or value is None else f"{end(value - OF_95 * sigma)} to {end(value + OF_95 * sigma)}"
+    )
+    return IntervalRow(one.name, item.symbol, f"{100 * one.confidence:.0f} %", " or ".join(pieces), by_sigma, item.unit)
+
+
 VALID = "valid"  # the reason of an exposure that needs none
 NO_INTERVALS = IntervalChange(initial=[], final=[])
 
@@ -215,6 +304,51 @@ class Reasons:
     title: str
     unit: str
     rows: Sequence[tuple[str, int]]
+
+
+@dataclass(frozen=True)
+class RemovedRow:
+    """One proposed star that does not stand, as it is shown."""
+
+    cells: tuple[str, ...]
+    reason: str
+    probability: str
+
+
+def removed_rows(result: Calibration, most: int) -> list[RemovedRow]:
+    """Lay out the first removed stars: row, frame, exposure, star; why, and the probability of a right star so far off."""
+    return [
+        RemovedRow(
+            (count(one.row), count(one.frame), count(one.exposure), "–" if one.star_id is None else str(one.star_id)),
+            one.reason,
+            "–" if one.probability is None else printed_probability(one.probability),
+        )
+        for one in result.removed[:most]
+    ]
+
+
+def printed_probability(probability: float, equals: str = "") -> str:
+    """Write a probability, after `equals`; below what a test can tell apart its bound."""
+    return f"{equals}{probability:.2g}" if probability >= LEAST_PROBABILITY else f"< {LEAST_PROBABILITY:.0e}"
+
+
+def removed_count(result: Calibration) -> str:
+    """Say how many of how many proposed stars were removed."""
+    of = result.removed_of
+    return "" if of is None else f"{count(of.removed)} of {count(of.proposed)}"
+
+
+def removed_table(result: Calibration) -> Table:
+    """Return the removed stars as columns, for a file."""
+    stars = result.removed
+    return {
+        "row": [one.row for one in stars],
+        "frame": [one.frame for one in stars],
+        "exposure": [one.exposure for one in stars],
+        "star_id": [one.star_id for one in stars],
+        "reason": [one.reason for one in stars],
+        "probability": [one.probability for one in stars],
+    }
 
 
 @dataclass(frozen=True)
@@ -404,3 +538,56 @@ def star_rows(result: Calibration) -> list[StarRow]:
 def to_flag(result: Calibration) -> str:
     """List the suspects' Hipparcos numbers, ready to paste; empty where there are none."""
     return ", ".join(map(str, result.trust.suspects if result.trust else ()))
+
+
+@dataclass(frozen=True)
+class ModelTestRow:
+    """A test of the model in words; `numbers` are what its cells sort by."""
+
+    title: str
+    noticed: bool
+    cells: tuple[str, ...]
+    numbers: tuple[float | None, ...]
+    gate: str
+    sentence: str
+
+
+def model_test_rows(result: Calibration) -> list[ModelTestRow]:
+    """Lay the tests of a result out, the least probable first."""
+    return [_model_test_row(test) for test in sorted(result.tests, key=lambda test: test.probability)]
+
+
+def _model_test_row(test: TrustTest) -> ModelTestRow:
+    kind = KIND_OF_TEST.get(test.name)
+    values = (test.probability, test.adjusted, test.effect)
+    return ModelTestRow(
+        title=kind.title if kind else test.name.replace("_", " "),
+        noticed=test.noticed,
+        cells=tuple(number(value, 2) for value in values),
+        numbers=values,
+        gate=kind.gate if kind else "",
+        sentence=test.sentence,
+    )
+
+
+@dataclass(frozen=True)
+class CauseRow:
+    """A cause in words, with the tests that it explains."""
+
+    name: str
+    likelihood: str
+    sentence: str
+    remedy: str
+    tests: str
+
+
+def cause_rows(result: Calibration) -> list[CauseRow]:
+    """Lay the causes of a result out, the likeliest first."""
+    return [
+        CauseRow(cause.name, percent(cause.likelihood), cause.sentence, cause.remedy, ", ".join(_titles(cause.tests)))
+        for cause in result.causes
+    ]
+
+
+def _titles(names: list[str]) -> list[str]:
+    return [KIND_OF_TEST[name].title if name in KIND_OF_TEST else name for name in names]

@@ -2,7 +2,7 @@
 
 `arclengths` holds the camera, the arcs, the batch and the square-root filters; `singular` and `angles` the references of the
 filters on singular values and on all pairs, `information` their update; `matching` the association of detections with
-stars. `compilation` says how they are compiled, and where that is kept.
+stars; `displacements` what displaced stars change in the arcs. `compilation` says how they are compiled, and where that is kept.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from boresight.kernels.arclengths import (
     unscented_filter,
     whitened_rows,
 )
+from boresight.kernels.displacements import displaced_rows
 from boresight.kernels.information import cost, information_update, invert, whiten, worst_departure
 from boresight.kernels.singular import factor_values, value_rows
 from boresight.kernels.star import define
@@ -34,6 +35,7 @@ __all__ = [
     "cost",
     "count_beyond",
     "define",
+    "displaced_rows",
     "factor_pairs",
     "factor_values",
     "information_update",

@@ -34,6 +34,9 @@ _LEAST_SHARE = 1e-3  # of such a step: where less is needed the goal lies beyond
 _THIN = 0.1  # sine of an angle: orders with a thinner triangle are mended
 _TIE = 1e-9  # a triangle that is fatter by less is as fat: rounding must not choose an order
 _FEW = 7  # stars of which every order is tried
+_TAN_22_5 = math.sqrt(2.0) - 1.0
+_NEXT, _NEXT_BUT_ONE, _TANGENTS, _PRODUCTS = 3, 10, 17, 6  # rows of scratch of a catalogue exposure
+_ROOM = 13  # rows of scratch an exposure: s (3), and five numbers of each of both kinds of arcs
 
 _part = part(fastmath=FAST)
 _inlined = part(fastmath=FAST, forceinline=True)
@@ -58,13 +61,13 @@ def _stars(camera, x, pitch, row_px, col_px, first, n, w):
 
 
 @_part
-def _directions(camera, x, pitch, row_px, col_px, first, n, w):
-    """Fill the directions alone, the first three numbers of each row of `w`: what derivatives would take is not compiled."""
+def _directions(camera, x, pitch, row_px, col_px, first, n, g):
+    """Fill the directions alone, the first three rows of `g` (3, at least n): what derivatives would take is not compiled."""
     at = numbers(camera, x)
     for i in range(n):
         tx, ty, _, _ = star(camera, at, pitch, row_px[first + i], col_px[first + i])
         norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
-        w[i, 0], w[i, 1], w[i, 2] = tx * norm, ty * norm, norm
+        g[0, i], g[1, i], g[2, i] = tx * norm, ty * norm, norm
 
 
 @_part
@@ -87,19 +90,60 @@ def _pad(scale, whole):
         whole[p] = scale[p] if p < scale.shape[0] else 0.0
 
 
-@_part
-def _arclength(w, i, j):
-    """Return (phi, cos phi, sin phi) between stars i and j by atan2, exact at every separation."""
-    cx = w[i, 1] * w[j, 2] - w[i, 2] * w[j, 1]
-    cy = w[i, 2] * w[j, 0] - w[i, 0] * w[j, 2]
-    cz = w[i, 0] * w[j, 1] - w[i, 1] * w[j, 0]
-    sine = math.sqrt(cx * cx + cy * cy + cz * cz)
-    cosine = w[i, 0] * w[j, 0] + w[i, 1] * w[j, 1] + w[i, 2] * w[j, 2]
-    return math.atan2(sine, cosine), cosine, sine
+@_inlined
+def angle(sine, cosine):
+    """Angle in [0, pi] of a sine that is not negative and a cosine: atan2 without a branch or a call, so that loops run on vectors.
+
+    With t the smaller over the larger in size, beyond tan(pi/8) turned back by pi/4, the arctangent is t + t^3 P(t^2) / Q(t^2), to
+    2e-16 (S. L. Moshier, "Methods and Programs for Mathematical Functions", 1989, section 2; Cephes).
+    """
+    size = abs(cosine)
+    low, high = (sine, size) if sine < size else (size, sine)
+    far = low > _TAN_22_5 * high
+    t = (low - high if far else low) / (low + high if far else high)
+    z = t * t
+    top, bottom = -8.750608600031904122785e-1 * z - 1.615753718733365076637e1, z + 2.485846490142306297962e1
+    top, bottom = top * z - 7.500855792314704667340e1, bottom * z + 1.650270098316988542046e2
+    top, bottom = top * z - 1.228866684490136173410e2, bottom * z + 4.328810604912902668951e2
+    top, bottom = top * z - 6.485021904942025371773e1, bottom * z + 4.853903996359136964868e2
+    bottom = bottom * z + 1.945506571482613964425e2
+    phi = t + t * z * (top / bottom)
+    phi = phi + 0.25 * math.pi if far else phi
+    phi = 0.5 * math.pi - phi if sine > size else phi
+    return math.pi - phi if cosine < 0.0 else phi
 
 
 @_inlined
-def _exposure_rows(camera, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, scale, w, e, H, at):
+def _sine_and_cosine(g, i, j):
+    """Return sine and cosine of the angle between directions i and j, columns of the first three rows of `g`."""
+    cx = g[1, i] * g[2, j] - g[2, i] * g[1, j]
+    cy = g[2, i] * g[0, j] - g[0, i] * g[2, j]
+    cz = g[0, i] * g[1, j] - g[1, i] * g[0, j]
+    return math.sqrt(cx * cx + cy * cy + cz * cz), g[0, i] * g[0, j] + g[1, i] * g[1, j] + g[2, i] * g[2, j]
+
+
+@_inlined
+def _angles(g, n, step, at):
+    """Fill row `at` of `g` with the angles between n directions and those `step` places on, which are exact at every separation."""
+    for i in range(n - step):
+        sine, cosine = _sine_and_cosine(g, i, i + step)
+        g[at, i] = angle(sine, cosine)
+
+
+@_inlined
+def _arcs(g, n, step, at):
+    """Fill five rows of `g` from `at` on: the angles, and what multiplies the derivatives of t_x and t_y at either end."""
+    for i in range(n - step):
+        j = i + step
+        sine, c = _sine_and_cosine(g, i, j)
+        g[at, i] = angle(sine, c)
+        ki, kj = g[2, i] / sine, g[2, j] / sine
+        g[at + 1, i], g[at + 2, i] = ki * (c * g[0, i] - g[0, j]), ki * (c * g[1, i] - g[1, j])
+        g[at + 3, i], g[at + 4, i] = kj * (c * g[0, j] - g[0, i]), kj * (c * g[1, j] - g[1, i])
+
+
+@_inlined
+def _exposure_rows(camera, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, scale, w, g, e, H, at):
     """Whitened residuals `e` and scaled Jacobian `H` (., 8) of one exposure, from row `at` on; returns its sum of squares.
 
     The forward substitution with the banded factor runs while the rows are made: L e' = e, L H' = H (E Eqs 81, 82). The exposure
@@ -109,29 +153,32 @@ def _exposure_rows(camera, x, pitch, s0, n, a0, row_px, col_px, phi, band, free,
     N = len(camera)
     _stars(camera, x, pitch, row_px, col_px, s0, n, w)
     _free_columns(camera, w, n, free)
+    for i in range(n):
+        g[0, i], g[1, i], g[2, i] = w[i, 0], w[i, 1], w[i, 2]
+        for p in range(N):
+            w[i, 4 + p] *= scale[p]
+            w[i, 4 + N + p] *= scale[p]
+    _arcs(g, n, 1, 3)
+    _arcs(g, n, 2, 8)
     total = 0.0
     for a in range(2 * n - 3):
-        i = a // 2
-        j = i + 1 + a % 2
-        phi_a, c, sine = _arclength(w, i, j)
-        residual = phi_a - phi[a0 + a]
+        i, odd = a // 2, a % 2
+        j, kind = i + 1 + odd, 3 + 5 * odd
+        residual = g[kind, i] - phi[a0 + a]
+        ix, iy, jx, jy = g[kind + 1, i], g[kind + 2, i], g[kind + 3, i], g[kind + 4, i]
         total += residual * residual
-        ki, kj = w[i, 3] / sine, w[j, 3] / sine
-        ix, iy = ki * (c * w[i, 0] - w[j, 0]), ki * (c * w[i, 1] - w[j, 1])
-        jx, jy = kj * (c * w[j, 0] - w[i, 0]), kj * (c * w[j, 1] - w[i, 1])
         row = at + a
         inverse = 1.0 / band[a0 + a, 4]
         if a >= HALF_BANDWIDTH:
             l4, l3, l2, l1 = band[a0 + a, 0], band[a0 + a, 1], band[a0 + a, 2], band[a0 + a, 3]
             for p in range(N):
                 h = ix * w[i, 4 + p] + iy * w[i, 4 + N + p] + jx * w[j, 4 + p] + jy * w[j, 4 + N + p]
-                h = h * scale[p] - l4 * H[row - 4, p] - l3 * H[row - 3, p] - l2 * H[row - 2, p] - l1 * H[row - 1, p]
+                h = h - l4 * H[row - 4, p] - l3 * H[row - 3, p] - l2 * H[row - 2, p] - l1 * H[row - 1, p]
                 H[row, p] = h * inverse
             residual -= l4 * e[row - 4] + l3 * e[row - 3] + l2 * e[row - 2] + l1 * e[row - 1]
         else:
             for p in range(N):
                 h = ix * w[i, 4 + p] + iy * w[i, 4 + N + p] + jx * w[j, 4 + p] + jy * w[j, 4 + N + p]
-                h *= scale[p]
                 for b in range(a):
                     h -= band[a0 + a, 4 - a + b] * H[at + b, p]
                 H[row, p] = h * inverse
@@ -142,15 +189,26 @@ def _exposure_rows(camera, x, pitch, s0, n, a0, row_px, col_px, phi, band, free,
 
 
 @_inlined
-def _exposure_residuals(camera, x, pitch, s0, n, a0, row_px, col_px, phi, band, w, e, at):
-    """Whitened residuals `e` of one exposure, from row `at` on, without derivatives; returns its unweighted sum of squares."""
-    _directions(camera, x, pitch, row_px, col_px, s0, n, w)
+def _raw_residuals(camera, x, pitch, s0, n, a0, row_px, col_px, phi, g, e, at):
+    """Measured minus catalogue arcs `e` of one exposure, from row `at` on, rad; returns their sum of squares."""
+    _directions(camera, x, pitch, row_px, col_px, s0, n, g)
+    _angles(g, n, 1, 3)
+    _angles(g, n, 2, 4)
     total = 0.0
     for a in range(2 * n - 3):
-        i = a // 2
-        residual = _arclength(w, i, i + 1 + a % 2)[0] - phi[a0 + a]
+        residual = g[3 + a % 2, a // 2] - phi[a0 + a]
+        e[at + a] = residual
         total += residual * residual
+    return total
+
+
+@_inlined
+def _exposure_residuals(camera, x, pitch, s0, n, a0, row_px, col_px, phi, band, g, e, at):
+    """Whitened residuals `e` of one exposure, from row `at` on, without derivatives; returns its unweighted sum of squares."""
+    total = _raw_residuals(camera, x, pitch, s0, n, a0, row_px, col_px, phi, g, e, at)
+    for a in range(2 * n - 3):
         row = at + a
+        residual = e[row]
         if a >= HALF_BANDWIDTH:
             l4, l3, l2, l1 = band[a0 + a, 0], band[a0 + a, 1], band[a0 + a, 2], band[a0 + a, 3]
             residual -= l4 * e[row - 4] + l3 * e[row - 3] + l2 * e[row - 2] + l1 * e[row - 1]
@@ -186,18 +244,22 @@ def solid_angles(camera, x, pitch, p, q, row_px, col_px, omega):
 def project(camera, x, pitch, p, q, s, place):
     """Fill `place` (n, 2) with row and column of directions `s` (n, 3), pixels; p and q are the principal point's places.
 
-    Called by `cameras.model`, which derives it.
+    The search begins at what `place` holds, or at the principal point where that is no number or beyond a fold. Called by
+    `cameras.model`, which derives it.
     """
     at = numbers(camera, x)
     _, _, dx, dy = star(camera, at, pitch, x[p], x[q])
     sign = 1.0 if dx[p] * dy[q] - dx[q] * dy[p] > 0.0 else -1.0
     for i in range(s.shape[0]):
+        row, col = place[i, 0], place[i, 1]
         place[i, 0], place[i, 1] = math.nan, math.nan
         if not s[i, 2] > 0.0:
             continue
         goal_x, goal_y = s[i, 0] / s[i, 2], s[i, 1] / s[i, 2]
-        row, col = x[p], x[q]
         tx, ty, dx, dy = star(camera, at, pitch, row, col)
+        if not sign * (dx[p] * dy[q] - dx[q] * dy[p]) > 0.0:
+            row, col = x[p], x[q]
+            tx, ty, dx, dy = star(camera, at, pitch, row, col)
         off = math.hypot(goal_x - tx, goal_y - ty)
         for _ in range(_STEPS):
             xx, xy, yx, yy = -dx[p], -dx[q], -dy[p], -dy[q]
@@ -222,7 +284,11 @@ def project(camera, x, pitch, p, q, s, place):
 @loop("camera f1 f f1 f1 f2", fastmath=FAST)
 def rays(camera, x, pitch, row_px, col_px, s):
     """Fill `s` (n_stars, 3) with unit directions in D. Called by `cameras.model`."""
-    _directions(camera, x, pitch, row_px, col_px, 0, row_px.shape[0], s)
+    at = numbers(camera, x)
+    for i in range(row_px.shape[0]):
+        tx, ty, _, _ = star(camera, at, pitch, row_px[i], col_px[i])
+        norm = 1.0 / math.sqrt(tx * tx + ty * ty + 1.0)
+        s[i, 0], s[i, 1], s[i, 2] = tx * norm, ty * norm, norm
 
 
 @loop("camera f1 f f1 f1 f2 f3", fastmath=FAST)
@@ -244,22 +310,22 @@ def rays_and_jacobians(camera, x, pitch, row_px, col_px, s, D):
 
 
 @_inlined
-def _add_products(camera, e, H, n_arcs, g, C):
-    """Add H^T e to g (8,) and H^T H to C (8, 8), three rows at a time; e and H have room for two more rows than `n_arcs`.
-
-    The whole square, for a triangle is not unrolled; and three rows a turn, for a turn loads and stores every sum once.
-    """
+def _add_products(camera, e, H, n_arcs, g, C, T):
+    """Add H^T e to g (8,), and H^T H to the lower triangle of C (8, 8); T (8, at least n_arcs) is room to put columns beside."""
     N = len(camera)
-    for a in range(n_arcs, n_arcs + 2):
-        e[a] = 0.0
+    for a in range(n_arcs):
         for p in range(N):
-            H[a, p] = 0.0
-    for a in range(0, n_arcs, 3):
-        for p in range(N):
-            h0, h1, h2 = H[a, p], H[a + 1, p], H[a + 2, p]
-            g[p] += h0 * e[a] + h1 * e[a + 1] + h2 * e[a + 2]
-            for q in range(N):
-                C[p, q] += h0 * H[a, q] + h1 * H[a + 1, q] + h2 * H[a + 2, q]
+            T[p, a] = H[a, p]
+    for p in range(N):
+        total = 0.0
+        for a in range(n_arcs):
+            total += T[p, a] * e[a]
+        g[p] += total
+        for q in range(p + 1):
+            total = 0.0
+            for a in range(n_arcs):
+                total += T[p, a] * T[q, a]
+            C[p, q] += total
 
 
 @loop("camera f1 f i1 f1 f1 f1 f2 i1 f1 f f2 f1", fastmath=FAST)
@@ -272,7 +338,8 @@ def normal_equations(camera, x, pitch, star_start, row_px, col_px, phi, band, fr
     N = len(camera)
     most = _largest_exposure(star_start)
     n_free = free.shape[0]
-    w, e, H = np.empty((most, _width(camera))), np.empty(2 * most), np.empty((2 * most, N))
+    w, room = np.empty((most, _width(camera))), np.empty((_ROOM, most))
+    e, H, T = np.empty(2 * most), np.empty((2 * most, N)), np.empty((N, 2 * most))
     C, g, scales = np.zeros((N, N)), np.zeros(N), np.empty(N)
     _pad(scale, scales)
     chi2 = 0.0
@@ -281,7 +348,7 @@ def normal_equations(camera, x, pitch, star_start, row_px, col_px, phi, band, fr
         s0 = star_start[k]
         n = star_start[k + 1] - s0
         total += _exposure_rows(
-            camera, x, pitch, s0, n, 2 * s0 - 3 * k, row_px, col_px, phi, band, free, scales, w, e, H, 0
+            camera, x, pitch, s0, n, 2 * s0 - 3 * k, row_px, col_px, phi, band, free, scales, w, room, e, H, 0
         )
         for a in range(2 * n - 3):
             size = abs(e[a])
@@ -293,7 +360,7 @@ def normal_equations(camera, x, pitch, star_start, row_px, col_px, phi, band, fr
             e[a] *= root
             for p in range(N):
                 H[a, p] *= root
-        _add_products(camera, e, H, 2 * n - 3, g, C)
+        _add_products(camera, e, H, 2 * n - 3, g, C, T)
     for p in range(n_free):
         b[p] = g[p]
         for q in range(p + 1):
@@ -301,19 +368,19 @@ def normal_equations(camera, x, pitch, star_start, row_px, col_px, phi, band, fr
     return chi2, total
 
 
-@loop("camera f1 f i1 f1 f1 f1 f2 f", first=False, fastmath=FAST)
+@loop("camera f1 f i1 f1 f1 f1 f2 f", fastmath=FAST)
 def count_beyond(camera, x, pitch, star_start, row_px, col_px, phi, band, threshold):
     """Return (arcs whose whitened residual is beyond `threshold`, sum of squares of all, each cut off at it).
 
-    Called by `estimation.robust`.
+    Called by `estimation.robust`, and by `estimation.batch` for chi-square alone.
     """
     most = _largest_exposure(star_start)
-    w, e = np.empty((most, _width(camera))), np.empty(2 * most)
+    g, e = np.empty((_ROOM, most)), np.empty(2 * most)
     beyond, total = 0, 0.0
     for k in range(star_start.shape[0] - 1):
         s0 = star_start[k]
         n = star_start[k + 1] - s0
-        _exposure_residuals(camera, x, pitch, s0, n, 2 * s0 - 3 * k, row_px, col_px, phi, band, w, e, 0)
+        _exposure_residuals(camera, x, pitch, s0, n, 2 * s0 - 3 * k, row_px, col_px, phi, band, g, e, 0)
         for a in range(2 * n - 3):
             size = abs(e[a])
             beyond += size > threshold
@@ -324,13 +391,10 @@ def count_beyond(camera, x, pitch, star_start, row_px, col_px, phi, band, thresh
 @loop("camera f1 f i1 f1 f1 f1 f1", fastmath=FAST)
 def residuals(camera, x, pitch, star_start, row_px, col_px, phi, e):
     """Fill `e` (n_arcs,) with measured minus catalogue arclength, radians. Called by `estimation.metrics`."""
-    w = np.empty((_largest_exposure(star_start), _width(camera)))
+    g = np.empty((_ROOM, _largest_exposure(star_start)))
     for k in range(star_start.shape[0] - 1):
-        s0, s1 = star_start[k], star_start[k + 1]
-        a0 = 2 * s0 - 3 * k
-        _directions(camera, x, pitch, row_px, col_px, s0, s1 - s0, w)
-        for a in range(2 * (s1 - s0) - 3):
-            e[a0 + a] = _arclength(w, a // 2, a // 2 + 1 + a % 2)[0] - phi[a0 + a]
+        s0, a0 = star_start[k], 2 * star_start[k] - 3 * k
+        _raw_residuals(camera, x, pitch, s0, star_start[k + 1] - s0, a0, row_px, col_px, phi, g, e, a0)
 
 
 @loop("camera f2 f i1 f1 f1 f1 f1", fastmath=FAST)
@@ -339,16 +403,15 @@ def sums_of_squares(camera, states, pitch, star_start, row_px, col_px, phi, tota
 
     Called by `estimation.metrics.tail_rms` (E Eq 32).
     """
-    w = np.empty((_largest_exposure(star_start), _width(camera)))
+    most = _largest_exposure(star_start)
+    g, e = np.empty((_ROOM, most)), np.empty(2 * most)
     for m in range(states.shape[0]):
         total = 0.0
         for k in range(star_start.shape[0] - 1):
-            s0, s1 = star_start[k], star_start[k + 1]
-            a0 = 2 * s0 - 3 * k
-            _directions(camera, states[m], pitch, row_px, col_px, s0, s1 - s0, w)
-            for a in range(2 * (s1 - s0) - 3):
-                residual = _arclength(w, a // 2, a // 2 + 1 + a % 2)[0] - phi[a0 + a]
-                total += residual * residual
+            s0, a0 = star_start[k], 2 * star_start[k] - 3 * k
+            total += _raw_residuals(
+                camera, states[m], pitch, s0, star_start[k + 1] - s0, a0, row_px, col_px, phi, g, e, 0
+            )
         totals[m] = total
 
 
@@ -357,7 +420,7 @@ def whitened_rows(camera, x, pitch, star_start, row_px, col_px, phi, band, free,
     """Fill whitened `e` (n_arcs,) and `H` (n_arcs, n_free) of several exposures. Called by `estimation.filters.extended`."""
     N = len(camera)
     most, n_free = _largest_exposure(star_start), free.shape[0]
-    w, one = np.empty((most, _width(camera))), np.empty((2 * most, N))
+    w, g, one = np.empty((most, _width(camera))), np.empty((_ROOM, most)), np.empty((2 * most, N))
     whitened, scales = np.empty(2 * most), np.empty(N)
     _pad(scale, scales)
     total = 0.0
@@ -365,7 +428,7 @@ def whitened_rows(camera, x, pitch, star_start, row_px, col_px, phi, band, free,
         s0 = star_start[k]
         n, a0 = star_start[k + 1] - s0, 2 * s0 - 3 * k
         total += _exposure_rows(
-            camera, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, scales, w, whitened, one, 0
+            camera, x, pitch, s0, n, a0, row_px, col_px, phi, band, free, scales, w, g, whitened, one, 0
         )
         for a in range(2 * n - 3):
             e[a0 + a] = whitened[a]
@@ -453,14 +516,14 @@ def _prior_cost(S, z, z_prior, n_free, y):
 
 
 @_inlined
-def _frame_residuals(camera, x, pitch, first, last, star_start, row_px, col_px, phi, band, w, e):
+def _frame_residuals(camera, x, pitch, first, last, star_start, row_px, col_px, phi, band, g, e):
     """Whitened residuals `e` of the exposures first <= m < last, one after another; returns their unweighted sum of squares."""
     total = 0.0
     n_arcs = 0
     for m in range(first, last):
         s0 = star_start[m]
         n = star_start[m + 1] - s0
-        total += _exposure_residuals(camera, x, pitch, s0, n, 2 * s0 - 3 * m, row_px, col_px, phi, band, w, e, n_arcs)
+        total += _exposure_residuals(camera, x, pitch, s0, n, 2 * s0 - 3 * m, row_px, col_px, phi, band, g, e, n_arcs)
         n_arcs += 2 * n - 3
     return total
 
@@ -502,8 +565,8 @@ def square_root_filter(
     N = len(camera)
     n_free = free.shape[0]
     n_frames = frame_start.shape[0] - 1
-    most_arcs = _largest_frame(frame_start, star_start)
-    w = np.empty((_largest_exposure(star_start), _width(camera)))
+    most_arcs, fullest = _largest_frame(frame_start, star_start), _largest_exposure(star_start)
+    w, g = np.empty((fullest, _width(camera))), np.empty((_ROOM, fullest))
     e, H, post = np.empty(most_arcs), np.empty((most_arcs, N)), np.empty(most_arcs)
     z_prior, z_at, S_prior = np.empty(N), np.empty(N), np.empty((N, N)).T
     f, gain, M, x0 = (
@@ -531,7 +594,7 @@ def square_root_filter(
                 s0 = star_start[m]
                 n = star_start[m + 1] - s0
                 _exposure_rows(
-                    camera, x, pitch, s0, n, 2 * s0 - 3 * m, row_px, col_px, phi, band, free, scales, w, e, H, n_arcs
+                    camera, x, pitch, s0, n, 2 * s0 - 3 * m, row_px, col_px, phi, band, free, scales, w, g, e, H, n_arcs
                 )
                 n_arcs += 2 * n - 3
             _copy(camera, z_prior, S_prior, z, S)
@@ -546,15 +609,15 @@ def square_root_filter(
             before = _prior_cost(S_prior, z_at, z_prior, n_free, f)
             for a in range(n_arcs):
                 before += e[a] * e[a]
-            for _ in range(_HALVINGS):
+            for halved in range(_HALVINGS + 1):
                 total = _frame_residuals(
-                    camera, x, pitch, frame_start[k], frame_start[k + 1], star_start, row_px, col_px, phi, band, w, post
+                    camera, x, pitch, frame_start[k], frame_start[k + 1], star_start, row_px, col_px, phi, band, g, post
                 )
                 after = _prior_cost(S_prior, z, z_prior, n_free, f)
                 for a in range(n_arcs):
                     after += post[a] * post[a]
-                if after <= before * (1.0 + 1e-9):
-                    break
+                if after <= before * (1.0 + 1e-9) or halved == _HALVINGS:
+                    break  # x, its residuals and z belong together, after the last halving too
                 for p in range(n_free):  # overshot: the curvature is real, take half the step and linearise there
                     z[p] = 0.5 * (z[p] + z_at[p])
                     x[free[p]] = x0[p] + scale[p] * z[p]
@@ -595,7 +658,7 @@ def unscented_filter(
     n_free = free.shape[0]
     n_frames = frame_start.shape[0] - 1
     most = _largest_frame(frame_start, star_start)
-    w = np.empty((_largest_exposure(star_start), _width(camera)))
+    g = np.empty((_ROOM, _largest_exposure(star_start)))
     e, H, C = np.empty(most), np.zeros((most, N)), np.empty((most, N))
     plus, minus = np.empty((N, most)), np.empty((N, most))
     z_prior, z_at, point = np.empty(N), np.empty(N), np.empty(x.shape[0])
@@ -626,7 +689,7 @@ def unscented_filter(
                     for p in range(n_free):
                         point[free[p]] = x0[p] + scale[p] * (z_at[p] + reach * S_at[p, i])
                     _frame_residuals(
-                        camera, point, pitch, k0, k1, star_start, row_px, col_px, phi, band, w,
+                        camera, point, pitch, k0, k1, star_start, row_px, col_px, phi, band, g,
                         plus[i] if side == 0 else minus[i],
                     )  # fmt: skip
             _regress(plus, minus, S_at, n_free, n_arcs, e, H, C)
@@ -652,7 +715,7 @@ def unscented_filter(
             for j in range(p, n_free):
                 variance += S[p, j] * S[p, j]
             sigmas[k, p] = math.sqrt(variance)
-        total = _frame_residuals(camera, x, pitch, k0, k1, star_start, row_px, col_px, phi, band, w, e)
+        total = _frame_residuals(camera, x, pitch, k0, k1, star_start, row_px, col_px, phi, band, g, e)
         nis[k], dof[k], squares[k], passes[k] = frame_nis, n_arcs, total, done
         if not math.isfinite(total):
             return k
@@ -732,72 +795,90 @@ def arcs_and_factors(star_start, s, sigma, phi, band, bad):
     E Eq 18 is taken as the product of the unit tangents with which the two arcs leave their common star: no trigonometry,
     and no cancellation for short arcs.
     """
-    tangents = np.empty((2 * _largest_exposure(star_start), 6))
+    g = np.empty((_TANGENTS + _PRODUCTS, _largest_exposure(star_start)))
     for k in range(star_start.shape[0] - 1):
-        s0, s1 = star_start[k], star_start[k + 1]
+        s0, n = star_start[k], star_start[k + 1] - star_start[k]
         a0 = 2 * s0 - 3 * k
-        n = s1 - s0
+        for i in range(n):
+            g[0, i], g[1, i], g[2, i] = s[s0 + i, 0], s[s0 + i, 1], s[s0 + i, 2]
+        _catalogue_arcs(g, n, 1, _NEXT)
+        _catalogue_arcs(g, n, 2, _NEXT_BUT_ONE)
+        _cosines(g, n)
         for a in range(2 * n - 3):
-            i = s0 + a // 2
-            phi[a0 + a] = _catalogue_arc(s, i, i + 1 + a % 2, tangents[a])
-        bad[k] = _factor(n, sigma[s0:s1], tangents, band[a0 : a0 + 2 * n - 3])
+            phi[a0 + a] = g[_NEXT_BUT_ONE if a % 2 else _NEXT, a // 2]
+        bad[k] = _factor(g, n, sigma, s0, band, a0)
 
 
-@_part
-def _catalogue_arc(s, i, j, tangent):
-    """Arclength between directions i and j; fills its unit tangents (6,) at i, towards j, and at j, towards i."""
-    cx = s[i, 1] * s[j, 2] - s[i, 2] * s[j, 1]
-    cy = s[i, 2] * s[j, 0] - s[i, 0] * s[j, 2]
-    cz = s[i, 0] * s[j, 1] - s[i, 1] * s[j, 0]
-    sine = math.sqrt(cx * cx + cy * cy + cz * cz)
-    cosine = s[i, 0] * s[j, 0] + s[i, 1] * s[j, 1] + s[i, 2] * s[j, 2]
-    inverse = 1.0 / sine
-    for axis in range(3):
-        tangent[axis] = (s[j, axis] - cosine * s[i, axis]) * inverse
-        tangent[3 + axis] = (s[i, axis] - cosine * s[j, axis]) * inverse
-    return math.atan2(sine, cosine)
+@_inlined
+def _catalogue_arcs(g, n, step, at):
+    """Fill seven rows of `g` from `at` on: the arcs, and their unit tangents at the first star and at the other (3 each)."""
+    for i in range(n - step):
+        j = i + step
+        sine, c = _sine_and_cosine(g, i, j)
+        inverse = 1.0 / sine
+        g[at, i] = angle(sine, c)
+        g[at + 1, i], g[at + 4, i] = (g[0, j] - c * g[0, i]) * inverse, (g[0, i] - c * g[0, j]) * inverse
+        g[at + 2, i], g[at + 5, i] = (g[1, j] - c * g[1, i]) * inverse, (g[1, i] - c * g[1, j]) * inverse
+        g[at + 3, i], g[at + 6, i] = (g[2, j] - c * g[2, i]) * inverse, (g[2, i] - c * g[2, j]) * inverse
 
 
-@_part
-def _factor(n, sigma, tangents, band):
-    """Banded Cholesky factor of one exposure's R; returns True when a pivot is not positive."""
-    n_arcs = 2 * n - 3
-    for a in range(n_arcs):
-        first = max(0, a - HALF_BANDWIDTH)
-        for b in range(first, a):
-            value = _covariance(sigma, tangents, a, b)
-            for m in range(first, b):
-                value -= band[a, 4 - a + m] * band[b, 4 - b + m]
-            band[a, 4 - a + b] = value / band[b, 4]
+@_inlined
+def _cosines(g, n):
+    """Fill six rows of `g` with cos psi of an arc and those before it with which it shares a star (E Eq 17 with its erratum).
+
+    Arc i, i + 1 shares star i with (i - 2, i) and (i - 1, i), and star i + 1 with (i - 1, i + 1); arc i, i + 2 shares star i with
+    (i - 2, i), (i - 1, i) and (i, i + 1). Where there is none before, they are zero.
+    """
+    _cosine(g, n - 1, 2, _NEXT + 1, _NEXT_BUT_ONE + 4, 2, _TANGENTS)
+    _cosine(g, n - 1, 1, _NEXT + 1, _NEXT + 4, 1, _TANGENTS + 1)
+    _cosine(g, n - 1, 1, _NEXT + 4, _NEXT_BUT_ONE + 4, 1, _TANGENTS + 2)
+    _cosine(g, n - 2, 2, _NEXT_BUT_ONE + 1, _NEXT_BUT_ONE + 4, 2, _TANGENTS + 3)
+    _cosine(g, n - 2, 1, _NEXT_BUT_ONE + 1, _NEXT + 4, 1, _TANGENTS + 4)
+    _cosine(g, n - 2, 0, _NEXT_BUT_ONE + 1, _NEXT + 1, 0, _TANGENTS + 5)
+
+
+@_inlined
+def _cosine(g, n, first, one, other, back, to):
+    """Fill row `to` with the products of tangents in three rows from `one` on with those from `other` on, `back` places before."""
+    for i in range(min(first, n)):
+        g[to, i] = 0.0
+    for i in range(first, n):
+        b = i - back
+        g[to, i] = g[one, i] * g[other, b] + g[one + 1, i] * g[other + 1, b] + g[one + 2, i] * g[other + 2, b]
+
+
+@_inlined
+def _factor(g, n, sigma, s0, band, a0):
+    """Banded Cholesky factor of one exposure's R; returns True when a pivot is not positive.
+
+    What the rows before an arc's hold is carried along: `l21` is L[a - 2, a - 3], of the row two before, one before its diagonal.
+    """
+    l11 = l12 = l13 = l21 = l22 = l31 = 0.0
+    d1 = d2 = d3 = d4 = 0.0  # 1 / L[a - b, a - b]
+    for a in range(2 * n - 3):
         i = a // 2
-        pivot = sigma[i] * sigma[i] + sigma[i + 1 + a % 2] * sigma[i + 1 + a % 2]  # E Eq 16
-        for m in range(first, a):
-            pivot -= band[a, 4 - a + m] * band[a, 4 - a + m]
+        variance, far = sigma[s0 + i] * sigma[s0 + i], sigma[s0 + i + 1 + a % 2] * sigma[s0 + i + 1 + a % 2]
+        if a % 2:
+            r4, r3, r2, r1 = (
+                g[_TANGENTS + 3, i] * variance,
+                g[_TANGENTS + 4, i] * variance,
+                0.0,
+                g[_TANGENTS + 5, i] * variance,
+            )
+        else:
+            r4, r3, r2, r1 = 0.0, g[_TANGENTS, i] * variance, g[_TANGENTS + 1, i] * variance, g[_TANGENTS + 2, i] * far
+        r4 *= d4
+        r3 = (r3 - r4 * l31) * d3
+        r2 = (r2 - r4 * l22 - r3 * l21) * d2
+        r1 = (r1 - r4 * l13 - r3 * l12 - r2 * l11) * d1
+        pivot = variance + far - (r4 * r4 + r3 * r3 + r2 * r2) - r1 * r1  # E Eq 16
         if not pivot > 0.0:
             return True
-        band[a, 4] = math.sqrt(pivot)
-        for d in range(a + 1, _BAND):
-            band[a, 4 - d] = 0.0
+        root = math.sqrt(pivot)
+        band[a0 + a, 0], band[a0 + a, 1], band[a0 + a, 2], band[a0 + a, 3], band[a0 + a, 4] = r4, r3, r2, r1, root
+        l31, l21, l22, l11, l12, l13 = l21, l11, l12, r1, r2, r3
+        d4, d3, d2, d1 = d3, d2, d1, 1.0 / root
     return False
-
-
-@_part
-def _covariance(sigma, tangents, a, b):
-    """Covariance of arcs a > b at the star they share, sigma_j^2 cos psi (E Eq 17 with its erratum); 0 when they share none."""
-    ai, bi = a // 2, b // 2
-    aj, bj = ai + 1 + a % 2, bi + 1 + b % 2
-    if ai == bi:
-        star, end_a, end_b = ai, 0, 0
-    elif ai == bj:
-        star, end_a, end_b = ai, 0, 3
-    elif aj == bj:
-        star, end_a, end_b = aj, 3, 3
-    else:
-        return 0.0
-    cosine = 0.0
-    for axis in range(3):
-        cosine += tangents[a, end_a + axis] * tangents[b, end_b + axis]
-    return sigma[star] * sigma[star] * cosine
 
 
 @_part
@@ -917,16 +998,21 @@ def order_stars(star_start, s, order, fatness):
     most = _largest_exposure(star_start)
     x, y, azimuth = np.empty(most), np.empty(most), np.empty(most)
     ranked, pool, trial = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int64)
+    few_x, few_y = np.empty(_FEW), np.empty(_FEW)
     few_trial, choice = np.empty(_FEW, np.int64), np.empty(_FEW, np.int64)
     used, limit = np.empty(_FEW, np.bool_), np.empty(_FEW + 1)
     for k in range(star_start.shape[0] - 1):
         s0, n = star_start[k], star_start[k + 1] - star_start[k]
         _flatten(s, s0, n, x, y, azimuth)
+        _rank(azimuth, n, ranked)  # so that the order of the rows decides nothing
         if n <= _FEW:
-            fatness[k] = _exhaustive(x, y, n, trial, few_trial, choice, used, limit)
-            _take(trial, s0, n, order)
+            for i in range(n):
+                few_x[i], few_y[i] = x[ranked[i]], y[ranked[i]]
+            fatness[k] = _exhaustive(few_x, few_y, n, trial, few_trial, choice, used, limit)
+            for i in range(n):
+                pool[i] = ranked[trial[i]]
+            _take(pool, s0, n, order)
             continue
-        _rank(azimuth, n, ranked)
         fatness[k] = -1.0
         for attempt in range(24 if n <= 20 else 6):
             _interleave(ranked, n, attempt, pool)

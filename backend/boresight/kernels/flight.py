@@ -13,57 +13,83 @@ import math
 
 import numpy as np
 
+from boresight.kernels.arclengths import angle
 from boresight.kernels.compilation import loop, part
 
-_part = part()
+_part, _inlined = part(), part(forceinline=True)
+
+
+@_inlined
+def _sine_and_cosine(g, at, i, j):
+    """Return sine and cosine of the angle between directions i and j, columns of three rows of `g` from `at` on."""
+    x = g[at + 1, i] * g[at + 2, j] - g[at + 2, i] * g[at + 1, j]
+    y = g[at + 2, i] * g[at, j] - g[at, i] * g[at + 2, j]
+    z = g[at, i] * g[at + 1, j] - g[at + 1, i] * g[at, j]
+    cosine = g[at, i] * g[at, j] + g[at + 1, i] * g[at + 1, j] + g[at + 2, i] * g[at + 2, j]
+    return math.sqrt(x * x + y * y + z * z), cosine
 
 
 @_part
-def _arclength(s, i, j):
-    """Return the angle between unit vectors i and j of `s` (n, 3) by atan2, rad."""
-    sine, cosine = _sine_and_cosine(s, i, j)
-    return math.atan2(sine, cosine)
+def _agree(g, n, tolerance):
+    """Return whether all arcs between n matches agree, from the sine of each difference: without an arctangent.
 
-
-@_part
-def _sine_and_cosine(s, i, j):
-    """Return sine and cosine of the angle between unit vectors i and j of `s` (n, 3)."""
-    cx = s[i, 1] * s[j, 2] - s[i, 2] * s[j, 1]
-    cy = s[i, 2] * s[j, 0] - s[i, 0] * s[j, 2]
-    cz = s[i, 0] * s[j, 1] - s[i, 1] * s[j, 0]
-    cosine = s[i, 0] * s[j, 0] + s[i, 1] * s[j, 1] + s[i, 2] * s[j, 2]
-    return math.sqrt(cx * cx + cy * cy + cz * cz), cosine
-
-
-@_part
-def _agree(s_d, s_i, rows, n, tolerance):
-    """Return whether all arcs between the first n matches agree, from the sine of each difference: without an arctangent."""
-    sine, cosine = math.sin(tolerance), math.cos(tolerance)
-    for i in range(n):
+    The first three rows of `g` are measured directions, the others the catalogue's. All arcs of a match are looked at before
+    one ends the search, so that they are taken several at a time.
+    """
+    sine, cosine = math.sin(tolerance), math.cos(tolerance) - 1e-12
+    for i in range(1, n):
+        disagree = 0
         for j in range(i):
-            sine_d, cosine_d = _sine_and_cosine(s_d, rows[i], rows[j])
-            sine_i, cosine_i = _sine_and_cosine(s_i, rows[i], rows[j])
+            sine_d, cosine_d = _sine_and_cosine(g, 0, i, j)
+            sine_i, cosine_i = _sine_and_cosine(g, 3, i, j)
             off = abs(sine_d * cosine_i - cosine_d * sine_i)
-            if not (off <= sine and cosine_d * cosine_i + sine_d * sine_i >= cosine - 1e-12):
-                return False
+            disagree += 0 if (off <= sine) & (cosine_d * cosine_i + sine_d * sine_i >= cosine) else 1
+        if disagree > 0:
+            return False
     return True
 
 
 @_part
-def _worst(excess, kept, n):
-    """Return the place of the match to drop from the first n of `excess`, or -1 when all that are kept agree."""
-    place, most, largest = -1, 0, 0.0
+def _compare(g, n, tolerance, excess, count):
+    """Fill by how much each two matches' arc is beyond the tolerance, 0 where they agree, and with how many each disagrees."""
     for i in range(n):
-        if not kept[i]:
-            continue
-        count, total = 0, 0.0
-        for j in range(n):
-            if kept[j] and excess[i, j] > 0.0:
-                count += 1
+        count[i], excess[i, i] = 0, 0.0
+        for j in range(i):
+            sine_d, cosine_d = _sine_and_cosine(g, 0, i, j)
+            sine_i, cosine_i = _sine_and_cosine(g, 3, i, j)
+            beyond = abs(angle(sine_d, cosine_d) - angle(sine_i, cosine_i)) - tolerance
+            over = beyond > 0.0  # of what has no direction nothing is
+            excess[i, j] = beyond if over else 0.0
+    for i in range(n):
+        for j in range(i):
+            excess[j, i] = excess[i, j]
+            count[i] += excess[i, j] > 0.0
+            count[j] += excess[i, j] > 0.0
+
+
+@_part
+def _worst(excess, count, kept, n):
+    """Return the place of the match to drop from the first n, or -1 when all that are kept agree."""
+    most, place, largest = 0, -1, -1.0
+    for i in range(n):
+        if kept[i]:
+            most = max(most, count[i])
+    for i in range(n):
+        if most > 0 and kept[i] and count[i] == most:
+            total = 0.0
+            for j in range(n):
                 total += excess[i, j]
-        if count > most or (count == most and count > 0 and total >= largest):
-            place, most, largest = i, count, total
+            if total >= largest:
+                place, largest = i, total
     return place
+
+
+@_part
+def _drop(excess, count, place, n):
+    """Let nobody disagree with a match any more."""
+    for i in range(n):
+        count[i] -= excess[i, place] > 0.0
+        excess[i, place] = 0.0
 
 
 @loop("i1 f2 f2 b1 f b1")
@@ -77,24 +103,25 @@ def agreeing_matches(exposure_start, s_d, s_i, matched, tolerance, accepted):
     for k in range(len(exposure_start) - 1):
         most = max(most, exposure_start[k + 1] - exposure_start[k])
     rows, kept, excess = np.empty(most, np.int64), np.empty(most, np.bool_), np.empty((most, most))
+    g, count = np.empty((6, most)), np.empty(most, np.int64)
     for k in range(len(exposure_start) - 1):
         n = 0
         for row in range(exposure_start[k], exposure_start[k + 1]):
             accepted[row] = False
             if matched[row]:
-                rows[n], kept[n], excess[n, n] = row, True, 0.0
+                rows[n], kept[n] = row, True
+                for axis in range(3):
+                    g[axis, n], g[3 + axis, n] = s_d[row, axis], s_i[row, axis]
                 n += 1
-        if small and _agree(s_d, s_i, rows, n, tolerance):
+        if small and _agree(g, n, tolerance):
             for i in range(n):
                 accepted[rows[i]] = True
             continue
-        for i in range(n):
-            for j in range(i):
-                error = abs(_arclength(s_d, rows[i], rows[j]) - _arclength(s_i, rows[i], rows[j]))
-                excess[i, j] = excess[j, i] = error - tolerance
-        place = _worst(excess, kept, n)
+        _compare(g, n, tolerance, excess, count)
+        place = _worst(excess, count, kept, n)
         while place >= 0:
             kept[place] = False
-            place = _worst(excess, kept, n)
+            _drop(excess, count, place, n)
+            place = _worst(excess, count, kept, n)
         for i in range(n):
             accepted[rows[i]] = kept[i]

@@ -124,7 +124,7 @@ def worst_departure(e, H, z_at, z, true):
     return worst
 
 
-@loop("f2 f3 f3 i2 i2 f1 f2", fastmath=FAST)
+@loop("f2 f3 f3 i2 i2 f1 f2", first=False, fastmath=FAST)
 def whiten(e, H, L, pivot, sizes, e_white, H_white):
     """Fill the whitened rows of a frame, L e' = e and L H' = H over the rows kept; returns their number.
 

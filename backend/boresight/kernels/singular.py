@@ -202,7 +202,7 @@ def _factor(G, ends, determined, L, pivot, full, variance, left):
     return rank
 
 
-@loop("i1 f2 f1 i b1 f f i3 f2 f3 i2 i2", fastmath=FAST)
+@loop("i1 f2 f1 i b1 f f i3 f2 f3 i2 i2", first=False, fastmath=FAST)
 def factor_values(star_start, s_i, sigma, model, chosen, apart, determined, rows, z, L, pivot, sizes):
     """Take the catalogue's values of one frame and factor their covariance. Called by `estimation.filters.singular`.
 
@@ -243,7 +243,7 @@ def factor_values(star_start, s_i, sigma, model, chosen, apart, determined, rows
         sizes[e, 1] = _factor(G[:m], ends, determined, L[e], pivot[e], full, variance, left)
 
 
-@loop("i1 f2 f3 i1 f1 i i3 f2 f2 f3", fastmath=FAST)
+@loop("i1 f2 f3 i1 f1 i i3 f2 f2 f3", first=False, fastmath=FAST)
 def value_rows(star_start, s, D, free, scale, model, rows, z, e, H):
     """Fill e (n_exposures, 3 most), measured minus catalogue values, and H (n_exposures, 3 most, n_free), in units of `scale`.
 

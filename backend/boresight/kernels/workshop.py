@@ -28,8 +28,8 @@ from boresight.waiting import tell
 PROCESSES = 2
 #: Loops that take longest to compile, in that order; the others take about as long as each other.
 LONGEST = (
-    "match_frames", "unscented_filter", "square_root_filter", "factor_values", "order_stars", "normal_equations", "attitudes",
-    "factor_pairs", "spline_sums", "value_rows", "whiten_pairs",
+    "match_frames", "unscented_filter", "square_root_filter", "judge_selections", "factor_values", "order_stars",
+    "normal_equations", "attitudes", "factor_pairs", "spline_sums", "value_rows", "whiten_pairs",
 )  # fmt: skip
 
 Task = tuple[str, str, tuple[Any, ...]]  # module, name, types

@@ -9,20 +9,21 @@ from __future__ import annotations
 
 import asyncio
 import random
+import ssl
 import time
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self, Unpack
-from urllib.parse import urlsplit
 
 import httpx
 
 from boresight import __version__
-from boresight.errors import RefusedInputError, UnavailableError
+from boresight.errors import BoresightError, RefusedInputError, UnavailableError
 from boresight.library import remote
 from boresight.library.progress import Wanted, reporting
 from boresight.library.remote import (
+    PAUSED,
     Approval,
     GateReport,
     Operation,
@@ -51,19 +52,19 @@ ATTEMPTS, FIRST_PAUSE_S, LONGEST_PAUSE_S = 5, 0.2, 10.0
 #: A server, or what stands before it, cannot answer now.
 NOT_NOW = (429, 502, 503, 504)
 TIMEOUT = httpx.Timeout(60.0, connect=10.0)
+#: A file is answered when the server has read and checked it, which of a large one takes minutes.
+FILE_TIMEOUT = httpx.Timeout(60.0, connect=10.0, read=900.0)
+#: What ends a request without an answer that can be read.
+NO_ANSWER = (httpx.TransportError, httpx.DecodingError)
+Silence = httpx.TransportError | httpx.DecodingError
 
 
 class _Connection:
     """Address and key of a server, and the code shared by both clients."""
 
     def __init__(self, url: str, key: str | None) -> None:
-        parts = urlsplit(url)
-        if parts.scheme not in {"http", "https"} or not parts.hostname:
-            raise RefusedInputError(f"{url!r} is no address of a server: give one such as https://boresight.example.")
-        if parts.username or parts.password:
-            raise RefusedInputError("The address of a server holds no password: give an API key.")
-        self.url = url.rstrip("/")
-        self._key = key
+        self.url = _checked_address(url)
+        self._key = _checked_key(key)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.url!r})"
@@ -83,7 +84,7 @@ class _Connection:
         if request.file is not None:
             name, content = request.file
             stream = opened.enter_context(content.open("rb")) if isinstance(content, Path) else content
-            arguments |= {"data": dict(request.form or {}), "files": {"file": (name, stream)}}
+            arguments |= {"data": dict(request.form or {}), "files": {"file": (name, stream)}, "timeout": FILE_TIMEOUT}
         elif request.method == "POST":
             arguments["json"] = request.body
         return arguments
@@ -94,9 +95,11 @@ class _Connection:
         raise_problem(answer, self.url)
         return answer
 
-    def _pause_before_again(self, attempt: int, outcome: httpx.Response | httpx.TransportError) -> float | None:
+    def _pause_before_again(self, attempt: int, outcome: httpx.Response | Silence) -> float | None:
         """Return how long to wait before a request is sent again; None where it is not."""
         if isinstance(outcome, httpx.Response) and outcome.status_code not in NOT_NOW:
+            return None
+        if _refused_certificate(outcome):
             return None
         if attempt + 1 >= ATTEMPTS:
             return None
@@ -104,10 +107,44 @@ class _Connection:
         pause = min(FIRST_PAUSE_S * 2.0**attempt, LONGEST_PAUSE_S) * random.uniform(0.5, 1.0)  # noqa: S311 - no secret
         return max(pause, min(float(asked), LONGEST_PAUSE_S)) if asked.isdecimal() else pause
 
-    def _refuse_silence(self, error: httpx.TransportError) -> UnavailableError:
+    def _refuse_silence(self, error: Silence) -> UnavailableError:
+        if certificate := _refused_certificate(error):
+            return UnavailableError(
+                f"{self.url} is not who it says, as far as this machine knows ({certificate.verify_message}): check the address; "
+                "if a certificate authority of your own signed for it, name its file in SSL_CERT_FILE."
+            )
         return UnavailableError(
             f"{self.url} does not answer ({error or type(error).__name__}): check the address, or try again."
         )
+
+
+def _checked_address(url: str) -> str:
+    """Return the address of a server without a slash at its end."""
+    try:
+        parts = httpx.URL(url)
+        parts.raw_host.decode("ascii").encode("idna")  # as the network looks it up
+    except (httpx.InvalidURL, UnicodeError):
+        parts = httpx.URL()
+    if parts.scheme not in {"http", "https"} or not parts.host or parts.query or parts.fragment:
+        raise RefusedInputError(f"{url!r} is no address of a server: give one such as https://boresight.example.")
+    if parts.userinfo:
+        raise RefusedInputError("The address of a server holds no password: give an API key.")
+    return url.rstrip("/")
+
+
+def _checked_key(key: str | None) -> str | None:
+    """Return a key without the blanks about it; what can be none is refused, and never shown."""
+    key = key.strip() if key else None
+    if key and not (key.isascii() and key.isprintable()):
+        raise RefusedInputError("The API key has characters that no key has: copy it again as the server showed it.")
+    return key
+
+
+def _refused_certificate(outcome: object) -> ssl.SSLCertVerificationError | None:
+    """Return why a server's certificate was refused, if that is how a request ended."""
+    while isinstance(outcome, BaseException) and not isinstance(outcome, ssl.SSLCertVerificationError):
+        outcome = outcome.__cause__ or outcome.__context__
+    return outcome if isinstance(outcome, ssl.SSLCertVerificationError) else None
 
 
 class Client(_Connection):
@@ -261,7 +298,7 @@ class Client(_Connection):
         validate: TelemetrySource | TelemetrySet | int | None = None,
         label: str = "",
         progress: Wanted = None,
-        **settings: Any,
+        **settings: Unpack[Choices],
     ) -> Choice:
         """Choose the least camera model for the data of a run that has ended, or its number; the server's workers compute.
 
@@ -275,31 +312,39 @@ class Client(_Connection):
         try:
             asked = next(operation)
             while True:
-                if isinstance(asked, Pause):
-                    time.sleep(asked.seconds)
-                    asked = next(operation)
+                try:
+                    answer = self._do(asked)
+                except (BoresightError, KeyboardInterrupt) as error:  # it knows what goes on at the server
+                    asked = operation.throw(error)
                 else:
-                    asked = operation.send(self._ask(asked))
+                    asked = operation.send(answer)
         except StopIteration as ended:
             result: T = ended.value
             return result
+
+    def _do(self, asked: Request | Pause) -> ServerAnswer:
+        """Wait, or send a request."""
+        if not isinstance(asked, Pause):
+            return self._ask(asked)
+        time.sleep(asked.seconds)
+        return PAUSED
 
     def _ask(self, request: Request) -> ServerAnswer:
         """Send a request, again where that may help."""
         attempt = 0
         while True:
-            outcome: httpx.Response | httpx.TransportError
+            outcome: httpx.Response | Silence
             try:
                 with ExitStack() as opened:
                     outcome = self._http.request(request.method, request.path, **self._arguments(request, opened))
-            except httpx.TransportError as error:
+            except NO_ANSWER as error:
                 outcome = error
             pause = self._pause_before_again(attempt, outcome)
             if pause is None:
                 break
             time.sleep(pause)
             attempt += 1
-        if isinstance(outcome, httpx.TransportError):
+        if not isinstance(outcome, httpx.Response):
             raise self._refuse_silence(outcome) from outcome
         return self._judge(outcome)
 
@@ -447,7 +492,7 @@ class AsyncClient(_Connection):
         validate: TelemetrySource | TelemetrySet | int | None = None,
         label: str = "",
         progress: Wanted = None,
-        **settings: Any,
+        **settings: Unpack[Choices],
     ) -> Choice:
         """Choose the least camera model for the data of a run that has ended, or its number; the server's workers compute.
 
@@ -461,30 +506,38 @@ class AsyncClient(_Connection):
         try:
             asked = next(operation)
             while True:
-                if isinstance(asked, Pause):
-                    await asyncio.sleep(asked.seconds)
-                    asked = next(operation)
+                try:
+                    answer = await self._do(asked)
+                except (BoresightError, KeyboardInterrupt) as error:  # it knows what goes on at the server
+                    asked = operation.throw(error)
                 else:
-                    asked = operation.send(await self._ask(asked))
+                    asked = operation.send(answer)
         except StopIteration as ended:
             result: T = ended.value
             return result
+
+    async def _do(self, asked: Request | Pause) -> ServerAnswer:
+        """Wait, or send a request."""
+        if not isinstance(asked, Pause):
+            return await self._ask(asked)
+        await asyncio.sleep(asked.seconds)
+        return PAUSED
 
     async def _ask(self, request: Request) -> ServerAnswer:
         """Send a request, again where that may help."""
         attempt = 0
         while True:
-            outcome: httpx.Response | httpx.TransportError
+            outcome: httpx.Response | Silence
             try:
                 with ExitStack() as opened:
                     outcome = await self._http.request(request.method, request.path, **self._arguments(request, opened))
-            except httpx.TransportError as error:
+            except NO_ANSWER as error:
                 outcome = error
             pause = self._pause_before_again(attempt, outcome)
             if pause is None:
                 break
             await asyncio.sleep(pause)
             attempt += 1
-        if isinstance(outcome, httpx.TransportError):
+        if not isinstance(outcome, httpx.Response):
             raise self._refuse_silence(outcome) from outcome
         return self._judge(outcome)

@@ -224,6 +224,7 @@ def match(
 
     chosen = CalibrationSettings(match="rematch", leave_out_doubles=leave_out_doubles)
     with _prepared(progress, "reading the telemetry") as prepared:
+        from boresight.calibration.corrections import put_right
         from boresight.calibration.matching.match_report import match_report, matched_stars
         from boresight.calibration.matching.matched_frames import apply_flight_check
         from boresight.calibration.matching.rematch import ground_covariance, rematch
@@ -231,6 +232,7 @@ def match(
         described = read_any_sensor(sensor)
         x, P = (described.initial, None) if parameters is None else read_any_parameters(parameters, described)
         stars, off, catalogue = read_set(telemetry, described, prepared)
+        stars = put_right(stars, described, catalogue, x)
         prepared.report("matching the stars", None)
         P = ground_covariance(described, chosen.initial_sigma_scale) if P is None else P
         matches = rematch(stars, described, catalogue, x, P, chosen, prepared.settings.catalogue_folder)
@@ -276,6 +278,7 @@ def evaluate(
     with _prepared(progress, "reading the telemetry") as prepared:
         import numpy as np
 
+        from boresight.calibration.corrections import put_right
         from boresight.calibration.evaluation import bootstrap
         from boresight.calibration.evaluation.evaluate import evaluate_matched_frames, shadow_view
         from boresight.calibration.matching.matched_frames import match_under_states
@@ -286,6 +289,7 @@ def evaluate(
             read_any_parameters(parameters, described),
         ]
         stars, off, catalogue = read_set(telemetry, described, prepared)
+        stars = put_right(stars, described, catalogue, states[-1][0])
         prepared.report("matching the stars under both parameter sets", None)
         folder = prepared.settings.catalogue_folder
         initial, final = match_under_states(stars, described, catalogue, states, chosen, folder)

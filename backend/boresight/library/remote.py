@@ -6,14 +6,17 @@ operations with and without `async`. Answers are read into frozen dataclasses; w
 
 from __future__ import annotations
 
+import hashlib
 import io
-import json
 import os
 import uuid
-from collections.abc import Generator, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Generator, Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
+from urllib.parse import quote
+
+import orjson
 
 from boresight import errors
 from boresight.errors import BoresightError, Fault, RefusedInputError, UnavailableError
@@ -52,9 +55,12 @@ PROBLEMS: Final[Mapping[str, type[errors.BoresightError]]] = {
 ENDED = ("SUCCEEDED", "FAILED", "CANCELLED", "LOST")
 #: Seconds between two requests about a run, short at first because most runs are.
 FIRST_PAUSE_S, LONGEST_PAUSE_S, SLOWER = 0.1, 1.0, 1.3
-ACCEPTED, FIRST_ERROR = 202, 400
+FIRST_REDIRECT, FIRST_ERROR = 300, 400
+NAMES_SHOWN = 20
+FOREIGN = "it is of another version of Boresight, or a proxy's or log-in page stands before it; check the address"
 
 T = TypeVar("T")
+V = TypeVar("V")
 
 
 class RunFailedError(BoresightError):
@@ -83,9 +89,16 @@ class ServerAnswer:
     headers: Mapping[str, str]
     content: bytes
 
-    def json(self) -> Any:
-        """Return the parsed JSON body."""
-        return json.loads(self.content)
+    def document(self) -> dict[str, Any]:
+        """Return its body, which is a JSON object in every answer of Boresight's."""
+        try:
+            found = orjson.loads(self.content)
+        except ValueError:
+            found = None
+        if not isinstance(found, dict):
+            kind = one_line(self.headers.get("content-type", "of no type"))
+            raise UnavailableError(f"The server's answer ({self.status}, {kind}) cannot be read: {FOREIGN}.")
+        return found
 
 
 @dataclass(frozen=True)
@@ -95,6 +108,8 @@ class Pause:
     seconds: float
 
 
+#: What an operation is sent after a pause.
+PAUSED = ServerAnswer(status=0, headers={}, content=b"")
 #: An operation: it yields requests, is sent answers, and returns its result.
 Operation = Generator[Request | Pause, ServerAnswer, T]
 
@@ -195,44 +210,67 @@ class Approval:
     expires_utc: str | None
 
 
+def one_line(text: str) -> str:
+    """Return a text of a server without control characters, which a terminal would obey."""
+    return "".join(sign if sign.isprintable() else " " for sign in text)
+
+
+def member(document: Mapping[str, Any], name: str, kind: type[V]) -> V:
+    """Return a member of an answer, of the type that Boresight gives it."""
+    found = document.get(name)
+    if not isinstance(found, kind):
+        raise UnavailableError(f"The server's answer has no {name} of type {kind.__name__}: {FOREIGN}.")
+    return found
+
+
 def parse_record(kind: type[T], document: Mapping[str, Any]) -> T:
     """Read a row of a server as one of the dataclasses here."""
     try:
         return kind(**{item.name: document[item.name] for item in fields(kind)})  # type: ignore[arg-type]  # a dataclass
     except (KeyError, TypeError) as error:
-        raise UnavailableError(
-            f"The server's {kind.__name__} lacks {error}: it is of another version of Boresight, or no Boresight."
-        ) from error
+        raise UnavailableError(f"The server's {kind.__name__} lacks {error}: {FOREIGN}.") from error
 
 
 def parse_run(document: Mapping[str, Any]) -> Run:
     """Read a run."""
-    progress = document.get("progress")
-    names = {item.name for item in fields(RunProgress)}
-    said = None if progress is None else RunProgress(**{k: v for k, v in progress.items() if k in names})
+    if document.get("progress") is None:
+        return parse_record(Run, {**document, "progress": None})
+    progress = member(document, "progress", dict)
+    said = RunProgress(**{item.name: progress[item.name] for item in fields(RunProgress) if item.name in progress})
     return parse_record(Run, {**document, "progress": said})
 
 
 def raise_problem(answer: ServerAnswer, address: str) -> None:
     """Raise a server's refusal with its sentence, or for any other failure an exception with the status."""
-    if answer.status < FIRST_ERROR:
+    if answer.status < FIRST_REDIRECT:
         return
+    if answer.status < FIRST_ERROR:
+        where = one_line(answer.headers.get("location", "nowhere"))
+        raise UnavailableError(
+            f"{address} sends on to {where}, where the key was not sent: give that address if it is your server's."
+        )
     try:
-        problem = answer.json()
-        sentence, kind = str(problem["detail"]), str(problem["type"]).removeprefix(PROBLEM)
-    except (ValueError, KeyError, TypeError):
+        problem = answer.document()
+        sentence, kind = one_line(member(problem, "detail", str)), member(problem, "type", str).removeprefix(PROBLEM)
+    except UnavailableError:
         raise UnavailableError(
             f"{address} answered {answer.status}, and not as Boresight does: check the address."
         ) from None
     error = PROBLEMS.get(kind, errors.UnavailableError)
     if issubclass(error, RefusedInputError):
-        faults = tuple(
-            Fault(one.get("row"), one.get("column"), one.get("detail", "")) for one in problem.get("errors") or ()
-        )
-        raise error(sentence, faults)
+        raise error(sentence, tuple(_faults(problem)))
     if issubclass(error, errors.TooManyAttemptsError | errors.OverloadedError):
-        raise error(sentence, int(answer.headers.get("retry-after", "1")))
+        wait_s = answer.headers.get("retry-after", "")
+        raise error(sentence, int(wait_s) if wait_s.isdecimal() else 1)
     raise error(sentence)
+
+
+def _faults(problem: Mapping[str, Any]) -> Iterator[Fault]:
+    """Yield the places that a refusal of an input names."""
+    listed = problem.get("errors")
+    for one in listed if isinstance(listed, list) else ():
+        if isinstance(one, dict):
+            yield Fault(one.get("row"), one.get("column"), one_line(str(one.get("detail", ""))))
 
 
 def _get(path: str, **params: str) -> Request:
@@ -257,9 +295,11 @@ def _list(path: str) -> Operation[list[dict[str, Any]]]:
     cursor: str | None = ""
     while cursor is not None:
         answer = yield _get(path, **({"cursor": cursor} if cursor else {}))
-        page = answer.json()
-        found += page["items"]
-        cursor = page["next"]
+        page = answer.document()
+        found += member(page, "items", list)
+        before, cursor = cursor, None if page.get("next") is None else member(page, "next", str)
+        if cursor == before:
+            raise UnavailableError(f"The server's list of {path} begins anew after a page: {FOREIGN}.")
     return found
 
 
@@ -272,13 +312,13 @@ def find_sensor(sensor: SensorSource | ServerSensor | int, *, register: bool = T
         return sensor
     if isinstance(sensor, int):
         answer = yield _get(f"/sensors/{sensor}")
-        return parse_record(ServerSensor, answer.json())
+        return parse_record(ServerSensor, answer.document())
     known = yield from list_sensors()
-    if isinstance(sensor, str) and not Path(sensor).exists():
+    if isinstance(sensor, str) and not _is_file(Path(sensor)):
         for one in known:
             if one.name == sensor:
                 return one
-        names = ", ".join(one.name for one in known) or "none"
+        names = ", ".join([one.name for one in known[:NAMES_SHOWN]] + ["..."] * (len(known) > NAMES_SHOWN)) or "none"
         raise errors.NotFoundError(f"The server has no sensor {sensor}, and there is no such file: it has {names}.")
     described = read_sensor(sensor)
     from boresight.telemetry.sensors import parse_sensor, sensor_document
@@ -295,7 +335,7 @@ def find_sensor(sensor: SensorSource | ServerSensor | int, *, register: bool = T
     if not register:
         raise errors.NotFoundError(f"The server has no sensor {described.name}: register it first.")
     answer = yield _post("/sensors", document)
-    return parse_record(ServerSensor, answer.json())
+    return parse_record(ServerSensor, answer.document())
 
 
 def upload(
@@ -310,16 +350,24 @@ def upload(
         file=_file_of(telemetry),
         key=uuid.uuid4().hex,
     )
-    return parse_record(TelemetrySet, answer.json())
+    return parse_record(TelemetrySet, answer.document())
+
+
+def _is_file(path: Path) -> bool:
+    """Whether there is such a file; not of a name that is longer than a name may be."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
 
 
 def _file_of(telemetry: TelemetrySource) -> tuple[str, Path | bytes]:
     """Return name and content of an upload: a file unchanged, or data in memory as Parquet."""
     if isinstance(telemetry, str | os.PathLike):
         path = Path(telemetry)
-        if not path.is_file():
-            raise RefusedInputError(f"{path} does not exist: check the name.")
-        return path.name, path
+        if not _is_file(path):
+            raise RefusedInputError(f"{path} is no file: check the name.")
+        return path.name.encode("utf-8", "replace").decode(), path  # a name may hold bytes that are no text
     import pyarrow.parquet as pq
 
     read = read_telemetry(telemetry)
@@ -339,14 +387,14 @@ def launch(
     """Queue a calibration."""
     if isinstance(telemetry, int):
         answer = yield _get(f"/telemetry-sets/{telemetry}")
-        telemetry = parse_record(TelemetrySet, answer.json())
+        telemetry = parse_record(TelemetrySet, answer.document())
     document = parse_choices(settings).document()
     chosen = {name: document[name] for name, value in settings.items() if value is not None}
     order = {"sensor_id": telemetry.sensor_id, "telemetry_set_id": telemetry.id, "settings": chosen, "label": label}
     if validate is not None:
         order["validation_set_id"] = _id(validate)
     answer = yield _post("/runs", order)
-    return parse_run(answer.json())
+    return parse_run(answer.document())
 
 
 def _id(thing: Any) -> int:
@@ -356,24 +404,16 @@ def _id(thing: Any) -> int:
 def read_run(run: Run | int) -> Operation[Run]:
     """Read the progress of a run."""
     answer = yield _get(f"/runs/{_id(run)}")
-    return parse_run(answer.json())
+    return parse_run(answer.document())
 
 
 def wait(run: Run | int, report: Report, timeout_s: float | None) -> Operation[Run]:
     """Follow a run to its end."""
-    pause, waited = FIRST_PAUSE_S, 0.0
-    while True:
-        found = yield from read_run(run)
-        if found.has_ended:
-            break
-        if timeout_s is not None and waited >= timeout_s:
-            raise UnavailableError(
-                f"Run {found.id} is {found.state} after {timeout_s:g} s: wait for it again, or cancel it."
-            )
-        said = found.progress
-        report((said.message if said else None) or f"run {found.id} is {found.state}", said.fraction if said else None)
-        yield Pause(pause)
-        waited, pause = waited + pause, min(SLOWER * pause, LONGEST_PAUSE_S)
+    try:
+        found = yield from _ended(run, report, timeout_s)
+    except (UnavailableError, KeyboardInterrupt) as error:
+        error.add_note(f"Run {_id(run)} goes on at the server: its page there shows how it ends, and stops it.")
+        raise
     if found.state == "CANCELLED":
         raise errors.CancelledError(f"Run {found.id} was cancelled{_because(found)}")
     if found.state != "SUCCEEDED":
@@ -381,8 +421,23 @@ def wait(run: Run | int, report: Report, timeout_s: float | None) -> Operation[R
     return found
 
 
+def _ended(run: Run | int, report: Report, timeout_s: float | None) -> Operation[Run]:
+    """Read a run until it has ended."""
+    pause, waited = FIRST_PAUSE_S, 0.0
+    while not (found := (yield from read_run(run))).has_ended:
+        if timeout_s is not None and waited >= timeout_s:
+            raise UnavailableError(
+                f"Run {found.id} is {found.state} after {timeout_s:g} s: wait for it again, or cancel it."
+            )
+        said = found.progress or RunProgress()
+        report(one_line(str(said.message or f"run {found.id} is {found.state}")), said.fraction)
+        yield Pause(pause)
+        waited, pause = waited + pause, min(SLOWER * pause, LONGEST_PAUSE_S)
+    return found
+
+
 def _because(run: Run) -> str:
-    return f": {run.reason}" if run.reason else "."
+    return f": {one_line(str(run.reason))}" if run.reason else "."
 
 
 def fetch(run: Run | int) -> Operation[Calibration]:
@@ -391,7 +446,7 @@ def fetch(run: Run | int) -> Operation[Calibration]:
     from boresight.library.results import Calibration
 
     answer = yield _get(f"/runs/{_id(run)}/result")
-    document = answer.json()
+    document = answer.document()
     if document.get("status") == "none":
         raise errors.NotFoundError(f"Run {_id(run)} ended without a calibration.")
     return Calibration.of(parse_calibration(document, f"The result of run {_id(run)}"))
@@ -403,7 +458,7 @@ def fetch_choice(run: Run | int) -> Operation[Choice]:
     from boresight.library.choice import Choice
 
     answer = yield _get(f"/runs/{_id(run)}/choice")
-    return Choice.of(parse_choice(answer.json(), f"The choice of run {_id(run)}"))
+    return Choice.of(parse_choice(answer.document(), f"The choice of run {_id(run)}"))
 
 
 def choose(
@@ -423,7 +478,7 @@ def choose(
         run = yield from launch_files(telemetry, sensor, validate, label, report, settings)
         run = yield from wait(run, report, None)
     answer = yield _post(f"/runs/{_id(run)}/choice")
-    yield from wait(parse_run(answer.json()), report, None)
+    yield from wait(parse_run(answer.document()), report, None)
     return (yield from fetch_choice(run))
 
 
@@ -469,36 +524,37 @@ def cancel(run: Run | int, reason: str) -> Operation[Run]:
     """Stop a run."""
     seen = yield _get(f"/runs/{_id(run)}")
     order = _post(f"/runs/{_id(run)}:cancel", {"reason": reason})
-    answer = yield Request(**{**vars(order), "headers": {"If-Match": seen.headers["etag"]}})
-    return parse_run(answer.json())
+    answer = yield replace(order, headers={"If-Match": member(seen.headers, "etag", str)})
+    return parse_run(answer.document())
 
 
 def list_figures(run: Run | int) -> Operation[list[str]]:
     """Name the figures of a run."""
     answer = yield _get(f"/runs/{_id(run)}/figures")
-    return [str(one["name"]) for one in answer.json()["items"]]
+    return [member(one, "name", str) for one in member(answer.document(), "items", list)]
 
 
 def figure(run: Run | int, name: str) -> Operation[go.Figure]:
     """Read a figure as the pages draw it."""
-    answer = yield _get(f"/runs/{_id(run)}/figures/{name}")
-    document = answer.json()
+    answer = yield _get(f"/runs/{_id(run)}/figures/{quote(name, safe='')}")
+    document = answer.document()
     import plotly.graph_objects as go
 
-    layout = {key: value for key, value in document["layout"].items() if key != "meta"}
-    return go.Figure({"data": document["data"], "layout": layout})
+    layout = {key: value for key, value in member(document, "layout", dict).items() if key != "meta"}
+    return go.Figure({"data": member(document, "data", list), "layout": layout})
 
 
 def report_html(run: Run | int) -> Operation[str]:
     """Read the report of a run that has ended."""
     answer = yield _get(f"/runs/{_id(run)}/report")
+    member(answer.headers, "content-disposition", str)  # a log-in page is HTML too, but no file
     return answer.content.decode("utf-8")
 
 
 def make_parameter_set(run: Run | int) -> Operation[ParameterSet]:
     """Make an immutable candidate from a run; for the same run again, return the existing one."""
     answer = yield _post("/parameter-sets", {"run_id": _id(run)})
-    return parse_record(ParameterSet, answer.json())
+    return parse_record(ParameterSet, answer.document())
 
 
 def read_parameter_set(parameter_set: ParameterSet | int | str) -> Operation[ParameterSet]:
@@ -510,34 +566,34 @@ def read_parameter_set(parameter_set: ParameterSet | int | str) -> Operation[Par
                 return parse_record(ParameterSet, row)
         raise errors.NotFoundError(f"The server has no parameter set {parameter_set}.")
     answer = yield _get(f"/parameter-sets/{_id(parameter_set)}")
-    return parse_record(ParameterSet, answer.json())
+    return parse_record(ParameterSet, answer.document())
 
 
 def assess(parameter_set: ParameterSet | int) -> Operation[GateReport]:
     """Hold a parameter set against its gates."""
     answer = yield _post(f"/parameter-sets/{_id(parameter_set)}:assess")
-    return parse_record(GateReport, answer.json())
+    return parse_record(GateReport, answer.document())
 
 
 def submit(parameter_set: ParameterSet | int, reason: str) -> Operation[Approval]:
     """Ask that a set become the baseline."""
     seen = yield from _seen(parameter_set)
     answer = yield _post(f"/parameter-sets/{seen.id}:submit", {"reason": reason}, seen.version)
-    return parse_record(Approval, answer.json())
+    return parse_record(Approval, answer.document())
 
 
 def withdraw(parameter_set: ParameterSet | int, reason: str) -> Operation[ParameterSet]:
     """Take the request back."""
     found = yield from read_parameter_set(parameter_set)
     answer = yield _post(f"/parameter-sets/{found.id}:withdraw", {"reason": reason}, found.version)
-    return parse_record(ParameterSet, answer.json())
+    return parse_record(ParameterSet, answer.document())
 
 
 def promote(parameter_set: ParameterSet | int) -> Operation[ParameterSet]:
     """Make an approved set the baseline."""
     found = yield from _seen(parameter_set)
     answer = yield _post(f"/parameter-sets/{found.id}:promote", {}, found.version)
-    return parse_record(ParameterSet, answer.json())
+    return parse_record(ParameterSet, answer.document())
 
 
 def _seen(parameter_set: ParameterSet | int) -> Operation[ParameterSet]:
@@ -550,7 +606,7 @@ def _seen(parameter_set: ParameterSet | int) -> Operation[ParameterSet]:
 def read_approval(approval: Approval | int) -> Operation[Approval]:
     """Read a request as it stands now."""
     answer = yield _get(f"/approvals/{_id(approval)}")
-    return parse_record(Approval, answer.json())
+    return parse_record(Approval, answer.document())
 
 
 def export(
@@ -559,5 +615,8 @@ def export(
     """Build the uplink package of an approved set or the baseline."""
     on_board = {"flight_software_version": flight_software_version, "table_id": table_id}
     answer = yield _post(f"/parameter-sets/{_id(parameter_set)}:export", on_board)
-    answer = yield _get(f"/packages/{answer.json()['id']}/content")
+    package = answer.document()
+    answer = yield _get(f"/packages/{member(package, 'id', int)}/content")
+    if hashlib.sha256(answer.content).hexdigest() != member(package, "sha256", str):
+        raise UnavailableError("The package that arrived is not the one that the server built: export it again.")
     return answer.content

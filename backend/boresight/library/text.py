@@ -39,12 +39,49 @@ def summary_lines(found: Calibration) -> Iterator[str]:
     yield headline(found)
     if left_out := "; ".join(f"{item.count:,} {item.what}: {item.reason}" for item in found.left_out):
         yield f"left out: {left_out}"
+    yield from _removed(found)
     yield ""
-    yield aligned([HEADINGS, *(row.cells for row in printed_rows(found))], left=(0, 1, 6))
+    yield aligned([HEADINGS, *(row.cells for row in printed_rows(found))], left=(0, 1, 7))
     yield ""
     yield aligned([("verdict", verdict(found)), *_scores(found)], left=(0, 1))
+    yield from _intervals(found)
     for sentence in found.advice:
         yield f"\n- {sentence}"
+
+
+#: Removed stars that are named on a terminal.
+MOST_REMOVED = 5
+
+
+def _removed(found: Calibration) -> Iterator[str]:
+    """Say how many proposed stars were removed, and name the first."""
+    from boresight.figures.tables import printed_probability
+
+    of = found.removed_of
+    if of is None or not of.removed:
+        return
+    yield f"removed: {of.removed:,} of {of.proposed:,} proposed stars"
+    for one in found.removed[:MOST_REMOVED]:
+        star = "" if one.star_id is None else f", HIP {one.star_id}"
+        chance = "" if one.probability is None else f" (p {printed_probability(one.probability, '= ')})"
+        yield f"  row {one.row}, frame {one.frame}, exposure {one.exposure}{star}: {one.reason}{chance}"
+    if of.removed > MOST_REMOVED:
+        yield f"  and {of.removed - MOST_REMOVED:,} more; --json writes them"
+
+
+def _intervals(found: Calibration) -> Iterator[str]:
+    """Write other minima, and the intervals that are not those of the sigmas."""
+    from boresight.figures.tables import interval_rows, minimum_rows
+
+    others, intervals = minimum_rows(found), interval_rows(found)
+    if others:
+        yield ""
+        yield aligned([("other minima", ""), *((f"chi-square {one.above}", one.values) for one in others)], left=(0, 1))
+    if intervals:
+        yield ""
+        table = ((one.symbol, one.unit, one.interval, one.by_sigma) for one in intervals)
+        heading = ("parameter", "unit", f"{intervals[0].confidence} by profile likelihood", "by its sigma")
+        yield aligned([heading, *table], left=(0, 1))
 
 
 def headline(found: Calibration) -> str:
@@ -63,14 +100,10 @@ def verdict(found: Calibration) -> str:
 
 def _scores(found: Calibration) -> Iterator[tuple[str, str]]:
     yield "RMS arc error", _pair(found.rms_arc_rad)
-    if found.chi2 is not None:
-        yield "chi2 per degree of freedom", _test(found.chi2_per_dof, found.chi2)
-    if found.nis is not None and found.method != "batch":
-        yield "innovations (NIS)", _test(found.nis.mean, found.nis)
-    if (seen := found.observability) is not None:
-        number = seen.condition_number
-        yield "condition number", "infinite" if number is None else f"{number:,.4g}"
-        yield "weakest direction", seen.weakest.sentence
+    for name, part in (("misfit", found.misfit), ("minima", found.minima)):
+        if part is not None:
+            yield name, part.sentence
+    yield from _statistics(found)
     if found.matching is not None:
         yield "matches", _matches(found.matching)
     for name, scores in (("calibration set", found.evaluation), ("validation set", found.validation)):
@@ -79,6 +112,44 @@ def _scores(found: Calibration) -> Iterator[tuple[str, str]]:
             yield f"{name}, RMS", _pair(scores.rms_arc_rad)
     if found.alignment is not None:
         yield "C_SD", found.alignment.sentence
+    yield from _noise(found)
+    yield from _assumed(found)
+
+
+def _statistics(found: Calibration) -> Iterator[tuple[str, str]]:
+    """Name what the residuals, the tests and the information say."""
+    if found.chi2 is not None:
+        yield "chi2 per degree of freedom", _test(found.chi2_per_dof, found.chi2)
+    if found.tests:
+        yield (
+            "tests of the model",
+            f"{sum(test.noticed for test in found.tests)} of {len(found.tests)} noticed something",
+        )
+    if found.nis is not None and found.method != "batch":
+        yield "innovations (NIS)", _test(found.nis.mean, found.nis)
+    if (seen := found.observability) is not None:
+        number = seen.condition_number
+        yield "condition number", "infinite" if number is None else f"{number:,.4g}"
+        yield "weakest direction", seen.weakest.sentence
+
+
+def _noise(found: Calibration) -> Iterator[tuple[str, str]]:
+    """Name the terms of the centroid noise that are applied or needed."""
+    terms = [] if found.noise is None else [term for term in found.noise.terms if term.needed]
+    for place, term in enumerate(terms):
+        yield ("" if place else "centroid noise"), term.sentence
+
+
+def _assumed(found: Calibration) -> Iterator[tuple[str, str]]:
+    """Name what was assumed and not declared, and what was declared and left in."""
+    undeclared = ", ".join(
+        f"{one.name.replace('_', ' ')}: {one.value}" for one in found.assumptions if not one.declared
+    )
+    if undeclared:
+        yield "assumed, not declared", f"{undeclared}; declare in the sensor file what holds (readout, declared)"
+    for one in found.assumptions:
+        if one.declared and one.left_in:
+            yield "left in", one.sentence
 
 
 def _matches(matching: Matching) -> str:

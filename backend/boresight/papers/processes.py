@@ -11,13 +11,35 @@ from typing import TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
+#: Told what a study does, and the share of it that is done.
+Report = Callable[[str, float], None]
+
+
+def keep_silent(_words: str, _share: float) -> None:
+    """Report to nobody."""
 
 
 def run_all(
+    run: Callable[[T, Path | None], R],
+    trials: Sequence[T],
+    catalogue_folder: Path | None,
+    processes: int,
+    report: Callable[[T, float], None] | None = None,
+) -> list[R]:
+    """Run trials; returns their results in order. `report` is called with each that ends and the share that has ended."""
+    found: dict[T, R] = {}
+    for trial, result in _ended(run, trials, catalogue_folder, processes):
+        found[trial] = result
+        if report is not None:
+            report(trial, len(found) / len(trials))
+    return [found[trial] for trial in trials]
+
+
+def _ended(
     run: Callable[[T, Path | None], R], trials: Sequence[T], catalogue_folder: Path | None, processes: int
 ) -> Iterator[tuple[T, R]]:
     """Yield trials with their results as they end."""
-    if processes == 1:
+    if processes == 1 or len(trials) < 2:
         for trial in trials:
             yield trial, run(trial, catalogue_folder)
         return

@@ -28,7 +28,7 @@ hold_and_slew  z is held for 300 s, wandering by about 1 deg, and moves to the n
                over a cap opposite the Sun, turned about its centre by `pointing`; x towards the Sun
 =============  =====================================================================================================
 
-Not modelled: the rolling shutter and the smear of stars, since telemetry centroids are already corrected for both.
+Not modelled: the smear of stars. A rolling shutter is simulated of a sensor that declares one in its centroids (`scenes`).
 """
 
 from __future__ import annotations

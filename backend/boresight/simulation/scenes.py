@@ -41,8 +41,12 @@ replaces one default::
       "false_stars": 0.5,
       "blanked_share": 0.05,
       "focal_drift_m_per_c": 0.0,
+      "slew_rate_deg_s": 0.0,
       "seed": 1
     }
+
+The readout that the sensor document declares is simulated where it says that the centroids are not corrected for it: each star is
+seen at the attitude of its own line, found by repeating projection and attitude, and `slew_rate_deg_s` says how fast it moves.
 """
 
 from __future__ import annotations
@@ -100,6 +104,8 @@ class Scenario:
         Share of the true stars whose identification is missing.
     focal_drift_m_per_c
         Change of the true focal length with temperature, about the value at the mean temperature.
+    slew_rate_deg_s
+        Turn about the detector's column axis beside the motion, by which stars move along the rows.
     seed
         Seed of the random generator that a door makes for this scenario.
     """
@@ -119,6 +125,7 @@ class Scenario:
     false_stars: float = 0.5
     blanked_share: float = 0.05
     focal_drift_m_per_c: float = 0.0
+    slew_rate_deg_s: float = 0.0
     seed: int = 0
 
 
@@ -133,6 +140,7 @@ MEASURES = {
     "false_stars": (0.0, 100.0),
     "blanked_share": (0.0, 1.0),
     "focal_drift_m_per_c": (-1e-4, 1e-4),
+    "slew_rate_deg_s": (-10.0, 10.0),
 }
 ORBIT_MEASURES = {"altitude_km": (200.0, 2_000.0), "inclination_deg": (0.0, 180.0), "node_hour": (0.0, 24.0)}
 OTHER_KEYS = ("sensor", "truth", "orbit", "motion", "pointing_deg", "start_utc")
@@ -312,6 +320,8 @@ CHUNK_EXPOSURES = 512
 
 MEAN_TEMPERATURE_C, TEMPERATURE_SWING_C = 20.0, 5.0
 
+READOUT_ROUNDS = 3  # a round leaves the displacement times line time times speed: below 1e-2 each
+
 # instants tried for one usable frame: half of a low orbit is dark, and a slew meets Earth and Sun
 INSTANTS_PER_FRAME = 6
 
@@ -322,6 +332,7 @@ class _Exposures:
 
     frame: IntArray
     exposure: IntArray
+    t_s: FloatArray
     time_utc: NDArray[np.datetime64]
     attitude: FloatArray  # (n, 3, 3), ICRS to the right-handed triad
     velocity_m_s: FloatArray  # (n, 3)
@@ -373,7 +384,7 @@ def _exposures(scenario: Scenario) -> _Exposures:
     """Choose the usable instants of the motion and expose at each of them."""
     orbit = scenario.orbit
     t_frame = np.arange(INSTANTS_PER_FRAME * scenario.frames + 1000, dtype=np.float64) * scenario.sample_period_s
-    boresight = attitude(scenario.motion, orbit, t_frame, scenario.pointing_rad)[:, 2]
+    boresight = _attitude(scenario, t_frame)[:, 2]
     t_frame = t_frame[usable(orbit, t_frame, boresight)][: scenario.frames]
     if len(t_frame) < scenario.frames:
         raise RefusedInputError(
@@ -384,18 +395,28 @@ def _exposures(scenario: Scenario) -> _Exposures:
     return _Exposures(
         frame=np.repeat(np.arange(scenario.frames, dtype=np.int64), scenario.exposures),
         exposure=np.tile(np.arange(scenario.exposures, dtype=np.int64), scenario.frames),
+        t_s=t,
         time_utc=orbit.times_utc(t),
-        attitude=attitude(scenario.motion, orbit, t, scenario.pointing_rad),
+        attitude=_attitude(scenario, t),
         velocity_m_s=state(orbit, t)[1],
         temperature_c=MEAN_TEMPERATURE_C + TEMPERATURE_SWING_C * np.sin(orbit.mean_motion_rad_s * t),
     )
+
+
+def _attitude(scenario: Scenario, t_s: FloatArray) -> FloatArray:
+    """Return C (n, 3, 3), ICRS to the right-handed triad, at t_s (n,): the motion, and the slew beside it."""
+    C = attitude(scenario.motion, scenario.orbit, t_s, scenario.pointing_rad)
+    if scenario.slew_rate_deg_s == 0.0:
+        return C
+    turn = np.radians(scenario.slew_rate_deg_s) * t_s[:, None] * np.array([0.0, 1.0, 0.0])
+    return np.asarray(Rotation.from_rotvec(turn).as_matrix() @ C)
 
 
 def _true_stars(scenario: Scenario, exposures: _Exposures, catalogue: Catalogue, rng: np.random.Generator) -> _Stars:
     """Image the catalogue: candidates, apparent place, camera, detection, noise."""
     index, star = _candidates(scenario, exposures, catalogue)
     s_i = apparent_directions(catalogue, star, exposures.time_utc[index], exposures.velocity_m_s[index])
-    row_px, col_px = _project(scenario, exposures, index, s_i)
+    row_px, col_px = _read_out(scenario, exposures, index, s_i)
     magnitude = catalogue.magnitude[star]
     chance = 1.0 / (1.0 + np.exp((magnitude - scenario.magnitude_limit) / DETECTION_WIDTH_MAG))
     seen = _on_detector(scenario.sensor, row_px, col_px) & (rng.random(len(star)) < chance)
@@ -446,6 +467,22 @@ def _cone_rad(scenario: Scenario) -> float:
     sensor = scenario.sensor
     camera = CAMERA_MODELS[sensor.camera_model]
     return camera.cone_rad(scenario.truth, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
+
+
+def _read_out(
+    scenario: Scenario, exposures: _Exposures, index: IntArray, s_i: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return where stars (n,) are when their own line is read, row and column."""
+    row_px, col_px = _project(scenario, exposures, index, s_i)
+    readout = scenario.sensor.readout
+    if readout is None or not readout.is_in_centroids or readout.line_time_s is None:
+        return row_px, col_px
+    near = np.isfinite(row_px) & np.isfinite(col_px)
+    for _ in range(READOUT_ROUNDS):
+        line = np.where(near, row_px if readout.axis == "rows" else col_px, 0.0)
+        of_line = replace(exposures, attitude=_attitude(scenario, exposures.t_s[index] + line * readout.line_time_s))
+        row_px, col_px = _project(scenario, of_line, np.arange(len(index)), s_i)
+    return row_px, col_px
 
 
 def _project(

@@ -42,6 +42,7 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.cameras import CAMERA_MODELS
 from boresight.errors import NotFoundError
+from boresight.telemetry.declarations import GLOBAL, ROLLING, Declared, Readout
 from boresight.telemetry.sensors import Sensor
 
 ST16_ROWS, ST16_COLUMNS = 1944, 2592
@@ -81,6 +82,9 @@ WU_TRUTH = np.array([1.0, 0.016, 970.0, 550.0, -0.5, 0.5])
 WU_TYPICAL_SIGMA = np.array([1e-5, 1e-7, 1.0, 1.0, 1e-2, 1e-1])
 WU_START = np.array([1.0, 0.0155, 960.0, 540.0, 0.0, 0.0])
 
+#: What telemetry from orbit with its velocity declares; the ST-16 has a rolling shutter, and its centroids are corrected for it.
+IN_SPACE = Declared(satellite_velocity="given", directions="apparent", refraction="none")
+
 SENSOR_NUMBERS = tuple(range(1, len(CHANGES) + 1))
 
 
@@ -102,6 +106,8 @@ def st16_sensor(number: int) -> Sensor:
         typical_sigma=TYPICAL_SIGMA.copy(),
         free=CAMERA_MODELS[CAMERA_MODEL].parameter_names,
         magnitude_limit=ST16_MAGNITUDE_LIMIT,
+        readout=Readout(ROLLING, corrected=True),
+        declared=IN_SPACE,
     )
 
 
@@ -119,6 +125,8 @@ def wu_sensor(centroid_sigma_px: float = WU_IMPLIED_SIGMA_PX) -> Sensor:
         typical_sigma=WU_TYPICAL_SIGMA.copy(),
         free=CAMERA_MODELS[WU_CAMERA_MODEL].parameter_names,
         magnitude_limit=WU_MAGNITUDE_LIMIT,
+        readout=Readout(GLOBAL),
+        declared=IN_SPACE,
     )
 
 

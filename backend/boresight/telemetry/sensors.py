@@ -15,13 +15,14 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
+from boresight.telemetry.declarations import NOTHING_DECLARED, Declared, Readout, parse_declared, parse_readout
 from boresight.telemetry.read.checks import Faults
 from boresight.telemetry.read.formats import read_json
 
 _REQUIRED = ("name", "detector", "camera_model", "parity", "centroid_sigma_px", "initial", "typical_sigma")
 #: Focal length as it is kept, and as a file may give it instead.
 FOCAL_M, FOCAL_PX = "f_m", "f_px"
-_OPTIONAL = ("free", "magnitude_limit")
+_OPTIONAL = ("free", "magnitude_limit", "readout", "declared")
 _LONGEST_NAME = 64
 _MOST_FIELDS = 100
 _MOST_PIXELS = 65536
@@ -55,6 +56,10 @@ class Sensor:
         Names of the parameters to estimate, in parameter order.
     magnitude_limit
         Faintest catalogue magnitude the sensor sees, or None.
+    readout
+        How the detector is read, or None where nobody declared it.
+    declared
+        What else the data cannot show, as far as it is declared.
     """
 
     name: str
@@ -68,6 +73,8 @@ class Sensor:
     typical_sigma: FloatArray
     free: tuple[str, ...]
     magnitude_limit: float | None = None
+    readout: Readout | None = None
+    declared: Declared = NOTHING_DECLARED
 
 
 def read_sensor(path: Path) -> Sensor:
@@ -110,6 +117,10 @@ def sensor_document(sensor: Sensor) -> dict[str, Any]:
     }
     if sensor.magnitude_limit is not None:
         document["magnitude_limit"] = sensor.magnitude_limit
+    if sensor.readout is not None:
+        document["readout"] = sensor.readout.document()
+    if declared := sensor.declared.document():
+        document["declared"] = declared
     return document
 
 
@@ -134,6 +145,8 @@ def _parse(document: Mapping[str, Any], faults: Faults) -> Sensor:
         typical_sigma=_parameters(document, "typical_sigma", model, _spreads(model), pitch, faults),
         free=_free(document.get("free"), names, faults),
         magnitude_limit=_magnitude_limit(document.get("magnitude_limit"), faults),
+        readout=parse_readout(document.get("readout"), faults),
+        declared=parse_declared(document.get("declared"), faults),
     )
     faults.refuse()
     check_geometry(sensor, model, faults)

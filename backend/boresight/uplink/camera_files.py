@@ -118,6 +118,7 @@ def conventions(sensor: Sensor) -> dict[str, Any]:
         "pixel_origin": "the centre of the top-left pixel is row 0, column 0; rows count down, columns to the right",
         "angles": "radians",
         "quaternions": "x, y, z, w; scalar last",
-        "sigma": "one standard deviation; null where it was not estimated",
+        "sigma": "one standard deviation from noise alone; null where it was not estimated",
+        "sigma_with_misfit": "the same widened by what the camera model does not hold: decide by this one",
         "numbers": "IEEE 754 double precision, written in the fewest digits that read back as the same number",
     }

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.calibration.calibration import Values
+from boresight.calibration.calibration import Values, to_plain
 from boresight.calibration.parameter_set import ParameterSetDocument, parse_parameter_set
 from boresight.cameras import CAMERA_MODELS
 from boresight.telemetry.sensors import Sensor
@@ -24,6 +24,7 @@ COLUMNS = (
     "new",
     "delta",
     "sigma",
+    "sigma_with_misfit",
     "three_sigma",
     "delta_over_sigma",
     "type",
@@ -40,15 +41,23 @@ def read_document(subject: Set) -> ParameterSetDocument:
 
 
 def changes(subject: Set, before: Set | None) -> list[dict[str, Any]]:
-    """Return each parameter's row: name, symbol, unit, old, new, delta, sigma, three_sigma and delta_over_sigma, SI."""
+    """Return each parameter's row, SI: the first nine of `COLUMNS`, and its symbol.
+
+    `three_sigma` and `delta_over_sigma` are of the sigma with misfit; where a set has none, that is the one of noise alone.
+    """
     found, replaced = read_document(subject), None if before is None else read_document(before)
     model = CAMERA_MODELS[found.camera_model]
     rows = []
     for name, symbol, unit in zip(model.parameter_names, model.symbols, model.units, strict=True):
-        new, sigma = found.parameters[name], (found.sigma or Values()).get(name)
+        new, of_noise, sigma = (
+            found.parameters[name],
+            (found.sigma or Values()).get(name),
+            found.reliable_sigma.get(name),
+        )
         old = None if replaced is None else replaced.parameters[name]
         delta = None if old is None else new - old
-        row = {"name": name, "symbol": symbol, "unit": unit, "old": old, "new": new, "delta": delta, "sigma": sigma}
+        row = {"name": name, "symbol": symbol, "unit": unit, "old": old, "new": new, "delta": delta}
+        row |= {"sigma": of_noise, "sigma_with_misfit": sigma}
         row["three_sigma"] = None if sigma is None else 3 * sigma
         row["delta_over_sigma"] = delta / sigma if delta is not None and sigma else None
         rows.append(row)
@@ -62,7 +71,7 @@ def parameters_csv(subject: Set, before: Set | None, held: Mapping[str, DecodedF
         field = held.get(row["name"])
         bits = struct.pack(">d", row["new"]).hex().upper() if field is None else field.hexadecimal
         kind = "float64" if field is None else field.field.kind
-        rows.append([*(row[key] for key in COLUMNS[:8]), kind, bits, row["new"] if field is None else field.value])
+        rows.append([*(row[key] for key in COLUMNS[:9]), kind, bits, row["new"] if field is None else field.value])
     return csv_bytes(COLUMNS, rows)
 
 
@@ -90,12 +99,14 @@ def parameters_json(sensor: Sensor, subject: Set, held: Mapping[str, DecodedFiel
                     "unit": row["unit"],
                     "value": row["new"],
                     "sigma": row["sigma"],
+                    "sigma_with_misfit": row["sigma_with_misfit"],
                     "estimated": row["name"] in free,
                     "on_board": held[row["name"]].value if row["name"] in held else None,
                 }
                 for row in changes(subject, None)
             ],
             "covariance": found.covariance,
+            "covariance_with_misfit": found.covariance if found.misfit is None else to_plain(found.misfit.covariance),
             "validity": _validity(sensor, subject),
             "provenance": _provenance(subject),
         }

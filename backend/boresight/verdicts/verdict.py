@@ -110,11 +110,16 @@ def _chi_square(result: Calibration) -> VerdictMark:
     if per_dof is None or chi2 is None:
         return _unknown(name, question, _not_yet(result, "No chi-square was computed."))
     detail = f"95 % bounds {_bounds(chi2)}, {count(chi2.dof)} degrees of freedom"
-    if chi2.consistent:
+    if not is_doubted(result, "chi_square", chi2.consistent):
         return VerdictMark(name, question, "normal", "consistent", number(per_dof), detail)
     word = "noise above model" if per_dof > 1 else "noise below model"
     reason = f"{question} is {number(per_dof, 3)}: the noise is not what was assumed."
     return VerdictMark(name, question, "caution", word, number(per_dof), detail, reason)
+
+
+def is_doubted(result: Calibration, test: str, consistent: bool) -> bool:
+    """Whether a test of trust noticed something; by its own bounds where a result has no such test."""
+    return next((one.noticed for one in result.tests if one.name == test), not consistent)
 
 
 def _bounds(test: ChiSquareTest | InnovationTest) -> str:
@@ -254,8 +259,8 @@ def trust_marks(result: Calibration) -> list[VerdictMark]:
     """Answer the questions of the examination; none where a result has no examination."""
     if result.trust is None:
         return []
-    questions = (_halves, _innovations, _whiteness, _causes, _efficiency, _needed, _stars)
-    return [question(result.trust) for question in questions]
+    questions = (_innovations, _whiteness, _causes, _efficiency, _needed, _stars)
+    return [*_tests(result), _halves(result), *(question(result.trust) for question in questions)]
 
 
 def trust_level(result: Calibration) -> str:
@@ -286,13 +291,28 @@ def _examined(name: str, question: str, words: tuple[str, str], sound: bool, val
     return VerdictMark(name, question, "caution", words[1], value, sentence, sentence or f"{question}: {words[1]}.")
 
 
-def _halves(trust: Trust) -> VerdictMark:
+def _tests(result: Calibration) -> list[VerdictMark]:
+    """Say what all tests of the model together noticed, and what explains it; nothing of a result that has none."""
+    if not result.tests:
+        return []
+    noticed = [test for test in result.tests if test.noticed]
+    value = f"{count(len(noticed))} of {count(len(result.tests))} noticed"
+    sentence = " ".join(f"{cause.sentence} {cause.remedy}" for cause in result.causes[:1])
+    sound = "No test of the model notices anything (1 % over all of them)."
+    return [
+        _examined("tests", "Tests of the model", ("nothing noticed", "departs"), not noticed, value, sentence or sound)
+    ]
+
+
+def _halves(result: Calibration) -> VerdictMark:
+    trust = result.trust or Trust()
     name, question, part = "two_halves", "Two halves", trust.two_halves
     if part is None:
         return _not_made(trust, name, question)
     chi2 = part.chi2
     value = f"χ² {number(chi2.value, 3)} for {count(chi2.dof)}"
-    sound = chi2.consistent or not chi2.value > chi2.upper  # halves more alike than expected are no doubt
+    alike = chi2.consistent or not chi2.value > chi2.upper  # halves more alike than expected are no doubt
+    sound = not is_doubted(result, name, alike)
     return _examined(name, question, ("agree", "differ"), sound, value, part.sentence)
 
 
@@ -398,10 +418,15 @@ class RunSummary:
 
 
 def parse_run_summary(document: Mapping[str, Any] | None) -> RunSummary:
-    """Read the summary in a run's row, whatever version wrote it; one that tells nothing where the row has none."""
-    return parse_part(
-        RunSummary, document or {}, lambda fault: RefusedInputError(f"A run's summary is damaged: {fault}.")
-    )
+    """Read the summary in a run's row, whatever version wrote it; one that tells nothing where the row has none.
+
+    A damaged one says that it is: one row must not refuse a list, or keep other runs waiting.
+    """
+    try:
+        return parse_part(RunSummary, document or {}, RefusedInputError)
+    except RefusedInputError as error:
+        said = f"The summary in the run's row is damaged ({error}): read its calibration, or restore the database from a backup."
+        return RunSummary(status="damaged", level="serious", advice=said)
 
 
 def summarise_run(result: Calibration) -> RunSummary:
@@ -413,7 +438,7 @@ def summarise_run(result: Calibration) -> RunSummary:
         status=result.status,
         level=judged.level,
         advice=advice[0] if advice else None,
-        chi2_consistent=result.chi2.consistent if result.chi2 else None,
+        chi2_consistent=not is_doubted(result, "chi_square", result.chi2.consistent) if result.chi2 else None,
         weak_directions=sum(sigma is None or sigma > WEAK for sigma in seen.sigma_of_direction) if seen else None,
         rms_initial_arc_rad=result.rms_arc_rad.initial,
         rms_final_arc_rad=result.rms_arc_rad.final,

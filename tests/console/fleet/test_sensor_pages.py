@@ -122,6 +122,19 @@ def test_a_calibrated_baseline_shows_its_sigma_and_its_change_from_the_ground(si
     assert "Change" in table
 
 
+def test_a_sensor_shows_what_is_declared_and_what_is_not(site, read):
+    ada = site.visitor("ada")
+    undeclared = json.loads(EXAMPLE) | {"name": "plain", "readout": None, "declared": {"directions": "j2000"}}
+    address = ada.post("/sensors", document=json.dumps(undeclared)).headers["location"]
+    text = read(ada.get(address))
+    assert "Readout not declared" in text
+    assert "Directions of the telemetry j2000" in text
+    registered = read(ada.get(ada.post("/sensors", document=EXAMPLE).headers["location"]))
+    assert "Readout rolling shutter, corrected in the telemetry" in registered
+    assert "Refraction by the air none" in registered
+    assert "not declared" not in registered
+
+
 def test_values_are_the_sensor_files_where_there_is_no_baseline(site):
     with open_reading(site.engine) as session:
         sensor = session.get_known(Sensor, 1)

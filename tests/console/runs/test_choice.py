@@ -2,6 +2,7 @@
 
 import json
 import re
+from concurrent.futures import ThreadPoolExecutor
 
 import orjson
 import pytest
@@ -11,6 +12,7 @@ from boresight.console.runs import choices
 from boresight.console.runs import queries as run_queries
 from boresight.console.runs import service as runs
 from boresight.console.runs.tables import RUN_STATES, TERMINAL_RUN_STATES
+from boresight.console.telemetry import service as telemetry_sets
 from boresight.errors import ConflictError, ForbiddenError, NotFoundError
 from boresight.figures import held_out_error
 from boresight.platform.db.sessions import open_reading, open_writing
@@ -67,6 +69,62 @@ def test_a_choice_that_cannot_be_read_is_refused_and_made_anew(site):
         choices.get_choice(session, site.blobs, 1)
     assert "no choice that can be read" in site.visitor("ada").get("/runs/1?part=choice")
     assert ask(site, 1) > first
+
+
+DAMAGES = {
+    "place": lambda document: document["chosen"].update(place=99),
+    "place before the first": lambda document: document["chosen"].update(place=-1),
+    "place of another": lambda document: document["other_cameras"][0].update(place=0),
+    "no candidates": lambda document: document.update(models=[]),
+    "interval": lambda document: document["models"][0].update(held_out_interval_rad=[1.0]),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_choice_that_contradicts_itself_is_refused_on_every_door_and_made_anew(site, damage):
+    document = made_choice().to_dict()
+    damage(document)
+    first, ada = ask(site, 1), site.visitor("ada")
+    answer(site, first, document)
+    assert "no choice that can be read" in ada.get("/runs/1?part=choice")
+    for place in ("", "/figure", "/data"):
+        assert ada.send("GET", f"/api/v1/runs/1/choice{place}").status_code == 409
+    assert ask(site, 1) > first
+
+
+@pytest.mark.parametrize(
+    "chosen", [{"camera_model": "gone"}, {"parameters": {"f_m": 0.016}}, {"free": ["f_m", "gone"]}], ids=str
+)
+def test_of_a_camera_that_this_version_does_not_have_there_is_no_sensor_file(site, chosen):
+    document = made_choice().to_dict()
+    document["chosen"] |= chosen
+    document["models"][1] |= {name: chosen[name] for name in chosen if name != "parameters"}
+    answer(site, ask(site, 1), document)
+    ada = site.visitor("ada")
+    assert "CHOSEN" in ada.get("/runs/1?part=choice")
+    assert ada.send("GET", "/runs/1/choice/sensor.json").status_code == 422
+
+
+def test_a_choice_whose_file_is_missing_is_made_anew(site):
+    first, ada = ask(site, 1), site.visitor("ada")
+    answer(site, first, made_choice().to_dict())
+    with open_reading(site.engine) as session:
+        site.blobs.path(runs.get_run(session, first).result_sha256).unlink()
+    assert "Choose again" in ada.get("/runs/1?part=choice")
+    assert ask(site, 1) > first
+
+
+def test_nothing_is_chosen_for_an_archived_set_but_what_is_on_its_way_can_be_stopped(site, read):
+    first, ada = ask(site, 1), site.visitor("ada")
+    with open_writing(site.engine) as session:
+        telemetry_sets.archive_telemetry_set(session, site.actor("ada"), runs.get_run(session, 1).telemetry_set_id)
+    assert ask(site, 1) == first
+    stop = re.search(rf'action="/runs/{first}/cancel">.*?</form>', ada.get("/runs/1?part=choice"))
+    assert "disabled" not in stop[0]
+    answer(site, first, None, "FAILED", reason="The disk is full.")
+    assert "was archived on" in read(ada.get("/runs/1?part=choice"))
+    with pytest.raises(ConflictError, match="was archived on"):
+        ask(site, 1)
 
 
 def test_only_an_analyst_asks_and_only_for_a_calibration_that_has_ended(site, chosen):
@@ -209,6 +267,17 @@ def test_over_rest_it_is_asked_once_for_a_key_and_read_as_it_was_stored(house):
     assert asked.json()["id"] not in [one["id"] for one in victor.get("/api/v1/runs").json()["items"]]
 
 
+def test_asked_by_many_at_once_it_is_one_run_and_a_key_without_the_scope_asks_for_none(house):
+    run_id = house.finished()
+    address = f"/api/v1/runs/{run_id}/choice"
+    assert house.key("ada", "telemetry-sets").post(address).status_code == 403
+    clients = [house.key("ada", "runs") for _ in range(8)]
+    with ThreadPoolExecutor(len(clients)) as pool:
+        answers = list(pool.map(lambda client: client.post(address), clients))
+    assert {one.status_code for one in answers} == {202}
+    assert len({one.json()["id"] for one in answers}) == 1
+
+
 def test_a_launch_that_is_on_its_way_has_no_choice_over_rest(house):
     run = house.launched()
     refused = house.person("ada").post(f"/api/v1/runs/{run['id']}/choice")
@@ -228,5 +297,7 @@ def test_the_figure_has_a_colour_a_camera_and_a_ring_about_the_chosen_one():
 
 def test_without_anything_held_out_the_figure_says_so():
     made = made_choice()
-    bare = parse_choice({**made.to_dict(), "models": [candidate(rms_rad=None).__dict__] * 2, "held_out_by": None})
+    bare = parse_choice(
+        {**made.to_dict(), "models": [candidate(rms_rad=None).__dict__] * 2, "other_cameras": [], "held_out_by": None}
+    )
     assert "validation set" in held_out_error.draw(bare).layout.annotations[0].text

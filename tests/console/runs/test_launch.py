@@ -263,7 +263,7 @@ def test_a_preset_goes_over_the_settings_and_keeps_data_free_parameters_and_labe
     form = {**FORM, "intent": "preset"}
     page = site.visitor("ada").post("/runs/new?preset=suspect-matches", **form).text
     assert 'name="method" value="batch" checked' in page
-    assert 'value="huber" selected' in page
+    assert 'value="stars" selected' in page
     assert 'value="drift test"' in page
     assert len(re.findall(r'name="free-1" value="\w+" checked', page)) == 2
 

@@ -12,10 +12,13 @@ from boresight.console.runs.pages.run import PARTS
 from boresight.console.runs.queries import Line, write_event
 from boresight.console.runs.tables import RUN_STATES, RunEvent
 from boresight.figures import CHAPTERS, FIGURES
+from boresight.figures.example_calibration import get_example_calibrations
 from boresight.figures.tables import parameter_rows
 from boresight.platform.db.sessions import open_writing, utc_after, utc_now
 from boresight.verdicts.verdict import PART_JUDGES, PartVerdict, judge_parts, make_verdict_marks
 from tests.figures.examined import matching, shadow, trust
+
+EXAMPLES = get_example_calibrations()
 
 
 def test_the_head_says_the_verdict_and_the_weakest_direction_over_every_part(site, read, results):
@@ -42,6 +45,22 @@ def test_a_simulated_sensor_shows_the_truth_and_how_many_sigmas_off_it_is(site, 
     text = read(site.visitor("victor").get("/runs/1"))
     assert "(new − truth) / σ" in text
     assert "16.0267" in text
+
+
+def test_a_run_lists_what_it_assumed_and_what_the_data_say_of_the_noise(site, read):
+    example = EXAMPLES["batch"]
+    undeclared = replace(example.assumptions[0], declared=False, sentence="Nobody declared the readout.")
+    applied = replace(example.noise.terms[0], needed=True, applied=True, sentence="Noise level: 1.2 times: applied.")
+    noise = replace(example.noise, terms=[applied, *example.noise.terms[1:]], unavailable={"rate": "There is no rate."})
+    result = replace(example, assumptions=[undeclared, *example.assumptions[1:]], noise=noise)
+    run_id = site.add_run("batch", state="SUCCEEDED", result=result.to_dict())
+    victor = site.visitor("victor")
+    summary = read(victor.get(f"/runs/{run_id}"))
+    assert "Nobody declared the readout." in summary
+    assert all(one.sentence in summary for one in example.assumptions[1:])
+    trust_part = read(victor.get(f"/runs/{run_id}?part=trust"))
+    assert "Noise level: 1.2 times: applied." in trust_part
+    assert "There is no rate." in trust_part
 
 
 def test_a_parameter_that_was_not_free_is_said_to_be_not_estimated_below_the_advice(site, results):
@@ -144,8 +163,11 @@ def test_no_validation_is_no_data_and_never_passes_and_noise_above_the_model_is_
     mark = find_mark({**results["batch"], "validation": None}, "validation_rms")
     assert (mark.word, mark.level == "normal") == ("NO DATA", False)
     result = {**results["batch"], "chi2_per_dof": 3.0, "chi2": {**results["batch"]["chi2"], "consistent": False}}
-    mark = find_mark(result, "chi_square")
-    assert (mark.level, mark.word) == ("caution", "noise above model")
+    assert find_mark(result, "chi_square").level == "normal"  # its test is one of the family, which noticed nothing
+    noticed = [{**test, "noticed": test["name"] == "chi_square"} for test in result["tests"]]
+    for tests in (noticed, []):  # a result of an earlier version has its bounds alone
+        mark = find_mark({**result, "tests": tests}, "chi_square")
+        assert (mark.level, mark.word) == ("caution", "noise above model")
 
 
 def test_an_estimate_far_from_the_truth_is_marked(results):
@@ -245,6 +267,23 @@ def test_every_sentence_of_the_examination_is_on_the_page(site, read, examined):
     assert result["trust"]["stars_sentence"] in text
 
 
+def test_every_test_of_the_model_and_every_cause_is_on_the_page_with_its_gate_and_remedy(site, read, results):
+    noticed = {
+        "name": "phase", "probability": 1e-9, "adjusted": 2e-8, "noticed": True, "effect": 1.25, "unit": "σ",
+        "sentence": "Centroids depend on where in its pixel a star lies (p < 0.0001).",
+    }  # fmt: skip
+    sound = {**noticed, "name": "time", "probability": 0.4, "adjusted": 1.0, "noticed": False, "sentence": "No change."}
+    cause = {"name": "phase", "likelihood": 0.97, "sentence": "Drawn.", "remedy": "Defocus.", "tests": ["phase"]}
+    made = {**examined_result(results["batch"]), "tests": [sound, noticed], "causes": [cause]}
+    text = read(site.visitor("victor").get(f"/runs/{site.add_run(state='SUCCEEDED', result=made)}?part=trust"))
+    assert "2 tests of one family" in text
+    assert "phase 97" in text
+    assert "Drawn. Defocus. Pixel phase" in text
+    assert text.index(noticed["sentence"]) < text.index(sound["sentence"])
+    assert re.search(r"Pixel phase \S* ?noticed .*centroid-noise", text)
+    assert "Tests of the model departs 1 of 2 noticed" in text
+
+
 def test_suspect_stars_are_marked_by_shape_and_word_and_can_be_copied(site, examined):
     page = site.visitor("victor").get(f"/runs/{examined[1]}?part=trust")
     assert 'data-copy="1000, 1017"' in page
@@ -272,6 +311,21 @@ def test_matching_shows_both_counts_starts_reasons_flags_and_the_view_of_flight(
     assert "valid 398" not in text
     assert "Frames available 46.0 % 100.0 %" in text
     assert "420 µrad" in text
+
+
+def test_removed_stars_are_a_table_with_reason_and_probability_and_a_file(site, read, results):
+    one = {"frame": 12, "exposure": 1, "row": 345, "star_id": 4567, "reason": "it lies too far", "probability": 1e-30}
+    removed = [one, {**one, "row": 346, "star_id": None, "probability": None}]
+    result = {**results["batch"], "removed": removed, "removed_of": {"proposed": 5000, "removed": 2}}
+    run_id, victor = site.add_run("batch", state="SUCCEEDED", result=result), site.visitor("victor")
+    text = read(victor.get(f"/runs/{run_id}?part=matching"))
+    assert re.search(r"2 of 5\W?000 proposed stars were removed", text)
+    assert re.search("345 12 1 4567 it lies too far (<|&lt;) 1e-12", text)
+    assert "346 12 1 – it lies too far –" in text
+    lines = victor.get(f"/api/v1/runs/{run_id}/removed/data").splitlines()
+    assert lines[0] == "row,frame,exposure,star_id,reason,probability"
+    assert lines[1].startswith("345,12,1,4567,it lies too far,1e-30")
+    assert len(lines) == 3
 
 
 def test_a_result_from_before_the_examination_says_how_to_have_one(site, read, results):

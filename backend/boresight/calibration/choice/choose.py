@@ -38,6 +38,7 @@ from boresight.calibration.choice.result import (
     say,
 )
 from boresight.calibration.choice.search import Between, bic, find_least, fit_ladders
+from boresight.calibration.corrections import put_right
 from boresight.calibration.estimate import Parameters, never
 from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.matching.match_report import Estimation, identification_advice
@@ -112,7 +113,7 @@ def choose(  # noqa: PLR0913 - what is chosen from, and six choices of the calle
     rng = rng or np.random.default_rng(bootstrap.SEED)
     context = CalibrationContext(cancelled, cache_folder=cache_folder)
     tell("matching the stars", 0.0)
-    inside, advice = _read(telemetry, sensor, "")
+    inside, advice = _read(telemetry, sensor, catalogue, "")
     fits, stars, richest = _common_stars(inside, sensor, catalogue, settings, context)
     tell("fitting every camera", 0.3)
     least = find_least(fits, richest)
@@ -239,10 +240,11 @@ class _CandidateTables:
 
 
 def _read(
-    telemetry: Telemetry | TelemetryFile | StoredTable, sensor: Sensor, which: str
+    telemetry: Telemetry | TelemetryFile | StoredTable, sensor: Sensor, catalogue: Catalogue, which: str
 ) -> tuple[Telemetry, list[str]]:
     """Read a set, of a large one stretches that are evenly spread over it, with what to say of it."""
     inside, off = open_validation_set(telemetry, sensor, JUDGED_STARS)
+    inside = put_right(inside, sensor, catalogue)
     words = off.sentences(which)
     if is_large(telemetry):
         words.append(
@@ -303,7 +305,7 @@ def _matched(
     last = first if ended.estimate.status == "diverged" else ended.matched
     return _Stars(
         last.problem.arcs.whole(),
-        None if sets.stands else sensor.camera_model,
+        None if sets.is_given else sensor.camera_model,
         tuple(identification_advice(last.unidentified)),
     )
 
@@ -335,7 +337,7 @@ def _score_held_out(
     if validation is None:
         found = cross_validate(fits, candidates, rng)
         return found, [] if found else ["One frame alone leaves nothing to hold out: give a validation set."]
-    inside, words = _read(validation, fits.sensor, " in the validation set")
+    inside, words = _read(validation, fits.sensor, catalogue, " in the validation set")
     matched = _matched_under(inside, fits, richest, catalogue, settings, context)
     if matched.problem.arcs.n_exposures == 0:
         raise RefusedInputError(

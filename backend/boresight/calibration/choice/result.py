@@ -199,14 +199,24 @@ class Choice:
         Path(path).write_text(self.to_json() + "\n", encoding="utf-8")
 
     def describe_sensor(self, sensor: Sensor) -> Sensor:
-        """Return the sensor with the chosen camera, what was found of it as start, and its free parameters."""
-        model, own = self.chosen.camera_model, self.chosen.camera_model == sensor.camera_model
+        """Return the sensor with the chosen camera, what was found of it as start, and its free parameters.
+
+        Raises
+        ------
+        RefusedInputError
+            When this version does not have the chosen camera, or the choice not all of its parameters.
+        """
+        chosen, camera = self.chosen, CAMERA_MODELS.get(self.chosen.camera_model)
+        if camera is None or not set(chosen.free) <= set(camera.parameter_names) <= set(chosen.parameters):
+            raise RefusedInputError(
+                f"The chosen camera {chosen.camera_model} is not as this version has it: choose again with this version."
+            )
         return replace(
             sensor,
-            camera_model=model,
-            initial=np.array([self.chosen.parameters[name] for name in CAMERA_MODELS[model].parameter_names], np.float64),
-            typical_sigma=sensor.typical_sigma if own else np.array(CAMERA_MODELS[model].default_typical_sigma),
-            free=tuple(self.chosen.free),
+            camera_model=camera.name,
+            initial=np.array([chosen.parameters[name] for name in camera.parameter_names], np.float64),
+            typical_sigma=sensor.typical_sigma if camera.name == sensor.camera_model else np.array(camera.default_typical_sigma),
+            free=tuple(chosen.free),
         )  # fmt: skip
 
 
@@ -228,17 +238,31 @@ def parse_choice(document: str | bytes | Mapping[str, Any], name: str = "This do
     """
     from pydantic import ValidationError  # noqa: PLC0415 - only where JSON is read
 
+    advice = "give the file that `boresight choose --json` wrote, as it was written"
     try:
-        if isinstance(document, str | bytes):
-            return _adapter().validate_json(document)
-        return _adapter().validate_python(document)
+        read = _adapter()
+        found = read.validate_json(document) if isinstance(document, str | bytes) else read.validate_python(document)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
         raise RefusedInputError(
-            f"{name} is no whole choice of a camera ({where}: {first['msg']}): "
-            "give the file that `boresight choose --json` wrote, as it was written."
+            f"{name} is no whole choice of a camera ({where}: {first['msg']}): {advice}."
         ) from error
+    if fault := _find_fault(found):
+        raise RefusedInputError(f"{name} contradicts itself ({fault}): {advice}.")
+    return found
+
+
+def _find_fault(found: Choice) -> str | None:
+    """Say which members of a choice do not fit one another; None where all do."""
+    placed = [(found.chosen.place, found.chosen.camera_model)]
+    placed += [(one.place, one.camera_model) for one in found.other_cameras]
+    for place, camera_model in placed:
+        if not 0 <= place < len(found.models) or found.models[place].camera_model != camera_model:
+            return f"there is no candidate of {camera_model} at place {place}"
+    pairs = [one.held_out_interval_rad for one in found.models]
+    pairs += [one.held_out_ratio_interval for one in (*found.needed, *found.beyond)]
+    return "an interval has two ends" if any(pair is not None and len(pair) != 2 for pair in pairs) else None
 
 
 def say(found: Choice) -> str:

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.calibration.calibration import Calibration, Numbers
+from boresight.calibration.calibration import Calibration, Covariance, Numbers
 from boresight.cameras import CAMERA_MODELS
 from boresight.estimation.statistics.special import chdtrc
 from boresight.estimation.statistics.uncertainty import radial_difference
@@ -139,11 +139,15 @@ def read_values(result: Calibration, names: Sequence[str]) -> FloatArray:
 
 
 def read_covariance(result: Calibration, names: Sequence[str]) -> FloatArray:
-    """Read a result's covariance in the model's order, (n_parameters, n_parameters), zero rows for what it held fixed."""
-    place = [names.index(name) for name in result.covariance.names]
+    """Read the covariance to decide by in the model's order, (n_parameters, n_parameters), zero rows for what was held fixed."""
+    return _spread(result.reliable_covariance, names)
+
+
+def _spread(covariance: Covariance, names: Sequence[str]) -> FloatArray:
+    place = [names.index(name) for name in covariance.names]
     P = np.zeros((len(names), len(names)))
     if place:
-        P[np.ix_(place, place)] = np.asarray(result.covariance)
+        P[np.ix_(place, place)] = np.asarray(covariance)
     return P
 
 
@@ -158,7 +162,7 @@ def contrast(result: Calibration, reference: Calibration, names: Sequence[str], 
 
 def correlation(result: Calibration, names: Sequence[str]) -> FloatArray:
     """Read a result's correlations, (n_parameters, n_parameters), NaN where a parameter was not estimated."""
-    P = read_covariance(result, names)
+    P = _spread(result.covariance, names)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(P / np.sqrt(np.outer(np.diag(P), np.diag(P))))
 

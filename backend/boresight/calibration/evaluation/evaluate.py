@@ -42,6 +42,7 @@ from boresight.calibration.calibration import (
     ShadowOfSet,
     ShadowSummary,
 )
+from boresight.calibration.corrections import put_right
 from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.matching.flight_check import FLIGHT_REASONS
 from boresight.calibration.matching.matched_frames import MatchedFrames, common_arcs, match_under_states
@@ -105,6 +106,7 @@ def evaluate_parameters(  # noqa: PLR0913 - two states, each a vector and its co
         When rows that name stars can be given no direction at all.
     """
     states = [(x_initial, P_initial), (x_final, P_final)]
+    telemetry = put_right(telemetry, sensor, catalogue, x_final)
     initial, final = match_under_states(telemetry, sensor, catalogue, states, settings)
     return evaluate_matched_frames(telemetry, sensor, initial, final, settings, rng)
 

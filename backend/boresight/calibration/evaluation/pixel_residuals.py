@@ -25,8 +25,9 @@ import numpy as np
 from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.cameras import CameraModel
 from boresight.estimation.arcs import ArcSet, angular_sigma
-from boresight.estimation.attitude import attitudes, to_matrix, triad, vector_to_quaternion
-from boresight.estimation.statistics.cramer_rao import CentroidRows, centroid_rows, each, sums
+from boresight.estimation.attitude import attitudes, to_matrix, vector_to_quaternion
+from boresight.estimation.statistics.cramer_rao import centroid_rows
+from boresight.kernels.centroids import see_sky, settle
 
 
 @dataclass(frozen=True)
@@ -75,40 +76,17 @@ def pixel_residuals(
     rows = centroid_rows(camera, x, arcs, freedom.free, freedom.scale, kept)
     sigma = np.where(kept, angular_sigma(camera, x, arcs), np.inf)
     C = attitudes(arcs.star_start, rows.s_d, arcs.s_i, sigma, parity).C
-    C_of = each(C, arcs.star_start)
-    row, col = camera.project(x, triad(np.einsum("nij,nj->ni", C_of, arcs.s_i), parity), arcs.pitch)
-    r, w = _settled(np.stack([arcs.row_px - row, arcs.col_px - col], axis=-1), rows, arcs, kept)
-    toward = triad((C_of @ _east_and_north(arcs.s_i)).transpose(0, 2, 1), parity)
+    s, from_sky = np.empty((arcs.n_stars, 3)), np.empty((arcs.n_stars, 2, 2))
+    see_sky(arcs.star_start, C, arcs.s_i, float(parity), rows.inverse, s, from_sky)
+    row, col = camera.project(x, s, arcs.pitch, near=(arcs.row_px, arcs.col_px))
+    r, w, M = np.stack([arcs.row_px - row, arcs.col_px - col], axis=-1), np.empty((len(C), 3)), np.empty_like(from_sky)
+    settle(arcs.star_start, r, arcs.sigma_px, kept, rows.J, rows.K, rows.N, np.ascontiguousarray(freedom.P), w, M)
     mirror = np.diag([1.0, float(parity), 1.0])
     return PixelResiduals(
         r=r,
-        M=_own_share(rows, arcs, freedom.P, kept),
-        from_sky=rows.inverse @ toward.transpose(0, 2, 1),
+        M=M,
+        from_sky=from_sky,
         inverse=rows.inverse,
         C=to_matrix(vector_to_quaternion(-parity * w @ mirror)) @ C,
         attitude_covariance=mirror @ rows.N @ mirror,
     )
-
-
-def _settled(r: FloatArray, rows: CentroidRows, arcs: ArcSet, kept: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Residuals (n_stars, 2) under each exposure's best attitude for the pixels, and the steps w (n_exposures, 3) to it."""
-    whitened = r / arcs.sigma_px[:, None]
-    score = np.einsum("nki,nk->ni", rows.K, np.where(kept[:, None] & np.isfinite(whitened), whitened, 0.0))
-    w = np.einsum("eij,ej->ei", rows.N, sums(score, arcs.star_start))
-    return r - arcs.sigma_px[:, None] * np.einsum("nki,ni->nk", rows.K, each(w, arcs.star_start)), w
-
-
-def _own_share(rows: CentroidRows, arcs: ArcSet, P: FloatArray, kept: BoolArray) -> FloatArray:
-    """M of each star, (n_stars, 2, 2)."""
-    of_attitude = rows.K @ each(rows.N, arcs.star_start) @ rows.K.transpose(0, 2, 1)
-    sign = np.where(kept, -1.0, 1.0)[:, None, None]
-    return np.asarray(np.eye(2) + sign * (of_attitude + (rows.J @ P) @ rows.J.transpose(0, 2, 1)))
-
-
-def _east_and_north(s_i: FloatArray) -> FloatArray:
-    """Unit tangents to the east and to the north at directions (n, 3), as columns (n, 3, 2)."""
-    reach = np.hypot(s_i[:, 0], s_i[:, 1])
-    safe = np.where(reach > 0, reach, 1.0)
-    cos_ra, sin_ra = np.where(reach > 0, s_i[:, 0] / safe, 1.0), s_i[:, 1] / safe
-    east = np.stack([-sin_ra, cos_ra, np.zeros_like(reach)], axis=-1)
-    return np.stack([east, np.cross(s_i, east)], axis=-1)

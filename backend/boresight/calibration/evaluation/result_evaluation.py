@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,20 +28,30 @@ from boresight.calibration.calibration import (
     Calibration,
     Evaluation,
     FrameObservability,
+    Matching,
     ReferenceInformation,
+    RemovedOf,
     ShadowOfSet,
 )
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.evaluation.alignment import alignment_view
 from boresight.calibration.evaluation.evaluate import evaluate_matched_frames, shadow_view
-from boresight.calibration.matching.match_report import CyclesEnd, identification_advice, matching_view, names_advice
+from boresight.calibration.matching.match_report import (
+    CyclesEnd,
+    identification_advice,
+    list_refused_names,
+    matching_view,
+    names_advice,
+)
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.matched_frames import apply_flight_check
+from boresight.calibration.matching.rematch import Matches
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem, whiten_at
-from boresight.calibration.trust import trust_advice, trust_view
+from boresight.calibration.trust import cause_advice, judge_trust, trust_advice
 from boresight.calibration.trust.fitted_set import chosen, nested
+from boresight.calibration.trust.misfit import misfit_advice
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.batch import determined, normal_equations
 from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
@@ -56,10 +67,12 @@ MOST_SQUARES = 8e4
 #: Subsets of the three singular values whose information is told of Model 4, beside the models' own.
 SUBSETS = ((1,), (2,), (3,), (1, 2, 3))
 #: What is told of singular values: name in the document, and model with values.
-REFERENCES = {f"model_{model}": (model, CHOSEN.values) for model in STAR_MODELS} | {
-    "sigma_" + "".join(map(str, values)): (CHOSEN.model, values) for values in SUBSETS
+REFERENCES = {f"model_{model}": Selection(model, CHOSEN.values) for model in STAR_MODELS} | {
+    "sigma_" + "".join(map(str, values)): Selection(CHOSEN.model, values) for values in SUBSETS
 }
 SELECTIONS = tuple(dict.fromkeys(REFERENCES.values()))
+#: Those of which every frame is told.
+TOLD = ([Selection(model, CHOSEN.values) for model in STAR_MODELS], [Selection(CHOSEN.model, (k,)) for k in VALUES])
 #: Smallest singular values below it are rounding: the values that are measured are of order one, their slopes at most that.
 ROUNDING = 1e-12
 #: Shares less than this apart are the same.
@@ -71,12 +84,16 @@ def frame_observability(problem: Problem, parameters: Parameters, estimate: Esti
     arcs = whiten_at(chosen(problem.arcs.whole(), _taken(problem.arcs.whole())), problem.camera, estimate.x)
     view = View(problem.camera, estimate.x, parameters.free, parameters.scale)
     runs = seen(view, arcs)
-    found = {chosen_values: judged(view, runs, Selection(*chosen_values)) for chosen_values in SELECTIONS}
-    models = _known([found[model, CHOSEN.values][0] for model in STAR_MODELS])
-    values = _known([found[CHOSEN.model, (k,)][0] for k in VALUES])
+    untold = [selection for selection in SELECTIONS if not any(selection in told for told in TOLD)]
+    smallest, of_selection = judged(view, runs, SELECTIONS, untold)
+    of_frames, information_of = (
+        dict(zip(SELECTIONS, smallest, strict=True)),
+        dict(zip(SELECTIONS, of_selection, strict=True)),
+    )
+    models, values = (_known([of_frames[selection] for selection in told]) for told in TOLD)
     names = [*(f"model_{model}" for model in STAR_MODELS), *(f"sigma_{k}" for k in VALUES)]
     curves = zip(names, (*models, *values), strict=True)
-    held = {name: found[selection][1] for name, selection in REFERENCES.items()}
+    held = {name: information_of[selection] for name, selection in REFERENCES.items()}
     held = {"angular": information_of_pairs(view, runs)} | held
     information = _information(view, arcs, held, [problem.camera.parameter_names[p] for p in parameters.free])
     return FrameObservability(
@@ -171,21 +188,36 @@ def evaluate_result(
     matching = matching_view(telemetry, sensor, ended, evaluation)
     P = parameters.full_covariance(estimate.P, n=len(estimate.x))
     problem, matched = ended.matched.problem, ended.matched.telemetry
-    trust = trust_view(problem, parameters, settings, estimate, matched, sets.catalogue)
+    judged = judge_trust(problem, parameters, settings, estimate, matched, sets.catalogue)
     return with_advice(
         replace(
             calibration,
+            advice=[*cause_advice(judged.trust, judged.causes), *calibration.advice],
             evaluation=evaluation,
             shadow=replace(calibration.shadow, calibration=shadow),
             matching=matching,
+            **_refused_names(telemetry, ended.matched, matching),
             alignment=alignment_view(problem, sensor.initial, estimate.x, P),
             frame_observability=frame_observability(problem, parameters, estimate),
-            trust=trust,
+            trust=judged.trust,
+            tests=judged.tests,
+            causes=judged.causes,
+            sigma_with_misfit=judged.sigma_with_misfit,
+            misfit=judged.misfit,
         ),
         *([] if matching is None else names_advice(matching.given, matching.kept)),
-        *trust_advice(trust),
+        *trust_advice(judged.trust, calibration.coverage),
+        *misfit_advice(judged.misfit),
         *([] if calibration.robust is None else [calibration.robust.sentence]),
     )
+
+
+def _refused_names(telemetry: Telemetry, matched: Matched, matching: Matching | None) -> dict[str, Any]:
+    """What a calibration lists of given stars that matching refused; nothing where given stars are verified instead."""
+    if matching is None or not isinstance(matched.matches, Matches):
+        return {}
+    of = RemovedOf(proposed=matching.given, removed=matching.removed)
+    return {"removed": list_refused_names(telemetry, matched.matches), "removed_of": of}
 
 
 def with_advice(calibration: Calibration, *sentences: str) -> Calibration:
@@ -205,7 +237,8 @@ def validate(
 ) -> Calibration:
     """Judge an estimate on a set that took no part; adds its sentence to the advice."""
     validation = Dataset(telemetry, sensor, catalogue, parameters, settings, cache_folder)
-    first, last = validation.at_start(), validation.at_covariance(estimate.x, estimate.P)
+    last = validation.at_covariance(estimate.x, estimate.P)
+    first = last if validation.is_given else validation.at_start()
     if last.problem.arcs.n_exposures == 0:
         return with_advice(
             calibration,

@@ -18,11 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, IntArray
-from boresight.calibration.calibration import Cycle, Evaluation, FlaggedStars, FlightScores, Matching, Tolerance
+from boresight.calibration.calibration import (
+    Cycle,
+    Evaluation,
+    FlaggedStars,
+    FlightScores,
+    Matching,
+    RemovedStar,
+    Tolerance,
+)
 from boresight.calibration.estimate import Asked, Estimate, Parameters, ReportEstimate, run_batch
 from boresight.calibration.matching.matched import Dataset, Matched
 from boresight.calibration.matching.matched_frames import MatchedFrames
 from boresight.calibration.matching.rematch import Matches, pixel_rad
+from boresight.calibration.matching.verification import MOST_LISTED
+from boresight.calibration.minima import LowerMinimum
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.sequence import finished, run_sequential, standing_frames
 from boresight.estimation.metrics import rms
@@ -33,6 +43,8 @@ from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
 
 MOST_CYCLES = 3
+#: Given stars are only refused and taken back, which is quick; with every tenth identity wrong they rest after five or six cycles.
+MOST_GIVEN_CYCLES = 12
 
 
 @dataclass(frozen=True)
@@ -69,32 +81,73 @@ class Estimation:
 
     def run(self) -> CyclesEnd:
         """Run the estimator of the settings on the set's matches until they rest."""
-        return self._filtered() if self.settings.sequential else self._fitted_in_cycles()
+        return self._filtered() if self.settings.sequential else self.fit_in_cycles()
 
-    def _fitted_in_cycles(self) -> CyclesEnd:
+    def fit_in_cycles(self, begin: LowerMinimum | None = None, restarts: int = 0) -> CyclesEnd:
+        """Fit, match again, fit; `begin`: where judging a former estimate led to, and how often one has."""
         sets, matched, cycles = self.sets, self.first, list[Cycle]()
         while True:
             began = time.thread_time()
-            estimate = run_batch(matched.problem, self.parameters, self.settings, self.listen, self.cancelled)
+            estimate = run_batch(
+                matched.problem, self.parameters, self.settings, self.listen, self.cancelled, begin, restarts
+            )
             method_s = time.thread_time() - began
-            if sets.stands or estimate.status == "diverged":
-                return CyclesEnd(matched, estimate, tuple(cycles), sets.stands, method_s)
+            if estimate.status == "diverged":
+                return CyclesEnd(matched, estimate, tuple(cycles), sets.is_given, method_s)
             again = sets.at(estimate, matched.problem)
-            cycles.append(_cycle(len(cycles) + 1, sets.changed(matched, again), matched, again, estimate))
-            rested = cycles[-1].changed == 0
-            if rested or len(cycles) == MOST_CYCLES or again.problem.arcs.n_exposures == 0:
-                return CyclesEnd(matched, estimate, tuple(cycles), rested, method_s)
+            changed = sets.changed(matched, again)
+            if sets.is_given and not changed:  # the arcs are the same, the probabilities are those under this estimate
+                return CyclesEnd(again, estimate, tuple(cycles), method_s=method_s)
+            cycles.append(_cycle(len(cycles) + 1, changed, matched, again, estimate))
+            done = len(cycles) == (MOST_GIVEN_CYCLES if sets.is_given else MOST_CYCLES)
+            if changed == 0 or done or again.problem.arcs.n_exposures == 0:
+                return CyclesEnd(matched, estimate, tuple(cycles), changed == 0, method_s)
             matched = again
+
+    def _filtered_on_given(self) -> CyclesEnd:
+        """Run a filter on given stars, and again without those that its end refuses.
+
+        A filter takes each frame in once and cannot take a star back, so where any is refused the batch, which costs less than
+        the filter, finds beside it which stars stand. A clean set costs one look at the filter's end.
+        """
+        matched, cycles = self.first, tuple[Cycle, ...]()
+        if len(matched.refused):
+            settled = self._settled_by_batch(matched)
+            matched, cycles = settled.matched, settled.cycles
+        ended = self._filtered_once(matched)
+        if ended.estimate.status == "diverged" or cycles:
+            return replace(ended, cycles=cycles)
+        last = ended.estimate.history.last if ended.estimate.history is not None else None
+        again = matched if last is None else self.sets.at_covariance(last.x, last.P)
+        if not self.sets.changed(matched, again):
+            return replace(ended, matched=again)
+        settled = self._settled_by_batch(again)
+        return replace(self._filtered_once(settled.matched), cycles=settled.cycles, rested=settled.rested)
+
+    def _settled_by_batch(self, first: Matched) -> CyclesEnd:
+        """Find which of the given stars stand, by the batch."""
+        batch = replace(self.settings, method="batch", variant="no-q")
+        return replace(self, first=first, settings=batch, listen=lambda *_: None).fit_in_cycles()
+
+    def _filtered_once(self, matched: Matched) -> CyclesEnd:
+        """Run a filter over matches that stand."""
+        problem, began = matched.problem, time.thread_time()
+        frames = standing_frames(problem)
+        history = run_sequential(frames, problem, self.parameters, self.settings, self.listen, self.cancelled)
+        method_s = time.thread_time() - began
+        return CyclesEnd(matched, finished(problem, self.parameters, history), method_s=method_s)
 
     def _filtered(self) -> CyclesEnd:
         """Run a filter, on the baseline's matches or on those of its latest state."""
         sets, first, parameters = self.sets, self.first, self.parameters
-        renewed = self.settings.matched_with == "latest" and not sets.stands
-        frames = sets.frames() if renewed else standing_frames(first.problem)
+        if sets.is_given:
+            return self._filtered_on_given()
+        if self.settings.matched_with != "latest":
+            return self._filtered_once(first)
         began = time.thread_time()
-        history = run_sequential(frames, first.problem, parameters, self.settings, self.listen, self.cancelled)
+        history = run_sequential(sets.frames(), first.problem, parameters, self.settings, self.listen, self.cancelled)
         method_s = time.thread_time() - began - sets.matching_s
-        if not renewed or not history.finite:
+        if not history.finite:
             return CyclesEnd(first, finished(first.problem, parameters, history), method_s=method_s)
         last = sets.at_covariance(history.last.x, history.last.P)
         if last.problem.arcs.n_exposures == 0:
@@ -222,7 +275,7 @@ def _frame_reason(exposures: list[dict[str, Any]], first: IntArray, k: int) -> s
 
 
 def matching_view(telemetry: Telemetry, sensor: Sensor, ended: CyclesEnd, evaluation: Evaluation) -> Matching | None:
-    """Describe the matches that an estimate stands on; None where the given ones stood."""
+    """Describe the matches that an estimate stands on; None where they are given ones, which are not made again."""
     matches = ended.matched.matches
     if not isinstance(matches, Matches):
         return None
@@ -254,6 +307,27 @@ def matching_view(telemetry: Telemetry, sensor: Sensor, ended: CyclesEnd, evalua
             matched_stars=evaluation.matched_stars,
         ),
     )
+
+
+def list_refused_names(telemetry: Telemetry, matches: Matches) -> list[RemovedStar]:
+    """List the given stars of which matching made another star or none, the first of very many."""
+    if telemetry.star_id is None:
+        return []
+    refused = np.flatnonzero((telemetry.star_id > 0) & (matches.star_id != telemetry.star_id))
+    return [
+        RemovedStar(
+            frame=int(telemetry.frame[row]),
+            exposure=int(telemetry.exposure[row]),
+            row=telemetry.first_row + int(row),
+            star_id=int(telemetry.star_id[row]),
+            reason=(
+                f"HIP {matches.star_id[row]} fits better"
+                if matches.star_id[row]
+                else ROW_REASONS[matches.row_reason[row]]
+            ),
+        )
+        for row in refused[:MOST_LISTED].tolist()
+    ]
 
 
 def counted(places: NDArray[np.int8], phrases: Sequence[str]) -> dict[str, int]:

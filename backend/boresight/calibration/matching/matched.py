@@ -1,5 +1,8 @@
 """A telemetry set under given or renewed matches: the problem it makes at any state, and what was matched on the way.
 
+Given matches are proposals: `calibration.matching.verification` says which of them a state refuses, and the arcs of the
+exposures that lose a star are made anew.
+
 Matched again, the set is T(x) of E section II-B: what "a ground-based implementation of the sensor flight software"
 makes of it under x. With `match_rule` "flight" it is what the flight code itself would keep: arcs that disagree with
 the catalogue by more than one fixed tolerance cost their star, and an exposure without enough of them is lost
@@ -30,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
-from boresight.calibration.calibration import LeftOut
+from boresight.calibration.calibration import LeftOut, RemovedStar
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.matching.flight_check import check_flight, compute_flight_tolerance
 from boresight.calibration.matching.matched_frames import GivenMatches, read_given_matches
@@ -44,13 +47,26 @@ from boresight.calibration.matching.rematch import (
     joined_matches,
     matching_sky,
 )
+from boresight.calibration.matching.verification import (
+    MOST_REFUSED,
+    NONE,
+    Refusals,
+    Verification,
+    list_removed,
+    measure_noise,
+    verification_after,
+    verification_before,
+)
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import (
+    COLLINEAR_REASON,
     Problem,
     added,
     build_problem,
+    find_parity,
     make_problem,
     make_problem_of_directions,
+    too_few_reason,
 )
 from boresight.calibration.sequence import Frames
 from boresight.calibration.telemetry_pieces import (
@@ -74,7 +90,7 @@ from boresight.estimation.filters.history import FilterState
 from boresight.estimation.stored_arcs import ArcsPiece, StoredArcs, write_arcs
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.directions import TimelessError, star_directions
-from boresight.telemetry.schema import Telemetry, find_exposures, select_rows
+from boresight.telemetry.schema import UNMATCHED, Telemetry, find_exposures, select_rows
 from boresight.telemetry.sensors import Sensor
 
 
@@ -157,6 +173,65 @@ def _directions(telemetry: Telemetry, catalogue: Catalogue) -> NDArray[np.float6
     return star_directions(
         telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
     )
+
+
+@dataclass(frozen=True)
+class ReducedPiece:
+    """The arcs of a piece without some stars, and the exposures that are lost with them."""
+
+    arcs: ArcsPiece
+    few: int
+    collinear: int
+
+
+def without_stars(problem: Problem, refused: Refusals, minimum_stars: int, folder: Path | None) -> Problem:
+    """Return a problem without refused stars; of one in files the pieces that hold any are written into a folder."""
+    arcs = problem.arcs
+    if isinstance(arcs, ArcSet):
+        kept, few, collinear = arcs.without(refused.row, minimum_stars)
+        times = None if problem.time_utc is None else problem.time_utc[np.isin(arcs.frame, kept.frame)]
+        return _counted(replace(problem, arcs=kept, time_utc=times), refused, few, collinear, minimum_stars)
+    work = [
+        (piece, rows, minimum_stars, str((folder or Path()) / f"{k:06d}"))
+        for k, piece in enumerate(arcs.pieces)
+        if len(rows := _rows_of_piece(piece, refused.row))
+    ]
+    reduced: list[ReducedPiece] = arcs.executor.map(reduce_piece, work)
+    new = {part[0].columns: result for part, result in zip(work, reduced, strict=True)}
+    pieces = [new[piece.columns].arcs if piece.columns in new else piece for piece in arcs.pieces]
+    pieces = [piece for piece in pieces if piece.n_frames]
+    timed = problem.time_utc is not None and bool(pieces)
+    changed = replace(
+        problem,
+        arcs=StoredArcs(tuple(pieces), arcs.executor),
+        time_utc=np.concatenate([piece.column("time_utc") for piece in pieces]) if timed else None,
+    )
+    few, collinear = sum(part.few for part in reduced), sum(part.collinear for part in reduced)
+    return _counted(changed, refused, few, collinear, minimum_stars)
+
+
+def _rows_of_piece(piece: ArcsPiece, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Those of ascending rows that may be a piece's."""
+    own = piece.column("source_row")
+    return rows[slice(*np.searchsorted(rows, [own.min(), own.max() + 1]))]
+
+
+def reduce_piece(piece: ArcsPiece, rows: NDArray[np.int64], minimum_stars: int, path: str) -> ReducedPiece:
+    """Write a piece without the stars of some rows."""
+    arcs = piece.read()
+    kept, few, collinear = arcs.without(rows, minimum_stars)
+    times = piece.column("time_utc")[np.isin(arcs.frame, kept.frame)] if piece.has("time_utc") else None
+    return ReducedPiece(write_arcs(Path(path), kept, times), few, collinear)
+
+
+def _counted(problem: Problem, refused: Refusals, few: int, collinear: int, minimum_stars: int) -> Problem:
+    """Count what was left out with refused stars."""
+    new = [LeftOut(what="stars", count=count, reason=reason) for reason, count in refused.counted().items()]
+    new += [
+        LeftOut(what="exposures", count=few, reason=too_few_reason(minimum_stars)),
+        LeftOut(what="exposures", count=collinear, reason=COLLINEAR_REASON),
+    ]
+    return replace(problem, left_out=added([*problem.left_out, *new]))
 
 
 def refuse_timeless(pieces: Sequence[TelemetryPiece], timeless: int, catalogue: Columns, executor: Executor) -> None:
@@ -303,11 +378,13 @@ MATCHED_FRAMES = 4096
 
 @dataclass(frozen=True)
 class Matched:
-    """A set under one state."""
+    """A set under one state; of one whose stars are given also what was refused of them, and how that was found."""
 
     problem: Problem
     ranges: tuple[MatchedRange, ...]
     folder: Path | None = None
+    refused: Refusals = NONE
+    verification: Verification | None = None
 
     @property
     def unidentified(self) -> int:
@@ -363,8 +440,19 @@ class EvaluatedSet:
     last: Matched
 
 
+def _unnamed(telemetry: Telemetry, rows: NDArray[np.int64]) -> Telemetry:
+    """Take star numbers and directions from some rows."""
+    changed: dict[str, Any] = {}
+    for name, nothing in (("star_id", UNMATCHED), ("ra_rad", np.nan), ("dec_rad", np.nan)):
+        values = getattr(telemetry, name)
+        if values is not None:
+            changed[name] = values.copy()
+            changed[name][rows] = nothing
+    return replace(telemetry, **changed)
+
+
 class Dataset:
-    """A set over pieces that can be matched under any state, or whose given matches stand."""
+    """A set over pieces that can be matched under any state, or whose given matches are verified under any."""
 
     def __init__(
         self,
@@ -391,9 +479,14 @@ class Dataset:
         return PREPARED if self._pieces.folder else 0.0
 
     @property
-    def stands(self) -> bool:
-        """Whether the given matches stand under every state."""
+    def is_given(self) -> bool:
+        """Whether the stars are those that the file proposes: a state may refuse them, and finds no others."""
         return self.settings.match == "given"
+
+    @property
+    def proposed_stars(self) -> int:
+        """How many stars the file proposes that can be used."""
+        return self._proposed.problem.arcs.n_stars
 
     @property
     def telemetry(self) -> Telemetry:
@@ -401,19 +494,40 @@ class Dataset:
         return self._pieces.pieces[0].read()
 
     def at_start(self) -> Matched:
-        """Match with the sensor's own parameters."""
-        return self._at(self._known.at_start(), self._first_done("matched"))
+        """Match with the sensor's own parameters; given stars are held against one another."""
+        if not self.is_given:
+            return self._at(self._known.at_start(), self._first_done("matched"))
+        proposed = self._proposed
+        if not proposed.problem.arcs.n_exposures:
+            return proposed
+        found = self._verified(verification_before(proposed.problem, self._known.at_start().P, self._parity))
+        return proposed if len(found.refused) > MOST_REFUSED * self.proposed_stars else found
 
     def at(self, estimate: Estimate, problem: Problem) -> Matched:
         """Match with an estimate made from a problem; of matchings between the first and that one the files are removed."""
         for state in self._states[1:]:
             if state.folder is not None and state.problem is not problem:
                 shutil.rmtree(state.folder, ignore_errors=True)
-        return self._at(self._known.at(estimate, problem))
+        under = self._known.at(estimate, problem)
+        return self._verified_after(under, problem) if self.is_given else self._at(under)
 
     def at_covariance(self, x: FloatArray, P: FloatArray, noise: float = 1.0) -> Matched:
-        """Match with x, SI, its free parameters' covariance P (n_free, n_free) in typical sigmas, centroid errors times `noise`."""
-        return self._at(replace(self._known.at_covariance(x, P), noise=noise))
+        """Match with x, SI, its free parameters' covariance P (n_free, n_free) in typical sigmas, centroid errors times `noise`.
+
+        Where stars are given the data tell how large the errors are.
+        """
+        if not self.is_given:
+            return self._at(replace(self._known.at_covariance(x, P), noise=noise))
+        proposed = self._proposed
+        if not proposed.problem.arcs.n_exposures:
+            return proposed
+        drift = self.settings.process_noise**2 * self._pieces.n_frames if self.settings.sequential else 0.0
+        under = self._known.at_covariance(x, P + drift * np.eye(len(P)))
+        return self._verified_after(under, (self._states[-1] if self._states else proposed).problem)
+
+    def removed(self, matched: Matched) -> list[RemovedStar]:
+        """List the given stars that one of its matchings refused."""
+        return list(list_removed(self._pieces, matched.refused))
 
     def frames(self) -> Frames:
         """Its frames for a filter, each matched with the state that the filter has when it comes to it."""
@@ -421,17 +535,20 @@ class Dataset:
 
     def changed(self, before: Matched, after: Matched) -> int:
         """Count the detections whose star differs between two of its matchings."""
+        if self.is_given:
+            return before.refused.differ(after.refused)
         return sum(self._pieces.executor.map(changed_in_range, list(zip(before.ranges, after.ranges, strict=True))))
 
     def judged(self, first: Matched, last: Matched) -> EvaluatedSet:
         """What of two of its matchings is judged in memory."""
         ends = judged_frames(last.problem.arcs)
         if ends == WHOLE and not self._pieces.folder:
-            return EvaluatedSet(self, first, last)
+            return EvaluatedSet(self, last if self.is_given else first, last)
         telemetry = judged_telemetry(self._pieces.parts(), ends)
         sets = Dataset(telemetry, self.sensor, self.catalogue, self._parameters, self.settings, self._cache_folder)
-        if self.stands:
-            return EvaluatedSet(sets, sets.at_start(), sets.at_start())
+        if self.is_given:
+            same = sets._proposed if last.verification is None else sets._verified(last.verification)
+            return EvaluatedSet(sets, same, same)
         rows = [judged_matches((part.rows() for part in state.ranges), ends) for state in (first, last)]
         return EvaluatedSet(sets, *(sets._of_rows(part) for part in rows))
 
@@ -440,8 +557,6 @@ class Dataset:
 
     def _at(self, under: MatchingState, done: ProgressCallback | None = None) -> Matched:
         """Match all ranges of frames; files go into a folder of their own."""
-        if self.stands:
-            return self._standing
         if self._pieces.folder is None:
             return self._of_rows(self._matched_rows(under))
         folder = self._pieces.folder / f"state-{len(self._states)}"
@@ -502,8 +617,46 @@ class Dataset:
         limit = magnitude_limit(pieces.pieces, self.sensor, stars, pieces.executor)
         return MatchingPlan(self.sensor, stars, self.settings, self._cache_folder, limit, pieces.epoch)
 
+    def _verified_after(self, under: MatchingState, problem: Problem) -> Matched:
+        """Hold the given stars against an estimate; the noise is that of the stars of a problem."""
+        noise = measure_noise(problem.whitened(under.x), under.x, self._parity)
+        n_free = len(self._parameters.free)
+        return self._verified(verification_after(self._proposed.problem, under.x, under.P, noise, n_free, self._parity))
+
+    def _verified(self, how: Verification) -> Matched:
+        """Verify the given stars; where the same stand as the last time, so do their arcs."""
+        proposed = self._proposed
+        refused = how.verify(proposed.problem.whitened(how.x))
+        if not len(refused):
+            return replace(proposed, verification=how)
+        last = self._states[-1] if self._states else proposed
+        if last.refused.differ(refused) == 0:
+            return replace(last, refused=refused, verification=how)
+        self._states.append(replace(self._without(refused), refused=refused, verification=how))
+        return self._states[-1]
+
+    def _without(self, refused: Refusals) -> Matched:
+        """Take refused stars out of the given ones; files go into a folder of their own."""
+        proposed, folder = self._proposed, self._pieces.folder
+        if folder is not None:
+            folder = folder / f"state-{len(self._states)}"
+            folder.mkdir()
+        problem = without_stars(proposed.problem, refused, self.settings.minimum_stars, folder)
+        if folder is not None:
+            return Matched(problem, (), folder)
+        given = proposed.matches
+        star_id, s_i = given.star_id.copy(), given.s_i.copy()
+        star_id[refused.row], s_i[refused.row] = 0, np.nan
+        rows = MatchedRows(_unnamed(self.telemetry, refused.row), replace(given, star_id=star_id, s_i=s_i), star_id)
+        return Matched(problem, (MatchedRange(rows),))
+
     @cached_property
-    def _standing(self) -> Matched:
+    def _parity(self) -> int:
+        return find_parity(self._proposed.problem.arcs, self.sensor.initial, self.sensor.parity)
+
+    @cached_property
+    def _proposed(self) -> Matched:
+        """All usable stars that the file proposes."""
         if self._pieces.folder is None:
             given = read_given_matches(self.telemetry, self.sensor, self.catalogue)
             problem = make_problem_of_directions(self.telemetry, self.sensor, given.s_i, self.settings.minimum_stars)

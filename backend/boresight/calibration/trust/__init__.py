@@ -17,35 +17,45 @@
 `residual_spline`  what the camera model leaves over the detector, as a spline with its sigma, and which camera has it
 =================  ====================================================================================================
 
+`displacements` and `departures` test what moves stars, `trust_tests` makes one family of all tests, `causes` says what explains
+those that notice something.
+
 A part that cannot be had is null, and `unavailable` says why in a sentence. Large sets are thinned where a part needs more than
 a pass over the set a frame; such a part says how many frames it used.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from boresight.calibration.calibration import Trust
+from boresight.calibration.calibration import Cause, ModelMisfit, Trust, TrustTest, Values
 from boresight.calibration.estimate import Estimate, Parameters
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
-from boresight.calibration.trust.advice import trust_advice
+from boresight.calibration.trust.advice import cause_advice, trust_advice
+from boresight.calibration.trust.causes import find_causes
+from boresight.calibration.trust.departures import find_departures
+from boresight.calibration.trust.displacements import add_up, find_score
 from boresight.calibration.trust.efficiency import arc_sigma_map, efficiency, more_data
 from boresight.calibration.trust.field import residual_against, residual_distribution, residual_field, residual_outliers
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, fit_best
 from boresight.calibration.trust.innovations import nis_over_time, whiteness, worst_frames
+from boresight.calibration.trust.misfit import find_misfit
 from boresight.calibration.trust.refits import drop_one, drop_one_sentence, two_halves
 from boresight.calibration.trust.residual_spline import find_residual_spline
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals, residuals
 from boresight.calibration.trust.stars import StarTable, star_table, stars, stars_sentence
+from boresight.calibration.trust.trust_tests import Examined, make_tests
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 
-__all__ = ["trust_advice", "trust_view"]
+__all__ = ["TrustReport", "cause_advice", "judge_trust", "trust_advice"]
 
 Part = Callable[[FittedSet], Any]
 #: Members of the trust by name.
@@ -71,17 +81,33 @@ OF_THE_RESIDUALS: dict[str, Callable[[FittedSet, StarResiduals], Any]] = {
     "residual_spline": lambda fitted, _: find_residual_spline(fitted).describe(),
 }
 OF_THE_STARS = (*OF_THE_RESIDUALS, "stars", "residual_against")
+#: Frames that the score tests look at, in blocks spread over the set: a pass over many stars a departure.
+MOST_TESTED = 1_792
 SINGULAR = "The numbers of this fit are too close to singular: free fewer parameters."
 
 
-def trust_view(
+@dataclass(frozen=True)
+class TrustReport:
+    """What trust makes of an estimate: its parts, the tests made, and what explains those that noticed something.
+
+    `sigma_with_misfit`, `misfit`: by how much that widens the sigmas; empty and None where it is not known.
+    """
+
+    trust: Trust
+    tests: list[TrustTest]
+    causes: list[Cause]
+    sigma_with_misfit: Values[float | None] = dataclasses.field(default_factory=Values)
+    misfit: ModelMisfit | None = None
+
+
+def judge_trust(
     problem: Problem,
     parameters: Parameters,
     settings: CalibrationSettings,
     estimate: Estimate,
     telemetry: Telemetry,
     catalogue: Catalogue | None = None,
-) -> Trust:
+) -> TrustReport:
     """Judge a finished estimate in every way there is.
 
     `problem`, `parameters`, `settings`, `estimate`: as `calibrate` has them at its end; the arcs are whitened here. `telemetry`:
@@ -91,12 +117,29 @@ def trust_view(
     try:
         fitted = fit_best(problem, parameters, settings, estimate, telemetry, catalogue)
     except Unavailable as reason:
-        return Trust(unavailable=dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS), str(reason)))
+        return TrustReport(Trust(unavailable=dict.fromkeys((*OF_THE_FIT, *OF_THE_STARS), str(reason))), [], [])
     parts, unavailable = _computed({name: partial(part, fitted) for name, part in OF_THE_FIT.items()})
     if "drop_one" in parts:
         parts["drop_one_sentence"] = drop_one_sentence(fitted, parts["drop_one"])
-    of_stars, why = _of_stars(fitted)
-    return Trust(**parts, **of_stars, unavailable=unavailable | why)
+    stars = _of_stars(fitted)
+    parts |= stars.parts
+    trust = Trust(**parts, unavailable=unavailable | stars.unavailable)
+    return _tested(fitted, trust, parts, stars)
+
+
+def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> TrustReport:
+    """Make every test that can be made, look for what explains them, and widen the sigmas by it."""
+    departures, _ = find_departures(fitted)
+    try:
+        sums = add_up(fitted, departures, MOST_TESTED)
+        scores = {one.name: find_score(sums, one.name) for one in departures}
+        examined = Examined(fitted, sums, scores, parts, stars.found, stars.table)
+        tests = make_tests(examined)
+        causes = find_causes(examined, tests)
+    except np.linalg.LinAlgError:  # the numbers are too near to singular
+        return TrustReport(trust, [], [])
+    wider = find_misfit(fitted, sums, scores, tests)
+    return TrustReport(trust, tests, causes) if wider is None else TrustReport(trust, tests, causes, *wider)
 
 
 def _computed(parts: Mapping[str, Callable[[], Any]]) -> tuple[Parts, dict[str, str]]:
@@ -113,19 +156,29 @@ def _computed(parts: Mapping[str, Callable[[], Any]]) -> tuple[Parts, dict[str, 
     return found, unavailable
 
 
-def _of_stars(fitted: FittedSet) -> tuple[Parts, dict[str, str]]:
-    """The parts that rest on residuals in pixels."""
+@dataclass(frozen=True)
+class StarParts:
+    """The parts that rest on residuals in pixels, why others are missing, and what they were made of."""
+
+    parts: Parts
+    unavailable: dict[str, str]
+    found: StarResiduals | None = None
+    table: StarTable | None = None
+
+
+def _of_stars(fitted: FittedSet) -> StarParts:
+    """Judge the residuals in pixels."""
     try:
         found = compute_star_residuals(fitted)
     except (Unavailable, np.linalg.LinAlgError) as error:
-        return {}, dict.fromkeys(OF_THE_STARS, str(error) if isinstance(error, Unavailable) else SINGULAR)
+        return StarParts({}, dict.fromkeys(OF_THE_STARS, str(error) if isinstance(error, Unavailable) else SINGULAR))
     parts, unavailable = _computed({name: partial(part, fitted, found) for name, part in OF_THE_RESIDUALS.items()})
     against, missing = residual_against(fitted, found)
     unavailable |= {f"residual_against.{name}": reason for name, reason in missing.items()}
     tables, why = _computed({"stars": partial(star_table, fitted, found)})
     if "stars" in tables:
         parts |= _describe_stars(fitted, found, tables["stars"], fits=against.radius is None or against.radius.even)
-    return {**parts, "residual_against": against}, unavailable | why
+    return StarParts({**parts, "residual_against": against}, unavailable | why, found, tables.get("stars"))
 
 
 def _describe_stars(fitted: FittedSet, found: StarResiduals, table: StarTable, *, fits: bool) -> Parts:

@@ -1,27 +1,35 @@
-"""What the trust numbers ask a person to do: the sentences worth telling, the gravest first."""
+"""What the trust numbers ask a person to do: the sentences worth telling, the likeliest cause first."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from boresight.calibration.calibration import ResidualAgainst, ResidualDependence, Trust
+import numpy as np
+
+from boresight.arrays import BoolArray
+from boresight.calibration.calibration import Cause, Coverage, Trust
 from boresight.calibration.trust.residuals import OTHER_PARITY
 
 #: The claimed sigmas over the bound below which they are too small to be honest.
 TOO_SMALL = 0.97
-#: Chance of halves so far apart below which a person should hear of it; one set in forty is beyond its 95 % bound.
-UNLIKELY = 0.01
 #: So many spare parameters mean a set too small for the model rather than a lucky start.
 SEVERAL = 2
-MISFIT = (
-    "A camera model that leaves a radial residual hides what else there may be: free more parameters before drift, time and "
-    "stars are judged."
-)
+#: Parts of the detector, rows and columns of them, and the share that has stars below which the rest is spoken of.
+PARTS, COVERED = (6, 8), 0.7
+#: Causes of which the stars' own sentence says more, for it names them.
+OF_STARS = ("places", "identities")
+#: Causes of which the residual spline says more, for it names the camera model that takes them up.
+OF_THE_LENS = ("tangential", "radial", "affine", "lens")
 
 
-def trust_advice(trust: Trust) -> list[str]:
-    """Collect the sentences that call for something, from the object that `trust_view` gives."""
-    return [*_of_geometry(trust), *_of_the_estimate(trust), *_of_the_model(trust), *_of_spare_parameters(trust)]
+def cause_advice(trust: Trust, causes: Sequence[Cause]) -> list[str]:
+    """Say what explains the tests that noticed something; it comes before all other advice."""
+    return [*_of_geometry(trust), *_of_causes(trust, causes)]
+
+
+def trust_advice(trust: Trust, coverage: Coverage | None = None) -> list[str]:
+    """Collect what else in the trust calls for something; `coverage`: where on the detector the stars were."""
+    return [*_of_coverage(trust, coverage), *_of_the_estimate(trust), *_of_spare_parameters(trust)]
 
 
 def _of_geometry(trust: Trust) -> Iterator[str]:
@@ -31,47 +39,64 @@ def _of_geometry(trust: Trust) -> Iterator[str]:
         yield sentence
 
 
+def _of_causes(trust: Trust, causes: Sequence[Cause]) -> Iterator[str]:
+    """What explains the tests that noticed something, the likeliest first."""
+    for place, cause in enumerate(causes):
+        opening = (
+            "Besides: " if place else f"Likeliest cause ({cause.likelihood:.0%}): " if cause.likelihood < 0.995 else ""
+        )
+        yield f"{opening}{cause.sentence} {cause.remedy}"
+        if cause.name in OF_THE_LENS and trust.residual_spline is not None and trust.residual_spline.structure:
+            yield trust.residual_spline.sentence
+        if cause.name in OF_STARS and trust.suspects and trust.stars_sentence is not None:
+            yield trust.stars_sentence
+
+
+def _of_coverage(trust: Trust, coverage: Coverage | None) -> Iterator[str]:
+    """Say how much of the detector held no star, and how far off arcs may be there if the camera model holds."""
+    if coverage is None:
+        return
+    counts = np.array(coverage.counts)
+    parts = (
+        counts.reshape(PARTS[0], counts.shape[0] // PARTS[0], PARTS[1], counts.shape[1] // PARTS[1]).sum(axis=(1, 3))
+        > 0
+    )
+    if parts.mean() >= COVERED:
+        return
+    yield (
+        f"Stars lie in {int(parts.sum())} of {parts.size} parts of the detector; elsewhere the camera is extrapolated"
+        f"{_predicted(trust, coverage, parts)}: add frames with stars in the other parts, or use only the part that is covered."
+    )
+
+
+def _predicted(trust: Trust, coverage: Coverage, parts: BoolArray) -> str:
+    """The error of arcs in the parts without stars, and in the others."""
+    seen = trust.arc_sigma_map
+    if seen is None:
+        return ""
+    rows, columns = np.array(coverage.row_edges_px, float), np.array(coverage.col_edges_px, float)
+    i, j = (
+        np.clip((np.array(at, float) - edges[0]) / (edges[-1] - edges[0]) * n, 0, n - 1).astype(int)
+        for at, edges, n in ((seen.row_px, rows, PARTS[0]), (seen.col_px, columns, PARTS[1]))
+    )
+    sigma = np.array(seen.sigma_arcsec, float)
+    inside = parts[np.ix_(i, j)]
+    if not inside.any() or inside.all() or not np.isfinite(sigma).all():
+        return ""
+    return (
+        f", where an arc of {seen.arc_deg:.2g}° may be {sigma[~inside].max():.2g} arcsec off (1 sigma, if the camera model "
+        f"holds there) and {sigma[inside].max():.2g} at most where stars are"
+    )
+
+
 def _of_the_estimate(trust: Trust) -> Iterator[str]:
-    """Halves that differ, and sigmas below the bound."""
-    halves, efficiency = trust.two_halves, trust.efficiency
-    if halves is not None and halves.chi2.p < UNLIKELY:
-        yield halves.sentence
+    """Sigmas below the bound."""
+    efficiency = trust.efficiency
     if efficiency is not None and efficiency.overall_ratio < TOO_SMALL:
         yield efficiency.sentence
-
-
-def _of_the_model(trust: Trust) -> Iterator[str]:
-    """A model that does not fit; drift and stars can only be judged under one that does."""
-    against, spline = trust.residual_against or ResidualAgainst(), trust.residual_spline
-    if spline is not None and spline.structure:
-        yield spline.sentence
-    if any(_uneven(against, ("radius",))):
-        yield from _uneven(against, ("radius",))
-        yield MISFIT
-        return
-    yield from _of_time(trust, against)
-    if trust.suspects and trust.stars_sentence is not None:
-        yield trust.stars_sentence
-    yield from _uneven(against, ("magnitude",))
-
-
-def _of_time(trust: Trust, against: ResidualAgainst) -> Iterator[str]:
-    """Drift, and innovations that keep no bounds."""
-    white, over_time = trust.whiteness, trust.nis_over_time
-    if white is not None and not white.white:
-        yield white.sentence
-    yield from _uneven(against, ("temperature", "time"))
-    if over_time is not None and not over_time.consistent:
-        yield over_time.sentence
 
 
 def _of_spare_parameters(trust: Trust) -> Iterator[str]:
     """Parameters the data do not ask for; one alone may have started near its truth by luck."""
     if sum(not entry.needed for entry in trust.drop_one or ()) >= SEVERAL and trust.drop_one_sentence is not None:
         yield trust.drop_one_sentence
-
-
-def _uneven(against: ResidualAgainst, names: tuple[str, ...]) -> list[str]:
-    """Sentences of the quantities that the residual depends on."""
-    found: list[ResidualDependence | None] = [getattr(against, name) for name in names]
-    return [one.sentence for one in found if one is not None and not one.even]

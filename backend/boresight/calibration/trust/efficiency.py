@@ -80,7 +80,7 @@ def efficiency(fitted: FittedSet) -> Efficiency:
 
 def _noise(fitted: FittedSet) -> float:
     """Variance of the residuals over the stated one where the claim follows it, as a robust fit's does; else one."""
-    return 1.0 if np.isinf(fitted.threshold) else float(np.median(fitted.e**2)) / MEDIAN_OF_A_SQUARE
+    return 1.0 if fitted.settings.robust == "none" else float(np.median(fitted.e**2)) / MEDIAN_OF_A_SQUARE
 
 
 def _centroid_information(fitted: FittedSet, arcs: ArcSet) -> FloatArray:

@@ -21,16 +21,19 @@ Tails are judged beyond `TAIL` spreads: so scaled, understated noise alone is no
 binomial; its two-sided p-value below 1 % calls the tails heavy or light. (Residuals of one exposure share its attitude, which
 makes them a little dependent; at the 1 % level that is well below what a wrong match does.)
 
-Residual against radius, magnitude, temperature and time: what the camera model or the noise model leaves out.
+Residual against radius, magnitude, temperature, time, colour, row, column and pixel phase: what the camera model or the noise model
+leaves out.
 
 The quantity is the residual along the outward radius, r . rho / |rho|: a wrong focal length or distortion moves stars along it,
-and no attitude can hide that. A bin's mean has the sigma
+and no attitude can hide that. Against row and column and the phase within a pixel it is the residual along the rows, or
+along the columns: a readout line after line, and centroids drawn to pixel centres. A bin's mean has the sigma
 
     sigma_of_mean = sqrt(sum sigma_i^2 M_rr) / count,
 
-with M_rr the radial share of a star's own error (`residuals`), times the residuals' spread where that exceeds one. The squares
-of the means over their sigmas, summed over bins, are compared with chi-square of as many degrees of freedom. The fit has taken
-some freedom out of them, so chance alone calls fewer than 1 % of sets uneven. Bins hold equally many stars.
+with M_rr the radial share of a star's own error (`residuals`), times the residuals' spread where that exceeds one. The squares of
+the means over their sigmas, summed over bins, are compared with chi-square of as many degrees of freedom. The fit has taken some
+freedom out of them, so chance alone calls fewer than 1 % of sets uneven; of the last five, which are for looking at and are
+tested together elsewhere, fewer than 1 % by all of them. Bins hold equally many stars.
 """
 
 from __future__ import annotations
@@ -48,7 +51,7 @@ from boresight.calibration.calibration import (
     ResidualOutliers,
 )
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, pixel_residuals
-from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested, probability
+from boresight.calibration.trust.fitted_set import UNLIKELY, FittedSet, Unavailable, nested, probability
 from boresight.calibration.trust.residuals import LEAST_SHARE, StarResiduals
 from boresight.estimation.statistics.special import bdtr, bdtrc, chdtrc, ndtr
 
@@ -58,7 +61,6 @@ FEWEST_CELLS, MOST_CELLS = 4, 16
 STARS_A_CELL = 15
 #: Stars that a cell needs for a mean.
 LEAST_STARS = 4
-UNLIKELY = 0.01
 
 
 def residual_field(fitted: FittedSet, found: StarResiduals) -> ResidualField:
@@ -268,8 +270,16 @@ def residual_outliers(fitted: FittedSet, found: StarResiduals) -> ResidualOutlie
 
 MOST_BINS = 12
 FEWEST_IN_A_BIN = 20
-UNITS = {"radius": "px", "magnitude": "mag", "temperature": "°C", "time": "h"}
+UNITS = {
+    "radius": "px", "magnitude": "mag", "temperature": "°C", "time": "h", "colour": "mag", "row": "px", "column": "px",
+    "row_phase": "px", "column_phase": "px",
+}  # fmt: skip
+#: Quantities along an axis of the detector, with the component of the residual that is held against them.
+ALONG = {"row": 0, "column": 1, "row_phase": 0, "column_phase": 1}
+#: Those judged at a fifth of `UNLIKELY`.
+LOOKED_AT = ("colour", *ALONG)
 ABSENT = {
+    "colour": "The catalogue gives no B-V of these stars.",
     "magnitude": "The telemetry gives no magnitude.",
     "temperature": "The telemetry gives no temperature.",
     "time": "The telemetry gives no time.",
@@ -278,11 +288,9 @@ ABSENT = {
 
 def residual_against(fitted: FittedSet, found: StarResiduals) -> tuple[ResidualAgainst, dict[str, str]]:
     """One entry a quantity, and for those that are null why."""
-    known = found.known
+    known, spread = found.known, max(found.spread, 1.0)
     away, radius = _outward(fitted, found)
-    residual = np.sum(away * found.r, axis=1)
-    share = np.maximum(np.einsum("ni,nij,nj->n", away, found.M, away), LEAST_SHARE)
-    sigma = found.arcs.sigma_px * np.sqrt(share) * max(found.spread, 1.0)
+    parts = [_component(found, along, spread) for along in (away, *(np.broadcast_to(e, away.shape) for e in np.eye(2)))]
     entries: dict[str, ResidualDependence] = {}
     missing: dict[str, str] = {}
     for name, values in _quantities(fitted, found, radius).items():
@@ -290,11 +298,24 @@ def residual_against(fitted: FittedSet, found: StarResiduals) -> tuple[ResidualA
             missing[name] = ABSENT[name]
             continue
         usable = known & np.isfinite(values)
+        residual, sigma = parts[ALONG[name] + 1 if name in ALONG else 0]
         if (entry := _in_bins(name, values[usable], residual[usable], sigma[usable])) is not None:
             entries[name] = entry
         else:
-            missing[name] = f"The set is too small or its {name} too uniform for two bins of {FEWEST_IN_A_BIN} stars."
+            missing[name] = (
+                f"The set is too small or its {_shown(name)} too uniform for two bins of {FEWEST_IN_A_BIN} stars."
+            )
     return ResidualAgainst(**entries), missing
+
+
+def _shown(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _component(found: StarResiduals, along: FloatArray, spread: float) -> tuple[FloatArray, FloatArray]:
+    """Residuals (n_stars,) along unit vectors (n_stars, 2), with their sigmas."""
+    share = np.maximum(np.einsum("ni,nij,nj->n", along, found.M, along), LEAST_SHARE)
+    return np.sum(along * found.r, axis=1), found.arcs.sigma_px * np.sqrt(share) * spread
 
 
 def _outward(fitted: FittedSet, found: StarResiduals) -> tuple[FloatArray, FloatArray]:
@@ -317,7 +338,28 @@ def _quantities(fitted: FittedSet, found: StarResiduals, radius: FloatArray) -> 
         "magnitude": None if telemetry.magnitude is None else telemetry.magnitude[rows],
         "temperature": None if telemetry.temperature_c is None else telemetry.temperature_c[rows],
         "time": hours,
+        "colour": _colour(fitted, rows),
+        "row": found.arcs.row_px,
+        "column": found.arcs.col_px,
+        "row_phase": _phase(found.arcs.row_px),
+        "column_phase": _phase(found.arcs.col_px),
     }
+
+
+def _phase(place_px: FloatArray) -> FloatArray:
+    """Place within a pixel (n,), from its centre, -0.5 to 0.5."""
+    return np.asarray(place_px - np.round(place_px))
+
+
+def _colour(fitted: FittedSet, rows: IntArray) -> FloatArray | None:
+    """B-V (n,) of rows, NaN where it is not known; None where no star has one."""
+    star_id, catalogue = fitted.telemetry.star_id, fitted.catalogue
+    if star_id is None or catalogue is None:
+        return None
+    place = catalogue.find_index(star_id[rows])
+    if not (place >= 0).any():
+        return None
+    return np.where(place >= 0, catalogue.colour_bv[place], np.nan)
 
 
 def _in_bins(name: str, values: FloatArray, residual: FloatArray, sigma: FloatArray) -> ResidualDependence | None:
@@ -343,15 +385,21 @@ def _in_bins(name: str, values: FloatArray, residual: FloatArray, sigma: FloatAr
         count=counts.tolist(),
         unit=UNITS[name],
         p=p,
-        even=p >= UNLIKELY,
+        even=p >= _level(name),
         sentence=_against_sentence(name, float(np.abs(mean[filled]).max()), p),
     )
 
 
+def _level(name: str) -> float:
+    """Probability below which a residual is said to depend on a quantity."""
+    return UNLIKELY / len(LOOKED_AT) if name in LOOKED_AT else UNLIKELY
+
+
 def _against_sentence(name: str, largest: float, p: float) -> str:
-    if p >= UNLIKELY:
-        return f"The radial residual does not depend on {name}, as far as the noise lets one see ({probability(p)})."
+    which = f"residual along the {'columns' if ALONG[name] else 'rows'}" if name in ALONG else "radial residual"
+    if p >= _level(name):
+        return f"The {which} does not depend on {_shown(name)}, as far as the noise lets one see ({probability(p)})."
     return (
-        f"The radial residual depends on {name}: bins are up to {largest:.2g} px off, more than noise explains "
+        f"The {which} depends on {_shown(name)}: bins are up to {largest:.2g} px off, more than noise explains "
         f"({probability(p)})."
     )

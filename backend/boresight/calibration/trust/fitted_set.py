@@ -32,6 +32,10 @@ from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.schema import Telemetry
 
 MOST_ITERATIONS = 20
+#: Chance that any test calls a sound set into question, half of the 1 % that is promised, for no probability is exact; and what one
+#: test of the whole table must fall below alone.
+FAMILY_LEVEL = 0.005
+UNLIKELY = FAMILY_LEVEL / 26
 ARCSEC = float(np.degrees(1.0) * 3600)
 
 
@@ -166,9 +170,9 @@ def fit_best(
 def _best_fit(
     problem: Problem, parameters: Parameters, settings: CalibrationSettings, estimate: Estimate
 ) -> tuple[FloatArray, ArcSet]:
-    """State and arcs whitened there; the estimate itself where it is the best fit, or a robust one."""
+    """State and arcs whitened there; the estimate itself where it is the best fit, or Huber's."""
     arcs = problem.whitened(estimate.x).whole()
-    if not settings.sequential and settings.error == "arclength":
+    if not settings.sequential and settings.error == "arclength" and settings.robust != "stars":
         return estimate.x, arcs
     fitted = batch.fit(arcs, estimate.x, parameters.free, parameters.scale, max_iterations=MOST_ITERATIONS)
     if fitted.status == "diverged":

@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import LjungBox, NisOverTime, Values, Whiteness, WorstFrames
-from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, nested, probability
+from boresight.calibration.trust.fitted_set import UNLIKELY, FittedSet, Unavailable, nested, probability
 from boresight.estimation.statistics.consistency import CONFIDENCE, ljung_box, runs_p_value, share_bounds
 from boresight.estimation.statistics.special import chdtrc, chdtri, ndtr
 
@@ -83,8 +83,6 @@ def _whiteness_sentence(symbol: str, p: float, n: int, white: bool) -> str:
 
 
 MOST_POINTS = 1000
-#: Chance of a share or of runs so extreme below which they are not put down to chance.
-UNLIKELY = 0.01
 #: So few values have no order to speak of.
 FEWEST_FOR_RUNS = 20
 

@@ -11,6 +11,11 @@ true to quadratic on those frames, which is one for a start that is near; other 
 sigmas of all. A fit that does not
 come to rest in `MOST_ITERATIONS` is not `settled`: the increase is then at most what is told.
 
+Where a fit with a parameter held ends below the fit of all, that was a minimum and not the lowest. All are fitted again from there,
+and where that is lower on the whole set too, it is handed back to be taken up as the estimate (`LowerMinimum`). A filter's estimate
+has its start and its order of frames in it and is not moved: there the evidence is told against the lower minimum, and the sentence
+says so.
+
 Two halves of a set, fitted apart: whether they agree within what both claim.
 
 The frames are cut into some 40 consecutive blocks, dealt out in turn, so that both halves cover the same sky, temperatures and
@@ -26,7 +31,7 @@ wrong everywhere. Whatever the method, the halves are fitted by the batch estima
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +39,11 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import DroppedParameter, HalvesMap, HalvesTest, TwoHalves
 from boresight.calibration.estimate import covariance
+from boresight.calibration.minima import MOST_RESTARTS, LowerMinimum
 from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailable, chosen, grid, nested, probability
 from boresight.estimation import batch
 from boresight.estimation.arcs import ArcSet
+from boresight.estimation.minima import LOWER, CostSurface, is_within_reach
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.estimation.statistics.special import chdtrc, chdtri
 from boresight.estimation.statistics.uncertainty import difference_over_detector, expected_difference
@@ -177,7 +184,40 @@ def drop_one(ground: FittedSet) -> list[DroppedParameter]:
     fitted = _fit_all(ground, arcs, MOST_ITERATIONS, refusal)
     best = Optimum(fitted.x, covariance(fitted.A), fitted.cost)
     whole = best if arcs.n_frames == ground.arcs.n_frames else Optimum(ground.x, covariance(ground.A), np.nan)
-    return [_without(ground, arcs, place, best, whole) for place in range(len(ground.names))]
+    for _ in range(MOST_RESTARTS + 1):
+        held = [_hold(ground, arcs, place, best) for place in range(len(ground.names))]
+        lowest = min(range(len(held)), key=lambda place: held[place].cost)
+        if held[lowest].cost > best.cost - LOWER:
+            break
+        _hand_back(ground, held[lowest], ground.names[lowest])
+        best = _refitted(ground, arcs, held[lowest], best)
+        whole = best if whole.x is ground.x and arcs.n_frames == ground.arcs.n_frames else whole
+    return [_describe_held(ground, arcs, place, fit, best, whole) for place, fit in enumerate(held)]
+
+
+def _hand_back(ground: FittedSet, held: batch.BatchFit, name: str) -> None:
+    """Raise LowerMinimum where all parameters, fitted to the whole set from a fit with one held, end below the estimate."""
+    parameters, restarts = ground.parameters, ground.estimate.searched.restarts
+    ended = batch.fit(ground.arcs, held.x, parameters.free, parameters.scale, threshold=ground.threshold)
+    fall = _equations(ground, ground.arcs, ground.x).chi2 - ended.cost
+    surface = CostSurface(
+        lambda _: ground.arcs, parameters.free, parameters.scale, ground.threshold, ground.problem.can_be
+    )
+    here = replace(ended, x=ground.x, A=ground.A)
+    if fall < LOWER or not surface.is_minimum(ended) or not is_within_reach(surface, ended, here):
+        return
+    if not ground.settings.sequential and restarts < MOST_RESTARTS:
+        raise LowerMinimum(ended.x, f"the fit with {name} held", fall)
+    ground.kept["lower_minimum"] = f"{fall:.3g} lower in chi-square, beyond the fit with {name} held"
+
+
+def _refitted(ground: FittedSet, arcs: ArcSet, held: batch.BatchFit, best: Optimum) -> Optimum:
+    """The fit of all parameters from one with a parameter held; the former where that is none."""
+    free, scale = ground.parameters.free, ground.parameters.scale
+    fitted = batch.fit(arcs, held.x, free, scale, threshold=ground.threshold, max_iterations=MOST_ITERATIONS)
+    if fitted.status != "converged":
+        return replace(best, cost=min(held.cost, best.cost))
+    return Optimum(fitted.x, covariance(fitted.A), fitted.cost)
 
 
 def _equations(fitted: FittedSet, arcs: ArcSet, x: FloatArray) -> batch.NormalEquations:
@@ -193,21 +233,29 @@ def quadratic_increase(fitted: FittedSet, place: int, best: Optimum) -> tuple[fl
     return float(d * d / best.P[place, place]), best.P[:, place] * d / best.P[place, place]
 
 
-def _without(ground: FittedSet, arcs: ArcSet, place: int, best: Optimum, whole: Optimum) -> DroppedParameter:
+def _hold(ground: FittedSet, arcs: ArcSet, place: int, best: Optimum) -> batch.BatchFit:
     """Hold one parameter at its start and fit the others."""
     free, scale = ground.parameters.free, ground.parameters.scale
     others = np.delete(np.arange(len(free)), place)
-    foreseen, step = quadratic_increase(ground, place, best)
+    step = quadratic_increase(ground, place, best)[1]
     x = best.x.copy()
     x[free] += scale * step
     start, begun = _start(arcs, x, best, ground, place)
-    fitted = batch.fit(
+    return batch.fit(
         arcs, start, free[others], scale[others],
         threshold=ground.threshold, max_iterations=MOST_ITERATIONS, begun=begun.of(others),
     )  # fmt: skip
-    increase = max(fitted.cost - best.cost, 0.0)
+
+
+def _describe_held(
+    ground: FittedSet, arcs: ArcSet, place: int, fitted: batch.BatchFit, best: Optimum, whole: Optimum
+) -> DroppedParameter:
+    """Say what holding a parameter cost, of all frames where only some were fitted."""
+    free, scale = ground.parameters.free, ground.parameters.scale
+    others = np.delete(np.arange(len(free)), place)
+    increase = fitted.cost - best.cost
     if whole is not best:
-        foreseen_of_all = quadratic_increase(ground, place, whole)[0]
+        foreseen, foreseen_of_all = (quadratic_increase(ground, place, one)[0] for one in (best, whole))
         increase = foreseen_of_all * (increase / foreseen if foreseen > NEEDED else 1.0)
     moved = np.abs((fitted.x - best.x)[free[others]]) / (scale[others] * np.sqrt(np.diag(whole.P)[others]))
     most = int(np.argmax(moved))
@@ -240,6 +288,8 @@ def drop_one_sentence(fitted: FittedSet, entries: list[DroppedParameter]) -> str
     spare = [symbols[entry.name] for entry in entries if not entry.needed]
     weakest = min(entries, key=lambda entry: entry.chi2_increase)
     least = f"{symbols[weakest.name]} costs least to hold, {weakest.chi2_increase:.3g} in chi-square"
+    if lower := fitted.kept.get("lower_minimum"):
+        least += f"; against another minimum, {lower}: run the batch, which takes the lowest"
     if not spare:
         return f"The data ask for every free parameter: {least}, and beyond {NEEDED:.3g} a parameter is needed (1 % level)."
     return (

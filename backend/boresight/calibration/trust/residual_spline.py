@@ -26,12 +26,11 @@ from boresight.cameras.model import CameraModel
 from boresight.estimation import residual_spline as splines
 from boresight.estimation.batch import determined
 from boresight.estimation.residual_spline import Fit, PixelRows
+from boresight.estimation.statistics.consistency import CLEAR_SIGMAS
 
 MOST_FRAMES = 5000
 #: Places along the longer side at which displacement and sigma are told, and fewest along the shorter.
 PLACES, FEWEST_PLACES = 17, 9
-#: Sigmas beyond which a displacement is called clear.
-CLEAR = 3.0
 #: Where another camera follows the fitted one: places along a side, steps, and share of a singular value that is rounding.
 FEW, STEPS, RANK = 9, 8, 1e-10
 #: Deviates of the 95 % band.
@@ -82,7 +81,7 @@ def find_residual_spline(fitted: FittedSet) -> ResidualSplineFit:
 def _largest(places: tuple[FloatArray, ...], d: FloatArray, P: FloatArray, sigma: FloatArray) -> LargestDisplacement:
     """The longest displacement among those clear of their sigma, or among all where none is."""
     size = np.hypot(*d.T)
-    clear = (np.abs(d) > CLEAR * sigma).any(axis=1)
+    clear = (np.abs(d) > CLEAR_SIGMAS * sigma).any(axis=1)
     at = int(np.argmax(np.where(clear, size, -1.0) if clear.any() else size))
     along = d[at] / max(size[at], np.finfo(float).tiny)
     return LargestDisplacement(

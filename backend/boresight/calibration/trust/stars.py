@@ -7,7 +7,7 @@ A star displaced by d = (east, north) from its catalogue place leaves r = M T d 
 
 u^T d is chi-square with two degrees of freedom for a star that stands where the catalogue says. It is divided by the square of
 the residuals' spread where that exceeds one, so that understated noise alone makes no suspect. A star is one when its p-value
-times the number of stars (Bonferroni) is below 1 %: of a hundred sets without a displaced star, one names any.
+times the number of stars (Bonferroni) is below `UNLIKELY`, as any test of trust must be.
 
 A displaced star pulls the attitude and so makes its neighbours look displaced. So the worst are taken out, the residuals of the
 others are taken anew without them, and so on until nobody is suspect.
@@ -21,13 +21,12 @@ import numpy as np
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.calibration.calibration import StarTrust
-from boresight.calibration.trust.fitted_set import ARCSEC, FittedSet, Unavailable
+from boresight.calibration.trust.fitted_set import ARCSEC, UNLIKELY, FittedSet, Unavailable
 from boresight.calibration.trust.residuals import StarResiduals, compute_star_residuals
 from boresight.sky.guide_stars import flags_of, phrases
 
 MOST_SHOWN = 200
 MOST_ROUNDS = 6
-FAMILY_LEVEL = 0.01
 #: Stars that an attitude must keep when suspects are taken out of it.
 FEWEST_KEPT = 3
 #: A sighting so many sigmas off, while its star's others are not, is a wrong match rather than a wrong place.
@@ -78,7 +77,7 @@ def star_table(fitted: FittedSet, first: StarResiduals) -> StarTable:
 
 def _suspect(table: StarTable) -> BoolArray:
     """Stars beyond the level, (n_stars,)."""
-    return np.asarray(table.z**2 > -2 * np.log(FAMILY_LEVEL / len(table.z)))
+    return np.asarray(table.z**2 > -2 * np.log(UNLIKELY / len(table.z)))
 
 
 def _kept(ids: IntArray, out: IntArray, found: StarResiduals) -> BoolArray:

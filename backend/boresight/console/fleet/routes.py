@@ -26,6 +26,7 @@ from boresight.figures import figure_json, trend
 from boresight.platform.web.media import CsvFile, csv_response
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 from boresight.platform.web.response_cache import cover_with_tag
+from boresight.telemetry.declarations import DECLARATIONS
 
 router = operations("/sensors", tags=["sensors"])
 
@@ -37,8 +38,16 @@ EXAMPLE = {
     "centroid_sigma_px": 0.15,
     "initial": schemas.EXAMPLE_INITIAL,
     "typical_sigma": schemas.EXAMPLE_TYPICAL_SIGMA,
+    "readout": schemas.EXAMPLE_READOUT,
+    "declared": schemas.EXAMPLE_DECLARED,
 }
-SensorFile = Annotated[console_schemas.Document, Body(description="The sensor file.", examples=[EXAMPLE])]
+_ABOUT_FILE = (
+    "The sensor file. What no data can show is declared in `readout` (`mode` global or rolling, `line_time_s`, `axis` rows or "
+    "columns, `corrected`) and `declared` ("
+    + ", ".join(f"`{name}` {' or '.join(one.words)}" for name, one in DECLARATIONS.items())
+    + "); until then the gate `assumptions` has no data."
+)
+SensorFile = Annotated[console_schemas.Document, Body(description=_ABOUT_FILE, examples=[EXAMPLE])]
 
 
 @router.get("", summary="List the fleet", response_model=Page[schemas.Sensor], dependencies=[SAME_FOR_ALL])

@@ -15,6 +15,9 @@ _PARAMETERS = DEFAULT_CAMERA.plain(0.016 / 2.2e-6, 971.5, 1295.5, 2.2e-6).round(
 #: Parameters of the sensor file that is shown as an example: 16 mm before 1944 by 2592 pixels of 2.2 um.
 EXAMPLE_INITIAL = dict(zip(DEFAULT_CAMERA.parameter_names, _PARAMETERS.tolist(), strict=True))
 EXAMPLE_TYPICAL_SIGMA = dict(zip(DEFAULT_CAMERA.parameter_names, DEFAULT_CAMERA.default_typical_sigma, strict=True))
+#: What it declares that no data can show.
+EXAMPLE_READOUT = {"mode": "rolling", "line_time_s": 3.6e-5, "axis": "rows", "corrected": True}
+EXAMPLE_DECLARED = {"satellite_velocity": "given", "directions": "apparent", "refraction": "none"}
 
 
 class Sensor(Row):
@@ -26,7 +29,9 @@ class Sensor(Row):
     id: int
     name: str
     version: int = Field(description='Counts edits; the ETag is `"v<version>"`.')
-    document: Document = Field(description="The sensor file.")
+    document: Document = Field(
+        description="The sensor file; `readout` and `declared` stand in it as far as they are declared.",
+    )
     simulated: bool = Field(description="Whether its telemetry was made here.")
     truth: Document | None = Field(description="True parameters of a simulated sensor.")
     created_utc: str

@@ -27,7 +27,7 @@ from boresight.calibration.result import TrendEntry
 from boresight.console.fleet import queries as rows
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets.tables import ParameterSet, Promotion
-from boresight.console.telemetry.tables import TelemetrySet, parse_quality
+from boresight.console.telemetry.tables import TelemetrySet, find_quality
 from boresight.estimation.statistics import drift as tests
 from boresight.estimation.statistics.drift import FALSE_ALARM_RATE, Epoch, RegressionLine
 from boresight.platform.db.sessions import Session, utc_text
@@ -181,7 +181,7 @@ def _trend(
 
 def get_time_span(row: TelemetrySet) -> tuple[str, str, bool]:
     """Return the first and last time of a telemetry set, and whether they come from its data and not from its upload."""
-    time = parse_quality(row.quality).time
+    time = find_quality(row.quality).time
     if time is None:
         return row.uploaded_utc, row.uploaded_utc, False
     begins, ends = (utc_text(datetime.fromisoformat(text)) for text in (time.start_utc, time.end_utc))
@@ -191,7 +191,7 @@ def get_time_span(row: TelemetrySet) -> tuple[str, str, bool]:
 def _point(run: Any, summary: RunSummary, data: TelemetrySet) -> TrendPoint:
     begins, ends, timed = get_time_span(data)
     entry = summary.trend or TrendEntry(left_out=BEFORE_TRENDS)
-    warmth = parse_quality(data.quality).temperature_c
+    warmth = find_quality(data.quality).temperature_c
     return TrendPoint(
         run_id=run.id,
         label=run.label,
@@ -266,7 +266,7 @@ def _periods(promoted: Sequence[tuple[str, ParameterSet]]) -> Iterator[BaselineP
             to_utc,
             row.run_id is not None,
             document.parameters.to_dict(),
-            document.sigma.to_dict() if document.sigma else {},
+            document.reliable_sigma.to_dict(),
         )
 
 

@@ -14,7 +14,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from boresight.calibration.calibration import Values
 from boresight.calibration.parameter_set import parse_parameter_set
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.fleet import trend as drifts
@@ -127,7 +126,7 @@ def _ratio(trend: Trend, own: TrendPoint | None, stars: int) -> float | None:
     if trend.baseline is None or not trend.independent or not stars:
         return None
     like = own or trend.independent[-1]
-    sigma = parse_parameter_set(trend.baseline.document).sigma or Values()
+    sigma = parse_parameter_set(trend.baseline.document).reliable_sigma
     shared = [like.sigma[name] / known for name in like.names if (known := sigma.get(name))]
     return max(shared) * (like.stars / stars) ** 0.5 if shared and like.stars else None
 

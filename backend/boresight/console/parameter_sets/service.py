@@ -52,6 +52,7 @@ USABLE_STATUSES = ("converged", "max_iterations")
 MEANING = ("camera_model", "parameters", "sigma", "covariance")  # members of a result that belong to the estimate
 EVIDENCE = (
     "method", "variant", "free", "status", "advice", "frames", "stars", "rms_arc_rad", "chi2_per_dof", "alignment", "inputs",
+    "sigma_with_misfit", "misfit",
 )  # fmt: skip
 
 

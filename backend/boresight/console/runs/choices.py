@@ -29,11 +29,11 @@ def request_choice(session: Session, actor: Actor, blobs: BlobStore, run_id: int
     require_role(actor, "analyst")
     require_scope(actor, "runs")
     run = get_run(session, run_id)
-    if (why := find_obstacle(run)) is not None:
-        raise ConflictError(why)
     known = find_choice_run(session, run_id)
     if known is not None and (known.state not in TERMINAL_RUN_STATES or _is_answered(blobs, known)):
         return known
+    if (why := find_obstacle(session, run)) is not None:
+        raise ConflictError(why)
     settings = CalibrationSettings.parse({name: run.settings[name] for name in KEPT_SETTINGS if name in run.settings})
     asked = queries.add_run(
         session,
@@ -56,12 +56,16 @@ def request_choice(session: Session, actor: Actor, blobs: BlobStore, run_id: int
     return asked
 
 
-def find_obstacle(run: Run) -> str | None:
+def find_obstacle(session: Session, run: Run) -> str | None:
     """Say why no camera is chosen for a run's data now; None where one can be."""
     if run.choice_of is not None:
         return f"Run {run.id} chooses a camera itself, for run {run.choice_of}; ask for a calibration's."
     if run.state not in TERMINAL_RUN_STATES:
         return f"Run {run.id} is {run.state}; ask for its camera when it has ended."
+    for set_id in (run.telemetry_set_id, run.validation_set_id):
+        used = None if set_id is None else session.get_known(TelemetrySet, set_id)
+        if used is not None and used.archived_utc is not None:
+            return f"{used.name} was archived on {used.archived_utc[:10]}; upload it again to take it into use, and ask then."
     return None
 
 

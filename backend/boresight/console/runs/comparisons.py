@@ -233,7 +233,7 @@ def _row(comparison: Comparison, i: int) -> dict[str, Any]:
     return {
         "name": name,
         "values": [one.calibration.parameters.get(name) for one in found],
-        "sigmas": [one.calibration.sigma.get(name) for one in found],
+        "sigmas": [one.calibration.reliable_sigma.get(name) for one in found],
         "differences": of("difference"),
         "sigmas_of_difference": of("sigma"),
         "separations": of("separation"),

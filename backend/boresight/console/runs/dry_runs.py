@@ -15,7 +15,7 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs.queries import list_recent_runs
-from boresight.console.telemetry.tables import TelemetrySet, parse_quality
+from boresight.console.telemetry.tables import TelemetrySet, find_quality
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.db.sessions import Session
 from boresight.platform.jobs.forecasts import ForecastSources
@@ -180,7 +180,7 @@ def dry_run(session: Session, request: RunRequest, forecast_sources: ForecastSou
     """Return the summary of a dry run."""
     telemetry, settings = request.telemetry, request.settings
     free = list(settings.free or parse_sensor(request.sensor.document).free)
-    quality = parse_quality(telemetry.quality)
+    quality = find_quality(telemetry.quality)
     exposures = telemetry.frames if quality.usable_exposures is None else quality.usable_exposures
     pairs = count_pairs(telemetry.stars if quality.usable is None else quality.usable, exposures)
     pace = estimate_run_speed(session, settings.method)

@@ -53,15 +53,15 @@ BUILT_IN = (
     _own(
         "quick-look",
         "Quick look",
-        "Minutes after a pass: the file's own matches and few iterations say whether a set is worth a full run.",
+        "Minutes after a pass: the file's own matches, verified, and few iterations say whether a set is worth a full run.",
         match="given",
         max_iterations=10,
     ),
     _own(
         "suspect-matches",
         "Suspect matches",
-        "When false stars are likely, after a radiation storm or a bright field: Huber's loss bounds what each may say.",
-        robust="huber",
+        "When false stars are likely, after a radiation storm or a bright field: a star that lies far off says nothing.",
+        robust="stars",
         leave_out_doubles=True,
     ),
     _own(

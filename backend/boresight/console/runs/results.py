@@ -7,7 +7,7 @@ from typing import Any
 from boresight.calibration.calibration import parse_calibration
 from boresight.calibration.choice.result import Choice, parse_choice
 from boresight.console.runs.tables import Run
-from boresight.errors import ConflictError, RefusedInputError
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.data_version import SizeLimitedCache
 
@@ -33,10 +33,10 @@ def read_result(blobs: BlobStore, sha256: str, run_id: int | None = None) -> dic
 
 
 def read_choice(blobs: BlobStore, sha256: str, run_id: int | None = None) -> Choice:
-    """Read the stored choice of a camera for a run's data."""
+    """Read the stored choice of a camera for a run's data; refuses one that is missing too, for it can be made anew."""
     try:
         return parse_choice(blobs.document(sha256))
-    except (ValueError, RefusedInputError):
+    except (ValueError, RefusedInputError, NotFoundError):
         whose = "" if run_id is None else f" of run {run_id}"
         raise ConflictError(
             f"The stored choice {sha256[:12]}{whose} is no choice that can be read: ask for it again, or restore the store from "

@@ -35,6 +35,7 @@ from boresight.console.runs.tables import TERMINAL_RUN_STATES, Preset, Run, RunE
 from boresight.console.schemas import Shape
 from boresight.figures import figure_json, held_out_error
 from boresight.figures.report import render_report
+from boresight.figures.tables import removed_table
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
 from boresight.platform.web.media import CsvFile, csv_response
@@ -164,6 +165,18 @@ def get_run_choice_figure(run_id: Id, session: Reading, blobs: Blobs) -> Respons
 def get_run_choice_data(run_id: Id, session: Reading, blobs: Blobs) -> Response:
     """Read the numbers behind the figure as CSV."""
     return csv_response(held_out_error.table(choices.get_choice(session, blobs, run_id)), f"run-{run_id}-held-out.csv")
+
+
+@router.get(
+    "/{run_id}/removed/data",
+    summary="Read the removed stars",
+    response_class=CsvFile,
+    responses={200: {"description": "One row a proposed star that does not stand; the first 10,000."}},
+)
+def get_run_removed_data(run_id: Id, session: Reading, blobs: Blobs) -> Response:
+    """Read which proposed stars were removed from a run that has ended, and why, as CSV."""
+    found = parse_calibration(runs.get_final_result(session, blobs, run_id))
+    return csv_response(removed_table(found), f"run-{run_id}-removed.csv")
 
 
 @router.get("/{run_id}/log", summary="Read the log", response_model=Page[schemas.LogLine], dependencies=[SAME_FOR_ALL])

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from boresight.calibration.evaluation.forecast import Forecast
+from boresight.console.runs.tables import RecordedProgress, parse_progress
 from boresight.console.schemas import Document, Numbers, Row, Shape
 
 RunState = Literal["QUEUED", "RUNNING", "CANCELLING", "SUCCEEDED", "FAILED", "CANCELLED", "LOST"]
@@ -19,6 +20,11 @@ class RunProgress(Row):
     message: str | None = None
     elapsed_s: float | None = Field(None, description="Since its worker began.")
     at_utc: str | None = Field(None, description="When the worker last reported.")
+
+
+def _read_progress(recorded: Any) -> RecordedProgress | None:
+    """Read what a run's row holds, where a damaged one says that it is."""
+    return None if recorded is None else parse_progress(recorded)
 
 
 class Run(Row):
@@ -38,7 +44,7 @@ class Run(Row):
     state: RunState
     reason: str | None = Field(description="Why it failed, was lost or was cancelled.")
     attempt: int = Field(description="Grows when a worker or server was lost under it.")
-    progress: RunProgress | None
+    progress: Annotated[RunProgress | None, BeforeValidator(_read_progress)]
     summary: Document | None = Field(description="The figures of a finished run that lists show.")
     result_sha256: str | None
     choice_of: int | None = Field(description="The run for whose data it chooses a camera; null of a calibration.")

@@ -91,10 +91,11 @@ class RecordedProgress:
 
 
 def parse_progress(document: Mapping[str, Any] | None) -> RecordedProgress:
-    """Read the progress in a run's row; one that tells nothing where the row has none."""
-    return parse_part(
-        RecordedProgress, document or {}, lambda fault: RefusedInputError(f"A run's progress is damaged: {fault}.")
-    )
+    """Read the progress in a run's row; one that tells nothing where the row has none, and that it is damaged where it is."""
+    try:
+        return parse_part(RecordedProgress, document or {}, RefusedInputError)
+    except RefusedInputError as error:
+        return RecordedProgress(message=f"What its worker told last cannot be read ({error}).")
 
 
 class RunEvent(Base):

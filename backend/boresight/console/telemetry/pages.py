@@ -48,7 +48,7 @@ from boresight.console.runs.pages.list import RunNames, make_run_line, read_name
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.dependencies import Upload, Uploaded
 from boresight.console.telemetry.service import PURPOSES, PreparedUpload
-from boresight.console.telemetry.tables import TelemetrySet, parse_quality
+from boresight.console.telemetry.tables import TelemetrySet, find_quality
 from boresight.errors import BoresightError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role
 from boresight.platform.blobs.store import BlobStore
@@ -127,6 +127,7 @@ def _page(
         refused=shown.refusal,
         view=view,
         sets=found.rows,
+        reports={row.id: find_quality(row.quality) for row in found.rows},
         last=found.last,
         choices=list_sensor_choices(session, view, find=shown.find, keep=[shown.sensor] if shown.sensor else []),
         names=read_names(session, sensors_of=found.rows),
@@ -154,7 +155,7 @@ def telemetry_csv(request: Request, session: Reading) -> Response:
 
 
 def _csv_row(row: TelemetrySet, names: RunNames) -> Beside:
-    quality = parse_quality(row.quality)
+    quality = find_quality(row.quality)
     time, temperature = quality.time, quality.temperature_c
     return Beside(
         row,
@@ -301,7 +302,7 @@ def _edge_of_data(radial: RadialCoverage) -> tuple[float, str] | None:
 def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: int) -> HTMLResponse:
     """Show a set with its quality report."""
     row = session.get_known(TelemetrySet, set_id)
-    quality = parse_quality(row.quality)
+    quality = find_quality(row.quality)
     used_by, uses = run_queries.list_runs_of_set(session, row.id, RUNS_SHOWN)
     names = read_names(session, used_by, sensors_of=[row])
     blob = session.get(Blob, row.original_sha256)
@@ -323,7 +324,7 @@ def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: i
 def figure_csv(session: Reading, set_id: int, name: str) -> Response:
     """Give a figure's numbers as CSV."""
     row = session.get_known(TelemetrySet, set_id)
-    drawing = next((it for it in make_drawings(parse_quality(row.quality)) if it.name == name), None)
+    drawing = next((it for it in make_drawings(find_quality(row.quality)) if it.name == name), None)
     if drawing is None:
         raise NotFoundError(f"The quality report of telemetry set {set_id} has no figure {name}.")
     text = io.StringIO()

@@ -12,6 +12,7 @@ from boresight.calibration.calibration import parse_part
 from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base
 from boresight.platform.db.documents import JsonText
+from boresight.telemetry.quality.findings import SEVERITIES, Finding
 from boresight.telemetry.quality.report import QualityReport
 
 
@@ -20,6 +21,16 @@ def parse_quality(document: Mapping[str, Any]) -> QualityReport:
     return parse_part(
         QualityReport, document, lambda fault: RefusedInputError(f"A quality report is damaged: {fault}.")
     )
+
+
+def find_quality(document: Mapping[str, Any]) -> QualityReport:
+    """Read a quality report for lists and pages, where a damaged one says that it is: one row must not refuse them."""
+    try:
+        return parse_quality(document)
+    except RefusedInputError as error:
+        said = f"{error} Restore the database from a backup, or upload the file again under another sensor to have it checked."
+        found = Finding("DAMAGED_REPORT", SEVERITIES[-1], said, 1)
+        return QualityReport(verdict=found.severity, warnings=[said], findings=[found])
 
 
 class TelemetrySet(Base):

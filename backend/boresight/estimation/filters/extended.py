@@ -43,12 +43,12 @@ def extended_filter(
             e, H, _ = _rows(frame, x, free, scale)
             z, P, nis[k] = _update(z_prior, P_prior, z_lin, e, H)
             before = _cost(z_lin - z_prior, P_prior, e)
-            for _ in range(HALVINGS):
+            for halved in range(HALVINGS + 1):
                 x = x.copy()
                 x[free] = x_start + scale * z
                 post, _, squares[k] = _rows(frame, x, free, scale)
-                if _cost(z - z_prior, P_prior, post) <= before * (1 + 1e-9):
-                    break
+                if _cost(z - z_prior, P_prior, post) <= before * (1 + 1e-9) or halved == HALVINGS:
+                    break  # x, its rows and z belong together, after the last halving too
                 z = (z + z_lin) / 2
             passes[k] = turn + 1
             if np.max(np.abs(post - (e + H @ (z - z_lin))), initial=0.0) < tuning.rest:

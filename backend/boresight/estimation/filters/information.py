@@ -102,13 +102,13 @@ def information_filter(
                 z, posterior, P = np.empty(n_free), np.empty_like(prior), np.empty_like(prior)
                 nis[k] = kernels.information_update(prior, z_prior, z_at, e, H, z, posterior, P)
             before = kernels.cost(prior, z_prior, z_at, e)
-            for _ in range(HALVINGS):
+            for halved in range(HALVINGS + 1):
                 x = x.copy()
                 x[free] = x_start + scale * z
                 at = frame.directions(x)
                 e_post, H_post = reference.rows(*at)
-                if kernels.cost(prior, z_prior, z, e_post) <= before * (1 + 1e-9):
-                    break
+                if kernels.cost(prior, z_prior, z, e_post) <= before * (1 + 1e-9) or halved == HALVINGS:
+                    break  # x, its rows and z belong together, after the last halving too
                 z = (z + z_at) / 2
             passes[k] = turn + 1
             if kernels.worst_departure(e, H, z_at, z, e_post) < tuning.rest:

@@ -45,13 +45,6 @@ class SingularValues:
         kernels.whiten(*self.unwhitened(s, D), self._L, self._pivot, self._sizes, e, H)
         return e, H
 
-    def both(self, s: FloatArray, D: FloatArray) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
-        """Jacobian of all rows before whitening, as `unwhitened`, and the whitened residuals and Jacobian, as `rows`."""
-        n = int(self._sizes[:, 1].sum())
-        before, e, H = self.unwhitened(s, D), np.empty(n), np.empty((n, len(self._free)))
-        kernels.whiten(*before, self._L, self._pivot, self._sizes, e, H)
-        return before[1], (e, H)
-
     def unwhitened(self, s: FloatArray, D: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measured minus catalogue values (n_exposures, 3 most) and their Jacobian (n_exposures, 3 most, n_free)."""
         e, H = np.empty_like(self._z), np.empty((*self._z.shape, len(self._free)))

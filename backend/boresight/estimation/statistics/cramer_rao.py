@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray, IntArray
 from boresight.cameras import CameraModel
 from boresight.estimation.arcs import ArcSet
+from boresight.kernels.centroids import linearise
 
 #: Half the step of the central difference over a pixel; its error is its square times curvature, 1e-8 of D.
 HALF_STEP_PX = 0.5
@@ -81,40 +82,30 @@ def centroid_rows(
         (n_stars,) stars that the attitudes rest on; all when None. Each exposure must keep two.
     """
     s, ds_dx = camera.directions_and_jacobian(x, arcs.row_px, arcs.col_px, arcs.pitch)
-    inverse = _left_inverse(_pixel_steps(camera, x, arcs))
-    weight = 1 / arcs.sigma_px[:, None, None]
-    J = weight * (inverse @ (ds_dx[:, :, free] * scale))
-    K = weight * -(inverse @ np.stack([np.cross(axis, s) for axis in np.eye(3)], axis=-1))
-    share = np.ones(len(s)) if kept is None else kept.astype(float)
-    held = K * share[:, None, None]
-    N = np.asarray(np.linalg.inv(sums(held.transpose(0, 2, 1) @ K, arcs.star_start)), dtype=np.float64)
-    turn = N @ sums(held.transpose(0, 2, 1) @ J, arcs.star_start)
-    return CentroidRows(s, inverse, J - K @ each(turn, arcs.star_start), K, N)
+    n, n_free = arcs.n_stars, len(free)
+    inverse, J, K = np.empty((n, 2, 3)), np.empty((n, 2, n_free)), np.empty((n, 2, 3))
+    N = np.empty((arcs.n_exposures, 3, 3))
+    kept = np.ones(n, np.bool_) if kept is None else kept
+    linearise(
+        arcs.star_start,
+        s,
+        ds_dx,
+        *_half_a_pixel_on(camera, x, arcs),
+        arcs.sigma_px,
+        kept,
+        free,
+        scale,
+        inverse,
+        J,
+        K,
+        N,
+    )
+    if np.isinf(N).any():
+        raise np.linalg.LinAlgError("Expected stars that determine every attitude, received an exposure without")
+    return CentroidRows(s, inverse, J, K, N)
 
 
-def sums(values: FloatArray, start: IntArray) -> FloatArray:
-    """Sums of (n_stars, ...) over runs that all hold something, (n_runs, ...)."""
-    return np.asarray(np.add.reduceat(values, start[:-1], axis=0))
-
-
-def each(values: FloatArray, start: IntArray) -> FloatArray:
-    """Values of runs (n_runs, ...) given to each of their members, (n_stars, ...)."""
-    return np.repeat(values, np.diff(start), axis=0)
-
-
-def _pixel_steps(camera: CameraModel, x: FloatArray, arcs: ArcSet) -> FloatArray:
-    """D = ds/dp of each star, (n_stars, 3, 2), by central difference over one pixel."""
-    steps = [
-        camera.directions(x, arcs.row_px + a, arcs.col_px + b, arcs.pitch)
-        - camera.directions(x, arcs.row_px - a, arcs.col_px - b, arcs.pitch)
-        for a, b in ((HALF_STEP_PX, 0.0), (0.0, HALF_STEP_PX))
-    ]
-    return np.stack(steps, axis=-1)
-
-
-def _left_inverse(D: FloatArray) -> FloatArray:
-    """(D^T D)^-1 D^T of (n, 3, 2), written out for two columns."""
-    a, b, c = (np.sum(D[..., i] * D[..., j], axis=-1) for i, j in ((0, 0), (0, 1), (1, 1)))
-    first = c[:, None] * D[..., 0] - b[:, None] * D[..., 1]
-    second = a[:, None] * D[..., 1] - b[:, None] * D[..., 0]
-    return np.asarray(np.stack([first, second], axis=1) / (a * c - b * b)[:, None, None])
+def _half_a_pixel_on(camera: CameraModel, x: FloatArray, arcs: ArcSet) -> list[FloatArray]:
+    """Directions (n_stars, 3) on both sides of each star along the rows, and along the columns: D is their difference."""
+    steps = ((HALF_STEP_PX, 0.0), (-HALF_STEP_PX, 0.0), (0.0, HALF_STEP_PX), (0.0, -HALF_STEP_PX))
+    return [camera.directions(x, arcs.row_px + down, arcs.col_px + right, arcs.pitch) for down, right in steps]

@@ -45,7 +45,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray
-from boresight.estimation.batch import determined, normal_equations
+from boresight.estimation.batch import compute_chi2, determined, normal_equations
 from boresight.estimation.stored_arcs import Arcs
 
 #: A direction known worse than this many typical sigmas is called weak; the data then say little that was not known before.
@@ -154,7 +154,7 @@ def chi2_rise(arcs: Arcs, x: FloatArray, free: NDArray[np.int64], scale: FloatAr
         for step in (vectors[:, place] / np.sqrt(values[place]), -vectors[:, place] / np.sqrt(values[place])):
             moved = x.copy()
             moved[free] += scale * step
-            rise = normal_equations(arcs, moved, free, scale).chi2 - here.chi2 - 2 * float(here.b @ step)
+            rise = compute_chi2(arcs, moved) - here.chi2 - 2 * float(here.b @ step)
             rises.append(rise / float(step @ here.A @ step))
     rises = [min(rise, LARGEST_RISE) if np.isfinite(rise) else LARGEST_RISE for rise in rises]
     return max(rises, key=lambda rise: abs(rise - 1.0), default=None)

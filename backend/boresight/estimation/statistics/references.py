@@ -17,7 +17,7 @@ is lost; it may read a hundredth more, for R takes a pixel to be the same angle 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -28,8 +28,8 @@ from boresight.cameras import CameraModel
 from boresight.estimation import angular, singular_values
 from boresight.estimation.arcs import ArcSet, angular_sigma
 from boresight.estimation.filters.angular import AllPairs
-from boresight.estimation.filters.singular import SingularValues
-from boresight.estimation.singular_values import CHOSEN, STAR_MODELS, VALUES, Selection
+from boresight.estimation.singular_values import APART, CHOSEN, DETERMINED, STAR_MODELS, VALUES, Selection
+from boresight.kernels.references import judge_selections
 
 Rows = tuple[FloatArray, FloatArray]
 
@@ -83,48 +83,38 @@ class SeenFrames:
 
 def observability_of_models(view: View, arcs: ArcSet) -> FloatArray:
     """Smallest singular value of H' of every frame under Models 1 to 4, (n_frames, 4): W Figure 3."""
-    return np.stack([_smallest(view, arcs, Selection(model, CHOSEN.values)) for model in STAR_MODELS], axis=1)
+    return judged(view, seen(view, arcs), [Selection(model, CHOSEN.values) for model in STAR_MODELS])[0].T
 
 
 def observability_of_values(view: View, arcs: ArcSet) -> FloatArray:
     """Smallest singular value of H' of every frame with one singular value alone, (n_frames, 3): W Figure 4."""
-    return np.stack([_smallest(view, arcs, Selection(CHOSEN.model, (k,))) for k in VALUES], axis=1)
+    return judged(view, seen(view, arcs), [Selection(CHOSEN.model, (k,)) for k in VALUES])[0].T
 
 
-def _smallest(view: View, arcs: ArcSet, selection: Selection) -> FloatArray:
-    """Smallest singular value of the rows of every frame, (n_frames,); 0 where there are fewer rows than parameters."""
-    return judged(view, seen(view, arcs), selection)[0]
-
-
-def judged(view: View, runs: Sequence[SeenFrames], selection: Selection) -> tuple[FloatArray, FloatArray]:
-    """Both measures of a selection of singular values, for the price of one.
+def judged(
+    view: View, runs: Sequence[SeenFrames], selections: Sequence[Selection], unmeasured: Collection[Selection] = ()
+) -> tuple[FloatArray, FloatArray]:
+    """Both measures of selections of singular values, in one pass.
 
     Returns
     -------
     smallest
-        (n_frames,) smallest singular value of the rows of every frame; 0 where there are fewer rows than parameters.
+        (n_selections, n_frames) smallest singular value of the rows of every frame; 0 where there are fewer rows than parameters,
+        NaN of those `unmeasured`.
     information
-        H^T R^+ H of all frames, (n_free, n_free).
+        H^T R^+ H of all frames, (n_selections, n_free, n_free).
     """
-    reference = SingularValues(selection, view.free, view.scale)
-    A, smallest = np.zeros((len(view.free),) * 2), list[FloatArray]()
+    n_free = len(view.free)
+    A, smallest = np.zeros((len(selections), n_free, n_free)), list[FloatArray]()
+    models, chosen = np.array([one.model for one in selections]), np.array([one.chosen for one in selections])
+    measured = np.array([one not in unmeasured for one in selections])
     for run in runs:
-        reference.whiten(run.star_start, run.s_i, run.sigma_rad)
-        unwhitened, (_, H) = reference.both(run.s, run.D)
-        A += H.T @ H
-        smallest.append(_compute_smallest(unwhitened, run.frame_start))
-    return np.concatenate(smallest), A
-
-
-def _compute_smallest(H: FloatArray, frame_start: IntArray) -> FloatArray:
-    """Smallest singular values (n_frames,) of the rows (n_exposures, n_rows, n_free) of each frame."""
-    smallest, counts, n_free = np.zeros(len(frame_start) - 1), np.diff(frame_start), H.shape[2]
-    for count in np.unique(counts):
-        of = np.flatnonzero(counts == count)
-        rows = H[frame_start[of][:, None] + np.arange(count)].reshape(len(of), -1, n_free)
-        full = np.any(rows, axis=2).sum(axis=1) >= n_free  # rows that are not measured are zero, and add nothing
-        smallest[of[full]] = np.linalg.svd(rows[full], compute_uv=False)[:, -1]
-    return smallest
+        smallest.append(np.empty((len(selections), len(run.frame_start) - 1)))
+        judge_selections(
+            run.frame_start, run.star_start, run.s_i, run.sigma_rad, run.s, run.D, view.free, view.scale,
+            models, chosen, measured, APART, DETERMINED, smallest[-1], A,
+        )  # fmt: skip
+    return np.concatenate(smallest, axis=1), A
 
 
 def seen(view: View, arcs: ArcSet) -> list[SeenFrames]:
@@ -162,7 +152,7 @@ def relative(A: FloatArray, bound: FloatArray) -> FloatArray:
 def whitened_information(view: View, arcs: ArcSet, selection: Selection | None) -> FloatArray:
     """H^T R^+ H of a whitened set (n_free, n_free): of singular values, or of all pairs for None."""
     runs = seen(view, arcs)
-    return information_of_pairs(view, runs) if selection is None else judged(view, runs, selection)[1]
+    return information_of_pairs(view, runs) if selection is None else judged(view, runs, [selection], [selection])[1][0]
 
 
 def information_of_pairs(view: View, runs: Sequence[SeenFrames]) -> FloatArray:

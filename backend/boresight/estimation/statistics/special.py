@@ -112,6 +112,12 @@ def stdtrit(dof: float, p: float) -> float:
 
 
 @_like_scipy
+def fdtrc(first: float, second: float, x: float) -> float:
+    """Chance that a value of the F distribution exceeds x."""
+    return _beta(second / 2, first / 2, second / (second + first * x)) if x > 0 else 1.0
+
+
+@_like_scipy
 def fdtri(first: float, second: float, p: float) -> float:
     """Quantile of the F distribution."""
     a, b = first / 2, second / 2

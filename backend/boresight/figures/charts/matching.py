@@ -23,7 +23,7 @@ PANELS: dict[str, Callable[[Cycle], float | None]] = {
     "RMS arc (µrad)": lambda cycle: None if cycle.rms_arc_rad is None else 1e6 * cycle.rms_arc_rad,
 }
 LEAST_CYCLES = 3  # the axis has room for so many, that one alone is no wall
-GIVEN = "This run used the matches it was given: nothing was matched again."
+GIVEN = "This run used the matches it was given, less the stars that were removed: nothing was matched again."
 NOT_YET = "Matching is reported when the run ends; it is not there yet."
 NO_CYCLES = "This run matched its stars without cycles."
 

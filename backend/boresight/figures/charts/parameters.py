@@ -18,6 +18,7 @@ from boresight.verdicts.history import free_names
 from boresight.verdicts.numbers import quantity
 
 SIGNIFICANT = 3.0
+WIDER = 1.05  # a bar of noise alone is drawn inside that with misfit where it is shorter by more
 FLOOR = 0.1  # the log axis starts here: a smaller change cannot be seen in the noise at all
 
 
@@ -29,6 +30,8 @@ def draw(drawn: Sequence[Part[Calibration]]) -> go.Figure:
         shown = [name for name in names if name in free_names(result)]
         figure.add_trace(_bars(result, shown, style, labelled=len(drawn) == 1), row=1, col=1)
         figure.add_trace(_points(result, shown, style), row=1, col=2)
+        if result.misfit is not None and any((one or 1.0) > WIDER for one in result.misfit.factor.values()):
+            figure.add_trace(_noise(result, shown, style), row=1, col=2)
     _dress(figure, drawn, len(names))
     return figure
 
@@ -53,7 +56,7 @@ def _labels(result: Calibration, names: Sequence[str]) -> list[str]:
 
 
 def _bars(result: Calibration, names: Sequence[str], style: theme.RunStyle, *, labelled: bool) -> go.Bar:
-    worth = _ratio(_change(result, names), _column(result.sigma, names))
+    worth = _ratio(_change(result, names), _column(result.reliable_sigma, names))
     return go.Bar(
         y=_labels(result, names),
         x=theme.short(np.maximum(np.abs(worth), FLOOR)),
@@ -76,7 +79,7 @@ def _bars(result: Calibration, names: Sequence[str], style: theme.RunStyle, *, l
 def _points(result: Calibration, names: Sequence[str], style: theme.RunStyle) -> go.Scatter:
     typical = _column(result.typical_sigma, names)
     change = _ratio(_change(result, names), typical)
-    reach = _ratio(3 * _column(result.sigma, names), typical)
+    reach = _ratio(3 * _column(result.reliable_sigma, names), typical)
     return go.Scatter(
         y=_labels(result, names),
         x=theme.short(change),
@@ -90,6 +93,24 @@ def _points(result: Calibration, names: Sequence[str], style: theme.RunStyle) ->
         error_x=theme.error_bars(theme.short(reach), style.colour),
         customdata=theme.short(reach),
         hovertemplate=f"%{{y}}: %{{x:+.4g}} ±%{{customdata:.3g}} typical σ (3σ)<extra>{style.label}</extra>",
+    )
+
+
+def _noise(result: Calibration, names: Sequence[str], style: theme.RunStyle) -> go.Scatter:
+    """Three sigma of noise alone, as a thick bar inside that with misfit."""
+    typical = _column(result.typical_sigma, names)
+    reach = _ratio(3 * _column(result.sigma, names), typical)
+    return go.Scatter(
+        y=_labels(result, names),
+        x=theme.short(_ratio(_change(result, names), typical)),
+        mode="markers",
+        orientation="h",
+        offsetgroup=style.label,
+        legendgroup=style.label,
+        showlegend=False,
+        hoverinfo="skip",
+        marker={"color": style.colour, "size": 1},
+        error_x=theme.error_bars(theme.short(reach), style.colour) | {"thickness": 4, "width": 0},
     )
 
 
@@ -107,7 +128,7 @@ def _dress(figure: go.Figure, drawn: Sequence[Part[Calibration]], n_names: int) 
 
 def _largest(result: Calibration) -> float:
     names = free_names(result)
-    worth = np.abs(_ratio(_change(result, names), _column(result.sigma, names)))
+    worth = np.abs(_ratio(_change(result, names), _column(result.reliable_sigma, names)))
     return float(np.max(worth[np.isfinite(worth)], initial=SIGNIFICANT))
 
 
@@ -116,21 +137,22 @@ def _headline(drawn: Sequence[Part[Calibration]]) -> str:
         return f"Change since the initial parameters, {len(drawn)} runs"
     result = drawn[0][2]
     names = free_names(result)
-    worth = np.abs(_ratio(_change(result, names), _column(result.sigma, names)))
+    worth = np.abs(_ratio(_change(result, names), _column(result.reliable_sigma, names)))
     moved = int(np.sum(worth >= SIGNIFICANT))
     return f"{moved} of {len(names)} parameters moved by more than 3σ"
 
 
 def table(result: Calibration) -> Table:
-    """List every parameter in SI: initial, final, change, sigma and the two ratios."""
+    """List every parameter in SI: initial, final, change, sigma of noise alone and with misfit, and the two ratios."""
     names = tuple(result.parameters)
-    change, sigma = _change(result, names), _column(result.sigma, names)
+    change, sigma = _change(result, names), _column(result.reliable_sigma, names)
     return {
         "parameter": list(names),
         "initial": theme.plain(_column(result.initial, names)),
         "final": theme.plain(_column(result.parameters, names)),
         "delta": theme.plain(change),
-        "sigma": theme.plain(sigma),
+        "sigma": theme.plain(_column(result.sigma, names)),
+        "sigma_with_misfit": theme.plain(sigma),
         "delta_over_sigma": theme.plain(_ratio(change, sigma)),
         "delta_in_typical_sigma": theme.plain(_ratio(change, _column(result.typical_sigma, names))),
     }
@@ -144,9 +166,9 @@ PARAMETERS = make_figure(
     name="parameters",
     title="Parameter changes",
     guide=(
-        "On the left is each change in units of its own sigma, on a log axis: beyond the dotted line at three it "
+        "On the left is each change in units of its own sigma (with misfit), on a log axis: beyond the dotted line at three it "
         "is more than noise, and paler bars are not. On the right is the same change in typical sigmas, the "
-        "spread from unit to unit, with a ±3σ bar: a wide bar means that the data say little, a far point that "
-        "the sensor or the matches deserve a look."
+        "spread from unit to unit, with a ±3σ bar, its thick part from noise alone: a wide bar means that the data say "
+        "little, a far point that the sensor or the matches deserve a look."
     ),
 )

@@ -1,8 +1,10 @@
-"""The residual against what might explain it: radius, magnitude, temperature, time.
+"""The residual against what might explain it: radius, magnitude, temperature, time, colour, row, column, pixel phase.
 
-In each bin the mean of the radial residual (outward is positive) with twice its sigma, and the RMS. A mean that leaves
-zero with radius is distortion, with magnitude charge or a bloomed core, with temperature a focal length that breathes,
-with time ageing.
+In each bin the mean of the radial residual (outward is positive) with twice its sigma, and the RMS; against row, column and the
+phases within a pixel it is the residual along that axis. A mean that leaves zero with radius is distortion, with magnitude charge
+or a bloomed core, with temperature a focal length that breathes, with time ageing, with colour a lens that refracts blue and red
+unlike, with row or column a readout line after line, with the phase centroids drawn to pixel centres. An RMS that grows with
+magnitude is noise that does.
 """
 
 from __future__ import annotations
@@ -21,18 +23,24 @@ from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 
 PART = "residual_against"
-UNITS = {"radius": "px", "magnitude": "mag", "temperature": "°C", "time": "h"}
-REASON_LETTERS = 30  # a line of a reason inside its panel
+UNITS = {
+    "radius": "px", "magnitude": "mag", "temperature": "°C", "time": "h", "colour": "mag", "row": "px", "column": "px",
+    "row_phase": "px", "column_phase": "px",
+}  # fmt: skip
+#: What an axis is called where that is not the cause's own name.
+TITLES = {"colour": "B-V", "row_phase": "row phase", "column_phase": "column phase"}
+COLUMNS = 3
+REASON_LETTERS = 24  # a line of a reason inside its panel
 REACH_SIGMA = 1.96
 
 
 def draw(drawn: Sequence[Part[ResidualAgainst]]) -> go.Figure:
-    """Draw four panels; one without data says why."""
-    figure = make_subplots(2, 2, horizontal_spacing=0.1, vertical_spacing=0.2)
+    """Draw a panel a cause; one without data says why."""
+    figure = make_subplots(-(-len(UNITS) // COLUMNS), COLUMNS, horizontal_spacing=0.08, vertical_spacing=0.13)
     for i, cause in enumerate(UNITS):
-        _panel(figure, drawn, cause, {"row": i // 2 + 1, "col": i % 2 + 1})
-    many, title = len(drawn) > 1, "Mean radial residual, 95 % bars; dotted: RMS"
-    theme.dress(figure, title=title, height_px=520, legend=many, hovermode="closest")
+        _panel(figure, drawn, cause, {"row": i // COLUMNS + 1, "col": i % COLUMNS + 1})
+    many, title = len(drawn) > 1, "Mean residual, 95 % bars; dotted: RMS"
+    theme.dress(figure, title=title, height_px=760, legend=many, hovermode="closest")
     _name_once(figure)
     return figure
 
@@ -44,7 +52,7 @@ def _panel(figure: go.Figure, drawn: Sequence[Part[ResidualAgainst]], cause: str
         figure.add_trace(_means(style, bins), **where)
         figure.add_trace(_spread(style, bins), **where)
     unit = known[0][1].unit if known else UNITS[cause]
-    figure.update_xaxes(title_text=f"{cause} ({unit})", **where)
+    figure.update_xaxes(title_text=f"{TITLES.get(cause, cause)} ({unit})", **where)
     figure.update_yaxes(title_text="residual (px)" if where["col"] == 1 else None, **where)
     if not known:
         _say(figure, _why(drawn[0][0].result, cause), where)
@@ -58,7 +66,7 @@ def _why(result: Calibration, cause: str) -> str:
 def _say(figure: go.Figure, sentence: str, where: dict[str, int]) -> None:
     """Write a sentence into an empty panel, folded to its width."""
     words = "<br>".join(folded(theme.escape(sentence), REASON_LETTERS))
-    number = 2 * (where["row"] - 1) + where["col"]
+    number = COLUMNS * (where["row"] - 1) + where["col"]
     figure.add_trace(
         go.Scatter(x=[None], y=[None], showlegend=False, hoverinfo="skip"), **where
     )  # makes the axes stand
@@ -103,7 +111,7 @@ def _spread(style: theme.RunStyle, bins: ResidualDependence) -> go.Scatter:
 
 
 def _name_once(figure: go.Figure) -> None:
-    """Name every run once in the legend, though it is drawn in four panels."""
+    """Name every run once in the legend, though it is drawn in many panels."""
     seen: set[str] = set()
     for trace in figure.data:
         trace.showlegend = trace.name is not None and trace.name not in seen
@@ -134,8 +142,8 @@ RESIDUAL_AGAINST = part_figure(
     name="residual-against",
     title="Residual against causes",
     guide=(
-        "Each panel bins the radial residual (outward positive) by one possible cause: the mean with its 95 % bar, and "
-        "its RMS dotted. Means that stay within their bars of zero are good; a slope names what the model or the "
-        "centroiding has left out."
+        "Each panel bins the residual, radial (outward positive) or along the axis for row, column and pixel phase, by one "
+        "possible cause: the mean with its 95 % bar, and its RMS dotted. Means that stay within "
+        "their bars of zero are good; a slope names what the model or the centroiding has left out."
     ),
 )

@@ -16,12 +16,12 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Histogram, ResidualDistribution
+from boresight.estimation.statistics.consistency import CLEAR_SIGMAS
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
 from boresight.verdicts.numbers import percent
 
-CLEAR_SIGMA = 3.0
 NORMAL = np.linspace(-6, 6, 121)
 
 
@@ -85,7 +85,7 @@ def _quantiles(one: Part[ResidualDistribution]) -> list[go.Scatter]:
     """Draw a run's quantiles less the deviates, with the band of chance about zero."""
     _, style, part = one
     normal, off = column(part.normal), column(part.quantile) - column(part.normal)
-    reach = CLEAR_SIGMA * column(part.sigma_of_quantile)
+    reach = CLEAR_SIGMAS * column(part.sigma_of_quantile)
     hover = f"%{{y:+.3f}} σ at %{{x}}<extra>{style.label}</extra>"
     return [
         theme.band(style, normal, -reach, reach),

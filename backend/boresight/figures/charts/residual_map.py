@@ -26,6 +26,7 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import FieldOfResiduals, ResidualField, Residuals
+from boresight.estimation.statistics.consistency import CLEAR_SIGMAS
 from boresight.figures.chart import Table
 from boresight.figures.factory import Part, column, part_figure
 from boresight.figures.style import theme
@@ -35,7 +36,6 @@ from boresight.verdicts.numbers import number
 COLUMNS = ("row_px", "col_px", "d_row_px", "d_col_px")
 CELLS = 10  # along the longer side
 LEAST_STARS = 4  # in a cell, for a mean with a sigma
-CLEAR_SIGMA = 3.0
 ARROW_SHARE = 0.03  # of the detector's width: the length of the typical arrow
 
 
@@ -83,7 +83,7 @@ def _stars(part: Residuals) -> ArrowField:
 def cell_means(stars: ArrowField) -> ArrowField:
     """Average the arrows of each cell of a square grid that has LEAST_STARS of them.
 
-    A mean is clear when either component is more than CLEAR_SIGMA of its own sigmas from zero.
+    A mean is clear when either component is more than CLEAR_SIGMAS of its own sigmas from zero.
     """
     size = max(np.ptp(stars.row), np.ptp(stars.col)) / CELLS or 1.0
     place = np.stack([stars.row - stars.row.min(), stars.col - stars.col.min()]) // size
@@ -93,7 +93,7 @@ def cell_means(stars: ArrowField) -> ArrowField:
         if (n := int(inside.sum())) >= LEAST_STARS:
             values = np.stack([stars.row, stars.col, stars.d_row, stars.d_col])[:, inside]
             mean, sigma = values.mean(axis=1), values[2:].std(axis=1, ddof=1) / np.sqrt(n)
-            found.append([*mean, float(np.any(np.abs(mean[2:]) > CLEAR_SIGMA * sigma))])
+            found.append([*mean, float(np.any(np.abs(mean[2:]) > CLEAR_SIGMAS * sigma))])
     row, col, d_row, d_col, clear = np.array(found, dtype=np.float64).reshape(-1, 5).T
     return ArrowField(row, col, d_row, d_col, clear > 0)
 
@@ -239,8 +239,8 @@ class MeanCells:
     @property
     def clear(self) -> NDArray[np.bool_]:
         """Which means stand out of their noise on either axis."""
-        out = np.abs(self.d_row) > CLEAR_SIGMA * self.s_row
-        return np.asarray(out | (np.abs(self.d_col) > CLEAR_SIGMA * self.s_col))
+        out = np.abs(self.d_row) > CLEAR_SIGMAS * self.s_row
+        return np.asarray(out | (np.abs(self.d_col) > CLEAR_SIGMAS * self.s_col))
 
 
 def list_sides(part: ResidualField) -> dict[str, FieldOfResiduals]:
@@ -291,8 +291,8 @@ def _side(figure: go.Figure, part: ResidualField, cells: MeanCells, place: int, 
     columns, rows = column(part.col_edges_px), column(part.row_edges_px)
     scale, where = choose_scale(cells, float(np.diff(columns).mean())), {"row": 1, "col": place}
     gap = np.full(len(cells.row), np.nan)
-    circle_x = cells.col[:, None] + CLEAR_SIGMA * scale * cells.s_col[:, None] * CIRCLE.real
-    circle_y = cells.row[:, None] + CLEAR_SIGMA * scale * cells.s_row[:, None] * CIRCLE.imag
+    circle_x = cells.col[:, None] + CLEAR_SIGMAS * scale * cells.s_col[:, None] * CIRCLE.real
+    circle_y = cells.row[:, None] + CLEAR_SIGMAS * scale * cells.s_row[:, None] * CIRCLE.imag
     x = np.stack([cells.col, cells.col + scale * cells.d_col, gap], axis=1)
     y = np.stack([cells.row, cells.row + scale * cells.d_row, gap], axis=1)
     quiet = {"mode": "lines", "hoverinfo": "skip", "name": label}

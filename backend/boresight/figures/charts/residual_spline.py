@@ -14,6 +14,7 @@ from plotly.subplots import make_subplots
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import ResidualSpline
+from boresight.estimation.statistics.consistency import CLEAR_SIGMAS
 from boresight.figures.chart import Table
 from boresight.figures.charts.residual_map import others
 from boresight.figures.factory import Part, column, part_figure
@@ -21,7 +22,6 @@ from boresight.figures.style import theme
 from boresight.figures.style.axes import frame_maps
 from boresight.verdicts.numbers import number
 
-CLEAR_SIGMA = 3.0
 SIDES = {"row": "of rows", "col": "of columns"}
 COLUMNS = ("row_px", "col_px", "d_row_px", "sigma_row_px", "d_col_px", "sigma_col_px")
 
@@ -52,7 +52,7 @@ def _displacement(part: ResidualSpline, side: str) -> tuple[FloatArray, FloatArr
 
 def _reach(part: ResidualSpline, side: str) -> float:
     d, sigma = _displacement(part, side)
-    return float(max(np.abs(d).max(), CLEAR_SIGMA * np.median(sigma)))
+    return float(max(np.abs(d).max(), CLEAR_SIGMAS * np.median(sigma)))
 
 
 def _field(part: ResidualSpline, side: str, reach: float, label: str, *, last: bool) -> go.Heatmap:
@@ -72,9 +72,9 @@ def _field(part: ResidualSpline, side: str, reach: float, label: str, *, last: b
 
 
 def find_clear(part: ResidualSpline, side: str) -> tuple[FloatArray, FloatArray]:
-    """Rows and columns of the places that are more than `CLEAR_SIGMA` sigmas from nought, none where the test finds nothing."""
+    """Rows and columns of the places that are more than `CLEAR_SIGMAS` sigmas from nought, none where the test finds nothing."""
     d, sigma = _displacement(part, side)
-    row, col = np.nonzero((np.abs(d) > CLEAR_SIGMA * sigma) & part.structure)
+    row, col = np.nonzero((np.abs(d) > CLEAR_SIGMAS * sigma) & part.structure)
     return column(part.row_px)[row], column(part.col_px)[col]
 
 

@@ -17,7 +17,7 @@ from boresight.arrays import FloatArray
 from boresight.cameras.inverted_wang import INVERTED_WANG
 from boresight.estimation.statistics.uncertainty import radial_difference
 from boresight.figures.style import theme
-from boresight.papers.documents import Conclusion, Drawing, drawing, styled_curves
+from boresight.papers.documents import Conclusion, Drawing, drawing, padded, styled_curves
 from boresight.papers.enright.estimators import ESTIMATORS
 from boresight.papers.enright.pooled import Pooled, Record
 from boresight.papers.enright.tables import TOLERANCE, TUNING
@@ -169,11 +169,7 @@ def draw_convergence(drawing: Mapping[str, Any]) -> go.Figure:
         _add_bounded(figure, style, x, y, reach, "µm")
         settled = slice(int(TRANSIENT_SHARE * len(x)), None)
         seen += [*(y - reach)[settled], *(y + reach)[settled]]
-    theme.dress(figure, title=f"Figure {drawing['number']}: Δf against the batch, ±3σ", height_px=360)
-    margin = 0.05 * (max(seen) - min(seen)) or 1.0
-    figure.update_yaxes(title_text="Δf (µm)", range=[min(seen) - margin, max(seen) + margin], zeroline=True)
-    figure.update_xaxes(title_text="frame")
-    return figure
+    return _dressed(figure, drawing, "Δf against the batch, ±3σ", "Δf (µm)", range=padded(seen), zeroline=True)
 
 
 def draw_radial(drawing: Mapping[str, Any]) -> go.Figure:
@@ -181,10 +177,14 @@ def draw_radial(drawing: Mapping[str, Any]) -> go.Figure:
     figure = go.Figure()
     for style, x, y, reach in styled_curves(drawing, "radius_px", "difference_px", "three_sigma_px"):
         _add_bounded(figure, style, x, y, reach, "px")
-    theme.dress(figure, title=f"Figure {drawing['number']}: radial difference from the batch, ±3σ", height_px=360)
-    figure.update_yaxes(title_text="sequential − batch (px)", zeroline=True)
-    figure.update_xaxes(title_text="radius from the principal point (px)")
-    return figure
+    _dressed(figure, drawing, "radial difference from the batch, ±3σ", "sequential − batch (px)", zeroline=True)
+    return figure.update_xaxes(title_text="radius from the principal point (px)")
+
+
+def _dressed(figure: go.Figure, drawing: Mapping[str, Any], title: str, y_title: str, **axis: Any) -> go.Figure:
+    """Give a figure over frames its titles."""
+    theme.dress(figure, title=f"Figure {drawing['number']}: {title}", height_px=360)
+    return figure.update_yaxes(title_text=y_title, **axis).update_xaxes(title_text="frame")
 
 
 def _add_bounded(
@@ -204,8 +204,4 @@ def draw_rms(drawing: Mapping[str, Any]) -> go.Figure:
             look = theme.RunStyle(name, style.colour, dash)
             figure.add_trace(theme.line(look, x, y, hovertemplate=f"%{{y:.2f}} µrad<extra>{name}</extra>"))
             seen += [float(value) for value in y[int(RMS_TRANSIENT_SHARE * len(y)) :] if np.isfinite(value)]
-    theme.dress(figure, title=f"Figure {drawing['number']}: tail and aggregate RMS", height_px=360)
-    margin = 0.05 * (max(seen, default=1.0) - min(seen, default=0.0)) or 1.0
-    figure.update_yaxes(title_text="RMS arc error (µrad)", range=[min(seen) - margin, max(seen) + margin])
-    figure.update_xaxes(title_text="frame")
-    return figure
+    return _dressed(figure, drawing, "tail and aggregate RMS", "RMS arc error (µrad)", range=padded(seen or [0.0, 1.0]))

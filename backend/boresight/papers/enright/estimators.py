@@ -117,17 +117,8 @@ TOLERANCE_FACTORS = (1.0, 1.2, 1.5, 2.0, 3.0)
 STEP_SIGMA = 1e-2
 #: Parts of a calibration that a record keeps as they are.
 KEPT = (
-    "status",
-    "parameters",
-    "sigma",
-    "covariance",
-    "chi2_per_dof",
-    "nis",
-    "rms_arc_rad",
-    "iterations",
-    "frames",
-    "stars",
-)
+    "status", "parameters", "sigma", "covariance", "chi2_per_dof", "nis", "rms_arc_rad", "iterations", "frames", "stars",
+)  # fmt: skip
 #: Parts of the first set's calibration that only the figures need.
 DRAWN = ("history", "observability", "matching")
 
@@ -143,7 +134,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class _Data:
+class TrialData:
     """A trial's sets and what is known about them: the problem with every star named, and its information F."""
 
     sensor: Sensor
@@ -157,7 +148,7 @@ class _Data:
 
 def run_trial(trial: Trial, catalogue_folder: Path | None) -> list[Record]:
     """Run every estimator on one set; returns a record each, in the registry's order."""
-    data = _data(trial, _catalogue(catalogue_folder))
+    data = draw_trial(trial, catalogue_folder)
     records: list[Record] = []
     for estimator in estimators_for(trial.sensor, further=trial.index > 0):
         start = data.sensor.initial
@@ -173,12 +164,14 @@ def _catalogue(folder: Path | None) -> Catalogue:
     return load_catalogue(folder)
 
 
-def _data(trial: Trial, catalogue: Catalogue) -> _Data:
+def draw_trial(trial: Trial, catalogue_folder: Path | None) -> TrialData:
+    """Simulate the sets of a trial."""
+    catalogue = _catalogue(catalogue_folder)
     scenario = calibration_scenario(trial.sensor, trial.frames)
     validation = validation_scenario(trial.sensor, trial.validation_frames)
     named = _simulated(replace(scenario, blanked_share=0.0), trial, catalogue)
     known = build_problem(named, scenario.sensor, catalogue)
-    return _Data(
+    return TrialData(
         sensor=scenario.sensor,
         truth=scenario.truth,
         calibration=_simulated(scenario, trial, catalogue),
@@ -207,7 +200,7 @@ def _simulated(scenario: Scenario, trial: Trial, catalogue: Catalogue) -> Teleme
     return simulate(scenario, np.random.default_rng(scenario.seed + SEED_STEP * trial.index), catalogue)
 
 
-def _record(trial: Trial, data: _Data, estimator: Estimator, start: FloatArray) -> Record:
+def _record(trial: Trial, data: TrialData, estimator: Estimator, start: FloatArray) -> Record:
     """Calibrate, and hold the result against truth, bound and validation set."""
     sensor = replace(data.sensor, initial=start)
     began = time.perf_counter()
@@ -244,7 +237,7 @@ def _state(sensor: Sensor, parameters: Mapping[str, float]) -> FloatArray:
     return np.array([parameters[name] for name in CAMERA_MODELS[sensor.camera_model].parameter_names])
 
 
-def _against_truth(data: _Data, found: Record, x: FloatArray, estimator: Estimator) -> Record:
+def _against_truth(data: TrialData, found: Record, x: FloatArray, estimator: Estimator) -> Record:
     """Hold the error of a converged estimate against its claimed covariance (NEES), and per degree of freedom against the bound."""
     names, scale = CAMERA_MODELS[data.sensor.camera_model].parameter_names, data.sensor.typical_sigma
     error = (x - data.truth) / scale
@@ -259,7 +252,7 @@ def _against_truth(data: _Data, found: Record, x: FloatArray, estimator: Estimat
     }
 
 
-def _evaluation(trial: Trial, data: _Data, telemetry: Telemetry, found: Record) -> Record:
+def _evaluation(trial: Trial, data: TrialData, telemetry: Telemetry, found: Record) -> Record:
     """Compare ground and estimate on a set, matched anew with each and accepted by the rule of the flight software."""
     settings = ESTIMATORS["batch"].settings
     P_ground = ground_covariance(data.sensor, settings.initial_sigma_scale)
@@ -271,7 +264,7 @@ def _evaluation(trial: Trial, data: _Data, telemetry: Telemetry, found: Record) 
     return document
 
 
-def _at_tolerance(data: _Data, found: Record, factor: float) -> Record:
+def _at_tolerance(data: TrialData, found: Record, factor: float) -> Record:
     """Availability and matched stars of the calibration set with another tolerance of the flight software."""
     settings, x = ESTIMATORS["batch"].settings, _state(data.sensor, found["parameters"])
     settings = replace(settings, flight_tolerance_urad=factor * compute_flight_tolerance(data.sensor, settings) * 1e6)

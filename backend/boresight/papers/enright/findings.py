@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from boresight.papers.documents import Finding, finding
 from boresight.papers.enright import printed
 from boresight.papers.enright.estimators import ESTIMATORS, SPARSE_EVERY
-from boresight.papers.enright.pooled import Pooled, Record, mean
+from boresight.papers.enright.pooled import Pooled, Record, compute_unscaled_condition, mean
 from boresight.papers.enright.tables import NAMES, URAD_PER_RAD, reduced_excess, shift_in_sigmas
 from boresight.simulation.sensors import ST16_PIXEL_PITCH_M, TYPICAL_SIGMA
 
@@ -247,7 +247,7 @@ def _condition(pooled: Pooled) -> Finding:
     plain = [record["plain_condition_number"] for record in records]
     inside = sum(low <= number <= high for number in plain)
     whitened = by_sensor(records, [record["condition_number"] for record in records])
-    unscaled = np.log10([_unscaled_condition(record["observability"]) for record in records])
+    unscaled = np.log10([compute_unscaled_condition(record["observability"]) for record in records])
     return finding(
         "Condition numbers",
         f"II-C: scaling brings the condition number from about 10¹⁴ to around {low:.0f} to {high:.0f}.",
@@ -255,13 +255,6 @@ def _condition(pooled: Pooled) -> Finding:
         f"Of the Jacobian whitened by R, whose inverse square is the covariance: {whitened}.",
         f"Without scaling 10^{unscaled.min():.1f} to 10^{unscaled.max():.1f}, b₄ in m⁻⁴ and b₂ in m⁻² (erratum to Table II).",
     )
-
-
-def _unscaled_condition(observed: Record) -> float:
-    """Condition number of the Jacobian in SI units, from its scaled singular values and vectors."""
-    values, vectors = np.array(observed["singular_values"]), np.array(observed["right_singular_vectors"])
-    singular = np.linalg.svd(values[:, None] * vectors / TYPICAL_SIGMA, compute_uv=False)
-    return float(singular[0] / singular[-1])
 
 
 def _initial_error(pooled: Pooled) -> Finding:

@@ -17,6 +17,7 @@ from scipy.special import chdtri
 
 from boresight.estimation.statistics.consistency import CONFIDENCE, chi_square
 from boresight.papers.enright.estimators import ESTIMATORS
+from boresight.simulation.sensors import TYPICAL_SIGMA
 
 Record = dict[str, Any]
 
@@ -99,3 +100,10 @@ def _ratio(totals: Sequence[float]) -> dict[str, float]:
 def mean(records: Sequence[Record], value: Callable[[Record], float]) -> float:
     """Average a number over records."""
     return float(np.mean([value(record) for record in records]))
+
+
+def compute_unscaled_condition(observed: Record) -> float:
+    """Condition number of the Jacobian in SI units, from its scaled singular values and vectors."""
+    values, vectors = np.array(observed["singular_values"]), np.array(observed["right_singular_vectors"])
+    singular = np.linalg.svd(values[:, None] * vectors / TYPICAL_SIGMA, compute_uv=False)
+    return float(singular[0] / singular[-1])

@@ -85,7 +85,12 @@ TABLE_VII_UNITS = {"f_m": (1e-3, "mm"), "b4_per_m4": (1e8, "10⁸ m⁻⁴"), "b2
 
 #: What the text says of the condition number of the scaled Jacobian (II-C), and of the reduced model's excess (III-B).
 CONDITION_NUMBERS = (120.0, 150.0)
+UNSCALED_CONDITION = 1e14
 REDUCED_EXCESS = (0.05, 0.13)
+#: By how much errors fall, per cent: abstract, III-A (“most are better than”), and IV (“typically”).
+FALLS, MOST_FALL, TYPICAL_FALLS = (20.0, 80.0), 70.0, (30.0, 70.0)
+#: Cycles of fitting and matching after which little changes (II-C).
+CYCLES = (2.0, 3.0)
 
 
 def reduced_excess() -> dict[str, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,30 +14,30 @@ import plotly.graph_objects as go
 from boresight.errors import RefusedInputError
 from boresight.papers.documents import (
     SCHEMA,
-    csv_bytes,  # fmt: skip
+    Finding,
     described,
-    figure_lines,  # fmt: skip
-    json_bytes,  # fmt: skip
-    number,  # fmt: skip
-    rendered,  # fmt: skip
+    head,
+    number,
+    rendered,
     table_document,
-    table_lines,  # fmt: skip
-    verdict_counts,
-    write_files,  # fmt: skip
+    write_study,
 )
 from boresight.papers.enright.drawings import draw_convergence, draw_radial, draw_rms, drawings
 from boresight.papers.enright.estimators import DRAWN, ESTIMATORS, SPARSE_EVERY, Record, Trial, run_trial
 from boresight.papers.enright.findings import findings, questions
+from boresight.papers.enright.grid import FEW, SENSOR, SETTINGS, GridTrial, grids, run_grid, split
 from boresight.papers.enright.pooled import Pooled
 from boresight.papers.enright.printed import TABLE_I, TABLE_II
 from boresight.papers.enright.tables import tables
-from boresight.papers.processes import run_all
+from boresight.papers.processes import Report, keep_silent, run_all
 from boresight.simulation.sensors import SENSOR_NUMBERS
 
 PAPER = "Enright, Jovanovic, Vaz, “Autonomous Recalibration of Star Trackers”, IEEE Sensors Journal, 2018"
 
 
-def document(plan: dict[str, Any], records: Sequence[Record]) -> dict[str, Any]:
+def document(
+    plan: dict[str, Any], records: Sequence[Record], varied: Sequence[Finding] = (), grid_s: float = 0.0
+) -> dict[str, Any]:
     """Write a study as JSON values."""
     pooled = Pooled(records)
     made, drawn = [table_document(table) for table in tables(pooled)], drawings(pooled)
@@ -45,15 +46,16 @@ def document(plan: dict[str, Any], records: Sequence[Record]) -> dict[str, Any]:
         "paper": PAPER,
         "plan": plan,
         "flight_tolerance_rad": next(record["validation"]["flight_tolerance_rad"] for record in records),
-        "verdicts": verdict_counts(made, drawn),
+        **head(made, drawn),
         "tables": made,
         "figures": drawn,
         "estimators": pooled.statistics(),
+        "grids": grids(pooled, varied),
         "findings": findings(pooled),
         "questions": questions(pooled),
         "settings": {key: estimator.settings.document() for key, estimator in ESTIMATORS.items()},
         "records": [_kept(record) for record in records],
-        "timing": _timing(pooled),
+        "timing": _timing(pooled) | {"grid_s": grid_s},
     }
 
 
@@ -64,18 +66,15 @@ def _kept(record: Record) -> Record:
 
 def _timing(pooled: Pooled) -> dict[str, Any]:
     """Milliseconds a frame of each estimator, matching included: the median over sets, by the clock of this run."""
-    return {
-        "ms_per_frame": {
-            key: float(
-                np.median([1e3 * record["timing_s"]["calibration"] / max(record["frames"], 1) for record in found])
-            )
-            for key in ESTIMATORS
-            if (found := pooled.of(key))
-        }
+    spent = {
+        key: [1e3 * record["timing_s"]["calibration"] / max(record["frames"], 1) for record in pooled.of(key)]
+        for key in ESTIMATORS
     }
+    return {"ms_per_frame": {key: float(np.median(times)) for key, times in spent.items() if times}}
 
 
-Report = Callable[[str, float], None]
+#: Share of a study's time that its sets take.
+SETS_SHARE = 0.9
 
 
 @dataclass(frozen=True)
@@ -103,17 +102,31 @@ class Plan:
             for sensor in self.sensors
         ]
 
+    def grid_trials(self) -> list[GridTrial]:
+        """List the settings of the filters where their sensor is run, in a quick study a part of them."""
+        trial = Trial(SENSOR, 0, self.frames, self.validation_frames)
+        return split(trial, FEW if self.quick else SETTINGS) if SENSOR in self.sensors else []
 
-def run(plan: Plan, catalogue_folder: Path | None, report: Report | None = None) -> dict[str, Any]:
+
+def run(plan: Plan, catalogue_folder: Path | None, say: Report = keep_silent) -> dict[str, Any]:
     """Run the study; returns its document, schema `boresight.reproduction/1`."""
     plan.check()
-    trials, records = plan.trials(), dict[Trial, list[Record]]()
-    for trial, found in run_all(run_trial, trials, catalogue_folder, plan.processes):
-        records[trial] = found
-        if report is not None:
-            report(f"sensor {trial.sensor}, set {trial.index + 1} of {plan.sets}", len(records) / len(trials))
-    ordered = [record for trial in trials for record in records[trial]]
-    return document(described(plan), ordered)
+    found = run_all(
+        run_trial,
+        plan.trials(),
+        catalogue_folder,
+        plan.processes,
+        lambda trial, share: say(f"sensor {trial.sensor}, set {trial.index + 1} of {plan.sets}", SETS_SHARE * share),
+    )
+    varied = run_all(
+        run_grid,
+        plan.grid_trials(),
+        catalogue_folder,
+        plan.processes,
+        lambda _, share: say("settings of the filters", SETS_SHARE + (1 - SETS_SHARE) * share),
+    )
+    settings, seconds = list(chain(*(made for made, _ in varied))), sum(seconds for _, seconds in varied)
+    return document(described(plan), list(chain(*found)), settings, seconds)
 
 
 Document = Mapping[str, Any]
@@ -128,27 +141,15 @@ DRAW: dict[str, Callable[[Mapping[str, Any]], go.Figure]] = {
 
 def write(document: Document, out: Path) -> list[Path]:
     """Write every file of a study into a folder, made where it is not there; returns their paths."""
-    files = {
-        "enright.html": render(document).encode(),
-        "enright.json": json_bytes(document),
-        "enright-tables.csv": csv_bytes(table_lines(document)),
-        "enright-estimators.csv": csv_bytes(_estimator_lines(document)),
-        "enright-figures.csv": csv_bytes(figure_lines(document, ("frame", "radius_px"), ("estimator", "label"))),
-    }
-    return write_files(files, out)
+    curves = ("frame", "radius_px"), ("estimator", "label")
+    return write_study("enright", document, render(document), out, curves, estimators=_estimator_lines(document))
 
 
 def render(document: Document) -> str:
     """Render the report as HTML text."""
-    return rendered(
-        "papers/enright.html",
-        document,
-        DRAW,
-        table_i=TABLE_I,
-        table_ii=TABLE_II,
-        ukf_cost=ukf_cost(document),
-        lines=list(_record_lines(document)),
-    )
+    inputs = {"table_i": TABLE_I, "table_ii": TABLE_II}
+    lines = list(_record_lines(document))
+    return rendered("papers/enright.html", document, DRAW, ukf_cost=ukf_cost(document), lines=lines, **inputs)
 
 
 def _record_lines(document: Document) -> Iterator[dict[str, Any]]:
@@ -190,13 +191,8 @@ def ukf_cost(document: Document) -> str:
 
 
 def _estimator_lines(document: Document) -> Iterable[Sequence[Any]]:
-    yield (
-        "estimator",
-        "sets",
-        "converged",
-        *(f"nees_{key}" for key in _NEES),
-        *(f"ratio_to_bound_{key}" for key in _RATIO),
-    )
+    spreads = *(f"nees_{key}" for key in _NEES), *(f"ratio_to_bound_{key}" for key in _RATIO)
+    yield "estimator", "sets", "converged", *spreads
     for found in document["estimators"]:
         nees, ratio = found["nees"] or dict.fromkeys(_NEES), found["ratio_to_bound"] or dict.fromkeys(_RATIO)
         spread = *(nees[key] for key in _NEES), *(ratio[key] for key in _RATIO)

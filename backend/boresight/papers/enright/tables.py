@@ -1,13 +1,21 @@
-"""E Tables III to VII made again: printed number beside ours, judged row by row."""
+"""E Tables III to VII and the numbers of its text made again: printed number beside ours, judged row by row.
+
+Circular are Table III, which is the simulated truth; the batch's column of Table VII, of which the ground calibration was made so
+that the truth meets it; and the final RMS of Table IV, in whose middle the simulated noise lies (see `simulation.sensors`). The
+sequential columns of Table VII are judged by how far they lie from the batch.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
-from boresight.papers.documents import Cell, Conclusion, Row, Table, judge
+import numpy as np
+
+from boresight.papers.documents import CIRCULAR, REPEATED, Cell, Conclusion, Row, Table, judge
 from boresight.papers.enright import printed
-from boresight.papers.enright.pooled import Pooled, Record
+from boresight.papers.enright.pooled import Pooled, Record, compute_unscaled_condition
 from boresight.simulation.sensors import GROUND, TYPICAL_SIGMA
 
 URAD_PER_RAD = 1e6
@@ -32,7 +40,7 @@ PRINTED_FILTER = "equations 25 to 88 as printed do not make a filter that conver
 
 def tables(pooled: Pooled) -> list[Table]:
     """Make every table again, with the rows of the sensors that were run."""
-    return [make(pooled) for make in (table_iii, table_iv, table_v, table_vi, table_vii)]
+    return [make(pooled) for make in (table_iii, table_iv, table_v, table_vi, table_vii, text)]
 
 
 def table_iii(pooled: Pooled) -> Table:
@@ -56,7 +64,7 @@ def _changes(name: str, records: Sequence[Record]) -> Row:
     wrong = [cell for cell in cells if cell.high is not None and abs(cell.printed) > cell.high - (cell.ours or 0)]
     wrong = [cell for cell in wrong if cell.printed * (cell.ours or 0) < 0]
     sentence = f"{len(cells) - len(wrong)} of {len(cells)} changes have the printed sign or are within 3σ of zero."
-    return judge(name, cells, Conclusion(not wrong, sentence))
+    return judge(name, cells, Conclusion(not wrong, sentence), CIRCULAR)
 
 
 def _interval(evaluation: Record, *path: str) -> tuple[float | None, float | None]:
@@ -101,7 +109,7 @@ def _performance(record: Record) -> Row:
         _availability(found, "final", "availability final", values[1]),
         _star_ratio(found, "matched star ratio", values[2]),
         _rms(found, "initial", "RMS initial", values[3], ("no orbital data", NO_GROUND)),
-        _rms(found, "final", "RMS final", values[4], ("no orbital data", NO_NOISE)),
+        replace(_rms(found, "final", "RMS final", values[4], ("no orbital data", NO_NOISE)), left_out=CIRCULAR),
     )
     before, after = found["availability"]["initial"], found["availability"]["final"]
     errors, ratio = found["rms_arc_rad"], found["matched_star_ratio"]
@@ -135,7 +143,8 @@ def _errors(pooled: Pooled, sensor: int, label: str, prefix: str) -> Row:
     noise, tuning = ("no orbital data", NO_NOISE), TUNING
     if prefix:
         noise = tuning = REDUCED
-    cells = [_rms(evaluations["batch"], "initial", "raw", values[0], ("no orbital data", NO_GROUND))]
+    raw = _rms(evaluations["batch"], "initial", "raw", values[0], ("no orbital data", NO_GROUND))
+    cells = [replace(raw, left_out=REPEATED if prefix else "")]
     cells += [
         _rms(evaluations[name], "final", name, value, noise if name == "batch" else tuning)
         for name, value in zip(printed.ESTIMATORS, values[1:], strict=True)
@@ -218,9 +227,11 @@ def _distortion(name: str, records: dict[str, Record | None]) -> Row:
     cells = []
     for key, value in zip(printed.ESTIMATORS, printed.TABLE_VII[name], strict=True):
         ours, reach = found[key]["parameters"][name] / factor, 3 * (found[key]["sigma"][name] or 0.0) / factor
-        origin = START[name] / factor if name == "f_m" else 0.0
-        why = ("no orbital data", NO_GROUND) if key == "batch" else ("erratum", PRINTED_FILTER)
-        cells.append(Cell(key, unit, value, ours, ours - reach, ours + reach, 1e-3, origin, *why))
+        of_batch = key == "batch"
+        origin = START[name] / factor if of_batch else printed.TABLE_VII[name][0]
+        why = ("no orbital data", NO_GROUND) if of_batch else ("erratum", PRINTED_FILTER)
+        cell = Cell(key, unit, value, ours, ours - reach, ours + reach, 1e-3, origin, *why)
+        cells.append(replace(cell, left_out=CIRCULAR if of_batch else ""))
     shifts = {key: shift_in_sigmas(found[key], found["batch"], name) for key in (*printed.ESTIMATORS[1:], "printed")}
     largest = max((shifts[key] for key in printed.ESTIMATORS[1:]), key=abs)
     sentence = (
@@ -232,3 +243,94 @@ def _distortion(name: str, records: dict[str, Record | None]) -> Row:
 def shift_in_sigmas(record: Record, batch: Record, name: str) -> float:
     """Difference from the batch in the batch's sigmas."""
     return float((record["parameters"][name] - batch["parameters"][name]) / batch["sigma"][name])
+
+
+UNITS = ("unstated setting", "the units of the Jacobian before scaling are not given; here metres, pixels and radians")
+SKIES = ("no orbital data", f"{NO_GROUND}, and the skies are not public")
+PER_CENT = 100.0
+
+
+def text(pooled: Pooled) -> Table:
+    """Make the numbers again that stand in the text alone."""
+    reduced = [_reduced_range(pooled)] if 1 in pooled.sensors else []
+    return Table(
+        "text", "Numbers of the abstract and of sections II to IV",
+        "what the sentence says of the numbers, as it stands at each row", "quantity",
+        (*_falls(pooled), _conditions(pooled), _cycles(pooled), *reduced),
+    )  # fmt: skip
+
+
+def find_falls(pooled: Pooled) -> tuple[list[float], list[float]]:
+    """Shares by which the RMS error falls, per cent: of the batch on the calibration sets, and of all on both kinds of sets."""
+    batch = [_fall(record["calibration"]) for record in pooled.firsts("batch")]
+    validated = [_fall(record["validation"]) for name in printed.ESTIMATORS for record in pooled.firsts(name)]
+    return batch, batch + validated
+
+
+def _fall(evaluation: Record) -> float:
+    errors = evaluation["rms_arc_rad"]
+    return float(PER_CENT * (1 - errors["final"] / errors["initial"]))
+
+
+def _falls(pooled: Pooled) -> list[Row]:
+    """The three sentences on the reduction of errors: between, most, and typically."""
+    batch, every = find_falls(pooled)
+    low, high = min(every), max(every)
+    quartiles = np.percentile(every, (25, 75)).tolist()
+    most = sum(fall > printed.MOST_FALL for fall in batch)
+    said = f"{most} of {len(batch)} sensors fall by more than {printed.MOST_FALL:.0f} %."
+    rows = (
+        ("abstract: reduction", printed.FALLS, (low, high), f"all lie between {low:.0f} and {high:.0f} %."),
+        ("IV: reduction, typically", printed.TYPICAL_FALLS, quartiles,
+         f"half of them lie between {quartiles[0]:.0f} and {quartiles[1]:.0f} %."),
+    )  # fmt: skip
+    made = [
+        judge(label, _range(("from", "to"), "%", theirs, ours, 10.0, ("no orbital data", NO_GROUND)),
+              Conclusion(theirs[0] <= ours[0] and ours[1] <= theirs[1], sentence, "no orbital data", NO_GROUND))
+        for label, theirs, ours, sentence in rows
+    ]  # fmt: skip
+    median = Cell("median", "%", printed.MOST_FALL, float(np.median(batch)), resolution=10.0, because=NO_GROUND)
+    return [made[0], judge("III-A: reduction, most", [median], Conclusion(most > len(batch) / 2, said)), made[1]]
+
+
+def _range(
+    columns: Sequence[str], unit: str, theirs: Sequence[float], ours: Sequence[float], digit: float, why: tuple[str, str]
+) -> list[Cell]:  # fmt: skip
+    """Hold the ends of a printed range against the ends of ours."""
+    return [
+        Cell(column, unit, value, float(end), None, None, digit, 0.0, *why)
+        for column, value, end in zip(columns, theirs, ours, strict=True)
+    ]
+
+
+def _conditions(pooled: Pooled) -> Row:
+    records = pooled.firsts("batch")
+    plain = [record["plain_condition_number"] for record in records]
+    unscaled = np.array([compute_unscaled_condition(record["observability"]) for record in records]) / 1e12
+    theirs, (low, high) = printed.CONDITION_NUMBERS, (min(plain), max(plain))
+    before = Cell(
+        "unscaled (10¹²)", "", printed.UNSCALED_CONDITION / 1e12, float(np.exp(np.log(unscaled).mean())),
+        float(unscaled.min()), float(unscaled.max()), 10.0, 0.0, *UNITS,
+    )  # fmt: skip
+    inside = sum(theirs[0] <= one <= theirs[1] for one in plain)
+    said = f"{inside} of {len(plain)} sensors lie between {theirs[0]:.0f} and {theirs[1]:.0f}."
+    ends = _range(("scaled, from", "to"), "", theirs, (low, high), 10.0, SKIES)
+    return judge("II-C: condition number", [before, *ends], Conclusion(inside == len(plain), said, *SKIES))
+
+
+def _cycles(pooled: Pooled) -> Row:
+    """Cycles of fitting and matching until the matches rest."""
+    counts = [len(record["matching"]["cycles"]) for record in pooled.firsts("batch")]
+    least, most = min(counts), max(counts)
+    said = f"{least} to {most} cycles of fitting and matching, the last of which changes nothing."
+    ends = _range(("from", "to"), "", printed.CYCLES, (least, most), 1.0, TOLERANCE)
+    return judge("II-C: optimization cycles", ends, Conclusion(most <= printed.CYCLES[1], said, *TOLERANCE))
+
+
+def _reduced_range(pooled: Pooled) -> Row:
+    excess = [PER_CENT * share for share in reduced_excess(pooled, 1).values()]
+    theirs = [PER_CENT * share for share in printed.REDUCED_EXCESS]
+    holds = theirs[0] <= min(excess) and max(excess) <= theirs[1]
+    said = f"{min(excess):+.0f} to {max(excess):+.0f} % for sensor 1."
+    ends = _range(("from", "to"), "%", theirs, (min(excess), max(excess)), 1.0, REDUCED)
+    return judge("III-B: excess of the reduced model", ends, Conclusion(holds, said, *REDUCED))

@@ -15,7 +15,7 @@ from plotly.subplots import make_subplots
 
 from boresight.cameras.pinhole_radial import PINHOLE_RADIAL
 from boresight.figures.style import theme
-from boresight.papers.documents import Conclusion, Drawing, drawing, styled_curves
+from boresight.papers.documents import Conclusion, Drawing, drawing, padded, styled_curves
 from boresight.papers.wu.estimators import Record
 from boresight.papers.wu.tables import NO_Q, Pooled
 from boresight.simulation.sensors import WU_TRUTH
@@ -177,15 +177,9 @@ def draw_parameters(drawing: Mapping[str, Any]) -> go.Figure:
         figure.add_trace(theme.line(style, x, y, hovertemplate=hover, showlegend=False), row=row, col=column)
         figure.add_hline(y=curve["truth"], line={"color": theme.TRUTH_COLOUR, "dash": "dot"}, row=row, col=column)
         shown = x >= min(FIRST_FRAME, x[-1])
-        figure.update_yaxes(range=_window(y[shown], reach[shown], curve["truth"]), row=row, col=column)
+        window = padded([*(y - reach)[shown], *(y + reach)[shown], curve["truth"]])
+        figure.update_yaxes(range=window, row=row, col=column)
     theme.dress(figure, title="Figure 8: parameters along the run, ±3σ, and the truth", height_px=520, legend=False)
     figure.update_layout(hovermode="closest", margin={"t": 76})
     figure.update_xaxes(title_text="frame", type="log", dtick=1)
     return figure
-
-
-def _window(y: np.ndarray[Any, Any], reach: np.ndarray[Any, Any], truth: float) -> list[float]:
-    """Range of an axis that holds bounds and truth."""
-    low, high = min(float((y - reach).min()), truth), max(float((y + reach).max()), truth)
-    margin = 0.05 * (high - low) or 1.0
-    return [low - margin, high + margin]

@@ -70,6 +70,8 @@ from boresight.sky.catalogue import Catalogue, load_catalogue
 #: P_0 of s, f, u0, v0, k1, k2 as standard deviations, SI.
 START_SIGMA = np.array([1e-2, 5e-4, 20.0, 20.0, 0.5, 0.5])
 FREE = np.arange(len(START_SIGMA))
+#: Magnitude to which an image holds about the 14.7 stars of the field experiment (W 4.2).
+FIELD_LIMIT = 5.25
 #: Frames before the full R is taken anew.
 FIRST_FRAMES = 20
 
@@ -118,7 +120,9 @@ class Run:
 
 
 def estimators(magnitude_limit: float) -> list[Estimator]:
-    """What runs on a group: all combinations on the one of Tables 2 and 3, SVD and AD on all."""
+    """What runs on a group: all combinations on the one of Tables 2 and 3, SVD and AD on all; on the field experiment SVD."""
+    if magnitude_limit == FIELD_LIMIT:
+        return [Estimator("svd", "full")]
     selections = [CHOSEN]
     if magnitude_limit == 5.5:
         selections = [Selection(model) for model in printed.MODELS]
@@ -172,7 +176,12 @@ def gain_filter(estimator: Estimator, arcs: ArcSet, state: FilterState) -> Float
 def _rows(reference: SingularValues | AllPairs, frame: Frame, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Residuals (m,) and scaled Jacobian (m, 6) of a frame of one exposure, every row that is measured."""
     reference.whiten(frame.star_start, frame.s_i, frame.sigma_rad)
-    e, H = (part[0] for part in reference.unwhitened(*frame.directions(x)))
+    return measured_rows(reference, *frame.directions(x))
+
+
+def measured_rows(reference: SingularValues | AllPairs, s: FloatArray, D: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Residuals (m,) and scaled Jacobian (m, 6) of measured directions of one exposure, before whitening."""
+    e, H = (part[0] for part in reference.unwhitened(s, D))
     measured = np.any(H, axis=1)
     return e[measured], H[measured]
 
@@ -196,18 +205,25 @@ class Trial:
 
 
 def run_trial(trial: Trial, catalogue_folder: Path | None) -> list[Record]:
-    """Run every estimator on one set of each group; returns one record each."""
+    """Run every estimator on one set of each group, and one on as many stars as the field experiment saw; a record each."""
     records = []
-    for group, limit in enumerate(printed.GROUPS):
-        seeds = np.random.SeedSequence([trial.index, group]).spawn(2)
-        rng = np.random.default_rng(seeds[0])
-        fields, judged = (draw_fields(limit, n, rng, catalogue_folder) for n in (trial.frames, trial.judges))
-        for noise_px in NOISES_PX:
-            noise = np.random.default_rng(seeds[1])
-            arcs, judges = noisy(fields, noise_px, noise), Judges.of(judged, noise_px, noise)
-            head = {"set": trial.index, "magnitude_limit": limit, "noise_px": noise_px, "stars": fields.stars_per_field}
+    for limit in (*printed.GROUPS, FIELD_LIMIT):
+        for noise_px in NOISES_PX if limit in printed.GROUPS else NOISES_PX[:1]:
+            arcs, judges = draw_trial(trial, limit, catalogue_folder, noise_px)
+            stars = arcs.n_stars / arcs.n_exposures
+            head = {"set": trial.index, "magnitude_limit": limit, "noise_px": noise_px, "stars": stars}
             records += _judged(head, arcs, judges)
     return records
+
+
+def draw_trial(
+    trial: Trial, limit: float, catalogue_folder: Path | None, noise_px: float = NOISES_PX[0]
+) -> tuple[ArcSet, Judges]:
+    """Draw the images of one set down to a limiting magnitude: those that calibrate, and those that judge."""
+    seeds = np.random.SeedSequence([trial.index, (*printed.GROUPS, FIELD_LIMIT).index(limit)]).spawn(2)
+    rng, noise = map(np.random.default_rng, seeds)
+    fields, judged = (draw_fields(limit, n, rng, catalogue_folder) for n in (trial.frames, trial.judges))
+    return noisy(fields, noise_px, noise), Judges.of(judged, noise_px, noise)
 
 
 def draw_fields(limit: float, n_fields: int, rng: np.random.Generator, catalogue_folder: Path | None) -> StarFields:
@@ -255,6 +271,8 @@ def _judged(head: Record, arcs: ArcSet, judges: Judges) -> list[Record]:
             **head, "estimator": estimator.key, "weights": estimator.weights, **_criteria(x, judges),
             "error": error.tolist(), "nees": nees(error / START_SIGMA, run.P),
         }  # fmt: skip
+        if (estimator.key, estimator.weights) == ("svd-4-23", "full"):
+            record["settled"] = _settled(run.states)
         drawn = head["set"] == 0 and head["magnitude_limit"] == 5.5 and head["noise_px"] == WU_IMPLIED_SIGMA_PX
         if drawn and estimator.key in {"svd-4-23", "angular"}:
             record["history"] = _history(run, judges)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -12,20 +13,17 @@ import plotly.graph_objects as go
 from boresight.errors import RefusedInputError
 from boresight.papers.documents import (
     SCHEMA,
-    csv_bytes,
     described,
-    figure_lines,
-    json_bytes,
+    head,
     rendered,
     table_document,
-    table_lines,
-    verdict_counts,
-    write_files,
+    write_study,
 )
-from boresight.papers.processes import run_all, run_on_one_thread
+from boresight.papers.processes import Report, keep_silent, run_all, run_on_one_thread
 from boresight.papers.wu.drawings import LABELS, draw_criteria, draw_observability, draw_parameters, drawings
 from boresight.papers.wu.estimators import FIRST_FRAMES, START_SIGMA, Record, Trial, run_trial
 from boresight.papers.wu.findings import cited, errata, findings
+from boresight.papers.wu.grid import ORDERS, GridTrial, grids, run_grid
 from boresight.papers.wu.tables import NAMES, Pooled, tables
 from boresight.papers.wu.timing import timing
 from boresight.simulation.sensors import WU_START, WU_TRUTH, WU_TYPICAL_SIGMA
@@ -35,7 +33,9 @@ DRAWN = ("history", "observability")
 CONSISTENT = (("svd-4-23", "full"), ("angular", "full"), ("svd-4-23", "diagonal"), ("angular", "diagonal"))
 
 
-def document(plan: dict[str, Any], records: Sequence[Record], timing: dict[str, Any]) -> dict[str, Any]:
+def document(
+    plan: dict[str, Any], records: Sequence[Record], timing: dict[str, Any], varied: Sequence[dict[str, Any]]
+) -> dict[str, Any]:
     """Write a study as JSON values."""
     pooled = Pooled(records)
     made, drawn = [table_document(table) for table in tables(pooled)], drawings(pooled)
@@ -48,10 +48,11 @@ def document(plan: dict[str, Any], records: Sequence[Record], timing: dict[str, 
         "paper": PAPER,
         "plan": plan,
         "start_sigma": dict(zip(NAMES, START_SIGMA.tolist(), strict=True)),
-        "verdicts": verdict_counts(made, drawn),
+        **head(made, drawn),
         "tables": made,
         "figures": drawn,
         "consistency": [_consistency(pooled, *place) for place in CONSISTENT],
+        "grids": grids(varied),
         "findings": findings(pooled),
         "errata": wrong,
         "records": [{key: value for key, value in record.items() if key not in DRAWN} for record in records],
@@ -74,7 +75,10 @@ def _consistency(pooled: Pooled, estimator: str, weights: str) -> dict[str, Any]
     }
 
 
-Report = Callable[[str, float], None]
+#: Sets that a full study runs the grid of settings on, about a minute of a processor each.
+GRID_SETS = 2
+#: Share of a study's time that its sets take.
+SETS_SHARE = 0.7
 
 
 @dataclass(frozen=True)
@@ -87,23 +91,31 @@ class Plan:
     sets: int = 20
     processes: int = 2
 
+    def trials(self, sets: int) -> list[Trial]:
+        """List so many sets."""
+        return [Trial(index, self.frames, self.judges) for index in range(sets)]
 
-def run(plan: Plan, catalogue_folder: Path | None, report: Report | None = None) -> dict[str, Any]:
+    def grid_trials(self) -> list[GridTrial]:
+        """List what the grid of settings is run on: in a quick study one set in one order."""
+        sets, chosen = (1, ORDERS[:1]) if self.quick else (min(GRID_SETS, self.sets), ORDERS)
+        return [GridTrial(trial, order) for trial in self.trials(sets) for order in chosen]
+
+
+def run(plan: Plan, catalogue_folder: Path | None, say: Report = keep_silent) -> dict[str, Any]:
     """Run the study; returns its document, schema `boresight.reproduction/1`."""
     if plan.frames <= FIRST_FRAMES:
         raise RefusedInputError(f"{plan.frames} images are too few: the study needs more than {FIRST_FRAMES}.")
-    trials, records = (
-        [Trial(index, plan.frames, plan.judges) for index in range(plan.sets)],
-        dict[Trial, list[Record]](),
-    )
-    for trial, found in run_all(run_trial, trials, catalogue_folder, plan.processes):
-        records[trial] = found
-        if report is not None:
-            report(f"set {trial.index + 1} of {plan.sets}", 0.9 * len(records) / len(trials))
-    measured = run_on_one_thread(timing, catalogue_folder)
-    if report is not None:
-        report("times", 1.0)
-    return document(described(plan), [record for trial in trials for record in records[trial]], measured)
+    found = run_all(
+        run_trial, plan.trials(plan.sets), catalogue_folder, plan.processes,
+        lambda trial, share: say(f"set {trial.index + 1} of {plan.sets}", SETS_SHARE * share),
+    )  # fmt: skip
+    varied = run_all(
+        run_grid, plan.grid_trials(), catalogue_folder, plan.processes,
+        lambda trial, share: say(f"settings, stars in {trial.order}", SETS_SHARE + (0.95 - SETS_SHARE) * share),
+    )  # fmt: skip
+    measured = run_on_one_thread(timing, catalogue_folder) | {"grid_s": sum(seconds for _, seconds in varied)}
+    say("times", 1.0)
+    return document(described(plan), list(chain(*found)), measured, list(chain(*(records for records, _ in varied))))
 
 
 Document = Mapping[str, Any]
@@ -120,14 +132,8 @@ HEAD = ("set", "magnitude_limit", "noise_px", "stars", "estimator", "weights")
 
 def write(document: Document, out: Path) -> list[Path]:
     """Write every file of a study into a folder, made where it is not there; returns their paths."""
-    files = {
-        "wu.html": render(document).encode(),
-        "wu.json": json_bytes(document),
-        "wu-tables.csv": csv_bytes(table_lines(document)),
-        "wu-sets.csv": csv_bytes(_set_lines(document)),
-        "wu-figures.csv": csv_bytes(figure_lines(document, ("frame",), ("label", "unit", "truth"))),
-    }
-    return write_files(files, out)
+    curves = ("frame",), ("label", "unit", "truth")
+    return write_study("wu", document, render(document), out, curves, sets=_set_lines(document))
 
 
 def render(document: Document) -> str:

@@ -9,13 +9,16 @@ update; rows are compiled in all forms, so what differs is the algebra. Processo
 All forms take turns in rounds. A ratio is taken of neighbours within a round, so that a drift of the machine meets both; what is
 given is the median over the rounds, with its quartiles. Where the quartiles lie far apart something else kept the machine busy, and
 the reason says so. Times are this machine's; quote ratios.
+
+Printed milliseconds stand beside ours in a unit of its own: singular values of group 2 as printed, the one time that both tables
+have, take the printed 6.88 ms. The saving of 94.48 % is judged by what it leaves, 5.52 %.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +29,19 @@ from boresight.estimation.arcs import ArcSet
 from boresight.estimation.filters import FILTERS, Tuning
 from boresight.estimation.filters.history import start
 from boresight.estimation.singular_values import Selection
-from boresight.papers.documents import Cell, Conclusion, Row, Table, judge, table_document
+from boresight.papers.documents import (
+    CIRCULAR,
+    DERIVED,
+    REPEATED,
+    VARIANT,
+    Cell,
+    Conclusion,
+    Row,
+    Table,
+    head,
+    judge,
+    table_document,
+)
 from boresight.papers.wu import printed
 from boresight.papers.wu.estimators import FREE, START_SIGMA, Estimator, draw_fields, gain_filter, noisy
 from boresight.simulation.fields import StarFields
@@ -91,13 +106,14 @@ def timing(catalogue_folder: Path | None) -> dict[str, Any]:
     times = {name: np.array([rounds[name, limit] for limit in fields]) for name in groups}
     of_subsets = {name: rounds[name, 5.5] for name in subsets}
     stars = [float(arcs.n_stars / arcs.n_frames) for arcs in fields.values()]
-    made = (_table_4(times, stars), _table_3(of_subsets))
+    made = [table_document(table) for table in (_table_4(times, stars), _table_3(of_subsets))]
     return {
+        **head(made, ()),
         "rounds": ROUNDS,
         "stars": stars,
         "ms_per_frame": {name: [_spread(row) for row in found] for name, found in times.items()},
         "subsets_ms_per_frame": {name: _spread(row) for name, row in of_subsets.items()},
-        "tables": [table_document(table) for table in made],
+        "tables": made,
         "sentence": _sentence(times),
     }
 
@@ -165,40 +181,64 @@ def _table_4(times: Times, stars: list[float]) -> Table:
     """How many times longer angular distances take than singular values."""
     titles = [f"{mean:.1f} stars" for mean in stars]
     rows = [
+        *_as_timed(times),
         _ratio(times, titles, "as printed", "svd, as printed", OTHER),
-        _ratio(times, titles, "gain form", "svd, gain form", OTHER),
-        _ratio(times, titles, "gain form", "svd, information form", OTHER),
-        _ratio(times, titles, "information form", "svd, information form", SAVING),
+        _ratio(times, titles, "gain form", "svd, gain form", OTHER, VARIANT),
+        _ratio(times, titles, "gain form", "svd, information form", OTHER, VARIANT),
+        _ratio(times, titles, "information form", "svd, information form", SAVING, VARIANT),
     ]
     return Table(
-        "4 (time)", "Time of angular distances over that of singular values",
-        "angular distances cost more, the more so the more stars", "AD over SVD", tuple(rows),
+        "4 (time)", "Time of angular distances and of singular values",
+        "angular distances cost more, the more so the more stars", "quantity", tuple(rows),
     )  # fmt: skip
 
 
-def _ratio(times: Times, titles: list[str], form: str, under: str, why: tuple[str, str]) -> Row:
+#: Printed time of singular values in group 2, the unit.
+UNIT_MS = printed.TABLE_4_TIME[3]
+
+
+def _as_timed(times: Times) -> tuple[Row, Row]:
+    """Hold the printed milliseconds against ours in the printed unit, and the printed saving."""
+    angular, svd = (times[f"{method}, as printed"] for method in ("angular", "svd"))
+    cells = []
+    for place, theirs in enumerate(printed.TABLE_4_TIME):
+        column = f"group {place // 2 + 1} {('AD', 'SVD')[place % 2]}"
+        cell = Ratio.of(UNIT_MS * (angular, svd)[place % 2][place // 2], svd[1]).cell(column, theirs, 0.01, OTHER)
+        cells.append(replace(cell, unit="ms", left_out=CIRCULAR * (theirs == UNIT_MS)))
+    saved, low, high = (100 * (1 - np.percentile(svd[0] / angular[0], (50, 75, 25)))).tolist()
+    saving = Cell("group 1", "%", printed.SAVING_PERCENT, saved, low, high, 0.01, 100.0, *OTHER)
+    said = Conclusion(saved > 0, f"singular values take {saved:.2f} % less time as printed.", *OTHER)
+    all_more = all(np.median(one) > np.median(other) for one, other in zip(angular, svd, strict=True))
+    words = "in every group" if all_more else "not in every group"
+    more = Conclusion(all_more, f"angular distances take longer {words}.", *OTHER)
+    return judge("milliseconds, as printed", cells, more), judge("time saved", [saving], said)
+
+
+def _ratio(times: Times, titles: list[str], form: str, under: str, why: tuple[str, str], left_out: str = "") -> Row:
     ours = [Ratio.of(*pair) for pair in zip(times[f"angular, {form}"], times[under], strict=True)]
     cells = [
-        ratio.cell(title, paper, 0.1, why)
+        replace(ratio.cell(title, paper, 0.1, why), left_out=DERIVED)
         for title, paper, ratio in zip(titles, printed.time_ratios(), ours, strict=True)
     ]
     said = ", ".join(f"{ratio.median:.1f} ({ratio.low:.1f} to {ratio.high:.1f})" for ratio in ours)
     holds = min(ratio.median for ratio in ours) > 1 and ours[0].median > ours[1].median > ours[2].median
-    return judge(f"AD {form}, SVD {under.removeprefix('svd, ')}", cells, Conclusion(holds, f"ratios {said}.", *why))
+    label = f"AD {form} over SVD {under.removeprefix('svd, ')}"
+    return judge(label, cells, Conclusion(holds, f"ratios {said}.", *why), left_out)
 
 
 def _table_3(subsets: Mapping[str, FloatArray]) -> Table:
     """Time of each subset of the singular values over that of {2, 3}."""
     theirs, ours = printed.TABLE_3_TIME, {name: Ratio.of(row, subsets["{2,3}"]) for name, row in subsets.items()}
     cells = [
-        ratio.cell(name, paper / theirs[1], 0.01, OTHER)
-        for (name, ratio), paper in zip(ours.items(), theirs, strict=True)
+        replace(Ratio.of(UNIT_MS * row, subsets["{2,3}"]).cell(name, paper, 0.01, OTHER), unit="ms")
+        for (name, row), paper in zip(subsets.items(), theirs, strict=True)
     ]
+    cells[1] = replace(cells[1], left_out=REPEATED)
     all_three = ours["{1,2,3}"]
     sentence = f"{{1,2,3}} takes {all_three.median:.2f} ({all_three.low:.2f} to {all_three.high:.2f}) times as long."
-    row = judge("SVD as printed", cells, Conclusion(all_three.median > 1, sentence, *OTHER))
+    row = judge("milliseconds, as printed", cells, Conclusion(all_three.median > 1, sentence, *OTHER))
     return Table(
-        "3 (time)", "Time of subsets of the singular values over that of {2,3}", "{2,3} takes less time than {1,2,3}",
+        "3 (time)", "Time of subsets of the singular values, that of {2,3} being as printed", "{2,3} takes less time than {1,2,3}",
         "form", (row,),
     )  # fmt: skip
 

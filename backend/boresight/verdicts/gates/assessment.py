@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.calibration.calibration import Calibration, Evaluation
+from boresight.calibration.corrections import put_right
 from boresight.calibration.evaluation import bootstrap
 from boresight.calibration.evaluation.evaluate import evaluate_matched_frames
 from boresight.calibration.matching.matched_frames import match_under_states
@@ -65,6 +66,7 @@ def compute_validation_scores(
         parse_parameters(incumbent, sensor, "The incumbent"),
         parse_parameters(candidate, sensor, "The set"),
     ]
+    telemetry = put_right(telemetry, sensor, catalogue, states[-1][0])
     before, after = match_under_states(telemetry, sensor, catalogue, states, settings, cache_folder)
     evaluation = evaluate_matched_frames(telemetry, sensor, before, after, settings, _rng())
     valid = np.stack([before.view.valid_frames, after.view.valid_frames])

@@ -15,6 +15,9 @@ The arc uncertainty follows from the set's covariance alone (`trust.arc_map`), s
 incumbent beside it: at the worst place of the detector, in pixels of the centre. The coverage counts the regions, 6 rows by 8
 columns of the detector, in which there was at least one star; where there was none the model is a guess.
 
+What no data can show is asked of the operator, in the sensor file: a set passes the gate of assumptions once all of it is
+declared, is MARGINAL where something declared was left in the data, and has no data until then, which warns and does not block.
+
 A table on board holds parameters as float32 or as whole numbers with a scale. Rounding each to its nearest step moves directions,
 and nothing on the ground would show it: every number here is float64.
 
@@ -35,7 +38,7 @@ Critical gates ask whether the numbers are numbers of this sensor at all: nobody
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -43,9 +46,11 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import FloatArray
-from boresight.calibration.calibration import Calibration, ChiSquareTest, InnovationTest
+from boresight.calibration.calibration import Calibration, ChiSquareTest, InnovationTest, TrustTest
 from boresight.calibration.parameter_file import parse_parameters
+from boresight.calibration.trust.causes import gate_of_cause
 from boresight.calibration.trust.efficiency import field_arc_sigma
+from boresight.calibration.trust.trust_tests import MATTERS, gate_of_test
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
 from boresight.estimation.filters import FILTERS
@@ -112,7 +117,14 @@ class GateInputs:
 
     def read_covariance(self, document: Document) -> FloatArray:
         """Spread a set's covariance over all parameters, (n_parameters, n_parameters) SI, 0 for those it held fixed."""
-        covariance = document["covariance"]
+        return self._spread(document["covariance"])
+
+    def read_reliable_covariance(self, document: Document) -> FloatArray:
+        """The same of the covariance to decide by: with misfit where the set has it, else of noise alone."""
+        misfit = document.get("misfit")
+        return self._spread(document["covariance"] if misfit is None else misfit["covariance"])
+
+    def _spread(self, covariance: Mapping[str, Any]) -> FloatArray:
         places = [self.names.index(name) for name in covariance["names"]]
         P = np.zeros((len(self.names),) * 2)
         P[np.ix_(places, places)] = np.array(covariance["matrix"], np.float64).reshape(len(places), len(places))
@@ -279,7 +291,7 @@ def parameter_shift(inputs: GateInputs) -> Measurement:
     x_0 = inputs.x_incumbent
     if inputs.incumbent is None or x_0 is None:
         return absent("There is no incumbent that it could have moved from.")
-    P, P_0 = (inputs.read_covariance(document) for document in (inputs.candidate, inputs.incumbent))
+    P, P_0 = (inputs.read_reliable_covariance(document) for document in (inputs.candidate, inputs.incumbent))
     sigma = np.sqrt(np.diag(P) + np.diag(P_0) + (FLOOR * inputs.sensor.typical_sigma) ** 2)
     shift = (inputs.x - x_0) / sigma
     i = int(np.argmax(np.abs(shift)))
@@ -328,6 +340,49 @@ def _around_one(value: float, test: ChiSquareTest | InnovationTest, what: str) -
     )
 
 
+#: What a finding counts whose error in claimed sigmas is not known.
+UNKNOWN_SIZE = 1.0
+#: Tests that tell the size of a cause that is no displacement.
+OF_STARS = ("outliers",)
+#: And at least, so that what was noticed is never taken for nothing.
+LEAST_SIZE = 1e-3
+NO_TESTS = "The run made no tests of the model: clone it and start it again to have them."
+
+
+def tests_of_model(name: str, inputs: GateInputs) -> Measurement:
+    """Measure the largest error that the noticed tests of a gate tell of, in claimed sigmas; 0 where none noticed anything.
+
+    What a cause explains counts once, for the gate of the cause and with the cause's own size.
+    """
+    if inputs.result is None or not inputs.result.tests:
+        return absent(NO_RUN if inputs.result is None else NO_TESTS)
+    made = sum(gate_of_test(test.name) == name for test in inputs.result.tests)
+    found = [(size, sentence) for gate, size, sentence in _findings(inputs.result) if gate == name]
+    if not made:
+        return absent("The set allows none of these tests: add frames, times or magnitudes.")
+    if not found:
+        return Measurement(0.0, f"None of {made} tests tells of such an error (1 % over all tests of the set).")
+    return Measurement(max(LEAST_SIZE, *(size for size, _ in found)), " ".join(sentence for _, sentence in found))
+
+
+def _findings(result: Calibration) -> Iterator[tuple[str, float, str]]:
+    """Gate, size in claimed sigmas and sentence of every cause, and of every noticed test that no cause explains."""
+    noticed = {test.name: test for test in result.tests if test.noticed}
+    for cause in result.causes:
+        own = [
+            noticed[name] for name in (cause.name, *OF_STARS) if name in noticed and name in (cause.name, *cause.tests)
+        ]
+        yield gate_of_cause(cause.name), _size(own), cause.sentence
+    explained = {name for cause in result.causes for name in cause.tests}
+    for name in noticed.keys() - explained:
+        yield gate_of_test(name), _size([noticed[name]]), noticed[name].sentence
+
+
+def _size(tests: Sequence[TrustTest]) -> float:
+    known = [test.effect for test in tests if test.effect is not None]
+    return known[0] if known else UNKNOWN_SIZE
+
+
 def arc_uncertainty(inputs: GateInputs) -> Measurement:
     """Measure what the covariance does to an arc at the worst place of the detector."""
     worst, degrees = _worst_arc(inputs, inputs.candidate, inputs.x)
@@ -343,7 +398,7 @@ def arc_uncertainty(inputs: GateInputs) -> Measurement:
 
 def _worst_arc(inputs: GateInputs, document: Document, x: Any) -> tuple[float, float]:
     """Largest sigma of an arc over the detector, rad, and the length of the arcs, degrees."""
-    sigma, length = field_arc_sigma(inputs.sensor, x, inputs.read_covariance(document))
+    sigma, length = field_arc_sigma(inputs.sensor, x, inputs.read_reliable_covariance(document))
     return float(np.nanmax(sigma)), float(np.degrees(length))
 
 
@@ -395,6 +450,21 @@ def quantisation(inputs: GateInputs) -> Measurement:
         float(effect["max_px"]),
         f"The table's number format moves directions by up to {effect['max_arcsec']:.2g} arcsec over the detector.",
     )
+
+
+def assumptions(inputs: GateInputs) -> Measurement:
+    """Ask whether what the data cannot show was declared, and whether any of it was left in."""
+    made = inputs.result.assumptions if inputs.result else []
+    if not made:
+        return absent(NO_RUN if inputs.result is None else "The run named no assumptions: run it again.")
+    undeclared = [one.sentence for one in made if not one.declared]
+    if undeclared:
+        return absent(f"{' '.join(undeclared)} Then run again.")
+    left_in = [one.sentence for one in made if one.left_in]
+    if left_in:
+        return answer("MARGINAL", " ".join(left_in))
+    declared = "; ".join(f"{one.name.replace('_', ' ')}: {one.value}" for one in made)
+    return answer("PASS", f"What the data cannot show is declared: {declared}.")
 
 
 @dataclass(frozen=True)
@@ -515,6 +585,46 @@ GATES = {
             marginal=1.1,
         ),
         Gate(
+            "lens-structure",
+            "Lens structure",
+            "How far is the image from the camera model, where a test of lens, skew or readout notices it, in claimed sigmas?",
+            "below",
+            "σ",
+            measure=partial(tests_of_model, "lens-structure"),
+            limit=MATTERS,
+            marginal=0.0,
+        ),
+        Gate(
+            "stability",
+            "Stability",
+            "How far does the camera change over time or temperature, where a test notices it, in claimed sigmas?",
+            "below",
+            "σ",
+            measure=partial(tests_of_model, "stability"),
+            limit=MATTERS,
+            marginal=0.0,
+        ),
+        Gate(
+            "centroid-noise",
+            "Centroid noise",
+            "How far do noise, pixel phase, brightness and colour pull the parameters, where a test notices it, in claimed sigmas?",
+            "below",
+            "σ",
+            measure=partial(tests_of_model, "centroid-noise"),
+            limit=MATTERS,
+            marginal=0.0,
+        ),
+        Gate(
+            "identities",
+            "Identities and directions",
+            "How far do wrong stars or directions pull the parameters, where a test notices it, in claimed sigmas?",
+            "below",
+            "σ",
+            measure=partial(tests_of_model, "identities"),
+            limit=MATTERS,
+            marginal=0.0,
+        ),
+        Gate(
             "nis",
             "Innovations (NIS)",
             "Is a filter as sure as it may be?",
@@ -578,6 +688,13 @@ GATES = {
             measure=quantisation,
             limit=0.1,
             marginal=0.01,
+        ),
+        Gate(
+            "assumptions",
+            "Assumptions",
+            "Is declared what no data can show: readout, satellite velocity, directions, refraction?",
+            "met",
+            measure=assumptions,
         ),
     )
 }

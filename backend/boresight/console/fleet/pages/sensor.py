@@ -48,6 +48,8 @@ from boresight.platform.actors import Actor
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, open_reading, utc_now
 from boresight.platform.web.paging import parse_row_id
+from boresight.telemetry.declarations import DECLARATIONS
+from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, fixed, is_number, urad
 
 
@@ -270,6 +272,20 @@ def _read_as_of(session: Session, sensor_id: int, time: str) -> AsOf | None:
         return AsOf(time, None, (), str(refusal))
 
 
+UNDECLARED = "not declared: add it to the sensor file below"
+
+
+def describe_declarations(document: Mapping[str, Any]) -> dict[str, str]:
+    """Say by title what a sensor file declares that no data can show, and what nobody declared."""
+    sensor = parse_sensor(document)
+    words = {"Readout": UNDECLARED if sensor.readout is None else sensor.readout.words}
+    declared = sensor.declared.document()
+    return words | {
+        one.title: f"{declared[name]}: {one.words[declared[name]]}" if name in declared else UNDECLARED
+        for name, one in DECLARATIONS.items()
+    }
+
+
 @dataclass(frozen=True)
 class SensorContext:
     """The state of the edit form."""
@@ -319,6 +335,7 @@ def _page(request: Request, actor: Actor, sensor_id: int, at: str, shown: Sensor
             change=before_after(session, get_server(request).blobs, sensor_id),
             as_of=_read_as_of(session, sensor_id, at),
             now=utc_now()[:19] + "Z",
+            declarations=describe_declarations(sensor.document),
             file_text=shown.text or json.dumps(sensor.document, indent=2),
             may_edit=bool({"analyst", "administrator"} & actor.roles),
             shown=shown,

@@ -20,7 +20,12 @@ from boresight.cameras import CAMERA_MODELS, DEFAULT_CAMERA
 from boresight.console.access.dependencies import KNOWN, Reading, Roles, Who, csrf, get_server
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import status as fleet
-from boresight.console.fleet.schemas import EXAMPLE_INITIAL, EXAMPLE_TYPICAL_SIGMA
+from boresight.console.fleet.schemas import (
+    EXAMPLE_DECLARED,
+    EXAMPLE_INITIAL,
+    EXAMPLE_READOUT,
+    EXAMPLE_TYPICAL_SIGMA,
+)
 from boresight.console.fleet.service import SensorChoices
 from boresight.console.fleet.status import SensorStatus, SensorTile
 from boresight.console.fleet.tables import Sensor
@@ -42,6 +47,7 @@ from boresight.errors import Fault, RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
+from boresight.telemetry.declarations import DECLARATIONS
 from boresight.telemetry.read.formats import parse_json, read_text
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -56,7 +62,9 @@ EXAMPLE = f"""{{
   "centroid_sigma_px": 0.1,
   "initial": {indent(json.dumps(EXAMPLE_INITIAL, indent=2), "  ").lstrip()},
   "typical_sigma": {indent(json.dumps(EXAMPLE_TYPICAL_SIGMA, indent=2), "  ").lstrip()},
-  "magnitude_limit": 5.75
+  "magnitude_limit": 5.75,
+  "readout": {json.dumps(EXAMPLE_READOUT)},
+  "declared": {json.dumps(EXAMPLE_DECLARED)}
 }}
 """
 
@@ -87,6 +95,19 @@ FIELDS = (
     ("typical_sigma", "How much each parameter differs from unit to unit, in SI."),
     ("free", "Optional: the parameters to estimate; all of them where it is left out."),
     ("magnitude_limit", "Optional: the faintest catalogue star that it sees."),
+    (
+        "readout",
+        (
+            "Optional, asked until declared: mode global, or rolling with line_time_s, axis rows or columns, and corrected."
+            " A rolling readout that the telemetry is not corrected for is corrected here."
+        ),
+    ),
+    (
+        "declared",
+        "Optional, asked until declared: "
+        + "; ".join(f"{name} {' or '.join(one.words)}" for name, one in DECLARATIONS.items())
+        + ".",
+    ),
 )
 
 

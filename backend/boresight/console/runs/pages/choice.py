@@ -18,7 +18,7 @@ from boresight.console.pages.rendering import make_change
 from boresight.console.runs import choices
 from boresight.console.runs import service as runs
 from boresight.console.runs.pages.live import StateNotice, describe_progress, heard_s, list_notices
-from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run
+from boresight.console.runs.tables import TERMINAL_RUN_STATES, Run, parse_progress
 from boresight.errors import ConflictError
 from boresight.figures import held_out_error
 from boresight.platform.actors import Actor
@@ -91,7 +91,7 @@ class ChoiceView:
 def make_choice_part(request: Request, session: Session, actor: Actor, run: Run) -> dict[str, Any]:
     """Gather what the part `choice` of `runs/run.html` shows."""
     asked = choices.find_choice_run(session, run.id)
-    view = ChoiceView(asked, _why_not(run, actor))
+    view = ChoiceView(asked, _why_not(session, run, actor, asked))
     if asked is None:
         return {"choice": view}
     if asked.state != "SUCCEEDED":
@@ -103,11 +103,12 @@ def make_choice_part(request: Request, session: Session, actor: Actor, run: Run)
     return {"choice": _of_answer(session, view, found, run), "held_out": held_out_error}
 
 
-def _why_not(run: Run, actor: Actor) -> str | None:
-    """Say why a person may not ask for a choice, or why nobody may."""
+def _why_not(session: Session, run: Run, actor: Actor, asked: Run | None) -> str | None:
+    """Say why a person may not ask for a choice or stop it, or why nobody may ask."""
     if "analyst" not in actor.roles:
         return "Only an analyst may have a camera chosen; ask an administrator for the role."
-    return choices.find_obstacle(run)
+    is_on_its_way = asked is not None and asked.state not in TERMINAL_RUN_STATES
+    return None if is_on_its_way else choices.find_obstacle(session, run)
 
 
 def _of_state(request: Request, session: Session, view: ChoiceView, asked: Run) -> ChoiceView:
@@ -118,13 +119,13 @@ def _of_state(request: Request, session: Session, view: ChoiceView, asked: Run) 
         return replace(view, notices=[StateNotice(level, cause)])
     workers = get_server(request).workers
     notices = list_notices(session, asked, log, workers.state() if workers else None)
-    progress = asked.progress or {}
+    progress = parse_progress(asked.progress)
     return replace(
         view,
         notices=notices,
         heard_s=heard_s(asked, log),
-        fraction=float(progress.get("fraction") or 0.0),
-        message=progress.get("message") or "",
+        fraction=progress.fraction or 0.0,
+        message=progress.message or "",
         pace=describe_progress(session, asked),
     )
 

@@ -82,7 +82,7 @@ def parameter_lines(found: Comparison) -> list[ParameterLine]:
 def _cell(found: Comparison, i: int, k: int) -> ComparedCell:
     """Print parameter i of run k."""
     name, result, base = found.names[i], found.compared[k].calibration, found.compared[found.reference].calibration
-    value, sigma = result.parameters.get(name), result.sigma.get(name)
+    value, sigma = result.parameters.get(name), result.reliable_sigma.get(name)
     printed = parameter(value, name) if sigma is None else plus_minus(value, name, sigma)
     held = "held fixed" if value is not None and sigma is None else ""
     against = found.contrasts[k]
@@ -93,7 +93,7 @@ def _cell(found: Comparison, i: int, k: int) -> ComparedCell:
     if np.isfinite(against.sigma[i]):
         apart = float(against.separation[i])
         return ComparedCell(printed, f"{sigmas(apart)}{', held fixed' if held else ''}", abs(apart) > FAR_SIGMAS)
-    spread = base.sigma.get(name)
+    spread = base.reliable_sigma.get(name)
     if against.difference[i] == 0 or not spread:
         return ComparedCell(printed, "alike" if against.difference[i] == 0 else held or MISSING)
     return ComparedCell(printed, f"{fixed(against.difference[i] / spread, 2)} of the reference’s σ, not noise")

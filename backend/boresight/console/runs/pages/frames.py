@@ -20,6 +20,7 @@ from boresight.console.runs import frames
 from boresight.console.runs.frames import FrameLine
 from boresight.console.runs.tables import Run
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
+from boresight.estimation.statistics.consistency import CLEAR_SIGMAS
 from boresight.platform.db.sessions import Session
 from boresight.verdicts.numbers import MISSING, fixed, number
 
@@ -131,7 +132,6 @@ def _title(star: Mapping[str, Any]) -> str:
 SHOWN = {"new": "New parameters", "old": "Old parameters", "both": "Both"}
 UNDER = {"new": ("new",), "old": ("old",), "both": ("old", "new")}
 WORST_SHOWN = 8
-CLEAR_SIGMA = 3.0
 ATTITUDE = (
     "Right ascension of the boresight (°)",
     "Declination of the boresight (°)",
@@ -184,7 +184,7 @@ def make_frames_part(session: Session, request: Request, run: Run) -> dict[str, 
 
 
 def _page(page: FramePage) -> dict[str, Any]:
-    return {"frames": page, "shown": SHOWN, "scales": SCALES, "clear_sigma": CLEAR_SIGMA}
+    return {"frames": page, "shown": SHOWN, "scales": SCALES, "clear_sigma": CLEAR_SIGMAS}
 
 
 def _asked_frame(text: str | None) -> str | None:
@@ -272,7 +272,7 @@ def star_row(star: Mapping[str, Any]) -> dict[str, Any]:
         "apart": MISSING if new is None else fixed(new["apart_arcsec"], 2),
         "normalised": _pair(new, "normalised", 1),
         "worst": None if worst is None else abs(worst),
-        "beyond": worst is not None and abs(worst) > CLEAR_SIGMA,
+        "beyond": worst is not None and abs(worst) > CLEAR_SIGMAS,
         "old_residual": _residual(old),
         "old_normalised": _pair(old, "normalised", 1),
     }

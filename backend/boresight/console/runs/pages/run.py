@@ -47,12 +47,18 @@ from boresight.figures.charts.observability import helpful_data, weakest_words
 from boresight.figures.charts.shadow import SHADOW
 from boresight.figures.report import calibrate_command
 from boresight.figures.tables import (
+    cause_rows,
     flight_rows,
     flight_tolerance,
+    interval_rows,
     match_counts,
     match_facts,
+    minimum_rows,
+    model_test_rows,
     parameter_rows,
     reason_tables,
+    removed_count,
+    removed_rows,
     shown,
     side_by_side,
     star_rows,
@@ -269,7 +275,19 @@ def make_summary_part(review: RunReview) -> dict[str, Any]:
     live = () if review.run.state in TERMINAL_RUN_STATES else CHAPTERS["convergence"] + CHAPTERS["rms"]
     return {
         "rows": parameter_rows(review.result) if review.result and review.result.parameters else [],
+        "uncertainty": make_uncertainty(review.result),
         "figures": () if review.is_void else (*live, *CHAPTERS["summary"]),
+    }
+
+
+def make_uncertainty(result: Calibration | None) -> dict[str, Any]:
+    """Gather what the sigmas do not tell of: misfit, other minima, and intervals that are not symmetric."""
+    found = result or Calibration(status="running")
+    return {
+        "misfit": found.misfit.sentence if found.misfit else "",
+        "minima": found.minima.sentence if found.minima else "",
+        "others": minimum_rows(found),
+        "intervals": interval_rows(found),
     }
 
 
@@ -311,9 +329,11 @@ def make_provenance_part(review: RunReview) -> dict[str, Any]:
 def make_trust_part(result: Calibration | None, why_nothing: str) -> dict[str, Any]:
     """Gather what the trust part shows; `why_nothing` is said where the run has no result."""
     if result is None:
-        return {"marks": [], "said": f"No examination: {why_nothing}", "figures": ()}
+        return {"marks": [], "tests": [], "causes": [], "said": f"No examination: {why_nothing}", "figures": ()}
     return {
         "marks": trust_marks(result),
+        "tests": model_test_rows(result),
+        "causes": cause_rows(result),
         "said": why_absent(result, ""),
         "prospects": prospects(result),
         "figures": CHAPTERS["trust"] if result.trust else (),
@@ -322,6 +342,10 @@ def make_trust_part(result: Calibration | None, why_nothing: str) -> dict[str, A
         "why_no_stars": why_absent(result, "stars"),
         "stars_in_all": count(result.trust.stars_in_all if result.trust else None),
     }
+
+
+#: Removed stars on a page; the file has more.
+MOST_REMOVED_SHOWN = 200
 
 
 def make_matching_part(result: Calibration | None, why_nothing: str) -> dict[str, Any]:
@@ -338,6 +362,11 @@ def make_matching_part(result: Calibration | None, why_nothing: str) -> dict[str
         "side_by_side": side_by_side(found),
         "cycles": MATCHING if matching else None,
         "shadow": SHADOW if shown(found) else None,
+        "removed": {
+            "count": removed_count(found),
+            "rows": removed_rows(found, MOST_REMOVED_SHOWN),
+            "more": len(found.removed) > MOST_REMOVED_SHOWN,
+        },
     }
 
 

@@ -122,7 +122,7 @@ def mismatched_magnitudes(inputs: QualityInputs) -> Finding | None:
 def velocity_missing(inputs: QualityInputs) -> Finding | None:
     """Find directions from the catalogue that lack the satellite's aberration."""
     needed = inputs.from_catalogue
-    if not needed.any():
+    if not needed.any() or inputs.sensor.declared.satellite_velocity == "negligible":
         return None
     if inputs.telemetry.velocity_m_s is None:
         sentence = (

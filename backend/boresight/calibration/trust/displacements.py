@@ -1,0 +1,298 @@
+"""Score tests of departures from the model: what a field of displaced centroids would have left in the residuals.
+
+A departure is a displacement of the stars with a few unknown coefficients c: u_i = sum_c c_c g_c,i with the fields g_c,i known,
+from the star's place on the detector, its magnitude, temperature, time, or whatever else it may depend on. With whitened
+residuals e, scaled Jacobian H at the estimate (`fitted_set`) and G the whitened change of the arcs by c, a set that departs by c
+and is fitted with parameters off by z leaves
+
+    e = noise + H z + G c.
+
+Least squares of z and c together, z eliminated with A = H^T H, gives
+
+    F = G^T G - G^T H A^-1 H^T G        s = G^T e - G^T H A^-1 H^T e        c_hat = F^-1 s        covariance of c_hat = F^-1,
+
+and chi-square falls by s^T F^-1 s, which has a chi-square distribution with as many degrees of freedom as F has rank when c = 0
+(Rao's score test). Nothing is fitted again: all fields share one pass, and each test takes its own rows and columns of the sums.
+A camera that was fitted to stars displaced by c is off by
+
+    d = z_fitted - z_true = -A^-1 H^T G c_hat,
+
+how far its parameters are wrong if this departure is real. A direction of c that the
+camera nearly has itself is hardly known and moves the parameters far: what is told of d in claimed sigmas counts only those
+directions that stand clear of the noise.
+
+Three kinds of field have three kinds of rows: displaced centroids, pixels (J = -ds/d(principal point), for a camera knows a place
+only by its distance from it); directions displaced in the sky, rad east and north, where the arcs of the catalogue are what moves;
+and what changes from frame to frame by f_k, whose rows are those of the unchanging field times f_k: -H f_k for a parameter.
+
+Directions of c that no data could show are left out: those that turn an exposure as a whole, which arcs do not see, and those that
+the camera has itself. Both show as eigenvalues of F small beside the sum of squares of the displacements over their sigmas.
+
+The level of the noise is a question of its own, which chi-square answers. A stated sigma that is wrong by half would trip every
+test here without any departure; so the statistic is held against the residuals that remain after it,
+
+    (s^T F^-1 s / k) / ((e^T e - s^T F^-1 s) / (n - k)),        an F distribution with k and n - k degrees of freedom.
+
+Reference: C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters", Proc. Camb. Phil. Soc. 44, 1948.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property, reduce
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from boresight import kernels
+from boresight.arrays import FloatArray, IntArray
+from boresight.calibration.estimate import covariance
+from boresight.calibration.trust.fitted_set import FittedSet
+from boresight.estimation.arcs import ArcSet
+from boresight.estimation.blocks import in_blocks
+from boresight.estimation.statistics.special import fdtrc
+
+#: Share of a displacement's information below which a direction of it is the camera's own, or a turn of the exposure.
+LEAST_SHARE = 1e-7
+#: Sigmas from which on a direction of c is clear.
+CLEAR = 3.0
+#: Frames whose rows are made at a time: they stay in the processor's cache.
+FRAMES = 256
+
+
+@dataclass(frozen=True)
+class Block:
+    """Frames `first` <= k < `last` of a fitted set: their arcs, whitened residuals e and scaled Jacobian H."""
+
+    fitted: FittedSet
+    first: int
+    last: int
+
+    @cached_property
+    def arcs(self) -> ArcSet:
+        """Their arcs and stars."""
+        return self.fitted.arcs.frames(self.first, self.last)
+
+    @property
+    def rows(self) -> slice:
+        """Their arcs among those of the set."""
+        start = self.fitted.arcs.frame_arcs
+        return slice(int(start[self.first]), int(start[self.last]))
+
+    @property
+    def stars(self) -> slice:
+        """Their stars among those of the set."""
+        arcs = self.fitted.arcs
+        return slice(*(int(arcs.star_start[arcs.frame_start[k]]) for k in (self.first, self.last)))
+
+    @property
+    def e(self) -> FloatArray:
+        """(n_arcs,) whitened residuals."""
+        return self.fitted.e[self.rows]
+
+    @property
+    def H(self) -> FloatArray:
+        """(n_arcs, n_free) scaled Jacobian."""
+        return self.fitted.H[self.rows]
+
+    @cached_property
+    def frame_of_arc(self) -> IntArray:
+        """(n_arcs,) place of each arc's frame in the set."""
+        return np.repeat(np.arange(self.first, self.last), np.diff(self.arcs.frame_arcs))
+
+    @cached_property
+    def on_detector(self) -> tuple[FloatArray, FloatArray]:
+        """Directions s (n_stars, 3) at the estimate, and ds/d(row, column) (n_stars, 3, 2), a pixel."""
+        camera, arcs = self.fitted.problem.camera, self.arcs
+        s, ds_dx = camera.directions_and_jacobian(self.fitted.x, arcs.row_px, arcs.col_px, arcs.pitch)
+        return s, np.ascontiguousarray(-ds_dx[:, :, camera.principal_places])
+
+    @cached_property
+    def in_sky(self) -> tuple[FloatArray, FloatArray]:
+        """Directions of the catalogue s (n_stars, 3), and their derivative to the east and to the north (n_stars, 3, 2)."""
+        s = np.ascontiguousarray(self.arcs.s_i)
+        reach = np.maximum(np.hypot(s[:, 0], s[:, 1]), np.finfo(float).tiny)
+        east = np.stack([-s[:, 1] / reach, s[:, 0] / reach, np.zeros(len(s))], axis=-1)
+        return s, np.ascontiguousarray(np.stack([east, np.cross(s, east)], axis=-1))
+
+    def displace(self, u: FloatArray, kind: str) -> FloatArray:
+        """Whitened change (n_arcs, n_fields) of the arcs by displacements u (n_stars, 2, n_fields) of a kind."""
+        s, J = self.on_detector if kind == "detector" else self.in_sky
+        rows = np.empty((self.arcs.n_arcs, u.shape[2]))
+        kernels.displaced_rows(self.arcs.star_start, s, J, self.arcs.band, np.ascontiguousarray(u), rows)
+        return rows
+
+    @cached_property
+    def kept(self) -> dict[str, FloatArray]:
+        """Rows that several departures are made of."""
+        return {}
+
+    @cached_property
+    def sigma_rad(self) -> FloatArray:
+        """(n_stars,) isotropic direction error of each star."""
+        J = self.on_detector[1]
+        pixel = np.linalg.norm(np.cross(J[:, :, 0], J[:, :, 1]), axis=1)
+        return np.asarray(self.arcs.sigma_px * np.sqrt(pixel))
+
+
+Kind = Literal["detector", "sky", "rows"]
+
+
+@dataclass(frozen=True)
+class Departure:
+    """A departure from the model with its fields.
+
+    `fields` makes them of a block: of kind `detector` displacements (n_stars, 2, n_fields), pixels; `sky`: the same, rad east and
+    north; `rows`: their rows G (n_arcs, n_fields), where these are those of another field times numbers of the frame.
+    """
+
+    name: str
+    kind: Kind
+    fields: Callable[[Block], FloatArray]
+
+
+@dataclass(frozen=True)
+class ScoreSums:
+    """Sums over all arcs; see the module's derivation.
+
+    `places`: of the fields of each departure. `G_G`: (n_fields, n_fields). `G_H`: (n_fields, n_free). `G_e`: (n_fields,).
+    `squares`: (n_fields,) sums of squares of the displacements over their sigmas. `A`, `b`, `chi2`, `n_arcs`: H^T H, H^T e, e^T e
+    and how many.
+    """
+
+    places: dict[str, slice]
+    G_G: FloatArray
+    G_H: FloatArray
+    G_e: FloatArray
+    squares: FloatArray
+    A: FloatArray
+    b: FloatArray
+    chi2: float
+    n_arcs: int
+
+    def __add__(self, other: ScoreSums) -> ScoreSums:
+        """The sums over the arcs of both."""
+        values = {one.name: getattr(self, one.name) + getattr(other, one.name) for one in fields(self)[1:]}
+        return ScoreSums(self.places, **values)
+
+
+@dataclass(frozen=True)
+class Score:
+    """What the score test of one departure found.
+
+    `statistic`: fall of chi-square in the noise found, and `dof` its degrees of freedom; `p`: chance of as much. `c`, `covariance`:
+    (n_fields,) and (n_fields, n_fields) the coefficients, zero along directions that were left out. `d`: (n_free,) how far the
+    parameters are off if it is real, typical sigmas. `misled`: that of the parameter that is misled most, in its claimed sigmas,
+    from the directions of c that stand clear of noise; `shift`, `shift_covariance`: d from these alone, and its covariance. `fall`,
+    `left`: of chi-square, in the stated noise, and what remains of it.
+    """
+
+    name: str
+    statistic: float
+    dof: int
+    p: float
+    c: FloatArray
+    covariance: FloatArray
+    d: FloatArray
+    misled: float
+    fall: float
+    left: float
+    shift: FloatArray
+    shift_covariance: FloatArray
+
+
+def add_up(fitted: FittedSet, departures: Sequence[Departure], most_frames: int | None = None) -> ScoreSums:
+    """Make the rows of every departure, block by block, and add their products up.
+
+    `most_frames`: blocks of frames evenly spread over the set that hold about so many are taken; all where None.
+    """
+    n = fitted.arcs.n_frames
+    every = 1 if most_frames is None else max(1, -(-n // most_frames))
+
+    def run(first: int, last: int) -> ScoreSums | None:
+        return None if first // FRAMES % every else _add_block(Block(fitted, first, last), departures)
+
+    found = [part for part in in_blocks(run, n, FRAMES) if part is not None]
+    return reduce(ScoreSums.__add__, found)
+
+
+def _add_block(block: Block, departures: Sequence[Departure]) -> ScoreSums:
+    """The sums of one block; displacements of one kind go through the loop together."""
+    u = {one.name: one.fields(block) for one in departures}
+    G, squares = dict[str, FloatArray](), dict[str, FloatArray]()
+    for kind in ("detector", "sky"):
+        names = [one.name for one in departures if one.kind == kind]
+        if names:
+            _displace(block, kind, names, u, G, squares)
+    for one in departures:
+        if one.kind == "rows":
+            G[one.name] = u[one.name]
+            squares[one.name] = np.sum(G[one.name] ** 2, axis=0)
+    ends = np.cumsum([0, *(len(squares[one.name]) for one in departures)])
+    places = {one.name: slice(int(a), int(b)) for one, (a, b) in zip(departures, pairwise(ends), strict=True)}
+    rows = np.concatenate([G[one.name] for one in departures], axis=1)
+    e, H = block.e, block.H
+    every_square = np.concatenate([squares[one.name] for one in departures])
+    return ScoreSums(
+        places, rows.T @ rows, rows.T @ H, rows.T @ e, every_square, H.T @ H, H.T @ e, float(e @ e), len(e)
+    )
+
+
+def _displace(
+    block: Block,
+    kind: str,
+    names: list[str],
+    u: dict[str, FloatArray],
+    G: dict[str, FloatArray],
+    squares: dict[str, FloatArray],
+) -> None:
+    """Fill rows and squares of the fields that displace stars on the detector, or in the sky."""
+    sigma = block.arcs.sigma_px if kind == "detector" else block.sigma_rad
+    fields = np.concatenate([u[name] for name in names], axis=2)
+    rows = block.displace(fields, kind)
+    weighted = np.repeat(1 / sigma**2, 2) @ (fields * fields).reshape(-1, fields.shape[2])
+    begin = 0
+    for name in names:
+        end = begin + u[name].shape[2]
+        G[name], squares[name] = rows[:, begin:end], weighted[begin:end]
+        begin = end
+
+
+def find_score(sums: ScoreSums, *names: str) -> Score:
+    """Test a departure, or several together; the answer is called by the first."""
+    every = np.arange(len(sums.squares))
+    return _solve(sums, names[0], np.concatenate([every[sums.places[name]] for name in names]))
+
+
+def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:
+    P = covariance(sums.A)
+    G_H = sums.G_H[places]
+    F = sums.G_G[np.ix_(places, places)] - G_H @ P @ G_H.T
+    s = sums.G_e[places] - G_H @ P @ sums.b
+    size = 1 / np.sqrt(np.maximum(sums.squares[places], np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(F * np.outer(size, size))
+    known = values > LEAST_SHARE
+    inverse = size[:, None] * vectors[:, known] / np.sqrt(values[known])
+    fall = inverse.T @ s
+    k, left = int(known.sum()), sums.chi2 - float(sums.b @ P @ sums.b)
+    freedom = sums.n_arcs - len(sums.A) - k
+    if k == 0 or freedom < 1:
+        none = np.zeros(len(P))
+        return Score(
+            name, 0.0, 0, 1.0, np.zeros(len(s)), np.zeros(F.shape), none, 0.0, 0.0, left, none, np.zeros_like(P)
+        )
+    square = float(fall @ fall)
+    noise = max(left - square, np.finfo(float).tiny) / freedom
+    F_inverse = inverse @ inverse.T
+    c, towards = inverse @ fall, -P @ G_H.T
+    clear = np.abs(fall) >= min(CLEAR * np.sqrt(noise), float(np.abs(fall).max()))
+    moving = towards @ inverse[:, clear]
+    by_clear = moving @ fall[clear]
+    misled = float(np.max(np.abs(by_clear) / np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))))
+    p = float(fdtrc(k, freedom, square / k / noise))
+    return Score(
+        name, square / noise, k, p, c, F_inverse * noise, towards @ c, misled, square, left - square,
+        by_clear, moving @ moving.T * noise,
+    )  # fmt: skip

@@ -1,0 +1,346 @@
+"""Every test of the data against the model, as one table: what it asks, what it says, what helps, and the gate that hears of it.
+
+All tests that a set allows are one family. Holm's correction (1979) takes their probabilities in ascending order p_1 <= ... <= p_m,
+
+    adjusted_i = max over j <= i of (m - j + 1) p_j,        noticed where adjusted < FAMILY_LEVEL,
+
+which holds the chance that a sound set is called into question by any of them to `FAMILY_LEVEL`, however the tests hang together.
+`UNLIKELY` is what one of them must fall below for it alone; the parts of trust say "more than noise explains" by the same number.
+
+What a finding matters is told in claimed sigmas. A displacement that stays (a lens, a drift) is an error of the directions
+themselves: with fall the fall of chi-square that k coefficients bring, the whitened arcs are off by sqrt(fall - k), where n_free
+parameters claim sqrt(n_free). One that does not belong to the camera (pixel phase, colour, aberration) does harm by what it does to
+the parameters: `misled` of `displacements`. What moves stars by less than `LITTLE` of their noise is never more than
+`MATTERS` sigmas, so that a very large set does not fail on nothing.
+
+Reference: S. Holm, "A simple sequentially rejective multiple test procedure", Scand. J. Statist. 6, 1979.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from boresight.calibration.calibration import TrustTest
+from boresight.calibration.trust.displacements import Score, ScoreSums
+from boresight.calibration.trust.field import two_sided
+from boresight.calibration.trust.fitted_set import FAMILY_LEVEL, FittedSet, probability
+from boresight.calibration.trust.innovations import deviates
+from boresight.calibration.trust.residuals import StarResiduals
+from boresight.calibration.trust.stars import StarTable
+from boresight.estimation.statistics.consistency import CONFIDENCE
+from boresight.estimation.statistics.special import chdtrc, ndtr
+
+#: Claimed sigmas from which on an error fails a set, and share of a star's noise below which none does.
+MATTERS, LITTLE = 3.0, 0.05
+#: Frames that tell a spread of their own.
+FEWEST_FRAMES = 20
+#: Spreads beyond which a sighting is taken out to see what it did to the parameters.
+FAR_OFF = 5.0
+
+
+@dataclass(frozen=True)
+class Examined:
+    """What the tests look at: a fitted set, its score tests, the parts of its trust, and its star residuals where it has any."""
+
+    fitted: FittedSet
+    sums: ScoreSums
+    scores: Mapping[str, Score]
+    parts: Mapping[str, object]
+    found: StarResiduals | None
+    table: StarTable | None
+
+
+#: Probability of as much where all is as the model says, and the size in claimed sigmas, where it is known.
+Outcome = tuple[float, float | None]
+
+
+@dataclass(frozen=True)
+class TrustTestKind:
+    """One row of the table.
+
+    `title`: as a table says it. `gate`: that hears of it. `finding`, `sound`: what a noticed test says, and what another. `ask`:
+    its outcome; None where the set does not allow it.
+    """
+
+    name: str
+    title: str
+    gate: str
+    finding: str
+    sound: str
+    ask: Callable[[Examined], Outcome | None]
+
+
+def _excess(examined: Examined, score: Score) -> float:
+    """Error of the arcs by a displacement that stays, in claimed sigmas."""
+    return float(np.sqrt(max(score.fall - score.dof, 0.0) / len(examined.sums.A)))
+
+
+def _bounded(examined: Examined, score: Score, effect: float) -> float:
+    """The same, but no failure where stars move by next to nothing."""
+    little = score.fall < LITTLE**2 * examined.sums.n_arcs
+    return min(effect, MATTERS) if little else effect
+
+
+def _of_score(name: str, *, stays: bool) -> Callable[[Examined], Outcome | None]:
+    """Ask the score test of a departure."""
+
+    def ask(examined: Examined) -> Outcome | None:
+        score = examined.scores.get(name)
+        if score is None or score.dof == 0:
+            return None
+        effect = _excess(examined, score) if stays else score.misled
+        return score.p, _bounded(examined, score, effect)
+
+    return ask
+
+
+def _of_part(name: str, read: Callable[..., float]) -> Callable[[Examined], Outcome | None]:
+    """Ask a part of trust for its probability."""
+
+    def ask(examined: Examined) -> Outcome | None:
+        part = examined.parts.get(name)
+        return None if part is None else (min(1.0, read(part)), None)
+
+    return ask
+
+
+def _of_dependence(cause: str) -> Callable[[Examined], Outcome | None]:
+    """Ask whether the radial residual depends on something."""
+
+    def ask(examined: Examined) -> Outcome | None:
+        against = examined.parts.get("residual_against")
+        part = None if against is None else getattr(against, cause)
+        return None if part is None else (part.p, None)
+
+    return ask
+
+
+def _chi_square(examined: Examined) -> Outcome | None:
+    fitted = examined.fitted
+    dof = fitted.arcs.n_arcs - len(fitted.names)
+    above = float(chdtrc(dof, float(fitted.e @ fitted.e)))
+    return 2 * min(above, 1 - above), None
+
+
+def _nis(part: object) -> float:
+    """Share of frames beyond their bounds, and their order."""
+    n, outside, runs = (getattr(part, name) for name in ("points_in_all", "outside_share", "runs_p"))
+    return float(2 * min(two_sided(round(outside * n), n, 1 - CONFIDENCE), runs))
+
+
+def _worst_frame(examined: Examined) -> Outcome | None:
+    """Ask the frame that is explained worst, in the spread of all: arcs of wide fields are not quite as independent as said."""
+    chi2, dof = examined.fitted.sums.chi2, examined.fitted.sums.dof
+    deviation = deviates(chi2[dof >= 1], dof[dof >= 1])
+    if len(deviation) < FEWEST_FRAMES:
+        return None
+    spread = max(
+        1.0, float(np.median(np.abs(deviation)) / 0.67449), float(np.std(np.sort(deviation)[: -len(deviation) // 50]))
+    )
+    return float(min(1.0, len(deviation) * ndtr(-deviation.max() / spread))), None
+
+
+def _stars(examined: Examined) -> Outcome | None:
+    if examined.table is None or not len(examined.table.z):
+        return None
+    return float(min(1.0, len(examined.table.z) * np.exp(-(np.max(examined.table.z) ** 2) / 2))), None
+
+
+def _outliers(examined: Examined) -> Outcome | None:
+    found = examined.found
+    if found is None:
+        return None
+    size = sizes(found)
+    return float(min(1.0, 4 * np.sum(found.known) * ndtr(-size.max()))), _pull(examined, size > FAR_OFF)
+
+
+def sizes(found: StarResiduals) -> np.ndarray:
+    """Residuals over their spread, the larger axis of each star, (n_stars,); zero where there is none."""
+    return np.where(found.known, np.abs(found.z).max(axis=1), 0.0) / max(found.spread, 1.0)
+
+
+def _pull(examined: Examined, far: np.ndarray) -> float | None:
+    """How far the exposures with stars far off (n_stars,) pull the parameters, in claimed sigmas; None of a thinned set."""
+    fitted = examined.fitted
+    if len(far) != fitted.arcs.n_stars:
+        return None
+    per_exposure = np.logical_or.reduceat(far, fitted.arcs.star_start[:-1])
+    arcs = np.repeat(per_exposure, 2 * np.diff(fitted.arcs.star_start) - 3)
+    e, H = fitted.e[arcs], fitted.H[arcs]
+    try:
+        d = np.linalg.solve(fitted.A - H.T @ H, H.T @ e)
+        return float(np.max(np.abs(d) / np.sqrt(np.diag(np.linalg.inv(fitted.A)))))
+    except np.linalg.LinAlgError:
+        return None
+
+
+#: Every test, in the order of the table.
+TRUST_TESTS: tuple[TrustTestKind, ...] = (
+    TrustTestKind(
+        "tangential", "Tangential distortion", "lens-structure",
+        "Stars are displaced as by a decentred lens", "No tangential distortion is left", _of_score("tangential", stays=True),
+    ),
+    TrustTestKind(
+        "radial", "Higher radial orders", "lens-structure",
+        "Stars are displaced along the radius as by distortion of higher order", "No radial distortion is left",
+        _of_score("radial", stays=True),
+    ),
+    TrustTestKind(
+        "affine", "Skew and aspect", "lens-structure",
+        "The image is skewed or stretched along one axis", "The image is neither skewed nor stretched",
+        _of_score("affine", stays=True),
+    ),
+    TrustTestKind(
+        "lens", "Smooth residual of the lens", "lens-structure",
+        "Residuals have a smooth pattern over the detector", "Residuals have no smooth pattern over the detector",
+        _of_score("lens", stays=True),
+    ),
+    TrustTestKind(
+        "residual_field", "Residuals over the detector", "lens-structure",
+        "Mean residuals differ from cell to cell of the detector", "Mean residuals are alike in all cells of the detector",
+        _of_part("residual_field", lambda part: part.after.p),
+    ),
+    TrustTestKind(
+        "residual_spline", "Residual spline", "lens-structure",
+        "A spline of the residuals holds more than noise", "A spline of the residuals holds noise only",
+        _of_part("residual_spline", lambda part: part.test.p),
+    ),
+    TrustTestKind(
+        "residual_radius", "Residual against radius", "lens-structure",
+        "The radial residual depends on the radius", "The radial residual does not depend on the radius",
+        _of_dependence("radius"),
+    ),
+    TrustTestKind(
+        "readout", "Line by line readout", "lens-structure",
+        "Stars are displaced with their line and the image's velocity", "No displacement with line and velocity is seen",
+        _of_score("readout", stays=False),
+    ),
+    TrustTestKind(
+        "time", "Scale over time", "stability",
+        "The scale of the image changes with time", "The scale of the image does not change with time",
+        _of_score("time", stays=True),
+    ),
+    TrustTestKind(
+        "temperature", "Scale with temperature", "stability",
+        "The scale of the image changes with temperature", "The scale of the image does not change with temperature",
+        _of_score("temperature", stays=True),
+    ),
+    TrustTestKind(
+        "drift", "Drift of all parameters", "stability",
+        "The parameters drift over the set", "The parameters do not drift over the set", _of_score("drift", stays=True),
+    ),
+    TrustTestKind(
+        "two_halves", "Two halves", "stability",
+        "Two halves of the set, fitted apart, disagree", "Two halves of the set, fitted apart, agree",
+        _of_part("two_halves", lambda part: part.chi2.p),
+    ),
+    TrustTestKind(
+        "whiteness", "Whiteness", "stability",
+        "Residuals of successive frames follow one another", "Residuals of successive frames are independent",
+        _of_part("whiteness", lambda part: part.ljung_box.p),
+    ),
+    TrustTestKind(
+        "nis_over_time", "Frames over time", "stability",
+        "Frames are explained unevenly over time", "Frames are explained evenly over time", _of_part("nis_over_time", _nis),
+    ),
+    TrustTestKind(
+        "worst_frames", "Worst frame", "identities",
+        "A frame is explained worse than chance allows", "No frame is explained worse than chance allows",
+        _worst_frame,
+    ),
+    TrustTestKind(
+        "residual_time", "Residual against time", "stability",
+        "The radial residual depends on time", "The radial residual does not depend on time", _of_dependence("time"),
+    ),
+    TrustTestKind(
+        "residual_temperature", "Residual against temperature", "stability",
+        "The radial residual depends on temperature", "The radial residual does not depend on temperature",
+        _of_dependence("temperature"),
+    ),
+    TrustTestKind(
+        "chi_square", "Size of the noise", "centroid-noise",
+        "The residuals are not as large as the stated noise", "The residuals are as large as the stated noise", _chi_square,
+    ),
+    TrustTestKind(
+        "residual_distribution", "Tails of the residuals", "centroid-noise",
+        "The residuals are not normally distributed", "The residuals are normally distributed",
+        _of_part("residual_distribution", lambda part: part.p_tail),
+    ),
+    TrustTestKind(
+        "phase", "Pixel phase", "centroid-noise",
+        "Centroids depend on where in its pixel a star lies", "Centroids do not depend on where in its pixel a star lies",
+        _of_score("phase", stays=False),
+    ),
+    TrustTestKind(
+        "magnitude", "Magnitude", "centroid-noise",
+        "Centroids depend on the star's brightness", "Centroids do not depend on the star's brightness",
+        _of_score("magnitude", stays=False),
+    ),
+    TrustTestKind(
+        "colour", "Colour", "centroid-noise",
+        "Centroids depend on the star's colour", "Centroids do not depend on the star's colour",
+        _of_score("colour", stays=False),
+    ),
+    TrustTestKind(
+        "residual_magnitude", "Residual against magnitude", "centroid-noise",
+        "The radial residual depends on magnitude", "The radial residual does not depend on magnitude",
+        _of_dependence("magnitude"),
+    ),
+    TrustTestKind(
+        "outliers", "Single sightings", "identities",
+        "Single centroids lie farther off than noise can put them", "No centroid lies farther off than noise can put it",
+        _outliers,
+    ),
+    TrustTestKind(
+        "stars", "Places of stars", "identities",
+        "Stars are off their catalogue places", "No star is off its catalogue place", _stars,
+    ),
+    TrustTestKind(
+        "aberration", "Aberration", "identities",
+        "Directions are those of an observer with another velocity", "Directions are those of this observer",
+        _of_score("aberration", stays=False),
+    ),
+)  # fmt: skip
+#: The same by name.
+KIND_OF_TEST: dict[str, TrustTestKind] = {kind.name: kind for kind in TRUST_TESTS}
+
+
+def gate_of_test(name: str) -> str:
+    """The gate that hears of a test; none of one that is not in the table any more."""
+    return KIND_OF_TEST[name].gate if name in KIND_OF_TEST else ""
+
+
+def make_tests(examined: Examined) -> list[TrustTest]:
+    """Make every test that the set allows, and adjust their probabilities for their number."""
+    outcomes = [(kind, kind.ask(examined)) for kind in TRUST_TESTS]
+    made = [(kind, outcome) for kind, outcome in outcomes if outcome is not None and np.isfinite(outcome[0])]
+    adjusted = adjust([p for _, (p, _) in made])
+    return [_describe(kind, outcome, p) for (kind, outcome), p in zip(made, adjusted, strict=True)]
+
+
+def adjust(probabilities: list[float]) -> list[float]:
+    """Correct probabilities for how many there are, after Holm."""
+    p = np.array(probabilities)
+    order = np.argsort(p, kind="stable")
+    steps = np.minimum(np.maximum.accumulate(p[order] * (len(p) - np.arange(len(p)))), 1.0)
+    found = np.empty(len(p))
+    found[order] = steps
+    return [float(value) for value in found]
+
+
+def _describe(kind: TrustTestKind, outcome: Outcome, adjusted: float) -> TrustTest:
+    p, effect = outcome
+    noticed = adjusted < FAMILY_LEVEL
+    size = "" if effect is None or not noticed else f", an error of {effect:.2g} claimed sigmas"
+    return TrustTest(
+        name=kind.name,
+        probability=max(p, 0.0),
+        adjusted=adjusted,
+        noticed=noticed,
+        effect=effect,
+        unit="" if effect is None else "σ",
+        sentence=f"{kind.finding if noticed else kind.sound} ({probability(p)}{size}).",
+    )
