@@ -18,6 +18,8 @@ import httpx
 import numpy as np
 import orjson
 import pytest
+from sqlalchemy import select
+from sqlalchemy.orm import Session
 
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
@@ -153,15 +155,23 @@ class House:
         return answer.json()
 
     def end(self, run_id: int, state: str = "SUCCEEDED") -> None:
-        blobs = self.app.state.blobs
         with open_writing(self.app.state.engine) as session:
-            run = session.get_one(Run, run_id)
-            result = self.result if run.choice_of is None else made_choice().to_dict()
-            sha256 = blobs.put(orjson.dumps(result))
-            register_blob(session, blobs, sha256, "application/json")
-            run.state, run.result_sha256 = state, sha256
-            write_event(session, run_id, 1, Line.moved(state, "ended by the test"))
-            audit.append(session, SYSTEM, "ended", f"runs/{run_id}", None, {"state": state})
+            self._end(session, session.get_one(Run, run_id), state)
+
+    def end_queued(self) -> None:
+        """End what is queued, in the transaction that reads it: a run that is cancelled meanwhile stays so."""
+        with open_writing(self.app.state.engine) as session:
+            for run in session.scalars(select(Run).where(Run.state == "QUEUED")).all():
+                self._end(session, run, "SUCCEEDED")
+
+    def _end(self, session: Session, run: Run, state: str) -> None:
+        blobs = self.app.state.blobs
+        result = self.result if run.choice_of is None else made_choice().to_dict()
+        sha256 = blobs.put(orjson.dumps(result))
+        register_blob(session, blobs, sha256, "application/json")
+        run.state, run.result_sha256 = state, sha256
+        write_event(session, run.id, 1, Line.moved(state, "ended by the test"))
+        audit.append(session, SYSTEM, "ended", f"runs/{run.id}", None, {"state": state})
 
     def finished(self, launcher: str = "ada") -> int:
         run = self.launched(launcher)

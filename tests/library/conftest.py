@@ -5,8 +5,6 @@ import threading
 import pytest
 
 import boresight as bs
-from boresight.console.runs.tables import Run
-from boresight.platform.db.sessions import open_reading
 from tests.served import house
 
 __all__ = ["house"]
@@ -60,10 +58,7 @@ def computing(house):
 
     def compute():
         while not over.wait(0.05):
-            with open_reading(house.app.state.engine) as session:
-                queued = [run.id for run in session.query(Run).filter(Run.state == "QUEUED")]
-            for run_id in queued:
-                house.end(run_id)
+            house.end_queued()
 
     thread = threading.Thread(target=compute)
     thread.start()
