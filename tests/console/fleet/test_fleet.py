@@ -102,7 +102,7 @@ WORSE = EXAMPLE["validation"] | {"rms_arc_rad": {"initial": 1e-5, "final": 2e-5}
     [
         ({}, "normal", "Run 1 converged."),
         (
-            {"chi2": CONSISTENT["chi2"] | {"consistent": False}, "chi2_per_dof": 4.0},
+            {"chi2": CONSISTENT["chi2"] | {"consistent": False}, "chi2_per_dof": 4.0, "tests": []},
             "caution",
             "degree of freedom is 4",
         ),
