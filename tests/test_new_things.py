@@ -7,13 +7,17 @@ the API's document, and who is let in.
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
+from numba.core.caching import UserProvidedCacheLocator
 
 from boresight.cameras import CAMERA_MODELS
+from boresight.kernels import compilation
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -168,12 +172,33 @@ def copied(place: Path) -> Path:
     return place
 
 
+def lend_compiled_loops(place: Path, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Keep the copy's loops in a folder of its own, with what the tree has: loops for other cameras are the same in both."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
+    ours = compiled_for(ROOT)
+    monkeypatch.setattr(compilation, "__file__", str(place / PACKAGE / "kernels/compilation.py"))
+    kept = Path(numba.config.CACHE_DIR) / ours
+    if kept.is_dir():
+        shutil.copytree(kept, folder / compilation.fingerprint() / compiled_for(place))
+
+
+def compiled_for(place: Path) -> str:
+    """Name the folder in which Numba keeps the loops of a tree."""
+    return UserProvidedCacheLocator.get_suitable_cache_subpath(str(place / PACKAGE / "kernels/arclengths.py"))
+
+
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
     place = copied(tmp_path_factory.mktemp("new-things"))
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        lend_compiled_loops(place, monkeypatch, tmp_path_factory.mktemp("loops"))
+        return ask(place, tmp_path_factory.mktemp("data"))
+
+
+def ask(place, data):
     path = os.pathsep.join((str(place / "backend"), str(place)))
     told = subprocess.run(
-        [sys.executable, "-m", "tests.new_things", str(tmp_path_factory.mktemp("data"))],
+        [sys.executable, "-m", "tests.new_things", str(data)],
         cwd=place,
         env=os.environ | {"PYTHONPATH": path},
         capture_output=True,
