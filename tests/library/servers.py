@@ -40,7 +40,7 @@ def answering(answers, context=None) -> Iterator[tuple[str, list]]:
     server.handle_error = lambda *_: None  # what a client breaks off is no fault of the server's
     if context is not None:
         server.socket = context.wrap_socket(server.socket, server_side=True)
-    thread = Thread(target=server.serve_forever, daemon=True)
+    thread = Thread(target=server.serve_forever, args=(0.01,), daemon=True)
     thread.start()
     try:
         yield f"http{'s' if context else ''}://127.0.0.1:{server.server_port}", seen
