@@ -38,7 +38,7 @@ from boresight.telemetry.sensors import read_sensor
 from boresight.verdicts.verdict import make_verdict
 from tests.calibration.conftest import telemetry
 from tests.calibration.sets import case, field, in_memory, lens, same_in_pieces, sky, written
-from tests.effort import effort
+from tests.effort import effort, few_of
 from tests.estimation.fields import FREE, SCALE, TRUTH
 
 CONTRACT = {
@@ -101,7 +101,7 @@ def test_every_camera_by_every_method_ends_at_the_truth_as_its_sigmas_say_and_no
     assert total < chi2.ppf(0.999, sets * len(truth))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", few_of([1, 2, 3, 4], 2))
 def test_a_covariance_that_does_not_hold_is_said_with_what_to_hold_and_that_mends_it(seed, catalogue):
     model = "inverted_wang_decentred"
     # with next to no distortion nothing tells tilt from a moved principal point
