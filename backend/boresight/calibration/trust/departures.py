@@ -113,6 +113,23 @@ def find_departures(fitted: FittedSet) -> tuple[list[Departure], dict[str, str]]
     return found, known.missing
 
 
+def find_companions(fitted: FittedSet) -> list[Departure]:
+    """List fields that have no test of their own, for how far `magnitude` and `colour` mislead when they are noticed.
+
+    `magnitude stretch`, `colour stretch`: (m x, -m y) and (m y, m x). `alike`: the fields of both with m one, for the star that is
+    not displaced need not be the mean one.
+    """
+    known = find_quantities(fitted)
+    return [
+        Departure("alike", "detector", _alike),
+        *(
+            Departure(f"{name} stretch", "detector", partial(_stretched_with, values))
+            for name, values in (("magnitude", known.magnitude), ("colour", known.colour))
+            if values is not None
+        ),
+    ]
+
+
 def find_quantities(fitted: FittedSet) -> Quantities:
     """Look up what the fields of a set may depend on."""
     missing: dict[str, str] = {}
@@ -316,6 +333,18 @@ def _with(values: FloatArray, block: Block) -> FloatArray:
     m, (x, y) = values[block.stars], _places(block)
     none = np.zeros_like(m)
     return _pairs((m, none), (none, m), (m * x, m * y))
+
+
+def _stretched_with(values: FloatArray, block: Block) -> FloatArray:
+    """Stretches of the image that grow with a quantity of each star."""
+    m, (x, y) = values[block.stars], _places(block)
+    return _pairs((m * x, -m * y), (m * y, m * x))
+
+
+def _alike(block: Block) -> FloatArray:
+    """The same shifts, scale and stretches of all stars."""
+    every = np.ones(block.fitted.arcs.n_stars)
+    return np.concatenate([_with(every, block), _stretched_with(every, block)], axis=2)
 
 
 def _aberration(block: Block) -> FloatArray:
