@@ -36,7 +36,7 @@ def test_holms_correction_is_that_of_its_definition():
     assert adjust([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert adjust([0.5, 0.9]) == [1.0, 1.0]
     assert adjust([]) == []
-    p = np.random.default_rng(2).uniform(size=(20_000, 26))
+    p = np.random.default_rng(2).uniform(size=(20_000, 30))
     assert 0.003 < np.mean([min(adjust(row)) < FAMILY_LEVEL for row in p.tolist()]) < 0.007
 
 

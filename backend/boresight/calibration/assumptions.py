@@ -4,7 +4,9 @@ Sizes, for a tracker whose half diagonal is theta and whose pixel is 1 / f_px ra
 v / c sin(angle to v), so the field is stretched by up to v / c: 2.5e-5 for 7.6 km/s, 1.0e-4 for the Earth's 29.8 km/s, which is
 the change of focal length that would be fitted for it. Refraction R = 2.9e-4 tan z (Bennett, at the sea's level) stretches the
 field by 2.9e-4 across the vertical and by 2.9e-4 / cos^2 z along it. A rolling shutter displaces stars by their speed times the
-time of a readout.
+time of a readout. A detector tilted by a about an axis in it displaces a star at r from the principal point by a r (n.r) / f with n
+a unit vector; so does a principal point that is a f off in the direction n, once the attitude has turned by a: for a camera without
+a tilt the one is the other to second order in r / f, and no star tells which it is.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Assumption
 from boresight.calibration.readout import ReadoutCorrection, find_rates
 from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import Role
 from boresight.sky.catalogue import Catalogue
 from boresight.telemetry.declarations import DECLARATIONS
 from boresight.telemetry.schema import Telemetry, select_rows
@@ -22,6 +25,8 @@ from boresight.telemetry.sensors import Sensor
 
 #: A usual time of a rolling readout, and a usual rate, where the set tells none.
 USUAL_READOUT_S, USUAL_RATE_DEG_S = 0.05, 0.06
+#: A usual tilt of a detector.
+USUAL_TILT_RAD = 1e-3
 #: Rows that the speed of a set is found from.
 MOST_ROWS = 20_000
 WHERE = "declare it in the sensor file"
@@ -44,6 +49,7 @@ def list_assumptions(
     return [
         _readout(named, sensor, catalogue, x, done),
         *(make(telemetry, sensor, float(corner_px)) for make in (_velocity, _directions, _refraction)),
+        *_tilt(sensor, x),
     ]
 
 
@@ -145,3 +151,19 @@ def _refraction(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assum
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
     sentence = f"No refraction is assumed, as in space. Of images from the ground it would change the scale by {size}: {WHERE}."
     return Assumption(name=name, declared=False, value="none", sentence=sentence)
+
+
+def _tilt(sensor: Sensor, x: FloatArray) -> list[Assumption]:
+    """That the detector is square to the axis: of cameras that have no tilt."""
+    camera, name, word = CAMERA_MODELS[sensor.camera_model], "tilt", sensor.declared.tilt
+    if any(one.role is Role.TILT for one in camera.parameters):
+        return []
+    if word is not None:
+        return [Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")]
+    moved_px = USUAL_TILT_RAD * camera.focal_px(x, sensor.pixel_pitch_m)
+    sentence = (
+        f"The camera model has no tilt, so a detector square to the optical axis is assumed. A tilt of "
+        f"{USUAL_TILT_RAD * 1e3:g} mrad would be fitted as a principal point {moved_px:.2g} px off, with no sign in the residuals "
+        f"and hardly any in the directions of stars: calibrate with a model that has it, such as inverted_wang, or {WHERE}."
+    )
+    return [Assumption(name=name, declared=False, value="none", sentence=sentence)]

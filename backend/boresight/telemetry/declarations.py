@@ -1,4 +1,4 @@
-"""What no telemetry can show and an operator declares in the sensor file: readout, satellite velocity, directions, refraction.
+"""What no telemetry can show and an operator declares in the sensor file: readout, velocity, directions, refraction, tilt.
 
 A rolling shutter exposes line after line. The centroid of a star on line l (a row, or a column) was taken l * line_time_s later
 than one on the first line, and the sky moved in between; along some axes a camera model takes that up as scale and distortion,
@@ -60,6 +60,11 @@ DECLARATIONS = {
                 "uncorrected": "images from the ground, as they came",
             },
         ),
+        Declaration(
+            "tilt",
+            "Tilt of the detector",
+            {"aligned": "the detector was measured to be square to the optical axis, or its tilt does not matter"},
+        ),
     )
 }
 
@@ -107,6 +112,7 @@ class Declared:
     satellite_velocity: str | None = None
     directions: str | None = None
     refraction: str | None = None
+    tilt: str | None = None
 
     def document(self) -> dict[str, str]:
         """Return what is declared as a sensor file has it."""

@@ -37,9 +37,10 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Cause, TrustTest
-from boresight.calibration.trust.departures import ANY_VELOCITY
+from boresight.calibration.trust.departures import ANY_VELOCITY, SOUGHT
 from boresight.calibration.trust.displacements import Score, find_score
 from boresight.calibration.trust.fitted_set import UNLIKELY
+from boresight.calibration.trust.flaws import Flaw
 from boresight.calibration.trust.trust_tests import TRUST_TESTS, Examined, gate_of_test
 from boresight.estimation.statistics.special import fdtrc
 
@@ -51,12 +52,14 @@ NOISE_OFF = 1.01
 VELOCITIES_KM_S = (29.8, 7.5)
 #: Departures whose fields have the size that a coefficient of one gives them.
 KNOWN_SIZE = ("aberration", "readout")
+#: Largest displacement of fields that leave most stars where they are, for a coefficient of one.
+LARGEST = {"edges": 1.0, "flaw": float(np.exp(-0.5))}
 #: Fields of a velocity of which nothing is known.
 FREE_VELOCITY = 3
 #: More centroids than `FEW` beyond so many spreads are no noise, whatever its tails.
 FARTHEST, FEW = 30.0, 2
 #: Causes of which one alone is told: each takes up most of what the others leave.
-ONE_OF = ({"time", "temperature", "drift"}, {"lens", "tangential", "radial"})
+ONE_OF = ({"trend", "time", "temperature", "drift"}, {"lens", "tangential", "radial", "edges", "flaw"})
 #: Sightings of a star that tell its place from one wrong identity.
 SEEN_AGAIN = 2
 
@@ -106,10 +109,28 @@ CAUSES: dict[str, CauseKind] = {
             ("lens", *GENERAL),
         ),
         CauseKind(
+            "edges",
+            "Centroids near the edges of the detector are drawn off by about {size} px, as windows cut by the edge do",
+            "leave out stars whose window reaches over the edge, or correct their centroids",
+            ("edges", *GENERAL),
+        ),
+        CauseKind(
+            "flaw",
+            "Something at one place displaces stars about it by up to {size} px: a flaw of the window, a droplet, dust",
+            "leave out stars near it, or load the correction table of the residual spline",
+            ("flaw", *GENERAL),
+        ),
+        CauseKind(
             "readout",
             "Lines are read out one after another: stars are displaced by about {size} px with their line and the image's velocity",
             "state readout mode and line time in the sensor file, or use frames taken at rest",
             ("readout", *GENERAL),
+        ),
+        CauseKind(
+            "trend",
+            "The focal length drifts one way during the set, which moves stars by about {size} px",
+            "calibrate shorter stretches apart, or run a filter with process noise and use its last state",
+            ("trend", *GENERAL),
         ),
         CauseKind(
             "time",
@@ -128,6 +149,12 @@ CAUSES: dict[str, CauseKind] = {
             "The camera drifts over the set, not by its focal length alone",
             "calibrate shorter stretches apart, or run a filter with process noise and use its last state",
             ("drift", *GENERAL),
+        ),
+        CauseKind(
+            "exposure",
+            "The exposures of a frame see different cameras: parameters change from the first exposure to the last",
+            "calibrate them apart; look at exposure times, motion during the exposure and how each is read",
+            ("exposure", *GENERAL),
         ),
         CauseKind(
             "magnitude",
@@ -241,7 +268,11 @@ def _notices(examined: Examined, free: list[str], name: str) -> float:
         return 0.0
     freedom = n - both.dof - len(examined.sums.A)
     p = fdtrc(k, freedom, (alone.left - both.left) / k / (both.left / freedom))
-    return max(float(n * np.log(alone.left / both.left) - k * np.log(n)), 0.0) if p < UNLIKELY else 0.0
+    return (
+        max(float(n * np.log(alone.left / both.left) - (k + SOUGHT.get(name, 0)) * np.log(n)), 0.0)
+        if p < UNLIKELY
+        else 0.0
+    )
 
 
 def _guess(examined: Examined, candidates: list[Candidate], noticed: list[str]) -> Cause:
@@ -277,7 +308,7 @@ def _displacements(examined: Examined) -> list[Candidate]:
     return [
         Candidate(
             name,
-            _evidence(n, score) if name in KNOWN_SIZE else _gain(n, score, score.dof),
+            _evidence(n, score) if name in KNOWN_SIZE else _gain(n, score, score.dof + SOUGHT.get(name, 0)),
             _size(examined, name, score),
         )
         for name, score in examined.scores.items()
@@ -288,8 +319,10 @@ def _displacements(examined: Examined) -> list[Candidate]:
 def _size(examined: Examined, name: str, score: Score) -> float:
     """How far a departure still displaces stars, as the amplitude of a wave would: its root mean square times the root of two.
 
-    Of aberration the velocity, km/s.
+    Of aberration the velocity, km/s; of what is near the edges or about one place the largest displacement there.
     """
+    if name in LARGEST:
+        return abs(float(score.c[0])) * LARGEST[name]
     if name == "aberration":
         speeds = VELOCITIES_KM_S[: len(score.c)] if len(score.c) < FREE_VELOCITY else [ANY_VELOCITY] * FREE_VELOCITY
         return float(np.linalg.norm(score.c * speeds))
@@ -425,6 +458,9 @@ def _describe(
             kind,
             sentence="The centroid noise is {size} times the stated one; the sigmas hold the scale that was measured",
         )
+    if isinstance(flaw := examined.fitted.kept.get("flaw"), Flaw) and one.name == "flaw":
+        where = f"row {flaw.row_px:.0f}, column {flaw.col_px:.0f}"
+        kind = replace(kind, sentence=kind.sentence.replace("one place", where))
     return Cause(
         name=one.name,
         likelihood=share,

@@ -8,15 +8,19 @@ polynomials, which keep the fields of one departure apart:
 `radial`       (x, y) L_j(2 R^2 - 1), j = 1 ... 4: distortion of higher order than the camera has
 `affine`       (x, -y) and (y, x): pixels that are not square or not upright, and lines read out while the image moves steadily
 `lens`         (L_i L_j, 0) and (0, L_i L_j), 1 <= i + j <= 3: any smooth residual of the lens
+`edges`        centroids within `EDGE` of an edge drawn inwards or outwards, the more the nearer: windows that the edge cuts
+`flaw`         (p - p_0) / w exp(-|p - p_0|^2 / 2 w^2): at the place p_0 that `flaws` has found, of the width found there
 `magnitude`    (m, 0), (0, m), (m x, m y) with m the star's magnitude: centroids pulled with brightness
 `colour`       the same with its colour B-V
 `phase`        sin and cos of 2 pi and 4 pi times the place in the pixel, along either axis: centroids drawn to its centre
 `readout`      the image's velocity times the row, or the column: one line after another
 `aberration`   v - (v.s) s with v the Earth's velocity, and the satellite's, in units of c, where times tell them, or else any
                constant one of so many km/s as `ANY_VELOCITY`: directions of another observer
+`trend`        (x, y) L_1(time): a focal length that drifts one way, which six orders at once would hide
 `time`         (x, y) L_j(time), j = 1 ... 6: a focal length that changes
 `temperature`  (x, y) L_j(temperature), j = 1 ... 5
 `drift`        every free parameter times L_1(time)
+`exposure`     every free parameter times the place of the exposure in its frame, from -1 for the first to 1 for the last
 =============  ====================================================================================================
 
 The image's velocity comes from the attitudes of exposures that follow each other closely: with C_a and C_b a time t apart the
@@ -39,9 +43,14 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.trust.displacements import Block, Departure
 from boresight.calibration.trust.fitted_set import FittedSet
+from boresight.calibration.trust.flaws import Flaw, bump
 from boresight.estimation.attitude import attitudes, rotation_vector, to_quaternion, triad
 from boresight.sky.apparent import C_AU_DAY, C_M_S, days_since_j2000, earth_state
 
+#: Width of the edges, half diagonals: what a window of a few per cent of the detector's side reaches.
+EDGE = 0.1
+#: Numbers of a departure that were looked for before it was tested: Schwarz's criterion counts them with its coefficients.
+SOUGHT = {"flaw": 3}
 #: Orders of the polynomials above.
 RADIAL, LENS, TIME, TEMPERATURE, HARMONICS = 4, 3, 6, 5, 2
 #: Seconds between exposures, and the angle between them, rad, beyond which they do not tell a rate.
@@ -79,6 +88,7 @@ def find_departures(fitted: FittedSet) -> tuple[list[Departure], dict[str, str]]
         Departure("radial", "detector", _radial),
         Departure("affine", "detector", _affine),
         Departure("lens", "detector", _lens),
+        Departure("edges", "detector", _edges),
         Departure("phase", "detector", _phase),
         Departure("aberration", "sky", _aberration),
     ]
@@ -87,12 +97,37 @@ def find_departures(fitted: FittedSet) -> tuple[list[Departure], dict[str, str]]
             found.append(Departure(name, "detector", partial(_with, values)))
     if "rate" not in known.missing:
         found.append(Departure("readout", "detector", _readout))
-    for name, values, order in (("time", known.time, TIME), ("temperature", known.temperature, TEMPERATURE)):
+    for name, values, order in (
+        ("trend", known.time, 1),
+        ("time", known.time, TIME),
+        ("temperature", known.temperature, TEMPERATURE),
+    ):
         if values is not None:
             found.append(Departure(name, "rows", partial(_scale_with, values, order)))
     if known.time is not None:
         found.append(Departure("drift", "rows", partial(_drift, known.time)))
+    if "exposure" not in known.missing:
+        found.append(Departure("exposure", "rows", _exposure))
+    if isinstance(flaw := fitted.kept.get("flaw"), Flaw):
+        found.append(Departure("flaw", "detector", partial(_flaw, flaw)))
     return found, known.missing
+
+
+def find_companions(fitted: FittedSet) -> list[Departure]:
+    """List fields that have no test of their own, for how far `magnitude` and `colour` mislead when they are noticed.
+
+    `magnitude stretch`, `colour stretch`: (m x, -m y) and (m y, m x). `alike`: the fields of both with m one, for the star that is
+    not displaced need not be the mean one.
+    """
+    known = find_quantities(fitted)
+    return [
+        Departure("alike", "detector", _alike),
+        *(
+            Departure(f"{name} stretch", "detector", partial(_stretched_with, values))
+            for name, values in (("magnitude", known.magnitude), ("colour", known.colour))
+            if values is not None
+        ),
+    ]
 
 
 def find_quantities(fitted: FittedSet) -> Quantities:
@@ -106,6 +141,8 @@ def find_quantities(fitted: FittedSet) -> Quantities:
             missing[name] = values
     if why := _why_no_rate(fitted):
         missing["rate"] = why
+    if fitted.arcs.n_exposures == fitted.arcs.n_frames:
+        missing["exposure"] = "Every frame has one exposure."
     return Quantities(**found, missing=missing)
 
 
@@ -263,6 +300,24 @@ def _lens(block: Block) -> FloatArray:
     return np.stack([np.concatenate([values, none], axis=1), np.concatenate([none, values], axis=1)], axis=1)
 
 
+def _edges(block: Block) -> FloatArray:
+    sensor = block.fitted.problem.sensor
+    places = ((block.arcs.row_px, sensor.rows), (block.arcs.col_px, sensor.columns))
+    return _pairs((_towards_edges(block, *places[0]), _towards_edges(block, *places[1])))
+
+
+def _towards_edges(block: Block, place: FloatArray, pixels: int) -> FloatArray:
+    """One at the far edge, minus one at the first, and nothing `EDGE` half diagonals from either."""
+    reach = EDGE * half_diagonal(block.fitted)
+    near, far = (np.maximum(1 - away / reach, 0.0) for away in (place, pixels - 1 - place))
+    return np.asarray(far - near)
+
+
+def _flaw(flaw: Flaw, block: Block) -> FloatArray:
+    places = np.stack([block.arcs.row_px, block.arcs.col_px], axis=1)
+    return bump(places[..., None], np.array([[flaw.row_px], [flaw.col_px]]), flaw.width_px)
+
+
 def _phase(block: Block) -> FloatArray:
     found = np.zeros((block.arcs.n_stars, 2, 4 * HARMONICS))
     for axis, place in enumerate((block.arcs.row_px, block.arcs.col_px)):
@@ -278,6 +333,18 @@ def _with(values: FloatArray, block: Block) -> FloatArray:
     m, (x, y) = values[block.stars], _places(block)
     none = np.zeros_like(m)
     return _pairs((m, none), (none, m), (m * x, m * y))
+
+
+def _stretched_with(values: FloatArray, block: Block) -> FloatArray:
+    """Stretches of the image that grow with a quantity of each star."""
+    m, (x, y) = values[block.stars], _places(block)
+    return _pairs((m * x, -m * y), (m * y, m * x))
+
+
+def _alike(block: Block) -> FloatArray:
+    """The same shifts, scale and stretches of all stars."""
+    every = np.ones(block.fitted.arcs.n_stars)
+    return np.concatenate([_with(every, block), _stretched_with(every, block)], axis=2)
 
 
 def _aberration(block: Block) -> FloatArray:
@@ -310,3 +377,12 @@ def _scale_with(values: FloatArray, order: int, block: Block) -> FloatArray:
 
 def _drift(time: FloatArray, block: Block) -> FloatArray:
     return np.asarray(-block.H * time[block.frame_of_arc][:, None])
+
+
+def _exposure(block: Block) -> FloatArray:
+    arcs = block.arcs
+    many = np.diff(arcs.frame_start)
+    first = np.repeat(arcs.frame_start[:-1], many)
+    place = 2 * (np.arange(arcs.n_exposures) - first) / np.maximum(np.repeat(many, many) - 1, 1) - 1
+    level = np.where(np.repeat(many, many) > 1, place, 0.0)
+    return np.asarray(-block.H * np.repeat(level, 2 * np.diff(arcs.star_start) - 3)[:, None])

@@ -118,6 +118,14 @@ def _of_dependence(cause: str) -> Callable[[Examined], Outcome | None]:
     return ask
 
 
+def _flaw(examined: Examined) -> Outcome | None:
+    """Ask the place that was found, with its chance at any place."""
+    flaw, score = examined.fitted.kept.get("flaw"), examined.scores.get("flaw")
+    if flaw is None or score is None or score.dof == 0:
+        return None
+    return flaw.p, _bounded(examined, score, _excess(examined, score))
+
+
 def _chi_square(examined: Examined) -> Outcome | None:
     fitted = examined.fitted
     dof = fitted.arcs.n_arcs - len(fitted.names)
@@ -199,6 +207,15 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
         _of_score("lens", stays=True),
     ),
     TrustTestKind(
+        "edges", "Edges of the detector", "lens-structure",
+        "Centroids are displaced near the edges of the detector", "Centroids near the edges of the detector are not displaced",
+        _of_score("edges", stays=True),
+    ),
+    TrustTestKind(
+        "flaw", "Flaw at one place", "lens-structure",
+        "Stars are displaced about one place of the detector", "Stars are displaced about no place of the detector", _flaw,
+    ),
+    TrustTestKind(
         "residual_field", "Residuals over the detector", "lens-structure",
         "Mean residuals differ from cell to cell of the detector", "Mean residuals are alike in all cells of the detector",
         _of_part("residual_field", lambda part: part.after.p),
@@ -219,6 +236,11 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
         _of_score("readout", stays=False),
     ),
     TrustTestKind(
+        "trend", "Trend of the scale", "stability",
+        "The scale of the image drifts one way over the set", "The scale of the image does not drift over the set",
+        _of_score("trend", stays=True),
+    ),
+    TrustTestKind(
         "time", "Scale over time", "stability",
         "The scale of the image changes with time", "The scale of the image does not change with time",
         _of_score("time", stays=True),
@@ -231,6 +253,11 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
     TrustTestKind(
         "drift", "Drift of all parameters", "stability",
         "The parameters drift over the set", "The parameters do not drift over the set", _of_score("drift", stays=True),
+    ),
+    TrustTestKind(
+        "exposure", "Exposures of a frame", "stability",
+        "The exposures of a frame see another camera", "All exposures of a frame see one camera",
+        _of_score("exposure", stays=True),
     ),
     TrustTestKind(
         "two_halves", "Two halves", "stability",
