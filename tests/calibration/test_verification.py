@@ -10,7 +10,7 @@ import pytest
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.matching import verification
 from boresight.calibration.matching.verification import BY_NAME, BY_VOTE, compute_limit
-from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.calibration.problem import make_problem
 from boresight.estimation.statistics.consistency import nees
 from boresight.estimation.statistics.special import chdtri
@@ -298,3 +298,27 @@ def test_a_star_named_twice_is_found_where_it_is_in_files_too(catalogue, tmp_pat
     one, other = in_memory(whole, st16(), catalogue, match="given"), streamed(path, st16(), catalogue, 7, match="given")
     assert len(one["removed"]) == 8
     assert differences(one["removed"], other["removed"]) == []
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("stars", [4, 12])
+def test_a_set_of_wrong_identities_alone_ends_with_a_status_and_advice(catalogue, method, stars):
+    telemetry, _ = with_wrong(field(3, frames=30, stars=stars), 1.0, 5, near=False)
+    found = calibrated(telemetry, catalogue, method=method)
+    assert found.status != "converged"
+    assert found.advice
+
+
+def test_exposures_that_are_all_lost_with_a_star_each_leave_too_few_stars(catalogue):
+    telemetry = field(3, frames=30, stars=4)
+    telemetry, _ = with_wrong(telemetry, 0.0, 1)
+    last = np.arange(len(telemetry)) % 4 == 3
+    wrong = replace(
+        telemetry,
+        ra_rad=np.where(last, np.roll(telemetry.ra_rad, 4), telemetry.ra_rad),
+        dec_rad=np.where(last, np.roll(telemetry.dec_rad, 4), telemetry.dec_rad),
+    )
+    for method in ("batch", "sqrf"):
+        found = calibrated(wrong, catalogue, method=method)
+        assert found.status == "too_few_stars"
+        assert len(found.removed) == len(telemetry) // 4

@@ -175,7 +175,7 @@ def _verify_block(block: ArcSet, how: Verification) -> Refusals:
 
 
 def _names_twice(block: ArcSet) -> BoolArray:
-    """Exposures (n_exposures,) in which two stars may have one direction; one coordinate tells it nearly as well, at half the cost."""
+    """Exposures (n_exposures,) in which two stars may have one direction: one coordinate tells it, at half the cost."""
     exposure = np.repeat(np.arange(block.n_exposures), np.diff(block.star_start))
     found = np.zeros(block.n_exposures, np.bool_)
     found[exposure[_repeats(exposure, block.s_i[:, :1])]] = True
@@ -203,7 +203,7 @@ def _doubtful(block: ArcSet, how: Verification) -> BoolArray:
         return doubtful
     if how.before_estimate:
         loops.find_disagreeing(
-            block.camera.kind, how.x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band,
+            block.camera.kind, how.x, block.pitch, block.star_start, block.row_px, block.col_px, block.known_phi, block.band,
             how.root, GATE, doubtful,
         )  # fmt: skip
         return doubtful
@@ -214,7 +214,15 @@ def _chi2_in_block(block: ArcSet, x: FloatArray) -> FloatArray:
     """Chi-square of each exposure of one block, (n_exposures,)."""
     chi2 = np.empty(block.n_exposures)
     loops.exposure_chi2(
-        block.camera.kind, x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band, chi2
+        block.camera.kind,
+        x,
+        block.pitch,
+        block.star_start,
+        block.row_px,
+        block.col_px,
+        block.known_phi,
+        block.band,
+        chi2,
     )
     return chi2
 
