@@ -287,6 +287,8 @@ def _calibrated(
     clock.lap("arcs")
     if first.problem.arcs.n_exposures == 0:
         nothing = result.nothing_estimated(first.problem, parameters, settings, sha256s)
+        if sets.is_given:
+            nothing = _with_removed(nothing, sets, first)
         advice = [*identification_advice(first.unidentified), *nothing.advice]
         return replace(nothing, advice=advice), None, None
     reporter = ProgressReporter(first.problem, parameters, settings, sha256s, context.report, sets.prepared)

@@ -166,7 +166,7 @@ def _of_block(
     """Evaluate A and b of one block."""
     A, b = np.empty((len(free), len(free))), np.empty(len(free))
     chi2, total = kernels.normal_equations(
-        block.camera.kind, x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band,
+        block.camera.kind, x, block.pitch, block.star_start, block.row_px, block.col_px, block.known_phi, block.band,
         free, scale, threshold, A, b,
     )  # fmt: skip
     return NormalEquations(A, b, float(chi2), float(total))
@@ -181,7 +181,7 @@ def _squares_of_block(block: ArcSet, x: FloatArray) -> float:
     """Whitened sum of squares of one block."""
     return float(
         kernels.count_beyond(
-            block.camera.kind, x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band, np.inf
+            block.camera.kind, x, block.pitch, block.star_start, block.row_px, block.col_px, block.known_phi, block.band, np.inf
         )[1]
     )  # fmt: skip
 

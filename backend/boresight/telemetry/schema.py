@@ -54,6 +54,8 @@ FLOAT_COLUMNS = tuple(
 COLUMN_GROUPS = (("ra_deg", "dec_deg"), ("q_x", "q_y", "q_z", "q_w"), ("vx_km_s", "vy_km_s", "vz_km_s"))
 
 UNMATCHED = 0
+#: Between which numbers a magnitude, or a temperature in degrees Celsius, is one: 99 or -999 often stands for no measurement.
+MAGNITUDES, TEMPERATURES_C = (-2.0, 20.0), (-273.15, 400.0)
 
 
 @dataclass(frozen=True)
@@ -166,6 +168,11 @@ def find_exposures(telemetry: Telemetry) -> Exposures:
         exposure=telemetry.exposure[start],
         of_entry=np.cumsum(first) - 1,
     )
+
+
+def within(values: FloatArray, ends: tuple[float, float]) -> FloatArray:
+    """Return values (n,) that are measurements, NaN for others: one absurd number would drown what depends on the rest."""
+    return np.where((values >= ends[0]) & (values <= ends[1]), values, np.nan)
 
 
 def time_text(telemetry: Telemetry, row: int) -> str | None:

@@ -46,6 +46,7 @@ from boresight.calibration.trust.fitted_set import FittedSet
 from boresight.calibration.trust.flaws import Flaw, bump
 from boresight.estimation.attitude import attitudes, rotation_vector, to_quaternion, triad
 from boresight.sky.apparent import C_AU_DAY, C_M_S, days_since_j2000, earth_state
+from boresight.telemetry.schema import MAGNITUDES, TEMPERATURES_C, within
 
 #: Width of the edges, half diagonals: what a window of a few per cent of the detector's side reaches.
 EDGE = 0.1
@@ -150,7 +151,7 @@ def _magnitude(fitted: FittedSet) -> FloatArray | str:
     given = fitted.telemetry.magnitude
     if given is None:
         return "The telemetry has no magnitudes."
-    return _about_mean(given[fitted.arcs.source_row], "All stars have one magnitude.")
+    return _about_mean(within(given[fitted.arcs.source_row], MAGNITUDES), "All stars have one magnitude.")
 
 
 def _colour(fitted: FittedSet) -> FloatArray | str:
@@ -187,8 +188,11 @@ def _temperature(fitted: FittedSet) -> FloatArray | str:
         return "The telemetry has no temperatures."
     if fitted.arcs.n_frames < FEWEST_FRAMES:
         return f"A change with temperature needs {FEWEST_FRAMES} frames."
-    values = given[_first_rows(fitted)]
-    return _within_one(np.where(np.isfinite(values), values, np.nanmean(values)), "All frames have one temperature.")
+    values = within(given[_first_rows(fitted)], TEMPERATURES_C)
+    known = np.isfinite(values)
+    if not known.any():
+        return "The telemetry has no temperatures."
+    return _within_one(np.where(known, values, values[known].mean()), "All frames have one temperature.")
 
 
 def _first_rows(fitted: FittedSet) -> FloatArray:

@@ -60,6 +60,7 @@ from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, pix
 from boresight.calibration.trust.fitted_set import UNLIKELY, FittedSet, Unavailable, nested, probability
 from boresight.calibration.trust.residuals import LEAST_SHARE, StarResiduals
 from boresight.estimation.statistics.special import bdtr, bdtrc, chdtrc, ndtr
+from boresight.telemetry.schema import MAGNITUDES, TEMPERATURES_C, within
 
 #: Cells along the longer side.
 FEWEST_CELLS, MOST_CELLS = 4, 16
@@ -343,8 +344,10 @@ def _quantities(fitted: FittedSet, found: StarResiduals, radius: FloatArray) -> 
         hours = (time - np.nanmin(time)) / np.timedelta64(1, "h") if not np.isnat(time).all() else None
     return {
         "radius": radius,
-        "magnitude": None if telemetry.magnitude is None else telemetry.magnitude[rows],
-        "temperature": None if telemetry.temperature_c is None else telemetry.temperature_c[rows],
+        "magnitude": None if telemetry.magnitude is None else within(telemetry.magnitude[rows], MAGNITUDES),
+        "temperature": None
+        if telemetry.temperature_c is None
+        else within(telemetry.temperature_c[rows], TEMPERATURES_C),
         "time": hours,
         "colour": _colour(fitted, rows),
         "row": found.arcs.row_px,

@@ -159,7 +159,7 @@ def fit_best(
         raise Unavailable("There are no more arcs than free parameters, so nothing can be checked: add frames.")
     e, H = np.empty(arcs.n_arcs), np.empty((arcs.n_arcs, len(parameters.free)))
     kernels.whitened_rows(
-        arcs.camera.kind, x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band,
+        arcs.camera.kind, x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.known_phi, arcs.band,
         parameters.free, parameters.scale, e, H,
     )  # fmt: skip
     if not (np.isfinite(e).all() and np.isfinite(H).all()):

@@ -118,7 +118,6 @@ class Checks:
         self._last_frame = int(telemetry.frame[-1])
         _check_torn(telemetry, exposures, self._torn)
         _check_stars(telemetry, exposures, self._most_stars, self._others)
-        _check_repeated_stars(telemetry, exposures, self._others)
         _check_repeated_centroids(telemetry, exposures, self._others)
         with np.errstate(over="ignore"):  # the length of what is beyond all numbers is infinite, and refused
             _check_directions(telemetry, self._others)
@@ -171,21 +170,6 @@ def _check_stars(telemetry: Telemetry, exposures: Exposures, most: int, faults: 
             "detection threshold, or number the exposures"
         ),
     )
-
-
-def _check_repeated_stars(telemetry: Telemetry, exposures: Exposures, faults: Faults) -> None:
-    """Find stars that are seen twice in an exposure."""
-    if telemetry.star_id is None:
-        return
-    matched = np.flatnonzero(telemetry.star_id > 0)
-    later, earlier = repeats_within(exposures.of_entry[matched], telemetry.star_id[matched])
-    for entry, before in zip(matched[later].tolist(), matched[earlier].tolist(), strict=True):
-        faults.add(
-            f"star {telemetry.star_id[entry]} is already in row {before + faults.first_row} of this exposure: "
-            "leave star_id empty where the match is wrong",
-            row=entry + faults.first_row,
-            column="star_id",
-        )
 
 
 def _check_repeated_centroids(telemetry: Telemetry, exposures: Exposures, faults: Faults) -> None:

@@ -63,9 +63,12 @@ def repeated_stars(inputs: QualityInputs) -> Finding | None:
     if not len(later):
         return None
     what = counted(len(later), "row names", "rows name")
-    sentence = f"{what} a star already named in the exposure: leave star_id empty where it is wrong."
+    sentence = (
+        f"{what} a star already named in the exposure: the detection nearest to the star's place keeps it when stars are verified; "
+        "leave star_id empty where it is wrong."
+    )
     return Finding(
-        "REPEATED_STARS", "SERIOUS", sentence, len(later), row_numbers(inputs, _marked(inputs, matched[later]))
+        "REPEATED_STARS", "CAUTION", sentence, len(later), row_numbers(inputs, _marked(inputs, matched[later]))
     )
 
 

@@ -6,10 +6,10 @@ import numpy as np
 
 from boresight.estimation import MINIMUM_STARS
 from boresight.telemetry.quality.inputs import Finding, QualityInputs, Severity, counted, marked_rows, row_numbers
+from boresight.telemetry.schema import MAGNITUDES
 
 _MANY_UNMATCHED = 0.5
 _MANY_EXPOSURES = 0.2
-_MAGNITUDES = (-2.0, 20.0)
 _MAGNITUDE_MISMATCH = 2.0
 _ENOUGH_MAGNITUDES = 20
 #: Spread across over spread along, below which a calibration calls stars collinear too.
@@ -96,8 +96,8 @@ def absurd_magnitudes(inputs: QualityInputs) -> Finding | None:
     magnitude = inputs.telemetry.magnitude
     if magnitude is None:
         return None
-    absurd = (magnitude < _MAGNITUDES[0]) | (magnitude > _MAGNITUDES[1])
-    said = "outside {:g} to {:g}: leave the cell empty where there is no measurement.".format(*_MAGNITUDES)
+    absurd = (magnitude < MAGNITUDES[0]) | (magnitude > MAGNITUDES[1])
+    said = "outside {:g} to {:g}: leave the cell empty where there is no measurement.".format(*MAGNITUDES)
     return marked_rows(inputs, "MAGNITUDE_RANGE", "CAUTION", absurd, ("magnitude lies", "magnitudes lie"), said)
 
 
@@ -106,7 +106,7 @@ def mismatched_magnitudes(inputs: QualityInputs) -> Finding | None:
     magnitude, index = inputs.telemetry.magnitude, inputs.index
     if magnitude is None or index is None or inputs.catalogue is None:
         return None
-    known = (index >= 0) & (magnitude >= _MAGNITUDES[0]) & (magnitude <= _MAGNITUDES[1])
+    known = (index >= 0) & (magnitude >= MAGNITUDES[0]) & (magnitude <= MAGNITUDES[1])
     if known.sum() < _ENOUGH_MAGNITUDES:
         return None
     difference = np.full(len(magnitude), np.nan)
