@@ -1,9 +1,13 @@
-"""What no telemetry can show and an operator declares in the sensor file: readout, satellite velocity, directions, refraction.
+"""What no telemetry can show and an operator declares in the sensor file: readout, velocity, directions, refraction, site.
 
 A rolling shutter exposes line after line. The centroid of a star on line l (a row, or a column) was taken l * line_time_s later
 than one on the first line, and the sky moved in between; along some axes a camera model takes that up as scale and distortion,
 with residuals as small as ever. The other declarations say how star directions were formed: an error in them is as smooth over
 the field. So each is asked once, by name; until it is answered a calibration states what it assumed (`calibration.assumptions`).
+
+A camera on the ground has a `site`: where it stands, and the air above it (`sky.ground` bends the stars' directions by it).
+Latitude and longitude are asked; the rest has the values of `SITE_FIELDS` where nobody gives it, and the pressure that of the
+height.
 """
 
 from __future__ import annotations
@@ -114,6 +118,92 @@ class Declared:
 
 
 NOTHING_DECLARED = Declared()
+
+
+@dataclass(frozen=True)
+class SiteField:
+    """One number of a site: its unit, its bounds, what it is, and its value where it may be left out."""
+
+    name: str
+    unit: str
+    lowest: float
+    highest: float
+    sentence: str
+    usual: float | None = None
+    optional: bool = True
+
+
+#: Every number of a site, by name. Elevations below some degrees are beyond the model, and so are other wavelengths.
+SITE_FIELDS = {
+    one.name: one
+    for one in (
+        SiteField("latitude_deg", "°", -90.0, 90.0, "geodetic latitude, north positive", optional=False),
+        SiteField("longitude_deg", "°", -180.0, 360.0, "longitude, east positive", optional=False),
+        SiteField("height_m", "m", -500.0, 9000.0, "height above the ellipsoid", 0.0),
+        SiteField("pressure_hpa", "hPa", 0.0, 1100.0, "air pressure at the site itself, not reduced to the sea's level"),
+        SiteField("temperature_c", "°C", -70.0, 60.0, "air temperature", 10.0),
+        SiteField("relative_humidity", "", 0.0, 1.0, "relative humidity, 0 to 1", 0.5),
+        SiteField("wavelength_um", "µm", 0.3, 2.5, "wavelength of the light that the detector sees most of", 0.6),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where on the ground a camera stands, and the air above it; None where nobody gave it.
+
+    Latitude and longitude in degrees, geodetic, east positive; height in metres; pressure in hectopascals at the site; temperature
+    in degrees Celsius; humidity from 0 to 1; wavelength in micrometres.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float | None = None
+    pressure_hpa: float | None = None
+    temperature_c: float | None = None
+    relative_humidity: float | None = None
+    wavelength_um: float | None = None
+
+    def document(self) -> dict[str, float]:
+        """Return what is given of it as a sensor file has it."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+    @property
+    def assumed(self) -> list[str]:
+        """Names of the numbers that nobody gave."""
+        return [name for name in SITE_FIELDS if getattr(self, name) is None]
+
+    def get(self, name: str) -> float:
+        """Return a number of it as given, else the usual one."""
+        value = getattr(self, name)
+        return float(SITE_FIELDS[name].usual or 0.0) if value is None else float(value)
+
+
+def parse_site(value: Any, faults: Faults) -> Site | None:
+    """Read the `site` of a sensor file; None where there is none, or a fault."""
+    if value is None:
+        return None
+    if not isinstance(value, Mapping):
+        faults.add(f"site is {value!r}: write an object with latitude_deg and longitude_deg")
+        return None
+    _refuse_unknown("site", value, tuple(SITE_FIELDS), faults)
+    numbers = {name: _site_number(one, value.get(name), faults) for name, one in SITE_FIELDS.items()}
+    return None if numbers["latitude_deg"] is None or numbers["longitude_deg"] is None else Site(**numbers)  # type: ignore[arg-type] # both are there
+
+
+def _site_number(one: SiteField, value: Any, faults: Faults) -> float | None:
+    """Return a number of a site within its bounds, None with a fault where it is none."""
+    if value is None:
+        if not one.optional:
+            faults.add(f"site.{one.name} is missing: give it in degrees")
+        return None
+    if isinstance(value, int | float) and not isinstance(value, bool) and one.lowest <= value <= one.highest:
+        return float(value)
+    faults.add(
+        f"site.{one.name} is {value!r}: give a number from {one.lowest:g} to {one.highest:g}{one.unit and f' {one.unit}'}, "
+        f"{one.sentence}"
+    )
+    return None
 
 
 def parse_readout(value: Any, faults: Faults) -> Readout | None:
