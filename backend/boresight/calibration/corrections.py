@@ -1,10 +1,11 @@
 """What is put right in telemetry before anything is estimated from it, and repeated at the result: directions, readout, noise.
 
 In this order: directions that are declared to be of J2000.0 become apparent ones; from a site on the ground those without
-refraction are refracted, here where the file gives them, and where the catalogue does when they are made; the bias that an earlier pass found against
-pixel phase and colour is subtracted from the centroids as measured, and its noise replaces the stated; centroids of a rolling
-shutter that nobody corrected are moved back to the time of the first line. Readout and noise depend a little on the camera's
-state, and on the stars that a first pass matched, so a calibration is made again with what it found until that changes nothing.
+refraction are refracted, here where the file gives them, and when they are made where the catalogue does; the bias that an
+earlier pass found against pixel phase and colour is subtracted from the centroids as measured, and its noise replaces the stated;
+centroids of a rolling shutter that nobody corrected are moved back to the time of the first line. Readout and noise depend a
+little on the camera's state, and on the stars that a first pass matched, so a calibration is made again with what it found until
+that changes nothing.
 """
 
 from __future__ import annotations

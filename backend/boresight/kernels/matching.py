@@ -373,7 +373,7 @@ def _refract(c, air):
     along = c[0] * air[0] + c[1] * air[1] + c[2] * air[2]
     across2 = 1.0 - along * along
     across = math.sqrt(across2) if across2 > 1e-12 else 1e-6
-    high = along if along > 0.05 else 0.05
+    high = max(along, 0.05)
     tangent = across / high
     w = air[4] * tangent * tangent
     turn = (air[3] + w) * tangent / (1.0 + (air[3] + 3.0 * w) / (high * high))

@@ -71,9 +71,9 @@ from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
 from boresight.simulation.orbits import GOLDEN_ANGLE_RAD, MOTIONS, Orbit, attitude, look_at, state, usable
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
+from boresight.site import Site
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.ground import observed_directions, view_from
-from boresight.telemetry.declarations import Site
 from boresight.telemetry.schema import UNMATCHED, Telemetry
 from boresight.telemetry.sensors import Sensor, parse_sensor, sensor_document
 
@@ -306,13 +306,13 @@ def _parse_motion(motion: Any) -> str:
 
 
 def _check_ground(scenario: Scenario) -> None:
-    """Refuse a sensor in orbit on the ground, one on the ground in orbit, and one that looks at the horizon or beyond the zenith."""
+    """Refuse a sensor that is both in orbit and on the ground, and one that looks at the horizon or beyond the zenith."""
     site, low = scenario.sensor.site, float(np.degrees(scenario.pointing_rad))
     if (site is None) == (scenario.motion == GROUND):
         raise RefusedInputError(
             "A scenario's `motion` is ground where its sensor has a `site`, and only there: give both, or neither."
         )
-    if site is not None and not (LOWEST_ELEVATION_DEG <= low and low + scenario.elevation_span_deg <= 90.0):
+    if site is not None and not (low >= LOWEST_ELEVATION_DEG and low + scenario.elevation_span_deg <= 90.0):
         raise RefusedInputError(
             f"A scenario on the ground must look at elevations from {LOWEST_ELEVATION_DEG:g} to 90 degrees: change "
             "`pointing_deg` or `elevation_span_deg`."

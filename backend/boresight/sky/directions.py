@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.errors import RefusedInputError
+from boresight.site import Site
 from boresight.sky.catalogue import Catalogue
 from boresight.sky.ground import observed_directions
-from boresight.telemetry.declarations import Site
 
 
 def star_directions(

@@ -1,8 +1,8 @@
 """From the ground: where the zenith is, how the observer moves, and how the air bends the stars towards the zenith.
 
-A site's latitude, longitude and height are turned into ICRS axes at a time by the Earth's precession and nutation (IAU 2006/2000A),
-its rotation angle and the motion of its pole (`erfa.apco`, which is `apco13` with these given). Its velocity, 465 m/s at the equator,
-is the diurnal aberration: 0.3 arcsec, which goes where a satellite's velocity goes. The air moves a star at zenith distance Z,
+A site's latitude, longitude and height are turned into ICRS axes at a time by precession and nutation (IAU 2006/2000A), the
+Earth's rotation angle and the motion of its pole (`erfa.apco`, which is `apco13` with these given). Its velocity, 465 m/s at the
+equator, is diurnal aberration: 0.3 arcsec, which goes where a satellite's velocity goes. Air moves a star at zenith distance Z,
 
     Z_observed = Z - (A tan Z + B tan^3 Z)                   A, B of pressure, temperature, humidity, wavelength (`erfa.refco`)
 
@@ -34,9 +34,9 @@ from numpy.typing import NDArray
 from boresight.arrays import FloatArray, IntArray, TimeArray
 from boresight.errors import RefusedInputError
 from boresight.estimation.blocks import in_blocks
+from boresight.site import Site
 from boresight.sky.apparent import C_AU_DAY, C_M_S, ROWS, apparent_directions, days_since_j2000, earth_state
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.declarations import Site
 
 _JD_J2000 = 2451545.0
 _MJD_J2000 = 51544.5
@@ -121,8 +121,8 @@ def earth_orientation(days_utc: FloatArray) -> tuple[FloatArray, FloatArray, Flo
 class GroundView:
     """An observer on the ground at moments (n,).
 
-    `astrom`: (n,) erfa's star-independent parameters without air. `zenith`: (n, 3) geodetic, ICRS axes. `velocity_m_s`: (n, 3) about
-    the Earth's centre, ICRS axes. `A`, `B`: constants of refraction, rad.
+    `astrom`: (n,) erfa's star-independent parameters without air. `zenith`: (n, 3) geodetic, ICRS axes. `velocity_m_s`: (n, 3)
+    about the Earth's centre, ICRS axes. `A`, `B`: constants of refraction, rad.
     """
 
     astrom: NDArray[np.void]
@@ -207,6 +207,28 @@ def refracted(s: FloatArray, view: GroundView) -> FloatArray:
         azimuth, zenith_distance, *_ = erfa.atioq(ra, dec, airy)
         answer[known] = _to_icrs(*erfa.atoiq("A", azimuth, zenith_distance, here.astrom), here.astrom)
     return answer
+
+
+def lift(s: FloatArray, zenith: FloatArray, A: float, B: float) -> FloatArray:
+    """Return the vectors (n, 3) by which air moves directions s (n, 3) towards a zenith (n, 3), to first order; rad.
+
+    For a zenith that is only supposed; directions nearer to the horizon than 3 degrees are moved as there.
+    """
+    along = np.einsum("ij,ij->i", s, zenith)
+    high = np.maximum(along, 0.05)
+    towards = zenith - along[:, None] * s
+    return np.asarray((A / high + B * (1 - high**2) / high**3)[:, None] * towards)
+
+
+def zeniths_from(places: FloatArray, time_utc: TimeArray) -> FloatArray:
+    """Return the zeniths (n, n_places, 3), ICRS axes, of places on Earth (n_places, 3), unit vectors, at times (n,).
+
+    For places that are only supposed: the pole stands where it stood in 2000, within half a degree for sixty years, and UT1 is UTC.
+    """
+    angle = erfa.era00(_JD_J2000, (time_utc - _J2000).astype(np.int64) / _US_PER_DAY)
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    x, y, z = places.T
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y, np.broadcast_to(z, (len(angle), len(z)))], axis=-1)
 
 
 def refracted_at(s: FloatArray, site: Site, time_utc: TimeArray) -> FloatArray:

@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
+from boresight.site import Site
 from boresight.sky.apparent import C_AU_DAY, C_M_S, DAYS_PER_YEAR, J1991_25_DAYS, days_since_j2000, earth_state
 from boresight.sky.catalogue import SINGLE_STAR, Catalogue
 from boresight.sky.ground import velocity_at, view_from
-from boresight.telemetry.declarations import Site
 
 #: Bands of z are so far apart where places are put in one order: x and a reach fit between, each two at most.
 BAND = 8.0

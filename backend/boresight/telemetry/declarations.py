@@ -12,10 +12,12 @@ height.
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
+from boresight.site import SITE_FIELDS, Site, SiteField
 from boresight.telemetry.read.checks import Faults
 
 GLOBAL: Final = "global"
@@ -61,7 +63,7 @@ DECLARATIONS = {
             {
                 "none": "images from space",
                 "corrected": "images from the ground, with refraction in their directions",
-                "uncorrected": "images from the ground, as they came",
+                "uncorrected": "images from the ground, as they came, and directions without refraction",
             },
         ),
     )
@@ -118,65 +120,6 @@ class Declared:
 
 
 NOTHING_DECLARED = Declared()
-
-
-@dataclass(frozen=True)
-class SiteField:
-    """One number of a site: its unit, its bounds, what it is, and its value where it may be left out."""
-
-    name: str
-    unit: str
-    lowest: float
-    highest: float
-    sentence: str
-    usual: float | None = None
-    optional: bool = True
-
-
-#: Every number of a site, by name. Elevations below some degrees are beyond the model, and so are other wavelengths.
-SITE_FIELDS = {
-    one.name: one
-    for one in (
-        SiteField("latitude_deg", "°", -90.0, 90.0, "geodetic latitude, north positive", optional=False),
-        SiteField("longitude_deg", "°", -180.0, 360.0, "longitude, east positive", optional=False),
-        SiteField("height_m", "m", -500.0, 9000.0, "height above the ellipsoid", 0.0),
-        SiteField("pressure_hpa", "hPa", 0.0, 1100.0, "air pressure at the site itself, not reduced to the sea's level"),
-        SiteField("temperature_c", "°C", -70.0, 60.0, "air temperature", 10.0),
-        SiteField("relative_humidity", "", 0.0, 1.0, "relative humidity, 0 to 1", 0.5),
-        SiteField("wavelength_um", "µm", 0.3, 2.5, "wavelength of the light that the detector sees most of", 0.6),
-    )
-}
-
-
-@dataclass(frozen=True)
-class Site:
-    """Where on the ground a camera stands, and the air above it; None where nobody gave it.
-
-    Latitude and longitude in degrees, geodetic, east positive; height in metres; pressure in hectopascals at the site; temperature
-    in degrees Celsius; humidity from 0 to 1; wavelength in micrometres.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    height_m: float | None = None
-    pressure_hpa: float | None = None
-    temperature_c: float | None = None
-    relative_humidity: float | None = None
-    wavelength_um: float | None = None
-
-    def document(self) -> dict[str, float]:
-        """Return what is given of it as a sensor file has it."""
-        return {name: value for name, value in vars(self).items() if value is not None}
-
-    @property
-    def assumed(self) -> list[str]:
-        """Names of the numbers that nobody gave."""
-        return [name for name in SITE_FIELDS if getattr(self, name) is None]
-
-    def get(self, name: str) -> float:
-        """Return a number of it as given, else the usual one."""
-        value = getattr(self, name)
-        return float(SITE_FIELDS[name].usual or 0.0) if value is None else float(value)
 
 
 def parse_site(value: Any, faults: Faults) -> Site | None:
@@ -265,4 +208,5 @@ def parse_declared(value: Any, faults: Faults) -> Declared:
 def _refuse_unknown(key: str, value: Mapping[str, Any], known: tuple[str, ...], faults: Faults) -> None:
     for name in value:
         if name not in known:
-            faults.add(f"{key}.{name} is not a field: it has {', '.join(known)}")
+            meant = difflib.get_close_matches(str(name), known, 1, 0.6)
+            faults.add(f"{key}.{name} is not a field: " + (f"write {meant[0]}" if meant else f"it has {', '.join(known)}"))

@@ -20,16 +20,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from boresight.telemetry.declarations import Site
+from boresight.site import Site
 
 REQUIRED_COLUMNS = ("frame", "exposure", "row_px", "col_px")
 OPTIONAL_COLUMNS = (

@@ -15,11 +15,11 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
+from boresight.site import Site
 from boresight.telemetry.declarations import (
     NOTHING_DECLARED,
     Declared,
     Readout,
-    Site,
     parse_declared,
     parse_readout,
     parse_site,
@@ -163,7 +163,9 @@ def _parse(document: Mapping[str, Any], faults: Faults) -> Sensor:
         site=parse_site(document.get("site"), faults),
     )
     if sensor.site is not None and sensor.declared.refraction == "none":
-        faults.add("declared.refraction is none, images from space, and there is a site on the ground: leave one of the two out")
+        faults.add(
+            "declared.refraction is none, images from space, and there is a site on the ground: leave one of the two out"
+        )
     faults.refuse()
     check_geometry(sensor, model, faults)
     faults.refuse()
