@@ -33,8 +33,10 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.cameras.model import Role
+from boresight.errors import RefusedInputError
+from boresight.site import SITE_FIELDS
 from boresight.telemetry.data_sheets import ASKED, DATA_SHEETS, DataSheet, LensAndDetector
-from boresight.telemetry.declarations import GLOBAL, Readout
+from boresight.telemetry.declarations import GLOBAL, Readout, parse_site
 from boresight.telemetry.read.checks import Faults
 from boresight.telemetry.sensors import Sensor, parse_sensor, sensor_document
 
@@ -58,29 +60,52 @@ class Described:
         return sensor_document(self.sensor)
 
 
-def read_known(values: Mapping[str, str], subject: str = "The new sensor") -> LensAndDetector:
-    """Read what was typed, a text by name; empty ones are left out.
+def describe_typed(typed: Mapping[str, str], subject: str = "The new sensor") -> Described:
+    """Make a sensor of what was typed into a form, a text by name, of `ASKED`, of a site, and of the names of `LensAndDetector`.
 
-    Raises RefusedInputError with every fault at once; a comma may stand for the point.
+    Raises RefusedInputError with every fault at once; empty texts are left out, and a comma may stand for the point.
     """
     faults = Faults(subject)
+    given = {name: text for name, text in typed.items() if text}
     known: dict[str, Any] = {}
-    for name, text in ((name, typed.strip()) for name, typed in values.items() if typed.strip()):
+    for name, text in given.items():
         if name in ASKED:
             known[name] = _number(name, text, faults)
         elif name == "parity":
             known[name] = _parity(text, faults)
-        else:
+        elif name not in SITE_FIELDS:
             known[name] = text
+    site = {name: _plain(given[name]) for name in SITE_FIELDS if name in given}
+    found = LensAndDetector(**known, site=parse_site(site or None, faults))
+    try:
+        described = describe_sensor(found, subject)
+    except RefusedInputError as refusal:
+        raise refusal if not faults.count else _joined(faults, refusal) from refusal
     faults.refuse()
-    return LensAndDetector(**known)
+    return described
+
+
+def _joined(faults: Faults, refusal: RefusedInputError) -> RefusedInputError:
+    """The refusal of these faults and those of another one, less what is missing because it could not be read."""
+    unread = [str(one).split(" is ")[0] for one in faults.refusal().faults]
+    for one in refusal.faults:
+        if not any(str(one).startswith(f"{name} is missing") for name in unread):
+            faults.add(str(one))
+    return faults.refusal()
+
+
+def _plain(text: str) -> float | str:
+    """Read a number; what is none stays as it was typed."""
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        return text
 
 
 def _number(name: str, text: str, faults: Faults) -> float | int | None:
     asked = ASKED[name]
-    try:
-        value = float(text.replace(",", "."))
-    except ValueError:
+    value = _plain(text)
+    if isinstance(value, str):
         faults.add(f"{name} is {text!r}: give a number of {asked.unit}")
         return None
     if asked.whole and value == round(value):
@@ -203,7 +228,7 @@ def _describe(
         "initial.focal_length": _why_focal(known, focal_mm, focal_px, rows, columns),
         "initial": "Without distortion, the principal point in the middle of the detector: a calibration starts from there.",
         **why,
-        "free": f"{', '.join(free)}: what every lens needs; the others are held until `boresight choose` finds that a set asks for them.",
+        "free": f"{', '.join(free)}: what every lens needs; the others are held until `boresight choose` finds them asked for.",
         "camera_model": (
             "As given."
             if model
