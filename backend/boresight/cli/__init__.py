@@ -23,6 +23,7 @@ from boresight.cli.output import RefusingGroup
 from boresight.cli.report import report
 from boresight.cli.reproduce import reproduce, simulate
 from boresight.cli.schema import schema
+from boresight.cli.sensor import sensor
 from boresight.cli.serve import demo, serve
 from boresight.cli.table import export, table
 from boresight.cli.worker import scheduler, warm, worker
@@ -59,6 +60,7 @@ for command in (
     simulate,
     report,
     schema,
+    sensor,
     export,
     table,
     reproduce,

@@ -12,6 +12,7 @@ import click
 from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
 from boresight.cli.output import check_writable, json_option, write_json
 from boresight.cli.remote import first_message, open_client, server_option
+from boresight.cli.sensor import place_sensor, refuse_site_on_server, site_option
 from boresight.errors import RefusedInputError
 from boresight.library.functions import calibrate as estimate
 from boresight.library.functions import parse_choices
@@ -86,6 +87,7 @@ FAILED = ("diverged", "too_few_stars")
 @click.command(cls=GroupedCommand)
 @click.argument("telemetry", type=click.Path(path_type=Path))
 @click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@site_option
 @calibration_options
 @click.option(
     "--validate", type=click.Path(path_type=Path), help="Telemetry that takes no part, to check the result by."
@@ -95,6 +97,7 @@ FAILED = ("diverged", "too_few_stars")
 def calibrate(
     telemetry: Path,
     sensor_file: Path,
+    site: str | None,
     validate: Path | None,
     server_url: str | None,
     json_file: str | None,
@@ -109,11 +112,12 @@ def calibrate(
     of a sensor of that server.
     """
     check_writable(json_file)
+    refuse_site_on_server(site, server_url)
     settings = chosen(choices)
     parse_settings(settings)
     with progress(first_message(server_url)) as report:
         if server_url is None:
-            found = estimate(telemetry, sensor_file, validate=validate, progress=report, **settings)
+            found = estimate(telemetry, place_sensor(sensor_file, site), validate=validate, progress=report, **settings)
         else:
             with open_client(server_url) as server:
                 found = server.calibrate(telemetry, str(sensor_file), validate=validate, progress=report, **settings)

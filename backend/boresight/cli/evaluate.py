@@ -19,6 +19,7 @@ from boresight.cli.output import (
     tell,
     write_json,
 )
+from boresight.cli.sensor import place_sensor, site_option
 from boresight.errors import RefusedInputError
 from boresight.library import functions as library
 from boresight.library.progress import progress
@@ -29,6 +30,7 @@ from boresight.settings import read_settings
 @click.command()
 @click.argument("telemetry", type=click.Path(path_type=Path))
 @click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@site_option
 @click.option(
     "--parameters", type=click.Path(path_type=Path), help="Calibration JSON, or names and values, to match with."
 )
@@ -41,7 +43,9 @@ from boresight.settings import read_settings
 @setting_option("leave_out_doubles")
 @click.option("--flight", is_flag=True, help="Keep only what the simulated check of the flight code accepts.")
 @json_option
-def match(telemetry: Path, sensor_file: Path, parameters: Path | None, out: Path, **choices: Any) -> None:
+def match(
+    telemetry: Path, sensor_file: Path, site: str | None, parameters: Path | None, out: Path, **choices: Any
+) -> None:
     """Match the stars of TELEMETRY again and write its rows with `star_id` as found (empty = unmatched).
 
     Every other column stays as it is. With --json every exposure is listed with its attitude and covariance, or the reason
@@ -53,7 +57,7 @@ def match(telemetry: Path, sensor_file: Path, parameters: Path | None, out: Path
     with progress("reading the telemetry") as report:
         found = library.match(
             telemetry,
-            sensor_file,
+            place_sensor(sensor_file, site),
             parameters=parameters,
             leave_out_doubles=bool(choices["leave_out_doubles"]),
             flight=choices["flight"],
@@ -150,6 +154,7 @@ FRAMES_SHOWN = 40
 @click.command()
 @click.argument("telemetry", type=click.Path(path_type=Path))
 @click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@site_option
 @click.option(
     "--parameters", type=click.Path(path_type=Path), required=True, help="Calibration JSON, or names and values."
 )
@@ -160,7 +165,9 @@ FRAMES_SHOWN = 40
 @setting_option("flight_tolerance_urad")
 @click.option("--shadow", is_flag=True, help="List the frames that one of the two parameter sets would lose.")
 @json_option
-def evaluate(telemetry: Path, sensor_file: Path, json_file: str | None, *, shadow: bool, **choices: Any) -> None:
+def evaluate(
+    telemetry: Path, sensor_file: Path, site: str | None, json_file: str | None, *, shadow: bool, **choices: Any
+) -> None:
     """Compare two parameter sets on TELEMETRY: availability, matched stars, RMS on common pairs.
 
     The check of the flight code is simulated: an exposure is valid when at least four matches, and more than two thirds of
@@ -170,7 +177,7 @@ def evaluate(telemetry: Path, sensor_file: Path, json_file: str | None, *, shado
     with progress("reading the telemetry") as report:
         document = library.evaluate(
             telemetry,
-            sensor_file,
+            place_sensor(sensor_file, site),
             choices["parameters"],
             against=choices["against"],
             shadow=shadow,

@@ -291,7 +291,10 @@ class _Matcher:
         kind = kind[exposures]
         radius = np.array([START_RADIUS.get(place, 0.0) for place in range(len(STARTS))])[kind]
         hints, any_own = to_matrix(hint[exposures]), bool(part.own.any())
-        years, earth_au, beta = (values[exposures] for values in (motion.years, motion.earth_au, motion.beta))
+        above = np.zeros((len(motion.years), 5)) if motion.air is None else motion.air
+        years, earth_au, beta, air = (
+            values[exposures] for values in (motion.years, motion.earth_au, motion.beta, above)
+        )
 
         guides = loops.Guides(stars.hip, stars.place, stars.motion, stars.parallax_rad, stars.density)
         rules = loops.Rules(any_own, believe, self._cone, GATE, self._minimum_stars)
@@ -309,7 +312,7 @@ class _Matcher:
                 frame_start,
                 row_start,
                 seen,
-                loops.Observer(years[x], earth_au[x], beta[x]),
+                loops.Observer(years[x], earth_au[x], beta[x], air[x]),
                 guides,
                 loops.Hints(hints[x], radius[x], kind[x]),
                 rules,

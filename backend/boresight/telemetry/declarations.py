@@ -1,17 +1,23 @@
-"""What no telemetry can show and an operator declares in the sensor file: readout, velocity, directions, refraction, tilt.
+"""What no telemetry can show and an operator declares in the sensor file: readout, velocity, directions, refraction, site, tilt.
 
 A rolling shutter exposes line after line. The centroid of a star on line l (a row, or a column) was taken l * line_time_s later
 than one on the first line, and the sky moved in between; along some axes a camera model takes that up as scale and distortion,
 with residuals as small as ever. The other declarations say how star directions were formed: an error in them is as smooth over
 the field. So each is asked once, by name; until it is answered a calibration states what it assumed (`calibration.assumptions`).
+
+A camera on the ground has a `site`: where it stands, and the air above it (`sky.ground` bends the stars' directions by it).
+Latitude and longitude are asked; the rest has the values of `SITE_FIELDS` where nobody gives it, and the pressure that of the
+height.
 """
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
+from boresight.site import SITE_FIELDS, Site, SiteField
 from boresight.telemetry.read.checks import Faults
 
 GLOBAL: Final = "global"
@@ -57,7 +63,7 @@ DECLARATIONS = {
             {
                 "none": "images from space",
                 "corrected": "images from the ground, with refraction in their directions",
-                "uncorrected": "images from the ground, as they came",
+                "uncorrected": "images from the ground, as they came, and directions without refraction",
             },
         ),
         Declaration(
@@ -122,6 +128,33 @@ class Declared:
 NOTHING_DECLARED = Declared()
 
 
+def parse_site(value: Any, faults: Faults) -> Site | None:
+    """Read the `site` of a sensor file; None where there is none, or a fault."""
+    if value is None:
+        return None
+    if not isinstance(value, Mapping):
+        faults.add(f"site is {value!r}: write an object with latitude_deg and longitude_deg")
+        return None
+    _refuse_unknown("site", value, tuple(SITE_FIELDS), faults)
+    numbers = {name: _site_number(one, value.get(name), faults) for name, one in SITE_FIELDS.items()}
+    return None if numbers["latitude_deg"] is None or numbers["longitude_deg"] is None else Site(**numbers)  # type: ignore[arg-type] # both are there
+
+
+def _site_number(one: SiteField, value: Any, faults: Faults) -> float | None:
+    """Return a number of a site within its bounds, None with a fault where it is none."""
+    if value is None:
+        if not one.optional:
+            faults.add(f"site.{one.name} is missing: give it in degrees")
+        return None
+    if isinstance(value, int | float) and not isinstance(value, bool) and one.lowest <= value <= one.highest:
+        return float(value)
+    faults.add(
+        f"site.{one.name} is {value!r}: give a number from {one.lowest:g} to {one.highest:g}{one.unit and f' {one.unit}'}, "
+        f"{one.sentence}"
+    )
+    return None
+
+
 def parse_readout(value: Any, faults: Faults) -> Readout | None:
     """Read the `readout` of a sensor file; None where there is none, or a fault."""
     if value is None:
@@ -181,4 +214,7 @@ def parse_declared(value: Any, faults: Faults) -> Declared:
 def _refuse_unknown(key: str, value: Mapping[str, Any], known: tuple[str, ...], faults: Faults) -> None:
     for name in value:
         if name not in known:
-            faults.add(f"{key}.{name} is not a field: it has {', '.join(known)}")
+            meant = difflib.get_close_matches(str(name), known, 1, 0.6)
+            faults.add(
+                f"{key}.{name} is not a field: " + (f"write {meant[0]}" if meant else f"it has {', '.join(known)}")
+            )

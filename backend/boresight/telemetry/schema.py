@@ -27,6 +27,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
+from boresight.site import Site
 
 REQUIRED_COLUMNS = ("frame", "exposure", "row_px", "col_px")
 OPTIONAL_COLUMNS = (
@@ -84,6 +85,8 @@ class Telemetry:
         Columns the contract does not name, kept as texts, empty where absent; of repeated texts each once.
     first_row
         Row of the first entry in its file, counted as an editor does: 2 after a header line, 1 in JSON Lines.
+    site
+        Where on the ground it was taken, where directions from the catalogue are to be refracted; None in space.
     """
 
     frame: IntArray
@@ -101,6 +104,7 @@ class Telemetry:
     temperature_c: FloatArray | None = None
     unknown: dict[str, pa.ChunkedArray] = field(default_factory=dict)
     first_row: int = 2
+    site: Site | None = None
 
     def __len__(self) -> int:
         """Count the rows."""

@@ -15,14 +15,22 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
-from boresight.telemetry.declarations import NOTHING_DECLARED, Declared, Readout, parse_declared, parse_readout
+from boresight.site import Site
+from boresight.telemetry.declarations import (
+    NOTHING_DECLARED,
+    Declared,
+    Readout,
+    parse_declared,
+    parse_readout,
+    parse_site,
+)
 from boresight.telemetry.read.checks import Faults
 from boresight.telemetry.read.formats import read_json
 
 _REQUIRED = ("name", "detector", "camera_model", "parity", "centroid_sigma_px", "initial", "typical_sigma")
 #: Focal length as it is kept, and as a file may give it instead.
 FOCAL_M, FOCAL_PX = "f_m", "f_px"
-_OPTIONAL = ("free", "magnitude_limit", "readout", "declared")
+_OPTIONAL = ("free", "magnitude_limit", "readout", "declared", "site")
 _LONGEST_NAME = 64
 _MOST_FIELDS = 100
 _MOST_PIXELS = 65536
@@ -60,6 +68,8 @@ class Sensor:
         How the detector is read, or None where nobody declared it.
     declared
         What else the data cannot show, as far as it is declared.
+    site
+        Where on the ground it stands, and the air above; None in space, or where nobody said so.
     """
 
     name: str
@@ -75,6 +85,7 @@ class Sensor:
     magnitude_limit: float | None = None
     readout: Readout | None = None
     declared: Declared = NOTHING_DECLARED
+    site: Site | None = None
 
 
 def read_sensor(path: Path) -> Sensor:
@@ -121,6 +132,8 @@ def sensor_document(sensor: Sensor) -> dict[str, Any]:
         document["readout"] = sensor.readout.document()
     if declared := sensor.declared.document():
         document["declared"] = declared
+    if sensor.site is not None:
+        document["site"] = sensor.site.document()
     return document
 
 
@@ -147,7 +160,12 @@ def _parse(document: Mapping[str, Any], faults: Faults) -> Sensor:
         magnitude_limit=_magnitude_limit(document.get("magnitude_limit"), faults),
         readout=parse_readout(document.get("readout"), faults),
         declared=parse_declared(document.get("declared"), faults),
+        site=parse_site(document.get("site"), faults),
     )
+    if sensor.site is not None and sensor.declared.refraction == "none":
+        faults.add(
+            "declared.refraction is none, images from space, and there is a site on the ground: leave one of the two out"
+        )
     faults.refuse()
     check_geometry(sensor, model, faults)
     faults.refuse()

@@ -45,8 +45,9 @@ def given_stars(telemetry: Telemetry, catalogue: Catalogue) -> tuple[IntArray, F
         return np.zeros(n, np.int64), np.full((n, 3), np.nan), np.zeros(n, np.bool_)
     own = np.zeros(n, np.bool_) if telemetry.ra_rad is None else np.isfinite(telemetry.ra_rad)
     given_s = star_directions(
-        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
-    )
+        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue,
+        telemetry.site,
+    )  # fmt: skip
     return np.maximum(telemetry.star_id, 0), given_s, own & (telemetry.star_id > 0)
 
 
@@ -246,7 +247,7 @@ class Rematcher:
         nowhere = np.full((len(first), 4), np.nan)
         self._quaternion = nowhere if telemetry.quaternion is None else telemetry.quaternion[first]
         velocity = None if telemetry.velocity_m_s is None else telemetry.velocity_m_s[first]
-        self._motion = observer_motion(times, velocity)
+        self._motion = observer_motion(times, velocity, telemetry.site)
         if sky is None:
             limit = magnitude_limit(telemetry, sensor, catalogue, self._given)
             sky = matching_sky(catalogue, limit, blend_rad(sensor))

@@ -133,7 +133,8 @@ def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> 
     try:
         sums = add_up(fitted, [*departures, *find_companions(fitted)], MOST_TESTED)
         scores = {one.name: find_score(sums, one.name) for one in departures}
-        examined = Examined(fitted, sums, scores, parts, stars.found, stars.table)
+        trials = {one.name: one.trials for one in departures}
+        examined = Examined(fitted, sums, scores, parts, stars.found, stars.table, trials)
         tests = make_tests(examined)
         causes = find_causes(examined, tests)
     except np.linalg.LinAlgError:  # the numbers are too near to singular

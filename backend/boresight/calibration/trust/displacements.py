@@ -145,12 +145,14 @@ class Departure:
     """A departure from the model with its fields.
 
     `fields` makes them of a block: of kind `detector` displacements (n_stars, 2, n_fields), pixels; `sky`: the same, rad east and
-    north; `rows`: their rows G (n_arcs, n_fields), where these are those of another field times numbers of the frame.
+    north; `rows`: their rows G (n_arcs, n_fields), where these are those of another field times numbers of the frame. `trials`: of
+    how many fields these are the best, by which its probability is multiplied (Bonferroni).
     """
 
     name: str
     kind: Kind
     fields: Callable[[Block], FloatArray]
+    trials: int = 1
 
 
 @dataclass(frozen=True)
@@ -265,6 +267,11 @@ def find_score(sums: ScoreSums, *names: str) -> Score:
     """Test a departure, or several together; the answer is called by the first."""
     every = np.arange(len(sums.squares))
     return _solve(sums, names[0], np.concatenate([every[sums.places[name]] for name in names]))
+
+
+def find_score_of(sums: ScoreSums, places: IntArray) -> Score:
+    """Test some fields of a departure alone, by their places among all."""
+    return _solve(sums, "", places)
 
 
 def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:

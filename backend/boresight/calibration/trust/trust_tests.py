@@ -19,7 +19,7 @@ Reference: S. Holm, "A simple sequentially rejective multiple test procedure", S
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -43,7 +43,10 @@ FAR_OFF = 5.0
 
 @dataclass(frozen=True)
 class Examined:
-    """What the tests look at: a fitted set, its score tests, the parts of its trust, and its star residuals where it has any."""
+    """What the tests look at: a fitted set, its score tests, the parts of its trust, and its star residuals where it has any.
+
+    `trials`: of how many the departure of a name is the best, where it is of more than one.
+    """
 
     fitted: FittedSet
     sums: ScoreSums
@@ -51,6 +54,7 @@ class Examined:
     parts: Mapping[str, object]
     found: StarResiduals | None
     table: StarTable | None
+    trials: Mapping[str, int] = field(default_factory=dict)
 
 
 #: Probability of as much where all is as the model says, and the size in claimed sigmas, where it is known.
@@ -92,7 +96,7 @@ def _of_score(name: str, *, stays: bool) -> Callable[[Examined], Outcome | None]
         if score is None or score.dof == 0:
             return None
         effect = _excess(examined, score) if stays else score.misled
-        return score.p, _bounded(examined, score, effect)
+        return min(1.0, score.p * examined.trials.get(name, 1)), _bounded(examined, score, effect)
 
     return ask
 
@@ -329,6 +333,11 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
         "aberration", "Aberration", "identities",
         "Directions are those of an observer with another velocity", "Directions are those of this observer",
         _of_score("aberration", stays=False),
+    ),
+    TrustTestKind(
+        "refraction", "Refraction", "identities",
+        "Stars are displaced as by the air above a place on the ground", "No refraction is left",
+        _of_score("refraction", stays=False),
     ),
 )  # fmt: skip
 #: The same by name.
