@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
 from boresight.cli.output import check_writable, json_option, write_json
@@ -29,7 +30,13 @@ class Choice(click.Option):
 
     def __init__(self, words: list[str], *, of: Option, **settings: Any) -> None:
         super().__init__(words, **settings)
-        self.group = of.group
+        self.group, self.of = of.group, of
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Complete a word by the choices that the setting is declared with."""
+        if self.of.kind != "word":
+            return super().shell_complete(ctx, incomplete)
+        return [CompletionItem(word) for word in self.of.choices if word.startswith(incomplete)]
 
 
 class GroupedCommand(click.Command):

@@ -11,7 +11,7 @@ import hashlib
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -25,10 +25,12 @@ from boresight.settings import Settings, read_settings, use_kernel_folder
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
+    from boresight.arrays import FloatArray
+    from boresight.calibration.exports import ExposureAttitude
     from boresight.calibration.options import Choices
     from boresight.library.choice import Choice
     from boresight.library.inputs import ParameterSource, SensorSource, TelemetrySource
-    from boresight.library.results import Assessment, Calibration, Evaluation, Matches, Quality, Simulation
+    from boresight.library.results import Assessment, Calibration, CameraFile, Evaluation, Matches, Quality, Simulation
     from boresight.sky.catalogue import Catalogue
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
@@ -466,6 +468,85 @@ def _read_scenario(path: Path) -> Any:
         raise RefusedInputError(f"{path} is no JSON: {error}.") from error
     except OSError as error:
         raise RefusedInputError(f"{path} cannot be read: {error.strerror}.") from error
+
+
+@_on_kernels
+def export_camera(
+    parameters: ParameterSource,
+    sensor: SensorSource,
+    to: str,
+    *,
+    telemetry: TelemetrySource | None = None,
+    allow_px: float | None = None,
+    residual: bool = False,
+    suffix: str | None = None,
+    progress: Wanted = None,
+) -> CameraFile:
+    """Write a camera as a file of another program, with the largest misfit over the detector.
+
+    Parameters
+    ----------
+    parameters, sensor
+        As `evaluate`.
+    to
+        The format: `opencv`, `ros`, `mrcal`, `colmap`, `tetra3`, `cedar`, `giant-brown`, `giant-owen`, `fits-sip` or `fits-tpv`.
+    telemetry
+        What a format with something for each exposure takes the attitudes from, by matching its stars again.
+    allow_px
+        Largest misfit; the format's share of the sensor's `centroid_sigma_px` where left out.
+    residual
+        Follow the residual spline of the calibration too.
+    suffix
+        Ending of the file's name, for formats of several spellings.
+
+    Raises
+    ------
+    RefusedInputError
+        When the format cannot follow the camera within the misfit allowed, or lacks what it needs.
+    """
+    from boresight.calibration.exports import Source, export_document, find_format
+    from boresight.library.inputs import describe_source, read_any_sensor, read_parameter_document
+    from boresight.library.results import CameraFile
+
+    form, described = find_format(to), read_any_sensor(sensor)
+    document = read_parameter_document(parameters)
+    source = Source(describe_source(parameters), _hash_parameters(parameters, document), described)
+
+    def attitudes(x: FloatArray, P: FloatArray | None) -> Sequence[ExposureAttitude]:
+        return () if telemetry is None else _find_attitudes(telemetry, described, x, P, progress)
+
+    content, told = export_document(
+        form, document, source, residual=residual, allowed_px=allow_px, suffix=suffix, exposures=attitudes
+    )
+    return CameraFile(content=content, document=told, misfit_px=told["misfit_px"]["max"])
+
+
+def _hash_parameters(source: ParameterSource, document: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a file of parameters, as `sha256sum` says it, else of the document's canonical JSON."""
+    import orjson
+
+    if isinstance(source, str | os.PathLike):
+        return _hash_files({"parameters": source})["parameters"]
+    return hashlib.sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()
+
+
+def _find_attitudes(
+    telemetry: TelemetrySource, sensor: Sensor, x: FloatArray, P: FloatArray | None, progress: Wanted
+) -> Sequence[ExposureAttitude]:
+    """Match telemetry under parameters and list the attitudes of its exposures."""
+    with _prepared(progress, "reading the telemetry") as prepared:
+        from boresight.calibration.corrections import put_right
+        from boresight.calibration.exports.attitudes import list_attitudes
+        from boresight.calibration.matching.rematch import ground_covariance, rematch
+
+        chosen = CalibrationSettings(match="rematch")
+        stars, _, catalogue = read_set(telemetry, sensor, prepared)
+        stars = put_right(stars, sensor, catalogue, x)
+        prepared.report("matching the stars", None)
+        P = ground_covariance(sensor, chosen.initial_sigma_scale) if P is None else P
+        return list_attitudes(
+            stars, rematch(stars, sensor, catalogue, x, P, chosen, prepared.settings.catalogue_folder)
+        )
 
 
 @_on_kernels

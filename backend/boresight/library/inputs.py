@@ -169,7 +169,7 @@ def read_any_sensor(source: SensorSource) -> Sensor:
 
 def read_any_parameters(source: ParameterSource, sensor: Sensor) -> tuple[FloatArray, FloatArray | None]:
     """Read parameters and, where there is one, their covariance, as `parameter_file.read_parameters` does."""
-    return parse_parameters(read_parameter_document(source), sensor, _describe(source))
+    return parse_parameters(read_parameter_document(source), sensor, describe_source(source))
 
 
 def read_parameter_document(source: ParameterSource) -> Mapping[str, Any]:
@@ -185,10 +185,10 @@ def read_any_calibration(source: ParameterSource) -> Calibration:
     """Read a whole calibration."""
     if isinstance(source, Calibration):
         return source
-    return parse_calibration(read_parameter_document(source), _describe(source))
+    return parse_calibration(read_parameter_document(source), describe_source(source))
 
 
-def _describe(source: ParameterSource) -> str:
+def describe_source(source: ParameterSource) -> str:
     """Return the name of a source of parameters for refusals."""
     if isinstance(source, Calibration):
         return "The calibration"

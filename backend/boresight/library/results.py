@@ -246,6 +246,26 @@ class Matches(Tabular, Summarised):
 
 
 @dataclass(frozen=True, kw_only=True)
+class CameraFile:
+    """A camera as a file of another program: its bytes, their description, and how far they are from the camera.
+
+    `document`: schema `boresight.export/1`, with the lens, its parameters and sigmas. `misfit_px`: largest over the detector.
+    """
+
+    content: bytes = field(repr=False)
+    document: dict[str, Any] = field(repr=False)
+    misfit_px: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the description as plain lists, numbers and None."""
+        return self.document
+
+    def save(self, path: str | Path) -> None:
+        """Write the file."""
+        Path(path).write_bytes(self.content)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Simulation(Tabular):
     """Telemetry whose truth is known: a calibration set, and a validation set of another part of the sky."""
 
