@@ -17,8 +17,8 @@
 `residual_spline`  what the camera model leaves over the detector, as a spline with its sigma, and which camera has it
 =================  ====================================================================================================
 
-`displacements` and `departures` test what moves stars, `trust_tests` makes one family of all tests, `causes` says what explains
-those that notice something.
+`displacements` and `departures` test what moves stars, `flaws` looks for the place of a flaw, `trust_tests` makes one family of
+all tests, `causes` says what explains those that notice something.
 
 A part that cannot be had is null, and `unavailable` says why in a sentence. Large sets are thinned where a part needs more than
 a pass over the set a frame; such a part says how many frames it used.

@@ -29,7 +29,7 @@ from functools import cache
 
 import numpy as np
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, IntArray
 from boresight.estimation import residual_spline as splines
 from boresight.estimation.residual_spline import Axis, Fit
 from boresight.estimation.statistics.special import ndtr
@@ -111,7 +111,7 @@ def measure_field(correlation: FloatArray, shape: tuple[int, int]) -> tuple[floa
     """L_1 and L_2 of a normal field whose values at a grid (n, m) of places have a correlation (n m, n m)."""
     place = np.arange(shape[0] * shape[1]).reshape(shape)
 
-    def dot(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:
+    def dot(a: IntArray, b: IntArray, c: IntArray, d: IntArray) -> FloatArray:
         """Scalar products of the steps from a to b with those from c to d."""
         return np.asarray(correlation[b, d] - correlation[b, c] - correlation[a, d] + correlation[a, c])
 
