@@ -42,6 +42,8 @@ REST = 1e-4
 RANK_TOLERANCE = 1e-13
 FIRST_DAMPING = 1e-4
 LARGEST_DAMPING = 1e12
+#: Fall of chi-square, as a share of one more than it, that the rounding of its residuals hides.
+ROUNDING = 1e-11
 
 
 @dataclass(frozen=True)
@@ -287,10 +289,16 @@ def fit(  # noqa: PLR0913 - what is fitted, and six choices by name
         else:
             damping, growth = damping * growth, growth * 2
     rank = int(here.spectrum[2].sum()) if here.finite() else 0
-    if status == "converged" and rank < len(free):
-        status = "rank_deficient"
+    status = _ended(here, status, rank)
     fitted = BatchFit(x, here.A, here.chi2, here.sum_of_squares, rank, status, tuple(steps), cost=here.chi2)
     return fitted if np.isinf(threshold) or not here.finite() else _insured(fitted, arcs, free, scale, threshold)
+
+
+def _ended(here: NormalEquations, status: Status, rank: int) -> Status:
+    """How a fit ended: converged too where nothing lower can be told apart, whatever `rest` asks for."""
+    if here.finite() and _decrement(here) < ROUNDING * (1 + here.chi2):
+        status = "converged"
+    return "rank_deficient" if status == "converged" and rank < len(here.b) else status
 
 
 def _insured(fitted: BatchFit, arcs: Arcs, free: NDArray[np.int64], scale: FloatArray, threshold: float) -> BatchFit:

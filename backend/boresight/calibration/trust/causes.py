@@ -207,7 +207,7 @@ CAUSES: dict[str, CauseKind] = {
         CauseKind(
             "tails",
             "The centroid noise has heavier tails than the normal distribution: Student's with {size} degrees of freedom fits",
-            "look for hot pixels and blends, or calibrate with Huber's loss",
+            "look for hot pixels and blends, or calibrate with robust 'stars'",
             GENERAL,
         ),
         CauseKind(
