@@ -21,6 +21,12 @@ class SiteField:
     usual: float | None = None
     optional: bool = True
 
+    @property
+    def label(self) -> str:
+        """What a form calls it, with its unit."""
+        words = self.name.rpartition("_")[0] if self.unit else self.name
+        return words.replace("_", " ").capitalize() + (f", {self.unit}" if self.unit else "")
+
 
 #: Every number of a site, by name. Elevations below some degrees are beyond the model, and so are other wavelengths.
 SITE_FIELDS = {

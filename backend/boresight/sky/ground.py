@@ -133,7 +133,7 @@ class GroundView:
 
     def direction(self, azimuth_rad: FloatArray, elevation_rad: FloatArray) -> FloatArray:
         """Return the directions (n, 3), ICRS axes, of azimuths from north by east and elevations (n,), without air."""
-        return _to_icrs(*erfa.atoiq("A", azimuth_rad, np.pi / 2 - elevation_rad, self.astrom), self.astrom)
+        return _to_icrs(azimuth_rad, np.pi / 2 - elevation_rad, self.astrom)
 
     def of(self, place: IntArray) -> GroundView:
         """Return the views of some moments, each as often as it is named."""
@@ -164,7 +164,7 @@ def view_from(site: Site, time_utc: TimeArray) -> GroundView:
     )  # fmt: skip
     A, B = refraction_constants(site)
     zero = np.zeros(len(time_utc))
-    zenith = _to_icrs(*erfa.atoiq("A", zero, zero, astrom), astrom)
+    zenith = _to_icrs(zero, zero, astrom)
     return GroundView(astrom, zenith, (astrom["v"] - velocity / C_AU_DAY) * C_M_S, A, B)
 
 
@@ -178,8 +178,9 @@ def _celestial_pole(days_tt: FloatArray) -> tuple[FloatArray, FloatArray, FloatA
     return x[place], y[place], s[place]
 
 
-def _to_icrs(ra: FloatArray, dec: FloatArray, astrom: NDArray[np.void]) -> FloatArray:
-    """Turn CIRS right ascensions and declinations (n,) into unit vectors (n, 3), ICRS axes."""
+def _to_icrs(azimuth_rad: FloatArray, zenith_distance_rad: FloatArray, astrom: NDArray[np.void]) -> FloatArray:
+    """Turn azimuths and zenith distances (n,), without air, into unit vectors (n, 3), ICRS axes."""
+    ra, dec = erfa.atoiq("A", azimuth_rad, zenith_distance_rad, astrom)
     return np.asarray(erfa.trxp(astrom["bpn"], erfa.s2c(ra, dec)))
 
 
@@ -205,7 +206,7 @@ def refracted(s: FloatArray, view: GroundView) -> FloatArray:
         airy["refa"], airy["refb"] = view.A, view.B
         ra, dec = erfa.c2s(erfa.rxp(here.astrom["bpn"], s[known]))
         azimuth, zenith_distance, *_ = erfa.atioq(ra, dec, airy)
-        answer[known] = _to_icrs(*erfa.atoiq("A", azimuth, zenith_distance, here.astrom), here.astrom)
+        answer[known] = _to_icrs(azimuth, zenith_distance, here.astrom)
     return answer
 
 

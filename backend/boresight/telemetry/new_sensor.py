@@ -151,15 +151,15 @@ def _sheet(name: str | None, faults: Faults) -> DataSheet | None:
     if exact or len(within) == 1:
         return DATA_SHEETS[exact or within[0]]
     meant = difflib.get_close_matches(name.casefold(), folded, 1, 0.4)
-    guess = (within or [folded[one] for one in meant] or [None])[0]
-    hint = f"did you mean {guess!r}?" if guess else "known are"
-    faults.add(f"there is no data sheet {name!r}: {hint} {'' if guess else ', '.join(DATA_SHEETS)}".rstrip())
+    guesses = within or [folded[one] for one in meant]
+    hint = f"did you mean {' or '.join(guesses)}?" if guesses else f"there are {', '.join(DATA_SHEETS)}"
+    faults.add(f"there is no data sheet {name!r}: {hint}")
     return None
 
 
 def _given(name: str, known: LensAndDetector, sheet: DataSheet | None) -> float | None:
     """What a person says of a number, else what the data sheet does."""
-    value = getattr(known, name)
+    value: float | None = getattr(known, name)
     if value is None and sheet is not None and not (name == "focal_length_mm" and known.field_of_view_deg is not None):
         value = getattr(sheet, name, None)
     return value

@@ -116,7 +116,7 @@ def select_rows(telemetry: Telemetry, rows: slice) -> Telemetry:
     if rows == slice(0, len(telemetry)):
         return telemetry
     arrays = {item.name: getattr(telemetry, item.name) for item in fields(telemetry)}
-    parts = {name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray)}
+    parts: dict[str, Any] = {name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray)}
     unknown = {name: cells.slice(rows.start, rows.stop - rows.start) for name, cells in telemetry.unknown.items()}
     return replace(telemetry, **parts, unknown=unknown, first_row=telemetry.first_row + rows.start)
 

@@ -46,6 +46,7 @@ from boresight.platform.actors import Actor
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, open_reading, utc_now
 from boresight.platform.web.paging import parse_row_id
+from boresight.site import SITE_FIELDS
 from boresight.telemetry.declarations import DECLARATIONS
 from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, fixed, is_number, urad
@@ -243,6 +244,9 @@ def describe_declarations(document: Mapping[str, Any]) -> dict[str, str]:
     """Say by title what a sensor file declares that no data can show, and what nobody declared."""
     sensor = parse_sensor(document)
     words = {"Readout": UNDECLARED if sensor.readout is None else sensor.readout.words}
+    if sensor.site is not None:
+        site = sensor.site.document()
+        words["Site"] = "; ".join(f"{SITE_FIELDS[name].label} {value:g}" for name, value in site.items())
     declared = sensor.declared.document()
     return words | {
         one.title: f"{declared[name]}: {one.words[declared[name]]}" if name in declared else UNDECLARED
