@@ -112,6 +112,7 @@ if TYPE_CHECKING:
         choose,
         draw,
         evaluate,
+        extract,
         load,
         match,
         read_sensor,
@@ -119,7 +120,7 @@ if TYPE_CHECKING:
         simulate,
     )
     from boresight.library.remote import RunFailedError
-    from boresight.library.results import Assessment, Calibration, Evaluation, Matches, Quality, Simulation
+    from boresight.library.results import Assessment, Calibration, Evaluation, Extraction, Matches, Quality, Simulation
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
 
@@ -134,13 +135,14 @@ _PLACES = {
         "choose",
         "draw",
         "evaluate",
+        "extract",
         "load",
         "match",
         "read_sensor",
         "read_telemetry",
         "simulate",
     ),
-    "boresight.library.results": ("Assessment", "Calibration", "Evaluation", "Matches", "Quality", "Simulation"),
+    "boresight.library.results": ("Assessment", "Calibration", "Evaluation", "Extraction", "Matches", "Quality", "Simulation"),
     "boresight.library.choice": ("Choice",),
     "boresight.telemetry.schema": ("Telemetry",),
     "boresight.telemetry.sensors": ("Sensor",),
@@ -171,6 +173,7 @@ __all__ = [
     "Client",
     "ConflictError",
     "Evaluation",
+    "Extraction",
     "Fault",
     "ForbiddenError",
     "Matches",
@@ -190,6 +193,7 @@ __all__ = [
     "choose",
     "draw",
     "evaluate",
+    "extract",
     "load",
     "match",
     "read_sensor",

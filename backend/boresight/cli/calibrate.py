@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
+from boresight.cli.extract import extraction_options, take_extraction_choices, telemetry_of
 from boresight.cli.output import check_writable, json_option, write_json
 from boresight.cli.remote import first_message, open_client, server_option
 from boresight.errors import RefusedInputError
@@ -84,23 +85,24 @@ FAILED = ("diverged", "too_few_stars")
 
 
 @click.command(cls=GroupedCommand)
-@click.argument("telemetry", type=click.Path(path_type=Path))
+@click.argument("telemetry", type=click.Path(path_type=Path), nargs=-1, required=True)
 @click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
 @calibration_options
 @click.option(
     "--validate", type=click.Path(path_type=Path), help="Telemetry that takes no part, to check the result by."
 )
+@extraction_options
 @server_option
 @json_option
 def calibrate(
-    telemetry: Path,
+    telemetry: tuple[Path, ...],
     sensor_file: Path,
     validate: Path | None,
     server_url: str | None,
     json_file: str | None,
     **choices: Any,
 ) -> None:
-    """Calibrate a sensor from TELEMETRY (CSV, JSON Lines or Parquet).
+    """Calibrate a sensor from TELEMETRY (CSV, JSON Lines or Parquet), or from images (FITS, PNG, TIFF, raw) of which it is extracted.
 
     Prints the parameters with their sigmas, what the fit is worth, and advice. A set from which nothing could be
     estimated, or a fit that diverged, writes its JSON and ends with exit code 1.
@@ -109,14 +111,18 @@ def calibrate(
     of a sensor of that server.
     """
     check_writable(json_file)
+    extraction = take_extraction_choices(choices)
     settings = chosen(choices)
     parse_settings(settings)
-    with progress(first_message(server_url)) as report:
+    with (
+        progress(first_message(server_url)) as report,
+        telemetry_of(telemetry, sensor_file, extraction, report) as source,
+    ):
         if server_url is None:
-            found = estimate(telemetry, sensor_file, validate=validate, progress=report, **settings)
+            found = estimate(source, sensor_file, validate=validate, progress=report, **settings)
         else:
             with open_client(server_url) as server:
-                found = server.calibrate(telemetry, str(sensor_file), validate=validate, progress=report, **settings)
+                found = server.calibrate(source, str(sensor_file), validate=validate, progress=report, **settings)
     write_json(found.to_dict(), json_file)
     if json_file != "-" and found.status != "too_few_stars":
         click.echo("\n".join(summary_lines(found)))

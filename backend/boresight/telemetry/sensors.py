@@ -15,14 +15,23 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
-from boresight.telemetry.declarations import NOTHING_DECLARED, Declared, Readout, parse_declared, parse_readout
+from boresight.telemetry.declarations import (
+    NO_FORMAT,
+    NOTHING_DECLARED,
+    Declared,
+    ImageFormat,
+    Readout,
+    parse_declared,
+    parse_image_format,
+    parse_readout,
+)
 from boresight.telemetry.read.checks import Faults
 from boresight.telemetry.read.formats import read_json
 
 _REQUIRED = ("name", "detector", "camera_model", "parity", "centroid_sigma_px", "initial", "typical_sigma")
 #: Focal length as it is kept, and as a file may give it instead.
 FOCAL_M, FOCAL_PX = "f_m", "f_px"
-_OPTIONAL = ("free", "magnitude_limit", "readout", "declared")
+_OPTIONAL = ("free", "magnitude_limit", "readout", "declared", "image")
 _LONGEST_NAME = 64
 _MOST_FIELDS = 100
 _MOST_PIXELS = 65536
@@ -60,6 +69,8 @@ class Sensor:
         How the detector is read, or None where nobody declared it.
     declared
         What else the data cannot show, as far as it is declared.
+    image
+        How its images are to be read where their files do not say it.
     """
 
     name: str
@@ -75,6 +86,7 @@ class Sensor:
     magnitude_limit: float | None = None
     readout: Readout | None = None
     declared: Declared = NOTHING_DECLARED
+    image: ImageFormat = NO_FORMAT
 
 
 def read_sensor(path: Path) -> Sensor:
@@ -121,6 +133,8 @@ def sensor_document(sensor: Sensor) -> dict[str, Any]:
         document["readout"] = sensor.readout.document()
     if declared := sensor.declared.document():
         document["declared"] = declared
+    if image := sensor.image.document():
+        document["image"] = image
     return document
 
 
@@ -147,6 +161,7 @@ def _parse(document: Mapping[str, Any], faults: Faults) -> Sensor:
         magnitude_limit=_magnitude_limit(document.get("magnitude_limit"), faults),
         readout=parse_readout(document.get("readout"), faults),
         declared=parse_declared(document.get("declared"), faults),
+        image=parse_image_format(document.get("image"), faults),
     )
     faults.refuse()
     check_geometry(sensor, model, faults)
