@@ -49,8 +49,8 @@ CLIP, BAD_SIGMAS, BAD_MEAN, LARGEST_BAD, FEWEST_IMAGES = 5.0, 6.0, 1.5, 4, 4
 SPIKE_SIGMAS, SPIKE_SHARE = 8.0, 0.12
 #: Images that are looked at to learn what all have in common.
 LOOKED_AT = 24
-#: Matched signal-to-noise ratio of stars whose width and shape count.
-BRIGHT = 30.0
+#: Matched signal-to-noise ratios of stars whose width and shape count: the second where the first gives fewer than are enough.
+BRIGHT, ENOUGH = (30.0, 10.0), 20
 FIRST_WIDTH_PX, NARROWEST_PX, WIDEST_PX = 1.2, 0.4, 12.0
 #: An object is none of a star's size beyond so many times a star's area, or so many times as long as wide.
 LARGEST_AREAS, LONGEST = 60.0, 3.0
@@ -163,7 +163,11 @@ def learn(images: Sequence[FloatArray], options: DetectionOptions, white_dn: flo
     saturation = options.saturation_dn or white_dn or _find_saturation(images)
     skies = [subtract_sky(image) for image in images]
     hot, dead, stars_move = _find_bad_pixels(skies)
-    samples = [_Sample.of(sky, hot | dead, saturation, image) for sky, image in zip(skies, images, strict=True)]
+    samples: list[_Sample] = []
+    for threshold in BRIGHT:
+        samples = [_Sample.of(sky, hot | dead, saturation, dn, threshold) for sky, dn in zip(skies, images, strict=True)]
+        if sum(len(sample.x) for sample in samples) >= ENOUGH:
+            break
     width = _find_width(samples)
     window = make_window(width, _find_slope(samples, width))
     gain, estimated = options.gain_e_per_dn, False
@@ -234,13 +238,13 @@ class _Sample:
     radius: FloatArray
 
     @classmethod
-    def of(cls, sky: _Sky, bad: BoolArray, saturation: float | None, dn: FloatArray) -> _Sample:
+    def of(cls, sky: _Sky, bad: BoolArray, saturation: float | None, dn: FloatArray, threshold: float) -> _Sample:
         """Find them with a filter of common width."""
         import sep  # noqa: PLC0415 - as above
 
         found = sep.extract(
             sky.pixels,
-            BRIGHT * _noise_left(FIRST_WIDTH_PX),
+            threshold * _noise_left(FIRST_WIDTH_PX),
             err=sky.sigma,
             mask=bad,
             filter_kernel=_kernel(FIRST_WIDTH_PX),

@@ -140,7 +140,7 @@ def extract(
     common = learn([image.dn for image in looked_at], chosen, white_dn)
     del looked_at
     found = _extract_all(sources, partial(_extract_one, read=read, common=common, options=chosen), processes, say)
-    return _assemble(found, sensor, common)
+    return assemble(found, sensor, common)
 
 
 def _refuse_set(
@@ -167,7 +167,7 @@ def _read_some(sources: Sequence[ImageSource], read: _Read) -> list[Image]:
 
 
 @dataclass(frozen=True)
-class _Found:
+class FoundStars:
     """The stars of one image."""
 
     place: int
@@ -175,33 +175,33 @@ class _Found:
     sha256: str
     time_utc: np.datetime64
     time_source: str
-    temperature_c: float | None
-    notes: tuple[str, ...]
     stars: Detections
+    temperature_c: float | None = None
+    notes: tuple[str, ...] = ()
 
 
 def _extract_one(
     place: int, source: ImageSource, *, read: _Read, common: Common, options: DetectionOptions
-) -> _Found | RefusedInputError:
+) -> FoundStars | RefusedInputError:
     """Extract one image; a refusal is an answer, so that every image that cannot be used is named."""
     try:
         image = read(source)
     except RefusedInputError as refusal:
         return RefusedInputError(str(refusal))
     stars = detect(image.dn, common, options)
-    return _Found(
-        place, image.name, image.sha256, image.time_utc, image.time_source, image.temperature_c, image.notes, stars
+    return FoundStars(
+        place, image.name, image.sha256, image.time_utc, image.time_source, stars, image.temperature_c, image.notes
     )
 
 
 def _extract_all(
     sources: Sequence[ImageSource],
-    one: Callable[[int, ImageSource], _Found | RefusedInputError],
+    one: Callable[[int, ImageSource], FoundStars | RefusedInputError],
     processes: int,
     say: Report,
-) -> list[_Found]:
+) -> list[FoundStars]:
     """Extract every image; refuses all that cannot be used at once."""
-    answers: dict[int, _Found | RefusedInputError] = {}
+    answers: dict[int, FoundStars | RefusedInputError] = {}
     for place, answer in _answers(sources, one, min(processes, len(sources))):
         answers[place] = answer
         say(f"extracting stars, {len(answers):,} of {len(sources):,} images", len(answers) / len(sources))
@@ -211,12 +211,12 @@ def _extract_all(
         faults = tuple(Fault(None, None, str(one_of_them)) for one_of_them in refused[:MOST_FAULTS])
         more = f" (and {len(refused) - 1} more images)" if len(refused) > 1 else ""
         raise RefusedInputError(f"{refused[0]}{more}", faults)
-    return [answer for answer in ordered if isinstance(answer, _Found)]
+    return [answer for answer in ordered if isinstance(answer, FoundStars)]
 
 
 def _answers(
-    sources: Sequence[ImageSource], one: Callable[[int, ImageSource], _Found | RefusedInputError], processes: int
-) -> Iterator[tuple[int, _Found | RefusedInputError]]:
+    sources: Sequence[ImageSource], one: Callable[[int, ImageSource], FoundStars | RefusedInputError], processes: int
+) -> Iterator[tuple[int, FoundStars | RefusedInputError]]:
     """Yield the answers as they come."""
     if processes <= 1:
         for place, source in enumerate(sources):
@@ -233,7 +233,7 @@ def _answers(
             raise
 
 
-def _assemble(found: list[_Found], sensor: Sensor, common: Common) -> Extraction:
+def assemble(found: list[FoundStars], sensor: Sensor, common: Common) -> Extraction:
     """Put the images into one telemetry set, in the order of time where each has one."""
     times = np.array([one.time_utc for one in found], dtype="datetime64[us]")
     timed = not np.isnat(times).any()
@@ -248,7 +248,7 @@ def _assemble(found: list[_Found], sensor: Sensor, common: Common) -> Extraction
     return Extraction(telemetry, images, common, _sentences(found, images, common, timed))
 
 
-def _describe(frame: int, one: _Found) -> ExtractedImage:
+def _describe(frame: int, one: FoundStars) -> ExtractedImage:
     return ExtractedImage(
         name=one.name,
         sha256=one.sha256,
@@ -262,7 +262,7 @@ def _describe(frame: int, one: _Found) -> ExtractedImage:
     )
 
 
-def _make_telemetry(found: list[_Found], sensor: Sensor) -> Telemetry:
+def _make_telemetry(found: list[FoundStars], sensor: Sensor) -> Telemetry:
     counts = [len(one.stars) for one in found]
     frame = np.repeat(np.arange(len(found), dtype=np.int64), counts)
     flux = _joined(found, "flux_dn")
@@ -292,7 +292,7 @@ def _make_telemetry(found: list[_Found], sensor: Sensor) -> Telemetry:
     )
 
 
-def _joined(found: list[_Found], name: str) -> FloatArray:
+def _joined(found: list[FoundStars], name: str) -> FloatArray:
     return np.concatenate([getattr(one.stars, name) for one in found])
 
 
@@ -305,7 +305,7 @@ def _repeated(names: list[str], frame: FloatArray) -> pa.ChunkedArray:
     return pa.chunked_array([pa.array([names[k] for k in frame.tolist()], pa.string())])
 
 
-def _sentences(found: list[_Found], images: list[ExtractedImage], common: Common, timed: bool) -> list[str]:
+def _sentences(found: list[FoundStars], images: list[ExtractedImage], common: Common, timed: bool) -> list[str]:
     """Say what was found and what was assumed."""
     said = [
         f"{len(images):,} images gave {sum(image.stars for image in images):,} stars; a star is {common.window.sigma_px:.2f} px wide "
@@ -344,7 +344,7 @@ def _say_gain(common: Common) -> str:
     )
 
 
-def _say_times(found: list[_Found], timed: bool) -> list[str]:
+def _say_times(found: list[FoundStars], timed: bool) -> list[str]:
     sources = sorted({one.time_source for one in found if one.time_source})
     said = [f"Times are from {', '.join(sources)}."] if sources else []
     if timed:
