@@ -259,7 +259,7 @@ def _read_picture(content: bytes, name: str, sensor: Sensor, raw: ImageFormat, l
                     raise RefusedInputError(f"{name} holds {picture.n_frames} images: write each into a file of its own.")
                 if _is_cut_to_8_bits(content, picture.mode):
                     raise RefusedInputError(f"{name} has colours of 16 bits, which are not read: save one channel, or grey.")
-                mode, exif = picture.mode, picture.getexif()
+                mode, (time, source, exposure) = picture.mode, _exif_time(picture.getexif())
                 if mode in _COLOUR:
                     notes.append(f"{name}: its colours are taken together")
                     dn = np.asarray(picture.convert("RGB"), dtype=np.float64).mean(axis=2)
@@ -271,7 +271,6 @@ def _read_picture(content: bytes, name: str, sensor: Sensor, raw: ImageFormat, l
         raise
     except Exception as error:  # Pillow raises what its parts raise on damaged files
         raise RefusedInputError(f"{name} is damaged, or of a kind that is not read ({_short(error)}): save it again.") from error
-    time, source, exposure = _exif_time(exif)
     white = 255.0 if mode in {"L", *_COLOUR} else 65535.0 if mode.startswith("I;16") else None
     return Image(name, dn, hashlib.sha256(content).hexdigest(), time, source, exposure, None, white, notes=tuple(notes))
 
