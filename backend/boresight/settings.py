@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from boresight.errors import RefusedInputError
+from boresight.images.limits import ImageLimits
 from boresight.platform.actors import Policy, SessionLimits
 from boresight.platform.audit.external_head import refuse_place
 from boresight.platform.blobs.locations import BlobLocation, parse_address
 from boresight.platform.web.targets import WebhookTargets, read_hosts
-from boresight.images.limits import ImageLimits
 from boresight.telemetry.read.limits import Limits
 
 if TYPE_CHECKING:
@@ -92,7 +92,10 @@ class Settings:
     telemetry_rows: int = _setting("50000000", "rows", "Most detections of a telemetry file, compressed or not.")
     telemetry_columns: int = _setting("1000", "columns", "Most columns of a telemetry file.")
     images: int = _setting("2000", "images", "Most images of one set.")
-    image_mb: float = _setting("512", "MB", "Largest image file, and all images of an upload together.")
+    image_mb: float = _setting(
+        "512", "MB", "Largest image file; BORESIGHT_UPLOAD_LIMIT_MB holds for all images of an upload together."
+    )
+    image_seconds: float = _setting("600", "s", "How long a server works on the images of one upload.")
     image_megapixels: float = _setting("150", "megapixels", "Most pixels of an image, told before it is expanded.")
     session_hours: float = _setting("12", "h", "A log-in ends after so long.")
     session_idle_minutes: float = _setting(

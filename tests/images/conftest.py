@@ -1,5 +1,6 @@
 """Images of a small mirrored camera on a hard night, with their truth, and as files."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,8 @@ import pytest
 
 from benchmarks.images import HARD, OPTICS, make_night
 from boresight.simulation.images import simulate_images
-from boresight.telemetry.sensors import sensor_document
+from boresight.telemetry.sensors import parse_sensor, sensor_document
+from tests.images.files import write_fits
 
 SIZE = 480, 640
 
@@ -20,8 +22,6 @@ def small_night(frames):
     document = sensor_document(night.sensor)
     document["detector"] = {"rows": SIZE[0], "columns": SIZE[1], "pixel_pitch_m": 7.5e-6}
     document["initial"] |= {"u0_px": 320.0, "v0_px": 240.0}
-    from boresight.telemetry.sensors import parse_sensor
-
     return replace(night, sensor=parse_sensor(document), truth=truth)
 
 
@@ -43,10 +43,6 @@ def hard_images(night, catalogue):
 
 @pytest.fixture(scope="session")
 def folder(night, hard_images, tmp_path_factory):
-    import json
-
-    from tests.images.files import write_fits
-
     place = tmp_path_factory.mktemp("night")
     (place / "camera.json").write_text(json.dumps(sensor_document(night.sensor)))
     for image in hard_images:

@@ -5,13 +5,14 @@ import json
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy import stats
 
 import boresight as bs
 from boresight.errors import RefusedInputError
 from boresight.images.detection import DetectionOptions
-from boresight.images.extraction import IMAGE_COLUMNS, ImageSource, extract
-from boresight.images.limits import ImageLimits
+from boresight.images.extraction import IMAGE_COLUMNS, extract
+from boresight.images.limits import ImageLimits, ImageSource
 from boresight.sky.identification import available
 from boresight.telemetry.read.readers import read_telemetry
 from tests.cli.conftest import accepted, assert_refused, boresight, data_folder  # noqa: F401 - fixtures
@@ -46,7 +47,7 @@ def test_several_processes_say_what_one_says(folder, images):
     assert np.array_equal(one.telemetry.col_px, two.telemetry.col_px)
 
 
-def test_every_image_that_cannot_be_used_is_named(folder, images, night, tmp_path):
+def test_every_image_that_cannot_be_used_is_named(images, night, tmp_path):
     for name in ("bad-1.fits", "bad-2.fits"):
         (tmp_path / name).write_bytes(b"SIMPLE  = nothing")
     sources = [ImageSource(path, path.name) for path in [*images[:2], *sorted(tmp_path.iterdir()), images[2]]]
@@ -63,8 +64,6 @@ def test_every_image_that_cannot_be_used_is_named(folder, images, night, tmp_pat
 
 
 def test_images_without_a_time_keep_their_order_and_say_so(folder, hard_images, tmp_path):
-    from PIL import Image
-
     paths = []
     for image in hard_images[:3]:
         paths.append(tmp_path / f"img-{9 - image.frame}.png")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from PIL import Image as Pillow
+from PIL.TiffImagePlugin import IFDRational
 
 from boresight.errors import RefusedInputError
 from boresight.images.extraction import read_times
@@ -66,7 +67,9 @@ def test_times_are_of_mid_exposure(image, night, tmp_path):
 
 def test_exif_says_when_a_picture_was_taken(image, night, tmp_path):
     exif = Pillow.Exif()
-    exif.get_ifd(0x8769).update({36867: "2026:11:24 23:01:05", 37521: "25", 36881: "+01:00", 33434: (1, 2)})
+    block = exif.get_ifd(0x8769)
+    block.update({36867: "2026:11:24 23:01:05", 37521: "25", 36881: "+01:00", 33434: IFDRational(1, 2)})
+    exif[0x8769] = block
     Pillow.fromarray(image.dn).save(tmp_path / "a.tif", exif=exif)
     assert read_image(tmp_path / "a.tif", night.sensor).time_utc == np.datetime64("2026-11-24T22:01:05.500", "us")
 

@@ -13,10 +13,11 @@ What all images of a set have in common is learned first, from some of them (`le
 
       v(I) = sigma^2 + I / gain + (c I)^2,
 
-  the last term for the starlight that it does hold. Medians of squares in bins of I give v; non-negative least squares the two unknowns.
+  the last term for the starlight that it does hold. Medians of squares in bins of I give v; non-negative least squares the two
+  unknowns.
 
-Then each image by itself: what is large or long is no star (trails, the Moon, a horizon), and its pixels are left out with a margin;
-stars are detected by the filter that is matched to the set's star; those on bad pixels or the edge, blended ones and those
+Then each image by itself: what is large or long is no star (trails, the Moon, a horizon), and its pixels are left out with a
+margin; stars are detected by the filter that is matched to the set's star; those on bad pixels or the edge, blended ones and those
 of another shape than stars are left out and counted.
 """
 
@@ -72,8 +73,8 @@ REASONS: Final = ("edge", "bad pixel", "trail or large object", "shape", "blende
 class Common:
     """What the images of a set have in common.
 
-    `hot`, `dead`: (rows, columns) pixels. `window`: of the centroids. `gain_e_per_dn`: and whether it was estimated from the images.
-    `saturation_dn`: None where no pixel shows one. `looked_at`: images it was learned from. `stars_move`: whether they do.
+    `hot`, `dead`: (rows, columns) pixels. `window`: of the centroids. `gain_e_per_dn`: and whether it was estimated from the
+    images. `saturation_dn`: None where no pixel shows one. `looked_at`: images it was learned from. `stars_move`: whether they do.
     """
 
     hot: BoolArray
@@ -96,8 +97,8 @@ class Detections:
     """Stars of one image, brightest first; arrays (n,).
 
     `row_px`, `col_px`: centroid, the centre of the top-left pixel is (0, 0). `covariance`: (n, 3) of rows, columns, both, px^2.
-    `flux_dn`, `flux_sigma_dn`, `peak_dn`. `background_dn`, `background_sigma_dn`: of a pixel there. `saturated`. `left_out`: objects by
-    the reason why they are none. `trail_pixels`: pixels left out as of trails and large objects.
+    `flux_dn`, `flux_sigma_dn`, `peak_dn`. `background_dn`, `background_sigma_dn`: of a pixel there. `saturated`. `left_out`:
+    objects by the reason why they are none. `trail_pixels`: pixels left out as of trails and large objects.
     """
 
     row_px: FloatArray
@@ -124,7 +125,10 @@ class Detections:
 
 @dataclass(frozen=True)
 class DetectionOptions:
-    """How stars are looked for: threshold (matched signal-to-noise ratio), most stars of an image, gain and white level if known."""
+    """How stars are looked for.
+
+    `threshold`: matched signal-to-noise ratio. `most_stars`: of an image. `gain_e_per_dn`, `saturation_dn`: where they are known.
+    """
 
     threshold: float = 8.0
     most_stars: int = 200
@@ -149,7 +153,9 @@ def subtract_sky(dn: FloatArray, mask: BoolArray | None = None) -> _Sky:
     found = sep.Background(dn, mask=mask, bw=BOX_PX, bh=BOX_PX)
     sigma = np.maximum(found.rms() / CLIPPED, 0.29)  # a whole number has the noise of its rounding
     level = found.back()
-    return _Sky(np.ascontiguousarray(dn - level, dtype=np.float64), level, np.ascontiguousarray(sigma, dtype=np.float64))
+    return _Sky(
+        np.ascontiguousarray(dn - level, dtype=np.float64), level, np.ascontiguousarray(sigma, dtype=np.float64)
+    )
 
 
 def learn(images: Sequence[FloatArray], options: DetectionOptions, white_dn: float | None) -> Common:
@@ -165,7 +171,9 @@ def learn(images: Sequence[FloatArray], options: DetectionOptions, white_dn: flo
     hot, dead, stars_move = _find_bad_pixels(skies)
     samples: list[_Sample] = []
     for threshold in BRIGHT:
-        samples = [_Sample.of(sky, hot | dead, saturation, dn, threshold) for sky, dn in zip(skies, images, strict=True)]
+        samples = [
+            _Sample.of(sky, hot | dead, saturation, dn, threshold) for sky, dn in zip(skies, images, strict=True)
+        ]
         if sum(len(sample.x) for sample in samples) >= ENOUGH:
             break
     width = _find_width(samples)
@@ -276,7 +284,8 @@ def _find_width(samples: Sequence[_Sample]) -> float:
     width = float(np.median(radii)) / HALF_FLUX
     if not NARROWEST_PX <= width <= WIDEST_PX:
         raise RefusedInputError(
-            f"Stars are {width:.2g} px wide (one sigma), expected {NARROWEST_PX:g} to {WIDEST_PX:g}: put the lens into focus, or bin "
+            f"Stars are {width:.2g} px wide (one sigma), expected {NARROWEST_PX:g} to {WIDEST_PX:g}: put the lens "
+            "into focus, or bin "
             "the image."
         )
     return width
@@ -309,7 +318,7 @@ def _find_gain(samples: Sequence[_Sample], window: Window) -> float | None:
     parts = [_noise_beside_light(sample, window) for sample in samples if len(sample.x)]
     I, v, s = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     sigma = np.sqrt(np.median(s))
-    used = (sigma < I) & (I < 1000.0 * sigma)
+    used = (sigma < I) & (1000.0 * sigma > I)
     if np.count_nonzero(used) < FEWEST_GAIN_PIXELS:
         return None
     I, v, s = I[used], v[used], s[used]
@@ -368,9 +377,7 @@ def detect(dn: FloatArray, common: Common, options: DetectionOptions) -> Detecti
         minarea=2,
         deblend_cont=0.005,
     )
-    x, y, flag = sep.winpos(
-        pixels, found["x"], found["y"], np.full(len(found), common.window.sigma_px), mask=trails
-    )
+    x, y, flag = sep.winpos(pixels, found["x"], found["y"], np.full(len(found), common.window.sigma_px), mask=trails)
     stars = _measure(dn, pixels, sky, found, x, y, common, options)
     reason = _judge(found, x, y, flag, stars, bad, trails, common, 0.5 * options.threshold)
     kept = np.flatnonzero(reason == "")
@@ -428,7 +435,7 @@ def _line_through(shape: tuple[int, ...], item: Any, half_width: float) -> BoolA
     )
 
 
-def _measure(  # noqa: PLR0913, PLR0917 - what a measurement needs
+def _measure(
     dn: FloatArray,
     pixels: FloatArray,
     sky: _Sky,

@@ -1,8 +1,8 @@
-"""From a set of images to telemetry: what all have in common is learned from some, then each is extracted by itself, by several processes.
+"""From a set of images to telemetry: what all have in common is learned from some, then each is extracted by itself.
 
-Each image is a frame of one exposure; frames are numbered from 0 in the order of time where every image has one, else in the order in
-which they were given. The rows carry beside the contract's columns what the image says of each star: flux and its sigma, peak,
-background, whether it is saturated, the covariance of its centroid, the image's name and the SHA-256 of its bytes.
+Each image is a frame of one exposure; frames are numbered from 0 in the order of time where every image has one, else in the
+order in which they were given. The rows carry beside the contract's columns what the image says of each star: flux and its
+sigma, peak, background, whether it is saturated, the covariance of its centroid, the image's name and the SHA-256 of its bytes.
 
 The magnitude is the instrument's: -2.5 log10(flux) plus one number for the whole set, such that its faintest stars have the
 sensor's magnitude limit. It orders stars by brightness and finds false matches; it is no photometry.
@@ -14,6 +14,7 @@ import csv
 import multiprocessing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -24,7 +25,7 @@ import pyarrow as pa
 from boresight.arrays import FloatArray
 from boresight.errors import Fault, RefusedInputError
 from boresight.images.detection import LOOKED_AT, REASONS, Common, DetectionOptions, Detections, detect, learn
-from boresight.images.limits import LIMITS, ImageLimits
+from boresight.images.limits import LIMITS, ImageLimits, ImageSource
 from boresight.images.reading import Image, read_image
 from boresight.telemetry.declarations import ImageFormat
 from boresight.telemetry.schema import Telemetry
@@ -44,14 +45,6 @@ MOST_FAULTS = 20
 MOST_TIMES_BYTES = 10_000_000
 #: Stars of an image from which on it can be recognised.
 FEWEST_STARS = 4
-
-
-@dataclass(frozen=True)
-class ImageSource:
-    """Where an image is, and what its sender called it."""
-
-    path: Path
-    name: str
 
 
 @dataclass(frozen=True)
@@ -143,20 +136,43 @@ def extract(
     return assemble(found, sensor, common)
 
 
-def _refuse_set(
-    sources: Sequence[ImageSource], times: Mapping[str, np.datetime64] | None, limits: ImageLimits
-) -> None:
+def extract_apart(
+    sources: Sequence[ImageSource], sensor: Sensor, options: DetectionOptions, *, seconds: float, limits: ImageLimits
+) -> Extraction:
+    """Extract as `extract` does, in a process of its own that ends when the time is over: a server goes on answering meanwhile."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        work = pool.submit(extract, sources, sensor, options, limits=limits)
+        try:
+            return work.result(seconds)
+        except (TimeoutError, BrokenProcessPool) as error:
+            for process in list(pool._processes.values()):  # noqa: SLF001 - a pool has no way to end what computes
+                process.kill()
+            said = (
+                f"took longer than {seconds:g} s"
+                if isinstance(error, TimeoutError)
+                else "needed more memory than there is"
+            )
+            raise RefusedInputError(
+                f"The extraction of {len(sources):,} images {said}: send fewer images at once."
+            ) from error
+
+
+def _refuse_set(sources: Sequence[ImageSource], times: Mapping[str, np.datetime64] | None, limits: ImageLimits) -> None:
     """Refuse too few or too many images, and two of one name."""
     if not sources:
         raise RefusedInputError("No image was given: name FITS, PNG, TIFF or raw files.")
     if len(sources) > limits.images:
-        raise RefusedInputError(f"{len(sources):,} images were given, at most {limits.images:,} are taken at once: split the set.")
+        raise RefusedInputError(
+            f"{len(sources):,} images were given, at most {limits.images:,} are taken at once: split the set."
+        )
     names = [source.name for source in sources]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise RefusedInputError(f"Two images are called {twice}: name each once, or give them names of their own.")
     if times is not None and (absent := [name for name in names if name not in times]):
-        raise RefusedInputError(f"The list of times has no {absent[0]}, and {len(absent) - 1} others: add a row for each image.")
+        raise RefusedInputError(
+            f"The list of times has no {absent[0]}, and {len(absent) - 1} others: add a row for each image."
+        )
 
 
 def _read_some(sources: Sequence[ImageSource], read: _Read) -> list[Image]:
@@ -307,13 +323,13 @@ def _repeated(names: list[str], frame: FloatArray) -> pa.ChunkedArray:
 
 def _sentences(found: list[FoundStars], images: list[ExtractedImage], common: Common, timed: bool) -> list[str]:
     """Say what was found and what was assumed."""
-    said = [
-        f"{len(images):,} images gave {sum(image.stars for image in images):,} stars; a star is {common.window.sigma_px:.2f} px wide "
-        "(one sigma)."
-    ]
+    stars, width = sum(image.stars for image in images), common.window.sigma_px
+    said = [f"{len(images):,} images gave {stars:,} stars; a star is {width:.2f} px wide (one sigma)."]
     few = [image.name for image in images if image.stars < FEWEST_STARS]
     if few:
-        said.append(f"{len(few):,} images show fewer than {FEWEST_STARS} stars and will not be recognised, {few[0]} among them.")
+        said.append(
+            f"{len(few):,} images show fewer than {FEWEST_STARS} stars and will not be recognised, {few[0]} among them."
+        )
     if common.bad.any():
         said.append(
             f"{np.count_nonzero(common.hot):,} hot and {np.count_nonzero(common.dead):,} dead pixels were told from "
@@ -321,7 +337,8 @@ def _sentences(found: list[FoundStars], images: list[ExtractedImage], common: Co
         )
     if not common.stars_move:
         said.append(
-            "The stars stay at one place in these images, so a hot pixel is told by its sharpness alone: let the field move between "
+            "The stars stay at one place in these images, so a hot pixel is told by its sharpness alone: let the "
+            "field move between "
             "images."
         )
     counts = {reason: sum(image.left_out.get(reason, 0) for image in images) for reason in REASONS}
@@ -337,9 +354,14 @@ def _say_gain(common: Common) -> str:
         return "The stars show no photon noise, so sigma_px is that of the sky's noise alone: give --gain where it is known."
     if not common.gain_estimated:
         return f"The gain is {common.gain_e_per_dn:.4g} electrons a DN, as given."
-    narrow = " These stars are so narrow that it is too low, and sigma_px too large." if common.window.sigma_px < 0.95 else ""
+    narrow = (
+        " These stars are so narrow that it is too low, and sigma_px too large."
+        if common.window.sigma_px < 0.95
+        else ""
+    )
     return (
-        f"The gain was estimated from the images, {common.gain_e_per_dn:.3g} electrons a DN (good to some tens of percent): give --gain "
+        f"The gain was estimated from the images, {common.gain_e_per_dn:.3g} electrons a DN (good to some tens of "
+        "percent): give --gain "
         f"where it is known.{narrow}"
     )
 
@@ -350,11 +372,11 @@ def _say_times(found: list[FoundStars], timed: bool) -> list[str]:
     if timed:
         return said
     without = sum(bool(np.isnat(one.time_utc)) for one in found)
-    return [
-        *said,
-        f"{without:,} images have no time: their frames keep the order in which they were given, and their stars the catalogue's places "
-        "without aberration and proper motion; give --times.",
-    ]
+    untimed = (
+        f"{without:,} images have no time: their frames keep the order in which they were given, and their stars the catalogue's "
+        "places without aberration and proper motion; give --times."
+    )
+    return [*said, untimed]
 
 
 def read_times(path: Path) -> dict[str, np.datetime64]:
@@ -370,7 +392,9 @@ def read_times(path: Path) -> dict[str, np.datetime64]:
             raise RefusedInputError(f"{path.name} is too large for a list of times: give one row an image.")
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise RefusedInputError(f"{path.name} cannot be read as text: give a CSV with the columns image and time_utc.") from error
+        raise RefusedInputError(
+            f"{path.name} cannot be read as text: give a CSV with the columns image and time_utc."
+        ) from error
     rows = csv.DictReader(text.splitlines())
     if not {"image", "time_utc"} <= set(rows.fieldnames or ()):
         raise RefusedInputError(f"{path.name} lacks the columns image and time_utc: name them in its first row.")
@@ -382,7 +406,8 @@ def read_times(path: Path) -> dict[str, np.datetime64]:
             time = np.datetime64("NaT", "us")
         if np.isnat(time):
             raise RefusedInputError(
-                f"{path.name}: row {number}, column time_utc: {str(row['time_utc'])[:40]!r} is no time: write 2026-11-24T22:01:05.25Z."
+                f"{path.name}: row {number}, column time_utc: {str(row['time_utc'])[:40]!r} is no time: write "
+                "2026-11-24T22:01:05.25Z."
             )
         times[str(row["image"]).strip()] = time
     return times

@@ -21,6 +21,20 @@ def is_image(path: Path) -> bool:
     return path.suffix.lower() in {*SUFFIXES, *FOREIGN_SUFFIXES}
 
 
+def is_archive(path: Path) -> bool:
+    """Whether a file is a ZIP."""
+    with path.open("rb") as file:
+        return file.read(4) == b"PK\x03\x04"
+
+
+@dataclass(frozen=True)
+class ImageSource:
+    """Where an image is, and what its sender called it."""
+
+    path: Path
+    name: str
+
+
 @dataclass(frozen=True)
 class ImageLimits:
     """How much images may hold: files of a set, bytes of a file, pixels of an image."""

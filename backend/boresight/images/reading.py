@@ -1,4 +1,4 @@
-"""Reading one image: FITS by astropy, PNG and TIFF by Pillow, raw numbers by NumPy; its time, and what its header says of its detector.
+"""Reading one image: FITS by astropy, PNG and TIFF by Pillow, raw numbers by NumPy; and what it says of time and detector.
 
 Nothing is expanded before its size is known: a FITS header and a PNG's or TIFF's head say how many pixels there are, gzip is
 read up to the budget and no farther, and raw numbers must be exactly as many as the detector has.
@@ -31,7 +31,13 @@ from boresight.telemetry.declarations import ImageFormat, parse_image_format
 from boresight.telemetry.read.checks import Faults
 from boresight.telemetry.sensors import Sensor
 
-_MAGIC: Final = {b"SIMPLE  =": "FITS", b"\x1f\x8b": "FITS", b"\x89PNG\r\n\x1a\n": "PNG", b"II*\x00": "TIFF", b"MM\x00*": "TIFF"}
+_MAGIC: Final = {
+    b"SIMPLE  =": "FITS",
+    b"\x1f\x8b": "FITS",
+    b"\x89PNG\r\n\x1a\n": "PNG",
+    b"II*\x00": "TIFF",
+    b"MM\x00*": "TIFF",
+}
 _FOREIGN: Final = {b"\xff\xd8\xff": "JPEG", b"II+\x00": "BigTIFF", b"GIF8": "GIF", b"BM": "BMP"}
 #: Pillow's modes that hold one number a pixel, and those of colours that are taken together.
 _GREY, _COLOUR = ("L", "I", "I;16", "I;16B", "I;16L", "F"), ("RGB", "RGBA", "LA", "P", "1")
@@ -111,7 +117,9 @@ def read_image(
         raise RefusedInputError(f"{name} cannot be read: {error.strerror}; check the name and its rights.") from error
     if not content:
         raise RefusedInputError(f"{name} is empty: copy it again.")
-    read = {"FITS": _read_fits, "PNG": _read_picture, "TIFF": _read_picture, "raw": _read_raw}[_find_form(content, name)]
+    read = {"FITS": _read_fits, "PNG": _read_picture, "TIFF": _read_picture, "raw": _read_raw}[
+        _find_form(content, name)
+    ]
     image = read(content, name, sensor, raw or sensor.image, limits)
     _check_size(image, sensor)
     return _timed(image, times)
@@ -122,7 +130,9 @@ def _find_form(content: bytes, name: str) -> str:
     for magic, form in (_MAGIC | _FOREIGN).items():
         if content.startswith(magic):
             if form in _FOREIGN.values():
-                raise RefusedInputError(f"{name} is {form}, which is not read: save it as FITS, or as PNG or TIFF of 16 bits.")
+                raise RefusedInputError(
+                    f"{name} is {form}, which is not read: save it as FITS, or as PNG or TIFF of 16 bits."
+                )
             return form
     if SUFFIXES.get(Path(name).suffix.lower()) == "raw":
         return "raw"
@@ -137,9 +147,10 @@ def _check_size(image: Image, sensor: Sensor) -> None:
     if (rows, columns) == (sensor.rows, sensor.columns):
         return
     turned = (rows, columns) == (sensor.columns, sensor.rows)
+    remedy = "turn rows and columns of the sensor file" if turned else "give the sensor file that belongs to it"
     raise RefusedInputError(
         f"{image.name} has {rows:,} rows and {columns:,} columns, the detector of {sensor.name} {sensor.rows:,} and "
-        f"{sensor.columns:,}: {'turn rows and columns of the sensor file' if turned else 'give the sensor file that belongs to it'}."
+        f"{sensor.columns:,}: {remedy}."
     )
 
 
@@ -150,7 +161,7 @@ def _refuse_pixels(name: str, pixels: int, limits: ImageLimits) -> None:
         )
 
 
-def _read_fits(content: bytes, name: str, sensor: Sensor, raw: ImageFormat, limits: ImageLimits) -> Image:  # noqa: ARG001 - as the others
+def _read_fits(content: bytes, name: str, _sensor: Sensor, _raw: ImageFormat, limits: ImageLimits) -> Image:
     """Read the first image of a FITS file."""
     from astropy.io import fits  # noqa: PLC0415 - 0.2 s
 
@@ -163,12 +174,15 @@ def _read_fits(content: bytes, name: str, sensor: Sensor, raw: ImageFormat, limi
             with fits.open(io.BytesIO(content), memmap=False, lazy_load_hdus=True) as file:
                 part = next((one for one in file if one.is_image and len(one.shape) >= 2), None)
                 if part is None:
-                    raise RefusedInputError(f"{name} holds no image, only headers or tables: give the file of the image itself.")
+                    raise RefusedInputError(  # noqa: TRY301 - it passes as it is
+                        f"{name} holds no image, only headers or tables: give the file of the image itself."
+                    )
                 _refuse_pixels(name, int(np.prod(part.shape, dtype=np.int64)), limits)
                 planes = [length for length in part.shape[:-2] if length > 1]
                 if planes:
-                    raise RefusedInputError(
-                        f"{name} holds {np.prod(planes)} planes: write every exposure, or the sum of the colours, as an image of its own."
+                    raise RefusedInputError(  # noqa: TRY301 - it passes as it is
+                        f"{name} holds {np.prod(planes)} planes: write every exposure, or the sum of the colours, as "
+                        "an image of its own."
                     )
                 dn = np.asarray(part.data, dtype=np.float64).reshape(part.shape[-2:])
                 header = dict(part.header) if part is file[0] else {**dict(file[0].header), **dict(part.header)}
@@ -205,7 +219,9 @@ def _expand(content: bytes, name: str, limits: ImageLimits) -> bytes:
     except (OSError, EOFError) as error:
         raise RefusedInputError(f"{name} is damaged gzip ({_short(error)}): copy it again.") from error
     if len(expanded) > most:
-        raise RefusedInputError(f"{name} expands to over {most / 1e6:,.0f} MB, more than an image may have: bin or cut it.")
+        raise RefusedInputError(
+            f"{name} expands to over {most / 1e6:,.0f} MB, more than an image may have: bin or cut it."
+        )
     return expanded
 
 
@@ -245,7 +261,7 @@ def _middle(start: np.datetime64, exposure_s: float | None) -> np.datetime64:
     return start if exposure_s is None else start + np.timedelta64(round(exposure_s / 2.0 * 1e6), "us")
 
 
-def _read_picture(content: bytes, name: str, sensor: Sensor, raw: ImageFormat, limits: ImageLimits) -> Image:  # noqa: ARG001 - as the others
+def _read_picture(content: bytes, name: str, _sensor: Sensor, _raw: ImageFormat, limits: ImageLimits) -> Image:
     """Read a PNG or a TIFF."""
     import PIL.Image  # noqa: PLC0415 - 30 ms
 
@@ -256,9 +272,13 @@ def _read_picture(content: bytes, name: str, sensor: Sensor, raw: ImageFormat, l
             with PIL.Image.open(io.BytesIO(content), formats=("PNG", "TIFF")) as picture:
                 _refuse_pixels(name, picture.width * picture.height, limits)
                 if getattr(picture, "n_frames", 1) > 1:
-                    raise RefusedInputError(f"{name} holds {picture.n_frames} images: write each into a file of its own.")
+                    raise RefusedInputError(  # noqa: TRY301 - it passes as it is
+                        f"{name} holds {picture.n_frames} images: write each into a file of its own."
+                    )
                 if _is_cut_to_8_bits(content, picture.mode):
-                    raise RefusedInputError(f"{name} has colours of 16 bits, which are not read: save one channel, or grey.")
+                    raise RefusedInputError(  # noqa: TRY301 - it passes as it is
+                        f"{name} has colours of 16 bits, which are not read: save one channel, or grey."
+                    )
                 mode, (time, source, exposure) = picture.mode, _exif_time(picture.getexif())
                 if mode in _COLOUR:
                     notes.append(f"{name}: its colours are taken together")
@@ -266,11 +286,15 @@ def _read_picture(content: bytes, name: str, sensor: Sensor, raw: ImageFormat, l
                 elif mode in _GREY:
                     dn = np.asarray(picture, dtype=np.float64)
                 else:
-                    raise RefusedInputError(f"{name} is of the kind {mode!r}, which is not read: save it as grey of 8 or 16 bits.")
+                    raise RefusedInputError(  # noqa: TRY301 - it passes as it is
+                        f"{name} is of the kind {mode!r}, which is not read: save it as grey of 8 or 16 bits."
+                    )
     except RefusedInputError:
         raise
     except Exception as error:  # Pillow raises what its parts raise on damaged files
-        raise RefusedInputError(f"{name} is damaged, or of a kind that is not read ({_short(error)}): save it again.") from error
+        raise RefusedInputError(
+            f"{name} is damaged, or of a kind that is not read ({_short(error)}): save it again."
+        ) from error
     white = 255.0 if mode in {"L", *_COLOUR} else 65535.0 if mode.startswith("I;16") else None
     return Image(name, dn, hashlib.sha256(content).hexdigest(), time, source, exposure, None, white, notes=tuple(notes))
 
@@ -320,7 +344,8 @@ def _read_raw(content: bytes, name: str, sensor: Sensor, raw: ImageFormat, limit
     if dn.max() > white:
         other = "big" if raw.byte_order == "little" else "little"
         raise RefusedInputError(
-            f"{name} holds {dn.max():,.0f}, more than {raw.bits} bits can: the bytes may be in the other order (--raw-order {other})."
+            f"{name} holds {dn.max():,.0f}, more than {raw.bits} bits can: the bytes may be in the other order "
+            f"(--raw-order {other})."
         )
     return Image(name, dn, hashlib.sha256(content).hexdigest(), np.datetime64("NaT", "us"), "", white_dn=white)
 

@@ -312,7 +312,7 @@ def evaluate(
         )
 
 
-def extract(
+def extract(  # noqa: PLR0913 - each is a choice of its own
     images: Sequence[str | os.PathLike[str]],
     sensor: SensorSource,
     *,
@@ -356,6 +356,7 @@ def extract(
     from boresight.calibration.calibration import to_plain
     from boresight.images import extraction, reading
     from boresight.images.detection import DetectionOptions
+    from boresight.images.limits import ImageSource
     from boresight.library.inputs import read_any_sensor
     from boresight.library.results import Extraction
 
@@ -364,7 +365,7 @@ def extract(
     options = DetectionOptions(threshold, most_stars, gain_e_per_dn, saturation_dn)
     with reporting(progress, "reading the images") as report:
         found = extraction.extract(
-            [extraction.ImageSource(Path(one), Path(one).name) for one in images],
+            [ImageSource(Path(one), Path(one).name) for one in images],
             described,
             options,
             raw=None if raw is None else reading.parse_raw({**described.image.document(), **raw}),
@@ -519,6 +520,22 @@ def simulate(
         truth=Values(document["truth"]),
         scenario=document,
     )
+
+
+@_on_kernels
+def simulate_images(scenario: str | os.PathLike[str] | Mapping[str, Any], frames: int, folder: Path) -> list[Path]:
+    """Write FITS images of the first frames of a scenario, seen from orbit, into a folder; returns the files."""
+    import numpy as np
+
+    from boresight.simulation import images
+    from boresight.sky.catalogue import load_catalogue
+
+    one, _ = make_scenarios(scenario, frames, None)
+    optics = images.Optics()
+    made = images.simulate_images(
+        one, optics, np.random.default_rng(one.seed), load_catalogue(read_settings().catalogue_folder)
+    )
+    return images.write_images(folder, made, optics)
 
 
 def make_scenarios(

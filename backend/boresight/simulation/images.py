@@ -2,7 +2,8 @@
 
 A star of magnitude m at (r, c) puts into the pixel (i, j) the electrons
 
-    N = N_0 10^(-0.4 m) T(r, c) sum_k w_k Phi_i(r + d_k) Phi_j(c + e_k),     Phi_i(r) = [erf((i + 1/2 - r) / s) - erf((i - 1/2 - r) / s)] / 2
+    N = N_0 10^(-0.4 m) T(r, c) sum_k w_k Phi_i(r + d_k) Phi_j(c + e_k),     Phi_i(r) = [erf((i + 1/2 - r) / s) - erf((i - 1/2
+    - r) / s)] / 2
 
 with s = sqrt(2) sigma: a Gaussian integrated over pixels. In focus there is one term; a defocused spot is a disc, filled by
 `DISC_POINTS` Gaussians on a sunflower spiral. T is the transmission of clouds, a smooth random field of which a share of the image
@@ -18,8 +19,9 @@ The site's own motion is in the aberration. Not modelled: the smear of stars dur
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import erfa
 import numpy as np
@@ -119,8 +121,9 @@ class Optics:
 class SimulatedImage:
     """One image with its truth.
 
-    `dn`: (rows, columns) uint16. `time_utc`: mid-exposure. `row_px`, `col_px`, `magnitude`, `star_id`: (n_stars,) where the stars on the
-    detector truly are, brightest first. `expected_e`: (n_stars,) electrons that each is expected to leave. `trails_px`: ends of trails.
+    `dn`: (rows, columns) uint16. `time_utc`: mid-exposure. `row_px`, `col_px`, `magnitude`, `star_id`: (n_stars,) where the
+    stars on the detector truly are, brightest first. `expected_e`: (n_stars,) electrons that each is expected to leave.
+    `trails_px`: ends of trails.
     """
 
     frame: int
@@ -167,6 +170,26 @@ def simulate_images(
         yield _record(scenario, optics, exposures, k, places, star[part][near], pixels, catalogue, rng)
 
 
+def write_images(folder: Path, images: Iterable[SimulatedImage], optics: Optics) -> list[Path]:
+    """Write images as FITS into a folder, which is made, with their time of exposure, gain and white level; returns the files."""
+    from astropy.io import fits  # noqa: PLC0415 - 0.2 s
+
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    half = np.timedelta64(round(optics.exposure_s / 2.0 * 1e6), "us")
+    for image in images:
+        header = fits.Header()
+        header["DATE-OBS"] = f"{image.time_utc - half}"
+        header["EXPTIME"], header["EGAIN"], header["SATURATE"] = (
+            optics.exposure_s,
+            optics.gain_e_per_dn,
+            optics.white_dn,
+        )
+        written.append(folder / f"image-{image.frame:05d}-{image.exposure}.fits")
+        fits.writeto(written[-1], image.dn, header, overwrite=True)
+    return written
+
+
 def _record(  # noqa: PLR0913, PLR0917 - what an image is made of
     scenario: Scenario,
     optics: Optics,
@@ -206,7 +229,9 @@ def _record(  # noqa: PLR0913, PLR0917 - what an image is made of
     )
 
 
-def draw_stars(electrons: FloatArray, row_px: FloatArray, col_px: FloatArray, total: FloatArray, optics: Optics) -> None:
+def draw_stars(
+    electrons: FloatArray, row_px: FloatArray, col_px: FloatArray, total: FloatArray, optics: Optics
+) -> None:
     """Add stars of so many electrons (n,) at row_px, col_px (n,) to an image (rows, columns) in place."""
     rows, columns = electrons.shape
     reach = _reach_px(optics)
@@ -262,7 +287,9 @@ def _transmission(shape: tuple[int, int], optics: Optics, rng: np.random.Generat
     cells = rng.standard_normal((CLOUD_CELLS, CLOUD_CELLS))
     smooth = zoom(cells, (shape[0] / CLOUD_CELLS, shape[1] / CLOUD_CELLS), order=3)[: shape[0], : shape[1]]
     height = (smooth - np.quantile(smooth, optics.cloud_share)) / (CLOUD_EDGE * smooth.std())
-    return np.asarray(optics.cloud_transmission + (1.0 - optics.cloud_transmission) / (1.0 + np.exp(-np.clip(height, -30, 30))))
+    return np.asarray(
+        optics.cloud_transmission + (1.0 - optics.cloud_transmission) / (1.0 + np.exp(-np.clip(height, -30, 30)))
+    )
 
 
 def _add_trail(electrons: FloatArray, optics: Optics, rng: np.random.Generator) -> tuple[float, float, float, float]:
@@ -301,7 +328,9 @@ def _nights(scenario: Scenario, site: Site, rng: np.random.Generator) -> Simulat
     across = _unit(np.cross(up, z))
     x = np.cos(roll)[of, None] * across + np.sin(roll)[of, None] * np.cross(z, across)
     radius = 6_378_137.0 * np.cos(np.radians(site.latitude_deg))
-    return replace(placed, attitude=np.stack([x, np.cross(z, x), z], axis=1), velocity_m_s=EARTH_RATE_RAD_S * radius * east)
+    return replace(
+        placed, attitude=np.stack([x, np.cross(z, x), z], axis=1), velocity_m_s=EARTH_RATE_RAD_S * radius * east
+    )
 
 
 def _zenith(site: Site, exposures: SimulatedExposures) -> FloatArray:

@@ -412,7 +412,9 @@ def _attitude(scenario: Scenario, t_s: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_rotvec(turn).as_matrix() @ C)
 
 
-def _true_stars(scenario: Scenario, exposures: SimulatedExposures, catalogue: Catalogue, rng: np.random.Generator) -> _Stars:
+def _true_stars(
+    scenario: Scenario, exposures: SimulatedExposures, catalogue: Catalogue, rng: np.random.Generator
+) -> _Stars:
     """Image the catalogue: candidates, apparent place, camera, detection, noise."""
     bright = np.flatnonzero(catalogue.magnitude < scenario.magnitude_limit + FAINTEST_BEYOND_LIMIT_MAG)
     bright = bright[_resolved(scenario, _catalogue_directions(catalogue, bright), catalogue.magnitude[bright])]

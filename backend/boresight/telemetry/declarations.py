@@ -126,8 +126,8 @@ GAIN_E_PER_DN, SATURATION_DN = (1e-3, 1e4), (1.0, 1e9)
 class ImageFormat:
     """How images of a sensor are to be read where their files do not say it.
 
-    `bits`: of a number of a raw image, which has one byte up to 8 of them and two beyond. `byte_order`: of two bytes. `header_bytes`:
-    before the first number. `gain_e_per_dn`: electrons a DN. `saturation_dn`: from here on a pixel says nothing.
+    `bits`: of a number of a raw image, which has one byte up to 8 of them and two beyond. `byte_order`: of two bytes.
+    `header_bytes`: before the first number. `gain_e_per_dn`: electrons a DN. `saturation_dn`: from here on a pixel says nothing.
     """
 
     bits: int | None = None
@@ -158,8 +158,12 @@ def parse_image_format(value: Any, faults: Faults) -> ImageFormat:
         number = value.get(name)
         whole = name in limits
         kinds = int if whole else (int, float)
-        if number is not None and (isinstance(number, bool) or not isinstance(number, kinds) or not low <= number <= high):
-            faults.add(f"image.{name} is {number!r}: give a {'whole ' * whole}number from {low:g} to {high:g}, or leave it out")
+        if number is not None and (
+            isinstance(number, bool) or not isinstance(number, kinds) or not low <= number <= high
+        ):
+            faults.add(
+                f"image.{name} is {number!r}: give a {'whole ' * whole}number from {low:g} to {high:g}, or leave it out"
+            )
             return NO_FORMAT
     if value.get("byte_order", BYTE_ORDERS[0]) not in BYTE_ORDERS:
         faults.add(f"image.byte_order is {value['byte_order']!r}: write {' or '.join(BYTE_ORDERS)}")
