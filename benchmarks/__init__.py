@@ -68,6 +68,9 @@ PARTS: dict[str, Part] = {
     "choice": Part(
         "choice:measure", "the camera chosen for lenses of every camera, by sensors of every camera: false choices, held-out error"
     ),
+    "images": Part(
+        "images:measure", "three extractors beside truth, and from hard night images to a calibration"
+    ),
     "trust": Part(
         "trust.measure:measure", "what is told of clean sets, of known cases and of thirty faults, each before it matters or not"
     ),

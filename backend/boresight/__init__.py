@@ -112,6 +112,7 @@ if TYPE_CHECKING:
         choose,
         draw,
         evaluate,
+        extract,
         load,
         match,
         read_sensor,
@@ -119,7 +120,7 @@ if TYPE_CHECKING:
         simulate,
     )
     from boresight.library.remote import RunFailedError
-    from boresight.library.results import Assessment, Calibration, Evaluation, Matches, Quality, Simulation
+    from boresight.library.results import Assessment, Calibration, Evaluation, Extraction, Matches, Quality, Simulation
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
 
@@ -135,6 +136,7 @@ _PLACES = {
         "draw",
         "evaluate",
         "export_camera",
+        "extract",
         "load",
         "match",
         "read_sensor",
@@ -146,6 +148,7 @@ _PLACES = {
         "Calibration",
         "CameraFile",
         "Evaluation",
+        "Extraction",
         "Matches",
         "Quality",
         "Simulation",
@@ -181,6 +184,7 @@ __all__ = [
     "Client",
     "ConflictError",
     "Evaluation",
+    "Extraction",
     "Fault",
     "ForbiddenError",
     "Matches",
@@ -201,6 +205,7 @@ __all__ = [
     "draw",
     "evaluate",
     "export_camera",
+    "extract",
     "load",
     "match",
     "read_sensor",

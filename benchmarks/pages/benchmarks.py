@@ -209,6 +209,51 @@ def _choice(found: Found) -> str:
     )
 
 
+def _images(found: Found) -> str:
+    """Errors of the extractors over the bound, the calibrations by each, and the whole way from hard nights."""
+    names = [name for name in next(iter(found["centroids"].values())) if name != "bound_px"]
+    rows = [
+        [
+            ratio,
+            f"{of['bound_px']:.4f}",
+            *("-" if of[name] is None else number(of[name]["over_bound"]) for name in names),
+        ]
+        for ratio, of in found["centroids"].items()
+    ]
+    highest = list(found["centroids"].values())[-1]
+    rows.append(["ms an image", "", *("-" if highest[name] is None else number(highest[name]["ms"]) for name in names)])
+    cameras = found["calibrations"]
+    rows.append(
+        [
+            "camera off by, px",
+            "",
+            *("-" if cameras[name] is None else number(cameras[name]["error_px"]) for name in names),
+        ]
+    )
+    night = found["night"]
+    ways = [
+        [name.replace("_", " "), _with_interval(night[name], "rmse_over_bound", "rmse_over_bound_interval"),
+         f"{night[name]['nees']:.3f}", "{:.3f} to {:.3f}".format(*night[name]["nees_bounds"]), f"{night[name]['chi2_per_dof']:.3f}",
+         f"{night[name]['converged']} of {found['sets']}"]
+        for name in ("without_doubles", "as_it_comes")
+    ]  # fmt: skip
+    return (
+        f"{found['stars']} stars alone, by the ratio of their brightest pixel to the sky's noise: error over the Cramér-Rao bound. "
+        "`sep` is the product. The last row is how far a camera is off over the detector, RMS, by the same "
+        f"{found['calibration_sets']} clean nights of {found['frames']} images.\n\n"
+        + table(("ratio", "bound, px", *(name.replace("_", " ") for name in names)), rows)
+        + f"\n{found['sets']} hard nights of {found['frames']} images (clouds over a third, trails, "
+        f"{night['bad_pixels']:.0f} hot and dead "
+        f"pixels, a mirrored sky), from images to parameters, lost in space: {night['stars_per_frame']:.0f} stars an image, "
+        f"{number(night['extraction_ms_per_frame'])} ms of one processor for {night['megapixels']:.2f} megapixels. "
+        "The bound is that of the "
+        "extractor's own sigmas.\n\n"
+        + table(
+            ("doubles", "error / bound", "NEES", "its 95 % bounds", "chi² per degree of freedom", "converged"), ways
+        )
+    )
+
+
 def _with_interval(one: Found, key: str, interval: str = "over_likelihood_interval") -> str:
     low, high = one[interval]
     return f"{one[key]:.4f} ({low:.4f} to {high:.4f})"
@@ -382,7 +427,7 @@ def _ground(found: Found) -> str:
 SECTIONS = {
     "kernels": _kernels, "accuracy": _accuracy, "efficiency": _efficiency, "choice": _choice, "growth": _growth, "whole": _whole,
     "spread": _spread, "queue": _queue, "clients": _clients, "fleet": _fleet, "trust": _trust,
-    "ground": _ground,
+    "ground": _ground, "images": _images,
 }  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from boresight.cli.calibrate import calibrate
 from boresight.cli.choose import choose
 from boresight.cli.convert import convert
 from boresight.cli.evaluate import check, evaluate, match
+from boresight.cli.extract import extract
 from boresight.cli.output import RefusingGroup
 from boresight.cli.report import report
 from boresight.cli.reproduce import reproduce, simulate
@@ -52,6 +53,7 @@ def main(*, debug: bool) -> None:  # noqa: ARG001 - the group asks for it itself
 for command in (
     calibrate,
     choose,
+    extract,
     match,
     evaluate,
     convert,

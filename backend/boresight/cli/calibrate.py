@@ -11,6 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
+from boresight.cli.extract import extraction_options, take_extraction_choices, telemetry_of
 from boresight.cli.output import check_writable, json_option, write_json
 from boresight.cli.remote import first_message, open_client, server_option
 from boresight.cli.sensor import place_sensor, refuse_site_on_server, site_option
@@ -92,17 +93,18 @@ FAILED = ("diverged", "too_few_stars")
 
 
 @click.command(cls=GroupedCommand)
-@click.argument("telemetry", type=click.Path(path_type=Path))
+@click.argument("telemetry", type=click.Path(path_type=Path), nargs=-1, required=True)
 @click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
 @site_option
 @calibration_options
 @click.option(
     "--validate", type=click.Path(path_type=Path), help="Telemetry that takes no part, to check the result by."
 )
+@extraction_options
 @server_option
 @json_option
 def calibrate(
-    telemetry: Path,
+    telemetry: tuple[Path, ...],
     sensor_file: Path,
     site: str | None,
     validate: Path | None,
@@ -110,7 +112,7 @@ def calibrate(
     json_file: str | None,
     **choices: Any,
 ) -> None:
-    """Calibrate a sensor from TELEMETRY (CSV, JSON Lines or Parquet).
+    """Calibrate a sensor from TELEMETRY (CSV, JSON Lines or Parquet), or from images (FITS, PNG, TIFF or raw numbers).
 
     Prints the parameters with their sigmas, what the fit is worth, and advice. A set from which nothing could be
     estimated, or a fit that diverged, writes its JSON and ends with exit code 1.
@@ -120,14 +122,18 @@ def calibrate(
     """
     check_writable(json_file)
     refuse_site_on_server(site, server_url)
+    extraction = take_extraction_choices(choices)
     settings = chosen(choices)
     parse_settings(settings)
-    with progress(first_message(server_url)) as report:
+    with (
+        progress(first_message(server_url)) as report,
+        telemetry_of(telemetry, sensor_file, extraction, report) as source,
+    ):
         if server_url is None:
-            found = estimate(telemetry, place_sensor(sensor_file, site), validate=validate, progress=report, **settings)
+            found = estimate(source, place_sensor(sensor_file, site), validate=validate, progress=report, **settings)
         else:
             with open_client(server_url) as server:
-                found = server.calibrate(telemetry, str(sensor_file), validate=validate, progress=report, **settings)
+                found = server.calibrate(source, str(sensor_file), validate=validate, progress=report, **settings)
     write_json(found.to_dict(), json_file)
     if json_file != "-" and found.status != "too_few_stars":
         click.echo("\n".join(summary_lines(found)))

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from boresight.cli.calibrate import chosen, parse_settings, setting_option
+from boresight.cli.extract import extraction_options, take_extraction_choices, telemetry_of
 from boresight.cli.output import (
     FORMATS,
     STANDARD_OUTPUT,
@@ -28,7 +29,7 @@ from boresight.settings import read_settings
 
 
 @click.command()
-@click.argument("telemetry", type=click.Path(path_type=Path))
+@click.argument("telemetry", type=click.Path(path_type=Path), nargs=-1, required=True)
 @click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
 @site_option
 @click.option(
@@ -42,28 +43,39 @@ from boresight.settings import read_settings
 )
 @setting_option("leave_out_doubles")
 @click.option("--flight", is_flag=True, help="Keep only what the simulated check of the flight code accepts.")
+@extraction_options
 @json_option
 def match(
-    telemetry: Path, sensor_file: Path, site: str | None, parameters: Path | None, out: Path, **choices: Any
+    telemetry: tuple[Path, ...],
+    sensor_file: Path,
+    site: str | None,
+    parameters: Path | None,
+    out: Path,
+    **choices: Any,
 ) -> None:
-    """Match the stars of TELEMETRY again and write its rows with `star_id` as found (empty = unmatched).
+    """Match the stars of TELEMETRY, or of images, again and write its rows with `star_id` as found (empty = unmatched).
 
     Every other column stays as it is. With --json every exposure is listed with its attitude and covariance, or the reason
     why it has none.
     """
     check_writable(choices["json_file"])
     check_one_stream(out, choices["json_file"])
-    _check_out(telemetry, out)
-    with progress("reading the telemetry") as report:
+    for path in telemetry:
+        _check_out(path, out)
+    extraction = take_extraction_choices(choices)
+    with (
+        progress("reading the telemetry") as report,
+        telemetry_of(telemetry, sensor_file, extraction, report) as source,
+    ):
         found = library.match(
-            telemetry,
+            source,
             place_sensor(sensor_file, site),
             parameters=parameters,
             leave_out_doubles=bool(choices["leave_out_doubles"]),
             flight=choices["flight"],
             progress=report,
         )
-        _write_rows(telemetry, found.telemetry.star_id, out)
+        _write_rows(source, found.telemetry.star_id, out)
     document = found.to_dict()
     write_json(document, choices["json_file"])
     if choices["json_file"] != STANDARD_OUTPUT:

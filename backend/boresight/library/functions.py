@@ -30,7 +30,16 @@ if TYPE_CHECKING:
     from boresight.calibration.options import Choices
     from boresight.library.choice import Choice
     from boresight.library.inputs import ParameterSource, SensorSource, TelemetrySource
-    from boresight.library.results import Assessment, Calibration, CameraFile, Evaluation, Matches, Quality, Simulation
+    from boresight.library.results import (
+        Assessment,
+        Calibration,
+        CameraFile,
+        Evaluation,
+        Extraction,
+        Matches,
+        Quality,
+        Simulation,
+    )
     from boresight.sky.catalogue import Catalogue
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
@@ -306,6 +315,87 @@ def evaluate(
         )
 
 
+def extract(  # noqa: PLR0913 - each is a choice of its own
+    images: Sequence[str | os.PathLike[str]],
+    sensor: SensorSource,
+    *,
+    threshold: float = 8.0,
+    most_stars: int = 200,
+    gain_e_per_dn: float | None = None,
+    saturation_dn: float | None = None,
+    raw: Mapping[str, Any] | None = None,
+    times: str | os.PathLike[str] | None = None,
+    processes: int | None = None,
+    progress: Wanted = None,
+) -> Extraction:
+    """Extract telemetry from images: FITS, PNG, TIFF or raw numbers, each a frame.
+
+    Parameters
+    ----------
+    images, sensor, progress
+        Paths of the images, and as `calibrate`.
+    threshold
+        Signal-to-noise ratio of the faintest star, of the filter matched to a star.
+    most_stars
+        Of an image, the brightest.
+    gain_e_per_dn, saturation_dn
+        Electrons a DN, and where a pixel is full; else as the sensor or the images say, or estimated.
+    raw
+        How raw numbers are read: `bits`, `byte_order`, `header_bytes`, instead of the sensor's `image`.
+    times
+        CSV with the columns `image` and `time_utc`, mid-exposure, instead of what the images say.
+    processes
+        That extract at the same time; one a core where left out.
+
+    Returns
+    -------
+    The telemetry, with centroids, `sigma_px`, magnitudes and what else the images say of each star.
+
+    Raises
+    ------
+    RefusedInputError
+        When images cannot be used; names each.
+    """
+    from boresight.calibration.calibration import to_plain
+    from boresight.images import extraction, reading
+    from boresight.images.detection import DetectionOptions
+    from boresight.images.limits import ImageSource
+    from boresight.library.inputs import read_any_sensor
+    from boresight.library.results import Extraction
+
+    described = read_any_sensor(sensor)
+    settings = read_settings()
+    options = DetectionOptions(threshold, most_stars, gain_e_per_dn, saturation_dn)
+    with reporting(progress, "reading the images") as report:
+        found = extraction.extract(
+            [ImageSource(Path(one), Path(one).name) for one in images],
+            described,
+            options,
+            raw=None if raw is None else reading.parse_raw({**described.image.document(), **raw}),
+            times=None if times is None else extraction.read_times(Path(times)),
+            processes=processes or settings.computing_threads,
+            report=report,
+            limits=settings.image_limits,
+        )
+    common = found.common
+    document = {
+        "schema": "boresight.extraction/1",
+        "sensor": described.name,
+        "frames": len(found.images),
+        "stars": len(found.telemetry),
+        "star_sigma_px": common.window.sigma_px,
+        "phase_error_px": common.window.phase_error_px,
+        "gain_e_per_dn": common.gain_e_per_dn,
+        "gain_estimated": common.gain_estimated,
+        "saturation_dn": common.saturation_dn,
+        "hot_pixels": int(common.hot.sum()),
+        "dead_pixels": int(common.dead.sum()),
+        "images": [to_plain(one) for one in found.images],
+        "sentences": found.sentences,
+    }
+    return Extraction(telemetry=found.telemetry, images=found.images, sentences=found.sentences, document=document)
+
+
 @_on_kernels
 def check(telemetry: TelemetrySource, sensor: SensorSource, *, progress: Wanted = None) -> Quality:
     """Report on the quality of telemetry: counts, gaps, coverage, magnitudes, matches. Arguments as `calibrate`."""
@@ -433,6 +523,22 @@ def simulate(
         truth=Values(document["truth"]),
         scenario=document,
     )
+
+
+@_on_kernels
+def simulate_images(scenario: str | os.PathLike[str] | Mapping[str, Any], frames: int, folder: Path) -> list[Path]:
+    """Write FITS images of the first frames of a scenario, seen from orbit, into a folder; returns the files."""
+    import numpy as np
+
+    from boresight.simulation import images
+    from boresight.sky.catalogue import load_catalogue
+
+    one, _ = make_scenarios(scenario, frames, None)
+    optics = images.Optics()
+    made = images.simulate_images(
+        one, optics, np.random.default_rng(one.seed), load_catalogue(read_settings().catalogue_folder)
+    )
+    return images.write_images(folder, made, optics)
 
 
 def make_scenarios(

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
         Numbers,
     )
     from boresight.calibration.choice.result import Choice
-    from boresight.library.results import Assessment, Matches, Quality
+    from boresight.library.results import Assessment, Extraction, Matches, Quality
     from boresight.library.results import Evaluation as Comparison
 
 
@@ -227,6 +227,20 @@ def summarise_matches(found: Matches) -> Summary:
         [names, [f"{getattr(found, name):,}" for name in names]],
         (),
         found.advice,
+    )
+
+
+def summarise_extraction(found: Extraction) -> Summary:
+    """How many stars the images gave."""
+    counts = sorted(image.stars for image in found.images)
+    names = ("images", "stars", "fewest", "median", "most", "saturated")
+    saturated = sum(image.saturated for image in found.images)
+    numbers = (len(counts), sum(counts), counts[0], counts[len(counts) // 2], counts[-1], saturated)
+    return Summary(
+        f"{sum(counts):,} stars of {len(counts):,} images",
+        [names, [f"{number:,}" for number in numbers]],
+        (),
+        found.sentences,
     )
 
 

@@ -363,7 +363,7 @@ INSTANTS_PER_FRAME = 6
 
 
 @dataclass(frozen=True)
-class _Exposures:
+class SimulatedExposures:
     """Every exposure of a scenario; arrays of leading dimension n_exposures."""
 
     frame: IntArray
@@ -408,7 +408,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator, catalogue: Catalogue)
     RefusedInputError
         When the motion shows too little usable sky for so many frames, or no star at all.
     """
-    exposures = _exposures(scenario)
+    exposures = expose(scenario)
     true = _true_stars(scenario, exposures, catalogue, rng)
     false = _false_stars(scenario, len(exposures.frame), rng)
     if len(true.index) + len(false.index) == 0:
@@ -416,13 +416,13 @@ def simulate(scenario: Scenario, rng: np.random.Generator, catalogue: Catalogue)
     return _telemetry(scenario, exposures, _joined(true, false), rng)
 
 
-def _exposures(scenario: Scenario) -> _Exposures:
+def expose(scenario: Scenario) -> SimulatedExposures:
     """Choose the usable instants of the motion and expose at each of them."""
     orbit = scenario.orbit
     t_frame = _usable_instants(scenario)
     t = (t_frame[:, None] + np.arange(scenario.exposures) * scenario.exposure_interval_s).ravel()
     in_space = scenario.sensor.site is None
-    return _Exposures(
+    return SimulatedExposures(
         frame=np.repeat(np.arange(scenario.frames, dtype=np.int64), scenario.exposures),
         exposure=np.tile(np.arange(scenario.exposures, dtype=np.int64), scenario.frames),
         t_s=t,
@@ -469,29 +469,45 @@ def _attitude_on_the_ground(scenario: Scenario, site: Site, t_s: FloatArray) -> 
     return look_at(boresight, -view.zenith)
 
 
-def _true_stars(scenario: Scenario, exposures: _Exposures, catalogue: Catalogue, rng: np.random.Generator) -> _Stars:
+def _true_stars(scenario: Scenario, exposures: SimulatedExposures, catalogue: Catalogue, rng: np.random.Generator) -> _Stars:
     """Image the catalogue: candidates, apparent place, camera, detection, noise."""
-    index, star = _candidates(scenario, exposures, catalogue)
+    bright = np.flatnonzero(catalogue.magnitude < scenario.magnitude_limit + FAINTEST_BEYOND_LIMIT_MAG)
+    bright = bright[_resolved(scenario, _catalogue_directions(catalogue, bright), catalogue.magnitude[bright])]
+    index, star = _candidates(scenario, exposures, catalogue, bright)
     velocity = None if exposures.velocity_m_s is None else exposures.velocity_m_s[index]
     s_i = observed_directions(catalogue, star, exposures.time_utc[index], velocity, scenario.sensor.site)
-    row_px, col_px = _read_out(scenario, exposures, index, s_i)
+    row_px, col_px = read_out(scenario, exposures, index, s_i)
     magnitude = catalogue.magnitude[star]
     chance = 1.0 / (1.0 + np.exp((magnitude - scenario.magnitude_limit) / DETECTION_WIDTH_MAG))
-    seen = _on_detector(scenario.sensor, row_px, col_px) & (rng.random(len(star)) < chance)
+    seen = is_on_detector(scenario.sensor, row_px, col_px) & (rng.random(len(star)) < chance)
     index, star, magnitude = index[seen], star[seen], magnitude[seen]
     sigma_px = _sigma_px(scenario, magnitude)
     row_px = row_px[seen] + sigma_px * rng.standard_normal(len(star))
     col_px = col_px[seen] + sigma_px * rng.standard_normal(len(star))
-    kept = _on_detector(scenario.sensor, row_px, col_px)  # noise may push a star over the edge
+    kept = is_on_detector(scenario.sensor, row_px, col_px)  # noise may push a star over the edge
     blanked = rng.random(len(star)) < scenario.blanked_share
     star_id = np.where(blanked, UNMATCHED, catalogue.hip[star])
     return _Stars(index[kept], row_px[kept], col_px[kept], magnitude[kept], star_id[kept])
 
 
-def _candidates(scenario: Scenario, exposures: _Exposures, catalogue: Catalogue) -> tuple[IntArray, IntArray]:
-    """Pair exposures with the stars of their cone: exposure (n_pairs,) and catalogue index (n_pairs,)."""
-    bright = np.flatnonzero(catalogue.magnitude < scenario.magnitude_limit + FAINTEST_BEYOND_LIMIT_MAG)
-    bright = bright[_resolved(scenario, _catalogue_directions(catalogue, bright), catalogue.magnitude[bright])]
+def visible_stars(
+    scenario: Scenario, exposures: SimulatedExposures, catalogue: Catalogue, faintest: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return every star down to a magnitude in the cone that holds the detector, without noise, misses or blends.
+
+    Returns the exposure (n,), ascending, the place in the catalogue (n,), and the apparent direction (n, 3), ICRS axes.
+    """
+    index, star = _candidates(scenario, exposures, catalogue, np.flatnonzero(catalogue.magnitude < faintest))
+    velocity = None if exposures.velocity_m_s is None else exposures.velocity_m_s[index]
+    s_i = observed_directions(catalogue, star, exposures.time_utc[index], velocity, scenario.sensor.site)
+    order = np.argsort(index, kind="stable")
+    return index[order], star[order], s_i[order]
+
+
+def _candidates(
+    scenario: Scenario, exposures: SimulatedExposures, catalogue: Catalogue, bright: IntArray
+) -> tuple[IntArray, IntArray]:
+    """Pair exposures with those bright stars that lie in their cone: exposure (n_pairs,) and catalogue index (n_pairs,)."""
     s_i = _catalogue_directions(catalogue, bright)
     nearest = np.cos(_cone_rad(scenario) + CONE_MARGIN_RAD)
     boresight = exposures.attitude[:, 2]
@@ -527,8 +543,8 @@ def _cone_rad(scenario: Scenario) -> float:
     return camera.cone_rad(scenario.truth, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
 
 
-def _read_out(
-    scenario: Scenario, exposures: _Exposures, index: IntArray, s_i: FloatArray
+def read_out(
+    scenario: Scenario, exposures: SimulatedExposures, index: IntArray, s_i: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return where stars (n,) are when their own line is read, row and column."""
     row_px, col_px = _project(scenario, exposures, index, s_i)
@@ -544,7 +560,7 @@ def _read_out(
 
 
 def _project(
-    scenario: Scenario, exposures: _Exposures, index: IntArray, s_i: FloatArray
+    scenario: Scenario, exposures: SimulatedExposures, index: IntArray, s_i: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return where stars fall, row and column (n,), through attitude, parity and the true camera."""
     s_d = np.einsum("nij,nj->ni", exposures.attitude[index], s_i)
@@ -566,7 +582,7 @@ def _drifted(scenario: Scenario, temperature_c: float) -> FloatArray:
     return x
 
 
-def _on_detector(sensor: Sensor, row_px: FloatArray, col_px: FloatArray) -> NDArray[np.bool_]:
+def is_on_detector(sensor: Sensor, row_px: FloatArray, col_px: FloatArray) -> NDArray[np.bool_]:
     """Tell (n,) which positions fall on a pixel; NaN does not."""
     inside_rows = (row_px >= -0.5) & (row_px <= sensor.rows - 0.5)
     inside_columns = (col_px >= -0.5) & (col_px <= sensor.columns - 0.5)
@@ -606,7 +622,7 @@ def _joined(true: _Stars, false: _Stars) -> _Stars:
     )
 
 
-def _telemetry(scenario: Scenario, exposures: _Exposures, stars: _Stars, rng: np.random.Generator) -> Telemetry:
+def _telemetry(scenario: Scenario, exposures: SimulatedExposures, stars: _Stars, rng: np.random.Generator) -> Telemetry:
     """Write the detections as a telemetry table, with the sensor's own magnitude estimate."""
     index = stars.index
     return Telemetry(

@@ -127,6 +127,61 @@ class Declared:
 
 NOTHING_DECLARED = Declared()
 
+BYTE_ORDERS = ("little", "big")
+#: Bits of a number of a raw image, and bytes before the first.
+RAW_BITS, MOST_HEADER_BYTES = (8, 16), 1 << 20
+#: Electrons a DN, and DN, that a detector may have.
+GAIN_E_PER_DN, SATURATION_DN = (1e-3, 1e4), (1.0, 1e9)
+
+
+@dataclass(frozen=True)
+class ImageFormat:
+    """How images of a sensor are to be read where their files do not say it.
+
+    `bits`: of a number of a raw image, which has one byte up to 8 of them and two beyond. `byte_order`: of two bytes.
+    `header_bytes`: before the first number. `gain_e_per_dn`: electrons a DN. `saturation_dn`: from here on a pixel says nothing.
+    """
+
+    bits: int | None = None
+    byte_order: str = BYTE_ORDERS[0]
+    header_bytes: int = 0
+    gain_e_per_dn: float | None = None
+    saturation_dn: float | None = None
+
+    def document(self) -> dict[str, Any]:
+        """Return it as a sensor file has it: what is not the default."""
+        return {name: value for name, value in vars(self).items() if value != getattr(NO_FORMAT, name)}
+
+
+NO_FORMAT = ImageFormat()
+
+
+def parse_image_format(value: Any, faults: Faults) -> ImageFormat:
+    """Read the `image` of a sensor file."""
+    if value is None:
+        return NO_FORMAT
+    names = tuple(item.name for item in fields(ImageFormat))
+    if not isinstance(value, Mapping):
+        faults.add(f"image is {value!r}: write an object with {', '.join(names)}")
+        return NO_FORMAT
+    _refuse_unknown("image", value, names, faults)
+    limits = {"bits": RAW_BITS, "header_bytes": (0, MOST_HEADER_BYTES)}
+    for name, (low, high) in (limits | {"gain_e_per_dn": GAIN_E_PER_DN, "saturation_dn": SATURATION_DN}).items():
+        number = value.get(name)
+        whole = name in limits
+        kinds = int if whole else (int, float)
+        if number is not None and (
+            isinstance(number, bool) or not isinstance(number, kinds) or not low <= number <= high
+        ):
+            faults.add(
+                f"image.{name} is {number!r}: give a {'whole ' * whole}number from {low:g} to {high:g}, or leave it out"
+            )
+            return NO_FORMAT
+    if value.get("byte_order", BYTE_ORDERS[0]) not in BYTE_ORDERS:
+        faults.add(f"image.byte_order is {value['byte_order']!r}: write {' or '.join(BYTE_ORDERS)}")
+        return NO_FORMAT
+    return ImageFormat(**{name: value[name] for name in names if value.get(name) is not None})
+
 
 def parse_site(value: Any, faults: Faults) -> Site | None:
     """Read the `site` of a sensor file; None where there is none, or a fault."""

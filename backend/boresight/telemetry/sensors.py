@@ -17,10 +17,13 @@ from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
 from boresight.site import Site
 from boresight.telemetry.declarations import (
+    NO_FORMAT,
     NOTHING_DECLARED,
     Declared,
+    ImageFormat,
     Readout,
     parse_declared,
+    parse_image_format,
     parse_readout,
     parse_site,
 )
@@ -30,7 +33,7 @@ from boresight.telemetry.read.formats import read_json
 _REQUIRED = ("name", "detector", "camera_model", "parity", "centroid_sigma_px", "initial", "typical_sigma")
 #: Focal length as it is kept, and as a file may give it instead.
 FOCAL_M, FOCAL_PX = "f_m", "f_px"
-_OPTIONAL = ("free", "magnitude_limit", "readout", "declared", "site")
+_OPTIONAL = ("free", "magnitude_limit", "readout", "declared", "site", "image")
 _LONGEST_NAME = 64
 _MOST_FIELDS = 100
 _MOST_PIXELS = 65536
@@ -70,6 +73,8 @@ class Sensor:
         What else the data cannot show, as far as it is declared.
     site
         Where on the ground it stands, and the air above; None in space, or where nobody said so.
+    image
+        How its images are to be read where their files do not say it.
     """
 
     name: str
@@ -86,6 +91,7 @@ class Sensor:
     readout: Readout | None = None
     declared: Declared = NOTHING_DECLARED
     site: Site | None = None
+    image: ImageFormat = NO_FORMAT
 
 
 def read_sensor(path: Path) -> Sensor:
@@ -134,6 +140,8 @@ def sensor_document(sensor: Sensor) -> dict[str, Any]:
         document["declared"] = declared
     if sensor.site is not None:
         document["site"] = sensor.site.document()
+    if image := sensor.image.document():
+        document["image"] = image
     return document
 
 
@@ -161,6 +169,7 @@ def _parse(document: Mapping[str, Any], faults: Faults) -> Sensor:
         readout=parse_readout(document.get("readout"), faults),
         declared=parse_declared(document.get("declared"), faults),
         site=parse_site(document.get("site"), faults),
+        image=parse_image_format(document.get("image"), faults),
     )
     if sensor.site is not None and sensor.declared.refraction == "none":
         faults.add(

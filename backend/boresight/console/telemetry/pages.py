@@ -18,6 +18,7 @@ from fastapi.responses import HTMLResponse, Response
 from boresight.console.access.dependencies import (
     CSRF_FIELD,
     KNOWN,
+    Blobs,
     Database,
     DryRunSources,
     Reading,
@@ -223,12 +224,13 @@ def _prepared(
     if parse_row_id(upload.fields.get("sensor_id", "")) is None:
         raise RefusedInputError("Choose the sensor that the telemetry is of.")
     if upload.path is None or not upload.file_name:
-        raise RefusedInputError("No file was chosen: choose a CSV, JSON Lines or Parquet file.")
+        raise RefusedInputError("No file was chosen: choose a CSV, JSON Lines or Parquet file, or images.")
     with open_reading(engine) as session:
         document = session.get_known(Sensor, upload.number("sensor_id")).document
     limits = settings.telemetry_limits
+    images = telemetry_sets.ImageUpload(upload.images, settings.image_limits, settings.image_seconds)
     with telemetry_sets.hold_prepared(
-        document, forecast_sources.catalogue(), upload.path, upload.file_name, limits
+        document, forecast_sources.catalogue(), upload.path, upload.file_name, limits, images
     ) as prepared:
         forecast_sources.blobs.send_ahead(prepared.original, prepared.table)
         yield prepared
@@ -333,6 +335,19 @@ def figure_csv(session: Reading, set_id: int, name: str) -> Response:
     writer.writerows(drawing.rows)
     headers = {"Content-Disposition": f'attachment; filename="telemetry-{set_id}-{drawing.name}.csv"'}
     return Response(text.getvalue(), media_type="text/csv", headers=headers)
+
+
+@telemetry_set_router.get("/telemetry/{set_id}/images/{frame}.png", dependencies=[KNOWN])
+def frame_image(
+    request: Request, session: Reading, blobs: Blobs, settings: ServerSettings, set_id: int, frame: int
+) -> Response:
+    """Give the image of a frame as a picture; its bytes never change, so a browser keeps it."""
+    tag = f'"{session.get_known(TelemetrySet, set_id).original_sha256[:32]}-{frame}"'
+    headers = {"ETag": tag, "Cache-Control": "private, max-age=86400"}
+    if request.headers.get("if-none-match") == tag:
+        return Response(status_code=304, headers=headers)
+    picture = telemetry_sets.draw_image(session, blobs, set_id, frame, settings.image_limits)
+    return Response(picture, media_type="image/png", headers=headers)
 
 
 @telemetry_set_router.post("/telemetry/{set_id}/archive")

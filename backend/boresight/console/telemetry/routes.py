@@ -44,7 +44,12 @@ FORM = {
                 "properties": {
                     "sensor_id": {"type": "integer", "description": "Whose telemetry it is."},
                     "purpose": {"type": "string", "enum": ["calibration", "validation"], "default": "calibration"},
-                    "file": {"type": "string", "format": "binary", "description": "CSV, JSON Lines or Parquet."},
+                    "file": {
+                        "type": "string",
+                        "format": "binary",
+                        "description": "CSV, JSON Lines or Parquet; or images, one file each (FITS, PNG, TIFF, raw) "
+                        "or packed as ZIP.",
+                    },
                 },
             }
         }
@@ -60,8 +65,9 @@ def _prepare(
     with open_reading(engine) as session:
         document = session.get_known(Sensor, upload.number("sensor_id")).document
     limits = settings.telemetry_limits
+    images = telemetry_sets.ImageUpload(upload.images, settings.image_limits, settings.image_seconds)
     with telemetry_sets.hold_prepared(
-        document, forecast_sources.catalogue(), upload.file(), upload.file_name, limits
+        document, forecast_sources.catalogue(), upload.file(), upload.file_name, limits, images
     ) as prepared:
         forecast_sources.blobs.send_ahead(prepared.original, prepared.table)
         yield prepared

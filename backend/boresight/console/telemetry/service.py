@@ -18,23 +18,36 @@ from boresight.console import list_queries as lists
 from boresight.console.fleet.tables import Sensor as SensorRow
 from boresight.console.telemetry import queries as rows
 from boresight.console.telemetry.tables import TelemetrySet
-from boresight.errors import RefusedInputError, UnavailableError
+from boresight.errors import NotFoundError, RefusedInputError, UnavailableError
+from boresight.images.limits import LIMITS as IMAGE_LIMITS
+from boresight.images.limits import ImageLimits, ImageSource, is_archive
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs import files
 from boresight.platform.blobs.store import BlobStore, register_blob
+from boresight.platform.blobs.tables import Blob
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.web.text_validation import normal_name
 from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.quality.findings import Finding
 from boresight.telemetry.quality.report import QualityParts
 from boresight.telemetry.read.limits import LIMITS, Limits
-from boresight.telemetry.read.readers import read_chunks
+from boresight.telemetry.read.readers import read_chunks, write_parquet
 from boresight.telemetry.sensors import Sensor, parse_sensor
 from boresight.telemetry.working_table import MEDIA_TYPE, WorkingTableParts
 
 PURPOSES = ("calibration", "validation")
 MEDIA_TYPES = {".csv": "text/csv", ".jsonl": "application/x-ndjson", ".ndjson": "application/x-ndjson"}
-PARQUET = "application/vnd.apache.parquet"
+PARQUET, ARCHIVE = "application/vnd.apache.parquet", "application/zip"
+
+
+@dataclass(frozen=True)
+class ImageUpload:
+    """Images in the place of a telemetry file, and how much they may hold and how long they may take."""
+
+    sources: Sequence[ImageSource] = ()
+    limits: ImageLimits = IMAGE_LIMITS
+    seconds: float = 600.0
 
 
 @dataclass(frozen=True)
@@ -58,22 +71,54 @@ def hold_prepared(
     path: Path,
     file_name: str,
     limits: Limits = LIMITS,
+    images: ImageUpload | None = None,
 ) -> Iterator[PreparedUpload]:
-    """Read and check an uploaded file, without the database."""
+    """Read and check an uploaded file, or images of which telemetry is extracted first, without the database."""
     sensor, name = parse_sensor(sensor_document), _base_name(file_name)
     with tempfile.TemporaryDirectory() as folder:
-        table = Path(folder) / "table"
-        quality = _checked(path, name, sensor, catalogue, table, limits)
+        table, found = Path(folder) / "table", _extract(images or ImageUpload(), sensor, path, name, Path(folder))
+        if found is None:
+            quality = _checked(path, name, sensor, catalogue, table, limits)
+        else:
+            path = found.archive
+            quality = _checked(found.telemetry, "telemetry.parquet", sensor, catalogue, table, limits)
+            quality["findings"] += [Finding("IMAGES", "NORMAL", said, 1).document() for said in found.sentences]
         yield PreparedUpload(
             original=path,
             table=table,
             name=name,
-            media_type=MEDIA_TYPES.get(PurePath(name).suffix.lower(), PARQUET),
+            media_type=ARCHIVE if found else MEDIA_TYPES.get(PurePath(name).suffix.lower(), PARQUET),
             original_sha256=_sha256_of_file(path),
             frames=quality["frames"],
             stars=quality["stars"],
             quality=quality,
         )
+
+
+@dataclass(frozen=True)
+class _Extracted:
+    """Images that became telemetry: both packed together, the telemetry, and what is to be said of them."""
+
+    archive: Path
+    telemetry: Path
+    sentences: list[str]
+
+
+def _extract(images: ImageUpload, sensor: Sensor, path: Path, name: str, folder: Path) -> _Extracted | None:
+    """Extract the stars of images, or of an archive of images; None where the upload is neither."""
+    if not images.sources and not is_archive(path):
+        return None
+    from boresight.images import archive, extraction  # noqa: PLC0415 - of uploads that are images alone
+    from boresight.images.detection import DetectionOptions  # noqa: PLC0415 - as above
+
+    unpacked = folder / "images"
+    unpacked.mkdir()
+    sources = list(images.sources) or archive.unpack(path, name, unpacked, images.limits)
+    found = extraction.extract_apart(sources, sensor, DetectionOptions(), seconds=images.seconds, limits=images.limits)
+    telemetry, packed = folder / archive.TELEMETRY, folder / "images.zip"
+    write_parquet(found.telemetry, telemetry)
+    archive.pack(sources, found, packed)
+    return _Extracted(packed, telemetry, found.sentences)
 
 
 def _checked(
@@ -183,6 +228,24 @@ def _base_name(file_name: str) -> str:
 
 def _without_folders(path: str) -> str:
     return path.replace("\\", "/").rsplit("/", 1)[-1]
+
+
+def has_images(session: Session, set_id: int) -> bool:
+    """Whether a set keeps the images that it was extracted from."""
+    blob = session.get(Blob, session.get_known(TelemetrySet, set_id).original_sha256)
+    return blob is not None and blob.media_type == ARCHIVE
+
+
+def draw_image(session: Session, blobs: BlobStore, set_id: int, frame: int, limits: ImageLimits) -> bytes:
+    """Return the image of a frame as PNG; refuses a set that has none."""
+    from boresight.images import archive  # noqa: PLC0415 - of sets that are images alone
+
+    row = session.get_known(TelemetrySet, set_id)
+    if not has_images(session, set_id):
+        raise NotFoundError(f"Telemetry set {set_id} was not extracted from images.")
+    sensor = parse_sensor(session.get_known(SensorRow, row.sensor_id).document)
+    with tempfile.TemporaryDirectory() as folder:
+        return archive.draw_image(blobs.path(row.original_sha256), sensor, frame, limits, Path(folder))
 
 
 def list_telemetry_sets(
