@@ -74,6 +74,9 @@ PARTS: dict[str, Part] = {
     "causes": Part(
         "causes:measure", "what the first advice names in sets spoiled by seventeen causes, and false alarms over clean sets"
     ),
+    "diagnosis": Part(
+        "diagnosis:measure", "what is named of forty wrong inputs, each mistake alone and in pairs, and what is mended wrongly"
+    ),
     "fresh": Part("growth:measure_fresh", "what a fresh process pays before its first calibration, beside a warm one"),
     "growth": Part("growth:measure", "time and memory from a thousand frames to a million"),
     "spread": Part("spread:measure", "one batch over one worker, two, and two of which one is killed"),

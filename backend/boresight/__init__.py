@@ -105,11 +105,13 @@ if TYPE_CHECKING:
     )
     from boresight.library.choice import Choice
     from boresight.library.client import AsyncClient, Client
+    from boresight.library.diagnosis import Diagnosis
     from boresight.library.functions import (
         assess,
         calibrate,
         check,
         choose,
+        diagnose,
         draw,
         evaluate,
         load,
@@ -132,6 +134,7 @@ _PLACES = {
         "calibrate",
         "check",
         "choose",
+        "diagnose",
         "draw",
         "evaluate",
         "load",
@@ -142,6 +145,7 @@ _PLACES = {
     ),
     "boresight.library.results": ("Assessment", "Calibration", "Evaluation", "Matches", "Quality", "Simulation"),
     "boresight.library.choice": ("Choice",),
+    "boresight.library.diagnosis": ("Diagnosis",),
     "boresight.telemetry.schema": ("Telemetry",),
     "boresight.telemetry.sensors": ("Sensor",),
     "boresight.library.client": ("AsyncClient", "Client"),
@@ -170,6 +174,7 @@ __all__ = [
     "Choice",
     "Client",
     "ConflictError",
+    "Diagnosis",
     "Evaluation",
     "Fault",
     "ForbiddenError",
@@ -188,6 +193,7 @@ __all__ = [
     "calibrate",
     "check",
     "choose",
+    "diagnose",
     "draw",
     "evaluate",
     "load",

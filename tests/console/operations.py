@@ -200,6 +200,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "upload_telemetry_set": _upload,
     "get_telemetry_set": lambda house: ("victor", {"telemetry_set_id": house.ready_sensor()[1]}),
     "get_telemetry_file": lambda house: ("victor", {"telemetry_set_id": house.ready_sensor()[1]}),
+    "diagnose_telemetry_set": lambda house: ("ada", {"telemetry_set_id": house.ready_sensor()[1]}),
     "archive_telemetry_set": _archive,
     "list_runs": lambda _: ("victor", {}),
     "launch_run": _launch,

@@ -18,6 +18,7 @@ from boresight.cli.audit import audit, backup, restore
 from boresight.cli.calibrate import calibrate
 from boresight.cli.choose import choose
 from boresight.cli.convert import convert
+from boresight.cli.diagnose import diagnose
 from boresight.cli.evaluate import check, evaluate, match
 from boresight.cli.output import RefusingGroup
 from boresight.cli.report import report
@@ -51,6 +52,7 @@ def main(*, debug: bool) -> None:  # noqa: ARG001 - the group asks for it itself
 for command in (
     calibrate,
     choose,
+    diagnose,
     match,
     evaluate,
     convert,
