@@ -80,6 +80,9 @@ PARTS: dict[str, Part] = {
     "ground": Part(
         "ground:measure", "cameras on the ground at 20 to 80 degrees with the air and without, and the real field: bias and finding"
     ),
+    "diagnosis": Part(
+        "diagnosis:measure", "what is named of forty wrong inputs, each mistake alone and in pairs, and what is mended wrongly"
+    ),
     "fresh": Part("growth:measure_fresh", "what a fresh process pays before its first calibration, beside a warm one"),
     "growth": Part("growth:measure", "time and memory from a thousand frames to a million"),
     "spread": Part("spread:measure", "one batch over one worker, two, and two of which one is killed"),

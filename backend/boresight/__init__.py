@@ -105,11 +105,13 @@ if TYPE_CHECKING:
     )
     from boresight.library.choice import Choice
     from boresight.library.client import AsyncClient, Client
+    from boresight.library.diagnosis import Diagnosis
     from boresight.library.functions import (
         assess,
         calibrate,
         check,
         choose,
+        diagnose,
         draw,
         evaluate,
         extract,
@@ -133,6 +135,7 @@ _PLACES = {
         "calibrate",
         "check",
         "choose",
+        "diagnose",
         "draw",
         "evaluate",
         "export_camera",
@@ -154,6 +157,7 @@ _PLACES = {
         "Simulation",
     ),
     "boresight.library.choice": ("Choice",),
+    "boresight.library.diagnosis": ("Diagnosis",),
     "boresight.telemetry.schema": ("Telemetry",),
     "boresight.telemetry.sensors": ("Sensor",),
     "boresight.library.client": ("AsyncClient", "Client"),
@@ -183,6 +187,7 @@ __all__ = [
     "Choice",
     "Client",
     "ConflictError",
+    "Diagnosis",
     "Evaluation",
     "Extraction",
     "Fault",
@@ -202,6 +207,7 @@ __all__ = [
     "calibrate",
     "check",
     "choose",
+    "diagnose",
     "draw",
     "evaluate",
     "export_camera",

@@ -424,10 +424,28 @@ def _ground(found: Found) -> str:
     )  # fmt: skip
 
 
+def _diagnosis(found: Found) -> str:
+    rows = [
+        [
+            one["set"], " and ".join(one["mistakes"]),
+            ", ".join(f"`{name}`" for name in one["causes"]) + "".join(f" or `{name}`" for name in one["alternatives"]),
+            f"{one['exposures_solved']} of {one['exposures']}", "yes" if one["right"] else "no",
+            "yes" if one["wrongly_mended"] else "no", number(one["took_s"]), one["today"].replace("|", "/")[:160],
+        ]
+        for one in found["inputs"]
+    ]  # fmt: skip
+    heads = ("set", "mistakes", "named", "exposures solved", "right", "wrongly mended", "s", "without it")
+    return (
+        f"{found['right']} of {found['of']} are named rightly, {found['wrongly_mended']} mended wrongly. *Without it* is the first "
+        f"sentence of a calibration of the same files that asks no diagnosis; {found['solved_today']} of them converge all the "
+        "same.\n\n" + table(heads, rows, (0, 1, 2, 7))
+    )
+
+
 SECTIONS = {
     "kernels": _kernels, "accuracy": _accuracy, "efficiency": _efficiency, "choice": _choice, "growth": _growth, "whole": _whole,
     "spread": _spread, "queue": _queue, "clients": _clients, "fleet": _fleet, "trust": _trust,
-    "ground": _ground, "images": _images,
+    "ground": _ground, "images": _images, "diagnosis": _diagnosis,
 }  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from boresight.cli.audit import audit, backup, restore
 from boresight.cli.calibrate import calibrate
 from boresight.cli.choose import choose
 from boresight.cli.convert import convert
+from boresight.cli.diagnose import diagnose
 from boresight.cli.evaluate import check, evaluate, match
 from boresight.cli.extract import extract
 from boresight.cli.output import RefusingGroup
@@ -54,6 +55,7 @@ for command in (
     calibrate,
     choose,
     extract,
+    diagnose,
     match,
     evaluate,
     convert,

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from boresight.calibration.exports import ExposureAttitude
     from boresight.calibration.options import Choices
     from boresight.library.choice import Choice
+    from boresight.library.diagnosis import Diagnosis
     from boresight.library.inputs import ParameterSource, SensorSource, TelemetrySource
     from boresight.library.results import (
         Assessment,
@@ -208,6 +209,29 @@ def choose(
 
 
 @_on_kernels
+def diagnose(telemetry: TelemetrySource, sensor: SensorSource, *, progress: Wanted = None) -> Diagnosis:
+    """Find why telemetry does not match its sensor file: what is wrong with either, verified by matching with it mended.
+
+    Arguments as `calibrate`. Up to 40 exposures, spread over the telemetry, are looked at.
+    """
+    from boresight.library.diagnosis import Diagnosis
+    from boresight.library.inputs import open_telemetry, read_any_sensor
+
+    with _prepared(progress, "reading the telemetry") as prepared:
+        from boresight.calibration.diagnosis.diagnose import diagnose as find
+
+        stars = open_telemetry(telemetry, prepared.settings.telemetry_limits)
+        found = find(
+            stars,
+            read_any_sensor(sensor),
+            prepared.load_catalogue(),
+            cache_folder=prepared.settings.catalogue_folder,
+            report=prepared.report,
+        )
+    return Diagnosis.of(found)
+
+
+@_on_kernels
 def match(
     telemetry: TelemetrySource,
     sensor: SensorSource,
@@ -249,7 +273,14 @@ def match(
         matches = rematch(stars, described, catalogue, x, P, chosen, prepared.settings.catalogue_folder)
         seen = apply_flight_check(stars, described, matches, x, chosen) if flight else None
         document = match_report(stars, described, matches, seen)
-        document |= {"advice": document["advice"] + off.sentences(), "stars_off_detector": off.document()}
+        advice = document["advice"] + off.sentences()
+        if 2 * matches.valid.sum() < len(matches.valid):
+            from boresight.calibration.diagnosis.explain import explain
+
+            prepared.report("finding out why so few stars match", None)
+            folder = prepared.settings.catalogue_folder
+            advice = explain(stars, described, catalogue, chosen, folder, prepared.report) + advice
+        document |= {"advice": advice, "stars_off_detector": off.document()}
         matched = replace(stars, star_id=matched_stars(matches, seen)[0])
     found: Matches = parse_report(Matches, document, telemetry=matched)
     return found
@@ -408,13 +439,31 @@ def check(telemetry: TelemetrySource, sensor: SensorSource, *, progress: Wanted 
         from boresight.telemetry.read.readers import read_chunks
 
         prepared = _Prepared(settings, report)
-        parts = QualityParts(read_any_sensor(sensor), prepared.load_catalogue())
+        described, catalogue = read_any_sensor(sensor), prepared.load_catalogue()
+        parts = QualityParts(described, catalogue)
         for part in iterate_telemetry(telemetry, settings.telemetry_limits, read_chunks):
             parts.add(part)
             report(f"reading the telemetry, up to frame {part.frame[-1]}", None)
-        document = parts.report()
+        document = _diagnosed(parts.report(), telemetry, described, catalogue, prepared)
     found: Quality = parse_report(Quality, document)
     return replace(found, findings=[Finding(**one) for one in document["findings"]])
+
+
+def _diagnosed(
+    document: dict[str, Any], telemetry: TelemetrySource, sensor: Sensor, catalogue: Catalogue, prepared: _Prepared
+) -> dict[str, Any]:
+    """Return a quality report with a diagnosis, where what the set names does not match its sensor file by itself."""
+    from boresight.calibration.diagnosis.diagnose import diagnose as find
+    from boresight.calibration.diagnosis.diagnose import match_as_they_stand
+    from boresight.calibration.diagnosis.explain import add_to_report
+    from boresight.library.inputs import open_telemetry
+
+    stars = open_telemetry(telemetry, prepared.settings.telemetry_limits)
+    prepared.report("matching a sample of the stars", None)
+    if document["usable_exposures"] and match_as_they_stand(stars, sensor, catalogue):
+        return document
+    found = find(stars, sensor, catalogue, cache_folder=prepared.settings.catalogue_folder, report=prepared.report)
+    return add_to_report(document, found)
 
 
 @_on_kernels
@@ -712,11 +761,15 @@ def read_sensor(source: SensorSource) -> Sensor:
 
 def read_set(telemetry: TelemetrySource, sensor: Sensor, prepared: _Prepared) -> tuple[Telemetry, Any, Catalogue]:
     """Read a telemetry set, its detections outside the detector, and the catalogue for its directions."""
-    from boresight.telemetry.quality.detector import check_against_sensor
+    from boresight.telemetry.quality.detector import OffDetectorError, check_against_sensor
 
-    stars = read_telemetry(telemetry)
-    off = check_against_sensor(stars, sensor)
-    return stars, off, prepared.load_catalogue()
+    stars, catalogue = read_telemetry(telemetry), prepared.load_catalogue()
+    try:
+        return stars, check_against_sensor(stars, sensor), catalogue
+    except OffDetectorError as error:
+        from boresight.calibration.diagnosis.explain import explain_refusal
+
+        raise explain_refusal(error, stars, sensor, catalogue, prepared.settings.catalogue_folder) from error
 
 
 def _hash_files(sources: Mapping[str, Any]) -> dict[str, str]:

@@ -469,7 +469,9 @@ def _attitude_on_the_ground(scenario: Scenario, site: Site, t_s: FloatArray) -> 
     return look_at(boresight, -view.zenith)
 
 
-def _true_stars(scenario: Scenario, exposures: SimulatedExposures, catalogue: Catalogue, rng: np.random.Generator) -> _Stars:
+def _true_stars(
+    scenario: Scenario, exposures: SimulatedExposures, catalogue: Catalogue, rng: np.random.Generator
+) -> _Stars:
     """Image the catalogue: candidates, apparent place, camera, detection, noise."""
     bright = np.flatnonzero(catalogue.magnitude < scenario.magnitude_limit + FAINTEST_BEYOND_LIMIT_MAG)
     bright = bright[_resolved(scenario, _catalogue_directions(catalogue, bright), catalogue.magnitude[bright])]

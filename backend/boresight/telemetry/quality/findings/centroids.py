@@ -39,8 +39,8 @@ def off_detector_finding(off: OffDetector, sensor: Sensor) -> Finding | None:
         return Finding("OFF_DETECTOR", "CAUTION" if off.beyond_cut else "NORMAL", off.sentence(), off.stars, rows)
     sentence = (
         f"{counted(off.stars, 'matched star lies', 'matched stars lie')} off the detector of {sensor.name} by up to "
-        f"{off.farthest_px:.3g} px, where at most {off.most:,} may be left out, so that no calibration takes the set: choose the "
-        "right sensor, exchange rows and columns, or delete the rows."
+        f"{off.farthest_px:.3g} px, where at most {off.most:,} may be left out, so that no calibration takes the set: exchange "
+        "rows and columns, correct the sensor's, or delete the rows."
     )
     return Finding("OFF_DETECTOR", "SERIOUS", sentence, off.stars, rows)
 

@@ -20,7 +20,10 @@ def nothing_matched(inputs: QualityInputs) -> Finding | None:
     """Find a set in which no row names a star."""
     if inputs.matched.any():
         return None
-    sentence = "No row names a star: give star_id (Hipparcos numbers), or ra_deg and dec_deg."
+    sentence = (
+        "No row names a star: a calibration has to recognise them by themselves; diagnose the set to see whether it can, or give "
+        "star_id (Hipparcos numbers), or ra_deg and dec_deg."
+    )
     return Finding("NO_MATCHES", "SERIOUS", sentence, len(inputs.telemetry))
 
 
@@ -38,8 +41,8 @@ def few_stars(inputs: QualityInputs) -> Finding | None:
     if count == exposures:
         severity = "SERIOUS"
         sentence = (
-            f"Every exposure has fewer than {MINIMUM_STARS} usable stars: nothing can be calibrated from this set, match more "
-            "stars or choose another."
+            f"Every exposure has fewer than {MINIMUM_STARS} usable stars with a name: a calibration has to recognise them by "
+            "themselves; diagnose the set to see whether it can."
         )
     marked = np.zeros(len(inputs.telemetry), dtype=np.bool_)
     marked[inputs.exposures.start[few]] = True
