@@ -112,6 +112,7 @@ if TYPE_CHECKING:
         choose,
         draw,
         evaluate,
+        import_telemetry,
         load,
         match,
         read_sensor,
@@ -120,6 +121,7 @@ if TYPE_CHECKING:
     )
     from boresight.library.remote import RunFailedError
     from boresight.library.results import Assessment, Calibration, Evaluation, Matches, Quality, Simulation
+    from boresight.telemetry.imports.mapping import Imported
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
 
@@ -134,6 +136,7 @@ _PLACES = {
         "choose",
         "draw",
         "evaluate",
+        "import_telemetry",
         "load",
         "match",
         "read_sensor",
@@ -142,6 +145,7 @@ _PLACES = {
     ),
     "boresight.library.results": ("Assessment", "Calibration", "Evaluation", "Matches", "Quality", "Simulation"),
     "boresight.library.choice": ("Choice",),
+    "boresight.telemetry.imports.mapping": ("Imported",),
     "boresight.telemetry.schema": ("Telemetry",),
     "boresight.telemetry.sensors": ("Sensor",),
     "boresight.library.client": ("AsyncClient", "Client"),
@@ -173,6 +177,7 @@ __all__ = [
     "Evaluation",
     "Fault",
     "ForbiddenError",
+    "Imported",
     "Matches",
     "NotFoundError",
     "Quality",
@@ -190,6 +195,7 @@ __all__ = [
     "choose",
     "draw",
     "evaluate",
+    "import_telemetry",
     "load",
     "match",
     "read_sensor",

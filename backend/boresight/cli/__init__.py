@@ -19,6 +19,7 @@ from boresight.cli.calibrate import calibrate
 from boresight.cli.choose import choose
 from boresight.cli.convert import convert
 from boresight.cli.evaluate import check, evaluate, match
+from boresight.cli.importing import import_telemetry
 from boresight.cli.output import RefusingGroup
 from boresight.cli.report import report
 from boresight.cli.reproduce import reproduce, simulate
@@ -56,6 +57,7 @@ for command in (
     convert,
     assess,
     check,
+    import_telemetry,
     simulate,
     report,
     schema,

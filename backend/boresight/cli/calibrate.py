@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
+from boresight.cli.importing import profile_option, telemetry_of
 from boresight.cli.output import check_writable, json_option, write_json
 from boresight.cli.remote import first_message, open_client, server_option
 from boresight.errors import RefusedInputError
@@ -90,12 +91,14 @@ FAILED = ("diverged", "too_few_stars")
 @click.option(
     "--validate", type=click.Path(path_type=Path), help="Telemetry that takes no part, to check the result by."
 )
+@profile_option
 @server_option
 @json_option
 def calibrate(
     telemetry: Path,
     sensor_file: Path,
     validate: Path | None,
+    profile: str | None,
     server_url: str | None,
     json_file: str | None,
     **choices: Any,
@@ -111,9 +114,12 @@ def calibrate(
     check_writable(json_file)
     settings = chosen(choices)
     parse_settings(settings)
+    if profile is not None and server_url is not None:
+        raise RefusedInputError("A profile is read here, and the calibration made elsewhere: import the file first.")
     with progress(first_message(server_url)) as report:
         if server_url is None:
-            found = estimate(telemetry, sensor_file, validate=validate, progress=report, **settings)
+            stars = telemetry_of(telemetry, profile, sensor_file)
+            found = estimate(stars, sensor_file, validate=validate, progress=report, **settings)
         else:
             with open_client(server_url) as server:
                 found = server.calibrate(telemetry, str(sensor_file), validate=validate, progress=report, **settings)
