@@ -115,6 +115,7 @@ if TYPE_CHECKING:
         draw,
         evaluate,
         extract,
+        import_telemetry,
         load,
         match,
         read_sensor,
@@ -123,6 +124,7 @@ if TYPE_CHECKING:
     )
     from boresight.library.remote import RunFailedError
     from boresight.library.results import Assessment, Calibration, Evaluation, Extraction, Matches, Quality, Simulation
+    from boresight.telemetry.imports.mapping import Imported
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
 
@@ -140,6 +142,7 @@ _PLACES = {
         "evaluate",
         "export_camera",
         "extract",
+        "import_telemetry",
         "load",
         "match",
         "read_sensor",
@@ -158,6 +161,7 @@ _PLACES = {
     ),
     "boresight.library.choice": ("Choice",),
     "boresight.library.diagnosis": ("Diagnosis",),
+    "boresight.telemetry.imports.mapping": ("Imported",),
     "boresight.telemetry.schema": ("Telemetry",),
     "boresight.telemetry.sensors": ("Sensor",),
     "boresight.library.client": ("AsyncClient", "Client"),
@@ -192,6 +196,7 @@ __all__ = [
     "Extraction",
     "Fault",
     "ForbiddenError",
+    "Imported",
     "Matches",
     "NotFoundError",
     "Quality",
@@ -212,6 +217,7 @@ __all__ = [
     "evaluate",
     "export_camera",
     "extract",
+    "import_telemetry",
     "load",
     "match",
     "read_sensor",

@@ -214,7 +214,10 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "get_run_choice_data": lambda house: ("victor", {"run_id": house.chosen()}),
     "get_run_log": lambda house: ("victor", {"run_id": house.finished()}),
     "get_run_report": lambda house: ("victor", {"run_id": house.finished()}),
-    "export_camera_of_run": lambda house: ("victor", {"run_id": house.finished(), "params": {"to": "opencv", "allow_px": 1000}}),
+    "export_camera_of_run": lambda house: (
+        "victor",
+        {"run_id": house.finished(), "params": {"to": "opencv", "allow_px": 1000}},
+    ),
     "list_frames": lambda house: ("victor", {"run_id": house.finished()}),
     "get_frame": lambda house: ("victor", {"run_id": house.finished(), "frame": 1}),
     **campaigns.GOOD,

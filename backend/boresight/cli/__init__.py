@@ -21,6 +21,7 @@ from boresight.cli.convert import convert
 from boresight.cli.diagnose import diagnose
 from boresight.cli.evaluate import check, evaluate, match
 from boresight.cli.extract import extract
+from boresight.cli.importing import import_telemetry
 from boresight.cli.output import RefusingGroup
 from boresight.cli.report import report
 from boresight.cli.reproduce import reproduce, simulate
@@ -61,6 +62,7 @@ for command in (
     convert,
     assess,
     check,
+    import_telemetry,
     simulate,
     report,
     schema,

@@ -12,6 +12,7 @@ from click.shell_completion import CompletionItem
 
 from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
 from boresight.cli.extract import extraction_options, take_extraction_choices, telemetry_of
+from boresight.cli.importing import profile_option
 from boresight.cli.output import check_writable, json_option, write_json
 from boresight.cli.remote import first_message, open_client, server_option
 from boresight.cli.sensor import place_sensor, refuse_site_on_server, site_option
@@ -101,6 +102,7 @@ FAILED = ("diverged", "too_few_stars")
     "--validate", type=click.Path(path_type=Path), help="Telemetry that takes no part, to check the result by."
 )
 @extraction_options
+@profile_option
 @server_option
 @json_option
 def calibrate(
@@ -108,6 +110,7 @@ def calibrate(
     sensor_file: Path,
     site: str | None,
     validate: Path | None,
+    profile: str | None,
     server_url: str | None,
     json_file: str | None,
     **choices: Any,
@@ -125,9 +128,11 @@ def calibrate(
     extraction = take_extraction_choices(choices)
     settings = chosen(choices)
     parse_settings(settings)
+    if profile is not None and server_url is not None:
+        raise RefusedInputError("A profile is read here, and the calibration made elsewhere: import the file first.")
     with (
         progress(first_message(server_url)) as report,
-        telemetry_of(telemetry, sensor_file, extraction, report) as source,
+        telemetry_of(telemetry, profile, sensor_file, extraction, report) as source,
     ):
         if server_url is None:
             found = estimate(source, place_sensor(sensor_file, site), validate=validate, progress=report, **settings)

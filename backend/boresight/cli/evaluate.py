@@ -10,6 +10,7 @@ import click
 
 from boresight.cli.calibrate import chosen, parse_settings, setting_option
 from boresight.cli.extract import extraction_options, take_extraction_choices, telemetry_of
+from boresight.cli.importing import profile_option, read_by_profile
 from boresight.cli.output import (
     FORMATS,
     STANDARD_OUTPUT,
@@ -44,6 +45,7 @@ from boresight.settings import read_settings
 @setting_option("leave_out_doubles")
 @click.option("--flight", is_flag=True, help="Keep only what the simulated check of the flight code accepts.")
 @extraction_options
+@profile_option
 @json_option
 def match(
     telemetry: tuple[Path, ...],
@@ -51,6 +53,7 @@ def match(
     site: str | None,
     parameters: Path | None,
     out: Path,
+    profile: str | None,
     **choices: Any,
 ) -> None:
     """Match the stars of TELEMETRY, or of images, again and write its rows with `star_id` as found (empty = unmatched).
@@ -65,7 +68,7 @@ def match(
     extraction = take_extraction_choices(choices)
     with (
         progress("reading the telemetry") as report,
-        telemetry_of(telemetry, sensor_file, extraction, report) as source,
+        telemetry_of(telemetry, profile, sensor_file, extraction, report) as source,
     ):
         found = library.match(
             source,
@@ -93,11 +96,14 @@ def _check_out(telemetry: Path, out: Path) -> None:
         raise RefusedInputError(f"{out} is the telemetry itself, which is never overwritten: choose another name.")
 
 
-def _write_rows(telemetry: Path, star_id: Any, out: Path) -> None:
-    """Write the rows of a telemetry file again, every other column as it stands."""
-    from boresight.telemetry.read.readers import read_table, write_with_stars
+def _write_rows(telemetry: Any, star_id: Any, out: Path) -> None:
+    """Write the rows of a telemetry file again, every other column as it stands; or those that were imported."""
+    from boresight.telemetry.read.readers import contract_table, read_table, write_with_stars
 
-    table = read_table(telemetry, telemetry.name, read_settings().telemetry_limits)
+    if isinstance(telemetry, Path):
+        table = read_table(telemetry, telemetry.name, read_settings().telemetry_limits)
+    else:
+        table = contract_table(telemetry.telemetry)
     with opened_for_writing(out) as stream:
         write_with_stars(table, star_id, stream, out.suffix.lower())
 
@@ -127,12 +133,15 @@ def _match_lines(document: dict[str, Any]) -> Iterator[str]:
 @click.command()
 @click.argument("telemetry", type=click.Path(path_type=Path))
 @click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@profile_option
 @json_option
-def check(telemetry: Path, sensor_file: Path, json_file: str | None) -> None:
+def check(telemetry: Path, sensor_file: Path, profile: str | None, json_file: str | None) -> None:
     """Report on the quality of TELEMETRY: counts, gaps, coverage, magnitudes, matches."""
     check_writable(json_file)
     with progress("reading the telemetry") as report:
-        quality = library.check(telemetry, sensor_file, progress=report).to_dict()
+        quality = library.check(
+            read_by_profile(telemetry, profile, sensor_file), sensor_file, progress=report
+        ).to_dict()
     write_json(quality, json_file)
     if json_file != "-":
         click.echo(aligned(list(_rows(quality)), left=(0, 1)))

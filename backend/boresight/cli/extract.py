@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from boresight.cli.importing import read_by_profile
 from boresight.cli.output import FORMATS, check_writable, json_option, refuse_standard_output, tell, write_json
 from boresight.errors import RefusedInputError
 from boresight.images.limits import is_image
@@ -17,6 +18,7 @@ from boresight.library import functions as library
 from boresight.library.progress import Report, progress
 
 if TYPE_CHECKING:
+    from boresight.library.inputs import TelemetrySource
     from boresight.library.results import Extraction
 
 FILE = click.Path(path_type=Path)
@@ -65,8 +67,13 @@ def take_extraction_choices(choices: dict[str, Any]) -> dict[str, Any]:
 
 
 @contextmanager
-def telemetry_of(paths: Sequence[Path], sensor: Path, choices: dict[str, Any], report: Report) -> Iterator[Path]:
-    """Yield the telemetry file that was named, or one that is extracted from the images that were."""
+def telemetry_of(
+    paths: Sequence[Path], profile: str | None, sensor: Path, choices: dict[str, Any], report: Report
+) -> Iterator[TelemetrySource]:
+    """Yield the telemetry that was named, by its profile where it has one, or what is extracted from images that were named."""
+    if profile is not None and len(paths) == 1:
+        yield read_by_profile(paths[0], profile, sensor)
+        return
     if not any(is_image(path) for path in paths):
         if len(paths) > 1:
             raise RefusedInputError(

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from boresight.calibration.options import Choices
     from boresight.library.choice import Choice
     from boresight.library.diagnosis import Diagnosis
-    from boresight.library.inputs import ParameterSource, SensorSource, TelemetrySource
+    from boresight.library.inputs import ParameterSource, ProfileSource, SensorSource, TelemetrySource
     from boresight.library.results import (
         Assessment,
         Calibration,
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         Simulation,
     )
     from boresight.sky.catalogue import Catalogue
+    from boresight.telemetry.imports.mapping import Imported
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
 
@@ -752,6 +753,60 @@ def read_telemetry(source: TelemetrySource) -> Telemetry:
 
 
 @_on_kernels
+def import_telemetry(
+    files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    profile: ProfileSource,
+    *,
+    sensor: SensorSource | None = None,
+    orbit: str | os.PathLike[str] | None = None,
+    attitude: str | os.PathLike[str] | None = None,
+    time: str | None = None,
+) -> Imported:
+    """Make telemetry of what another program wrote, by a mapping profile.
+
+    Parameters
+    ----------
+    files
+        One file or several of one sensor in the order of time: CSV, JSON Lines, Parquet, FITS, VOTable, text tables, JSON.
+    profile
+        The name of a built-in profile, a profile's file, or what one says.
+    sensor
+        For lengths, and for pixels that are counted from the detector's middle.
+    orbit
+        Two-line elements or an OEM, where the files have no velocity.
+    attitude
+        An AEM, or a table of quaternions that the profile names, where the files have no attitude.
+    time
+        ISO 8601: when the files were taken, where they do not say it.
+
+    Returns
+    -------
+    The telemetry with the record of how it was made; every function that takes telemetry takes it.
+
+    Raises
+    ------
+    RefusedInputError
+        When a file does not fit the profile: one sentence, with row and column of that file.
+    """
+    from boresight.library.inputs import read_any_profile, read_any_sensor
+    from boresight.telemetry.imports.mapping import SourceFile, import_files
+
+    def named(path: str | os.PathLike[str]) -> SourceFile:
+        return SourceFile(Path(path), Path(path).name)
+
+    paths = [files] if isinstance(files, str | os.PathLike) else list(files)
+    return import_files(
+        [named(path) for path in paths],
+        read_any_profile(profile),
+        sensor=None if sensor is None else read_any_sensor(sensor),
+        orbit=None if orbit is None else named(orbit),
+        attitude=None if attitude is None else named(attitude),
+        time=time,
+        limits=read_settings().telemetry_limits,
+    )
+
+
+@_on_kernels
 def read_sensor(source: SensorSource) -> Sensor:
     """Read a sensor: a file, or what one says."""
     from boresight.library.inputs import read_any_sensor
@@ -779,6 +834,9 @@ def _hash_files(sources: Mapping[str, Any]) -> dict[str, str]:
         if isinstance(source, str | os.PathLike):
             with Path(source).open("rb") as file:
                 addresses[role] = hashlib.file_digest(file, "sha256").hexdigest()
+        elif (record := getattr(source, "record", None)) is not None:  # what was imported: the files that it came from
+            told = record()
+            addresses[role], addresses[f"{role}_profile"] = told["sources"][0]["sha256"], told["profile"]["sha256"]
     return addresses
 
 
