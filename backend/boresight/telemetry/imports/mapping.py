@@ -518,8 +518,8 @@ class _Reading:
         if axis.origin == "centre":
             if size is None:
                 raise RefusedInputError(
-                    f"{axis.column} counts from the detector's middle, and its size is not known: give the sensor, or detector.rows and "
-                    "detector.columns in the profile."
+                    f"{axis.column} counts from the detector's middle, and its size is not known: give the sensor, or detector.rows "
+                    "and detector.columns in the profile."
                 )
             pixels = sign * found / pitch + (size - 1) / 2
             told = f"counted from the middle of {size} pixels"
