@@ -302,3 +302,20 @@ def test_what_is_left_out_or_refused_does_not_depend_on_the_parts_a_set_comes_in
                 off.refuse()
             said.append((str(caught.value), caught.value.faults))
         assert said[0] == said[1]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"readout": {"mode": "z" * 100_000}},
+        {"readout": {"mode": "rolling", "line_time_s": 1e-5, "axis": "z" * 100_000}},
+        {"declared": {"directions": "z" * 100_000}},
+        {"declared": {"z" * 100_000: "apparent"}},
+        {"declared": "z" * 100_000},
+        {"initial": "z" * 100_000},
+    ],
+)
+def test_what_is_long_is_refused_in_a_short_sentence(document, wrong):
+    with pytest.raises(RefusedInputError) as caught:
+        parse_sensor({**document, **wrong})
+    assert max(len(fault.detail) for fault in caught.value.faults) < 300
