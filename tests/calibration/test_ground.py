@@ -6,8 +6,10 @@ import pytest
 from benchmarks.ground import measure, real_field, scene
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.errors import RefusedInputError
 from boresight.simulation.scenes import parse_scenario, scenario_document, simulate
+from tests.calibration.sets import write_in_groups
 
 
 def test_a_site_takes_the_bias_away_and_without_it_refraction_is_the_cause(monkeypatch):
@@ -44,6 +46,18 @@ def test_stars_of_nobody_knows_where_are_recognised_through_the_air(catalogue, c
     )  # fmt: skip
     assert found.exposures >= 6
     assert found.chi2_per_dof < 1.3
+
+
+def test_a_large_file_is_seen_through_the_air_as_a_set_in_memory_is(catalogue, tmp_path):
+    scenario = scene(20, 60, 40, 2)
+    telemetry = simulate(scenario, np.random.default_rng(2), catalogue)
+    file = TelemetryFile(write_in_groups(telemetry, tmp_path, 100), large_rows=0, chunk_frames=15)
+    whole = calibrate(telemetry, scenario.sensor, catalogue, CalibrationSettings())
+    pieces = calibrate(file, scenario.sensor, catalogue, CalibrationSettings(), scratch_folder=tmp_path)
+    for name, sigma in whole.sigma.items():
+        if sigma is not None:
+            assert pieces.parameters[name] == pytest.approx(whole.parameters[name], abs=0.1 * sigma)
+    assert {one.name for one in pieces.assumptions} == {one.name for one in whole.assumptions}
 
 
 def test_a_scenario_on_the_ground_is_written_and_read_again_and_a_wrong_one_refused():
