@@ -213,7 +213,10 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "get_run_choice_data": lambda house: ("victor", {"run_id": house.chosen()}),
     "get_run_log": lambda house: ("victor", {"run_id": house.finished()}),
     "get_run_report": lambda house: ("victor", {"run_id": house.finished()}),
-    "export_run": lambda house: ("victor", {"run_id": house.finished(), "params": {"to": "opencv", "allow_px": 1000}}),
+    "get_run_camera_file": lambda house: (
+        "victor",
+        {"run_id": house.finished(), "params": {"to": "opencv", "allow_px": 1000}},
+    ),
     "list_frames": lambda house: ("victor", {"run_id": house.finished()}),
     "get_frame": lambda house: ("victor", {"run_id": house.finished(), "frame": 1}),
     **campaigns.GOOD,
@@ -227,7 +230,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
         "victor",
         {"parameter_set_id": house.candidate()["id"], "params": {"to": "pinhole_radial", "allow_px": 100}},
     ),
-    "export_parameter_set": lambda house: (
+    "get_parameter_set_camera_file": lambda house: (
         "victor",
         {"parameter_set_id": house.candidate()["id"], "params": {"to": "mrcal", "allow_px": 1000}},
     ),

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from boresight.cli.calibrate import chosen, parse_settings, setting_option
+from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import (
     FORMATS,
     STANDARD_OUTPUT,
@@ -27,11 +28,9 @@ from boresight.settings import read_settings
 
 
 @click.command()
-@click.argument("telemetry", type=click.Path(path_type=Path))
-@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
-@click.option(
-    "--parameters", type=click.Path(path_type=Path), help="Calibration JSON, or names and values, to match with."
-)
+@click.argument("telemetry", type=INPUT_FILE)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
+@click.option("--parameters", type=INPUT_FILE, help="Calibration JSON, or names and values, to match with.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -109,8 +108,8 @@ def _match_lines(document: dict[str, Any]) -> Iterator[str]:
 
 
 @click.command()
-@click.argument("telemetry", type=click.Path(path_type=Path))
-@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@click.argument("telemetry", type=INPUT_FILE)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
 @json_option
 def check(telemetry: Path, sensor_file: Path, json_file: str | None) -> None:
     """Report on the quality of TELEMETRY: counts, gaps, coverage, magnitudes, matches."""
@@ -148,14 +147,10 @@ FRAMES_SHOWN = 40
 
 
 @click.command()
-@click.argument("telemetry", type=click.Path(path_type=Path))
-@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
-@click.option(
-    "--parameters", type=click.Path(path_type=Path), required=True, help="Calibration JSON, or names and values."
-)
-@click.option(
-    "--against", type=click.Path(path_type=Path), help="Parameters to compare with; the sensor file's if left out."
-)
+@click.argument("telemetry", type=INPUT_FILE)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
+@click.option("--parameters", type=INPUT_FILE, required=True, help="Calibration JSON, or names and values.")
+@click.option("--against", type=INPUT_FILE, help="Parameters to compare with; the sensor file's if left out.")
 @setting_option("match")
 @setting_option("flight_tolerance_urad")
 @click.option("--shadow", is_flag=True, help="List the frames that one of the two parameter sets would lose.")

@@ -193,24 +193,26 @@ def get_run_report(run_id: Id, session: Reading, blobs: Blobs, policy: ServerPol
     return HTMLResponse(report, headers=headers)
 
 
-@router.get(
-    "/{run_id}/camera-file", summary="Read its camera as a file of another program", response_class=CameraFile
-)
-def export_run(
+@router.get("/{run_id}/camera-file", summary="Read its camera as a file of another program", response_class=CameraFile)
+def get_run_camera_file(
     run_id: Id,
     session: Reading,
     blobs: Blobs,
     to: Annotated[str, Query(examples=["opencv"], description="The format, one of the README's table.")],
     allow_px: Annotated[
         float | None,
-        Query(ge=0, allow_inf_nan=False, description="Largest misfit; the format's share of centroid_sigma_px when left out."),
+        Query(
+            ge=0,
+            allow_inf_nan=False,
+            description="Largest misfit; the format's share of centroid_sigma_px when left out.",
+        ),
     ] = None,
     *,
     residual: Annotated[
         bool, Query(description="Follow the residual spline of its calibration too, where that is beyond the noise.")
     ] = False,
 ) -> Response:
-    """Write the camera that this run found for another program, or say why it cannot be. FITS, which needs attitudes, is `boresight convert`'s."""
+    """Write the camera that this run found for another program, or say why not; FITS, which needs telemetry, is the command's."""
     content, name = runs.export_run(session, blobs, run_id, to, allow_px, with_residual=residual)
     return CameraFile(content, headers={"Content-Disposition": f'attachment; filename="{name}"'})
 
