@@ -214,7 +214,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "get_run_choice_data": lambda house: ("victor", {"run_id": house.chosen()}),
     "get_run_log": lambda house: ("victor", {"run_id": house.finished()}),
     "get_run_report": lambda house: ("victor", {"run_id": house.finished()}),
-    "export_camera_of_run": lambda house: (
+    "get_run_camera_file": lambda house: (
         "victor",
         {"run_id": house.finished(), "params": {"to": "opencv", "allow_px": 1000}},
     ),
@@ -231,7 +231,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
         "victor",
         {"parameter_set_id": house.candidate()["id"], "params": {"to": "pinhole_radial", "allow_px": 100}},
     ),
-    "export_camera_of_parameter_set": lambda house: (
+    "get_parameter_set_camera_file": lambda house: (
         "victor",
         {"parameter_set_id": house.candidate()["id"], "params": {"to": "mrcal", "allow_px": 1000}},
     ),

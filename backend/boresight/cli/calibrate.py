@@ -13,6 +13,7 @@ from click.shell_completion import CompletionItem
 from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
 from boresight.cli.extract import extraction_options, take_extraction_choices, telemetry_of
 from boresight.cli.importing import profile_option
+from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import check_writable, json_option, write_json
 from boresight.cli.remote import first_message, open_client, server_option
 from boresight.cli.sensor import place_sensor, refuse_site_on_server, site_option
@@ -38,7 +39,7 @@ class Choice(click.Option):
         """Complete a word by the choices that the setting is declared with."""
         if self.of.kind != "word":
             return super().shell_complete(ctx, incomplete)
-        return [CompletionItem(word) for word in self.of.choices if word.startswith(incomplete)]
+        return [CompletionItem(word) for word in self.of.words if word.startswith(incomplete)]
 
 
 class GroupedCommand(click.Command):
@@ -94,13 +95,11 @@ FAILED = ("diverged", "too_few_stars")
 
 
 @click.command(cls=GroupedCommand)
-@click.argument("telemetry", type=click.Path(path_type=Path), nargs=-1, required=True)
-@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@click.argument("telemetry", type=INPUT_FILE, nargs=-1, required=True)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
 @site_option
 @calibration_options
-@click.option(
-    "--validate", type=click.Path(path_type=Path), help="Telemetry that takes no part, to check the result by."
-)
+@click.option("--validate", type=INPUT_FILE, help="Telemetry that takes no part, to check the result by.")
 @extraction_options
 @profile_option
 @server_option

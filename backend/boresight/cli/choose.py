@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from boresight.cli.calibrate import chosen, parse_settings, setting_option
+from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import STANDARD_OUTPUT, check_one_stream, check_writable, json_option, write_json
 from boresight.cli.remote import first_message, open_client, server_option
 from boresight.cli.sensor import place_sensor, refuse_site_on_server, site_option
@@ -22,12 +23,12 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("telemetry", type=click.Path(path_type=Path))
-@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@click.argument("telemetry", type=INPUT_FILE)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
 @site_option
 @click.option(
     "--validate",
-    type=click.Path(path_type=Path),
+    type=INPUT_FILE,
     help="Telemetry that candidates are held out against; left out, frames of TELEMETRY are.",
 )
 @setting_option("match")

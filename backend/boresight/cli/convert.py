@@ -9,6 +9,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import (
     STANDARD_OUTPUT,
     check_one_stream,
@@ -32,10 +33,8 @@ def _complete_target(_: click.Context, __: click.Parameter, incomplete: str) -> 
 
 
 @click.command()
-@click.argument("parameters", type=click.Path(path_type=Path))
-@click.option(
-    "--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Their sensor file, JSON."
-)
+@click.argument("parameters", type=INPUT_FILE)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Their sensor file, JSON.")
 @click.option(
     "--to",
     "target",
@@ -49,7 +48,7 @@ def _complete_target(_: click.Context, __: click.Parameter, incomplete: str) -> 
 @click.option("--sensor-out", "sensor_out", metavar="FILE", help="Write a sensor file of the other model too.")
 @click.option(
     "--telemetry",
-    type=click.Path(path_type=Path),
+    type=INPUT_FILE,
     help="Telemetry whose exposures FITS headers are written for: its stars are matched for their attitudes.",
 )
 @click.option(

@@ -11,6 +11,7 @@ import click
 from boresight.cli.calibrate import chosen, parse_settings, setting_option
 from boresight.cli.extract import extraction_options, take_extraction_choices, telemetry_of
 from boresight.cli.importing import profile_option, read_by_profile
+from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import (
     FORMATS,
     STANDARD_OUTPUT,
@@ -30,12 +31,10 @@ from boresight.settings import read_settings
 
 
 @click.command()
-@click.argument("telemetry", type=click.Path(path_type=Path), nargs=-1, required=True)
-@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@click.argument("telemetry", type=INPUT_FILE, nargs=-1, required=True)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
 @site_option
-@click.option(
-    "--parameters", type=click.Path(path_type=Path), help="Calibration JSON, or names and values, to match with."
-)
+@click.option("--parameters", type=INPUT_FILE, help="Calibration JSON, or names and values, to match with.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -131,8 +130,8 @@ def _match_lines(document: dict[str, Any]) -> Iterator[str]:
 
 
 @click.command()
-@click.argument("telemetry", type=click.Path(path_type=Path))
-@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@click.argument("telemetry", type=INPUT_FILE)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
 @profile_option
 @json_option
 def check(telemetry: Path, sensor_file: Path, profile: str | None, json_file: str | None) -> None:
@@ -173,15 +172,11 @@ FRAMES_SHOWN = 40
 
 
 @click.command()
-@click.argument("telemetry", type=click.Path(path_type=Path))
-@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@click.argument("telemetry", type=INPUT_FILE)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
 @site_option
-@click.option(
-    "--parameters", type=click.Path(path_type=Path), required=True, help="Calibration JSON, or names and values."
-)
-@click.option(
-    "--against", type=click.Path(path_type=Path), help="Parameters to compare with; the sensor file's if left out."
-)
+@click.option("--parameters", type=INPUT_FILE, required=True, help="Calibration JSON, or names and values.")
+@click.option("--against", type=INPUT_FILE, help="Parameters to compare with; the sensor file's if left out.")
 @setting_option("match")
 @setting_option("flight_tolerance_urad")
 @click.option("--shadow", is_flag=True, help="List the frames that one of the two parameter sets would lose.")

@@ -8,7 +8,8 @@ from typing import Any
 
 import click
 
-from boresight.cli.output import refuse_standard_output
+from boresight.cli.input import keep_standard_input
+from boresight.cli.output import STANDARD_OUTPUT, refuse_standard_output
 from boresight.errors import RefusedInputError
 from boresight.library import functions as library
 from boresight.library.progress import progress
@@ -33,6 +34,8 @@ def simulate(
     Writes sensor.json, the calibration and the validation set, scenario.json and truth.json; with --images also what the detector
     records of the first frames.
     """
+    if scenario == STANDARD_OUTPUT:
+        scenario = str(keep_standard_input(None))
     refuse_standard_output(folder, "A folder of files")
     with progress("simulating") as report:
         made = library.simulate(scenario, frames=frames, seed=seed, progress=report)

@@ -91,7 +91,9 @@ def _directions(asked: Export, place: tuple[FloatArray, FloatArray]) -> FloatArr
     """Directions (n, 3) in the right-handed triad of D, what the camera leaves over included."""
     sensor, camera = asked.sensor, CAMERA_MODELS[asked.sensor.camera_model]
     at = place if asked.residual is None else undone(place, asked.residual)
-    return camera.directions(asked.x, *at, sensor.pixel_pitch_m) * np.array([1.0, float(sensor.parity), 1.0])
+    return np.asarray(
+        camera.directions(asked.x, *at, sensor.pixel_pitch_m) * np.array([1.0, float(sensor.parity), 1.0])
+    )
 
 
 def _reference(asked: Export) -> tuple[float, float]:

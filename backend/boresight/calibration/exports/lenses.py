@@ -330,7 +330,8 @@ def _fitted(lens: Lens, camera: _Camera, P: FloatArray | None, *, turning: bool)
     def off(z: FloatArray, s: FloatArray, place: tuple[FloatArray, FloatArray]) -> FloatArray:
         p, turn = _state(z * scale, lens)
         seen = project(lens, p, s @ turn.T, sensor)
-        return np.nan_to_num(np.concatenate([seen[0] - place[0], seen[1] - place[1]]), nan=1e6, posinf=1e6, neginf=-1e6)
+        away = np.concatenate([seen[0] - place[0], seen[1] - place[1]])
+        return np.asarray(np.nan_to_num(away, nan=1e6, posinf=1e6, neginf=-1e6))
 
     z = np.concatenate([start / scale[: len(start)], np.zeros(3 if turning else 0)])
     J = None

@@ -109,7 +109,7 @@ def convert_parameter_set(
 @router.get(
     "/{parameter_set_id}/camera-file", summary="Read its camera as a file of another program", response_class=CameraFile
 )
-def export_camera_of_parameter_set(
+def get_parameter_set_camera_file(
     parameter_set_id: Id,
     session: Reading,
     to: Annotated[str, Query(examples=["opencv"], description="The format, one of the README's table.")],
@@ -126,7 +126,7 @@ def export_camera_of_parameter_set(
         bool, Query(description="Follow the residual spline of its calibration too, where that is beyond the noise.")
     ] = False,
 ) -> Response:
-    """Write the camera of this set for another program; FITS, which needs attitudes, is written by `boresight convert`."""
+    """Write the camera of this set for another program, or say why not; FITS, which needs telemetry, is the command's."""
     content, name = conversions.export_parameter_set(session, parameter_set_id, to, allow_px, with_residual=residual)
     return CameraFile(content, headers={"Content-Disposition": f'attachment; filename="{name}"'})
 

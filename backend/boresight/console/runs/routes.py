@@ -194,7 +194,7 @@ def get_run_report(run_id: Id, session: Reading, blobs: Blobs, policy: ServerPol
 
 
 @router.get("/{run_id}/camera-file", summary="Read its camera as a file of another program", response_class=CameraFile)
-def export_camera_of_run(
+def get_run_camera_file(
     run_id: Id,
     session: Reading,
     blobs: Blobs,
@@ -212,7 +212,7 @@ def export_camera_of_run(
         bool, Query(description="Follow the residual spline of its calibration too, where that is beyond the noise.")
     ] = False,
 ) -> Response:
-    """Write the camera that this run found for another program; FITS, which needs attitudes, is written by `boresight convert`."""
+    """Write the camera that this run found for another program, or say why not; FITS, which needs telemetry, is the command's."""
     content, name = runs.export_run(session, blobs, run_id, to, allow_px, with_residual=residual)
     return CameraFile(content, headers={"Content-Disposition": f'attachment; filename="{name}"'})
 
