@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -91,9 +92,15 @@ def test_one_command_leads_from_a_hard_night_to_a_calibration(boresight, folder,
 
 @pytest.mark.skipif(not available(), reason="lost in space is an extra")
 def test_match_takes_images(boresight, folder, images, tmp_path):  # noqa: F811
-    out = tmp_path / "matched.csv"
-    done = boresight("match", *images[:2], "--sensor", folder / "camera.json", "--processes", 1, "--out", out)
-    accepted(done)
+    out, pictures = tmp_path / "matched.csv", tmp_path / "pictures"
+    words = ("--sensor", folder / "camera.json", "--processes", 1, "--out", out, "--pictures", pictures)
+    accepted(boresight("match", *images[:2], *words))
+    drawn = ET.parse(pictures / f"{images[0].name}.svg").getroot()  # noqa: S314 - our own file
+    named = [one.text for one in drawn.iter("{http://www.w3.org/2000/svg}title")]
+    stars = len(list(drawn.iter("{http://www.w3.org/2000/svg}circle")))
+    residuals = len(list(drawn.iter("{http://www.w3.org/2000/svg}line")))
+    assert 5 < residuals == sum("HIP" in text for text in named) < stars
+    assert_refused(boresight("match", out, *words[:2], "--out", tmp_path / "again.csv", "--pictures", pictures))
     read = read_telemetry(out)
     assert set(IMAGE_COLUMNS) <= set(read.unknown)
     assert (read.star_id > 0).sum() > 10
