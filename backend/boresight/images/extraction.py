@@ -402,7 +402,7 @@ def read_times(path: Path) -> dict[str, np.datetime64]:
         raise RefusedInputError(f"{path.name} lacks the columns image and time_utc: name them in its first row.")
     times: dict[str, np.datetime64] = {}
     for number, row in enumerate(rows, start=2):
-        time = NO_TIME
+        time: np.datetime64 = NO_TIME
         with suppress(ValueError):
             time = np.datetime64(str(row["time_utc"]).strip().removesuffix("Z"), "us")
         if np.isnat(time):
