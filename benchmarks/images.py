@@ -34,8 +34,9 @@ from boresight.arrays import FloatArray
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
-from boresight.images.detection import HALF_FLUX, DetectionOptions, detect, learn, subtract_sky
+from boresight.images.detection import DetectionOptions, detect, learn, subtract_sky
 from boresight.images.extraction import FoundStars, assemble
+from boresight.images.psf import HALF_FLUX
 from boresight.settings import read_settings
 from boresight.simulation.images import Optics, SimulatedImage, Site, draw_stars, simulate_images
 from boresight.simulation.scenes import Scenario, calibration_scenario

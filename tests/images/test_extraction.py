@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -75,7 +76,7 @@ def test_images_without_a_time_keep_their_order_and_say_so(folder, hard_images, 
 
 
 @pytest.mark.skipif(not available(), reason="lost in space is an extra")
-def test_one_command_leads_from_a_hard_night_to_a_calibration(boresight, folder, images, night, tmp_path):  # noqa: F811
+def test_one_command_leads_from_a_hard_night_to_a_calibration(boresight, folder, images, night, tmp_path):  # noqa: F811 - a fixture
     out = tmp_path / "c.json"
     done = boresight("calibrate", *images, "--sensor", folder / "camera.json", "--processes", 1, "--json", out)
     accepted(done)
@@ -90,16 +91,22 @@ def test_one_command_leads_from_a_hard_night_to_a_calibration(boresight, folder,
 
 
 @pytest.mark.skipif(not available(), reason="lost in space is an extra")
-def test_match_takes_images(boresight, folder, images, tmp_path):  # noqa: F811
-    out = tmp_path / "matched.csv"
-    done = boresight("match", *images[:2], "--sensor", folder / "camera.json", "--processes", 1, "--out", out)
-    accepted(done)
+def test_match_takes_images(boresight, folder, images, tmp_path):  # noqa: F811 - a fixture
+    out, pictures = tmp_path / "matched.csv", tmp_path / "pictures"
+    words = ("--sensor", folder / "camera.json", "--processes", 1, "--out", out, "--pictures", pictures)
+    accepted(boresight("match", *images[:2], *words))
+    drawn = ET.parse(pictures / f"{images[0].name}.svg").getroot()  # noqa: S314 - our own file
+    named = [one.text for one in drawn.iter("{http://www.w3.org/2000/svg}title")]
+    stars = len(list(drawn.iter("{http://www.w3.org/2000/svg}circle")))
+    residuals = len(list(drawn.iter("{http://www.w3.org/2000/svg}line")))
+    assert 5 < residuals == sum("HIP" in text for text in named) < stars
+    assert_refused(boresight("match", out, *words[:2], "--out", tmp_path / "again.csv", "--pictures", pictures))
     read = read_telemetry(out)
     assert set(IMAGE_COLUMNS) <= set(read.unknown)
     assert (read.star_id > 0).sum() > 10
 
 
-def test_the_command_writes_telemetry_and_refuses_a_mixture(boresight, folder, images, tmp_path):  # noqa: F811
+def test_the_command_writes_telemetry_and_refuses_a_mixture(boresight, folder, images, tmp_path):  # noqa: F811 - a fixture
     out = tmp_path / "t.csv"
     sensor = folder / "camera.json"
     accepted(boresight("extract", *images[:1], "--sensor", sensor, "--processes", 1, "--out", out))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from boresight.cli.calibrate import chosen, parse_settings, setting_option
-from boresight.cli.extract import extraction_options, take_extraction_choices, telemetry_of
+from boresight.cli.extract import extraction_options, pictures_option, take_extraction_choices, telemetry_of
 from boresight.cli.importing import profile_option, read_by_profile
 from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import (
@@ -24,10 +24,14 @@ from boresight.cli.output import (
 )
 from boresight.cli.sensor import place_sensor, site_option
 from boresight.errors import RefusedInputError
+from boresight.images.limits import is_image
 from boresight.library import functions as library
 from boresight.library.progress import progress
 from boresight.library.text import aligned
 from boresight.settings import read_settings
+
+if TYPE_CHECKING:
+    from boresight.library.results import Matches
 
 
 @click.command()
@@ -45,6 +49,7 @@ from boresight.settings import read_settings
 @click.option("--flight", is_flag=True, help="Keep only what the simulated check of the flight code accepts.")
 @extraction_options
 @profile_option
+@pictures_option
 @json_option
 def match(
     telemetry: tuple[Path, ...],
@@ -78,10 +83,21 @@ def match(
             progress=report,
         )
         _write_rows(source, found.telemetry.star_id, out)
+        if choices["pictures"] is not None:
+            _draw(telemetry, sensor_file, found, parameters, choices["pictures"], extraction["raw"])
     document = found.to_dict()
     write_json(document, choices["json_file"])
     if choices["json_file"] != STANDARD_OUTPUT:
         tell("\n".join(_match_lines(document)), out)
+
+
+def _draw(
+    images: tuple[Path, ...], sensor: Path, found: Matches, parameters: Path | None, folder: Path, raw: Any
+) -> None:
+    """Draw the images with their stars, matches and residuals; refuses a telemetry file, which has none."""
+    if not is_image(images[0]):
+        raise RefusedInputError(f"{images[0].name} is telemetry, of which no image can be drawn: leave --pictures out.")
+    library.draw_images(images, sensor, found, folder, parameters=parameters, raw=raw)
 
 
 def _check_out(telemetry: Path, out: Path) -> None:

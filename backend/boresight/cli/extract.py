@@ -56,6 +56,11 @@ def extraction_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
+pictures_option = click.option(
+    "--pictures", type=FILE, help="Of images: folder for each image with its stars and residuals over it, SVG."
+)
+
+
 def take_extraction_choices(choices: dict[str, Any]) -> dict[str, Any]:
     """Take the choices of an extraction out of a command's, as the library's function wants them."""
     names = ("threshold", "most_stars", "times", "gain_e_per_dn", "saturation_dn", "processes")
@@ -97,8 +102,11 @@ def telemetry_of(
 @click.option("--sensor", "sensor_file", type=FILE, required=True, help="Sensor file, JSON.")
 @click.option("--out", type=FILE, required=True, help="Telemetry to write: .csv or .parquet.")
 @extraction_options
+@pictures_option
 @json_option
-def extract(images: tuple[Path, ...], sensor_file: Path, out: Path, json_file: str | None, **choices: Any) -> None:
+def extract(
+    images: tuple[Path, ...], sensor_file: Path, out: Path, pictures: Path | None, json_file: str | None, **choices: Any
+) -> None:
     """Extract the stars of IMAGES (FITS, PNG, TIFF or raw numbers) into telemetry.
 
     Each image is a frame. Its rows carry centroid, sigma_px, magnitude of the instrument, flux, peak, background, covariance,
@@ -111,8 +119,11 @@ def extract(images: tuple[Path, ...], sensor_file: Path, out: Path, json_file: s
     if out.suffix.lower() not in {".csv", ".parquet"}:
         raise RefusedInputError(f"{out.name} says no format: end the name with .csv or .parquet.")
     with progress("reading the images") as report:
-        found = library.extract(images, sensor_file, progress=report, **take_extraction_choices(choices))
+        taken = take_extraction_choices(choices)
+        found = library.extract(images, sensor_file, progress=report, **taken)
         found.save(out)
+        if pictures is not None:
+            library.draw_images(images, sensor_file, found, pictures, raw=taken["raw"])
     write_json(found.to_dict(), json_file)
     if json_file != "-":
         _tell(found, out)

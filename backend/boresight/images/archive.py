@@ -6,7 +6,6 @@ the same images make the same bytes. Beside them `telemetry.parquet` says which 
 
 from __future__ import annotations
 
-import io
 import shutil
 import zipfile
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ import numpy as np
 from boresight.errors import NotFoundError, RefusedInputError
 from boresight.images.extraction import Extraction
 from boresight.images.limits import ImageLimits, ImageSource, is_image
+from boresight.images.picture import make_picture
 from boresight.images.reading import read_image
 from boresight.telemetry.read.readers import read_telemetry, write_parquet
 from boresight.telemetry.sensors import Sensor
@@ -25,8 +25,6 @@ TELEMETRY = "telemetry.parquet"
 #: ZIP knows no earlier time.
 NO_TIME = (1980, 1, 1, 0, 0, 0)
 MOST_COMPRESSION = 200
-PICTURE_QUANTILES = (0.02, 0.998)
-PICTURE_GAMMA = 0.5
 LONGEST_NAME = 200
 COPIED_BYTES = 1 << 20
 
@@ -119,14 +117,3 @@ def draw_image(path: Path, sensor: Sensor, frame: int, limits: ImageLimits, fold
         with archive.open(name) as packed, place.open("wb") as file:
             shutil.copyfileobj(packed, file, COPIED_BYTES)
     return make_picture(read_image(place, sensor, name=name, limits=limits).dn)
-
-
-def make_picture(dn: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> bytes:
-    """Return an image (rows, columns) as a grey PNG: dark is the sky, white what stands clear of it."""
-    import PIL.Image  # noqa: PLC0415 - 30 ms
-
-    low, high = np.quantile(dn[::2, ::2], PICTURE_QUANTILES)
-    grey = np.clip((dn - low) / max(high - low, 1.0), 0.0, 1.0) ** PICTURE_GAMMA
-    stream = io.BytesIO()
-    PIL.Image.fromarray((255 * grey).astype(np.uint8)).save(stream, "PNG", compress_level=3)
-    return stream.getvalue()

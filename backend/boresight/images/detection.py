@@ -533,10 +533,15 @@ def _is_blended(x: FloatArray, y: FloatArray, stars: Detections, window: Window)
 def _take(stars: Detections, rows: Any, left_out: dict[str, int], trail_pixels: int) -> Detections:
     """Return some of the stars."""
     return Detections(
-        *(np.asarray(getattr(stars, name))[rows] for name in (
-            "row_px", "col_px", "covariance", "flux_dn", "flux_sigma_dn", "peak_dn", "background_dn",
-            "background_sigma_dn", "saturated",
-        )),
+        row_px=stars.row_px[rows],
+        col_px=stars.col_px[rows],
+        covariance=stars.covariance[rows],
+        flux_dn=stars.flux_dn[rows],
+        flux_sigma_dn=stars.flux_sigma_dn[rows],
+        peak_dn=stars.peak_dn[rows],
+        background_dn=stars.background_dn[rows],
+        background_sigma_dn=stars.background_sigma_dn[rows],
+        saturated=stars.saturated[rows],
         left_out=left_out,
         trail_pixels=trail_pixels,
-    )  # fmt: skip
+    )

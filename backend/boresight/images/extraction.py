@@ -15,6 +15,7 @@ import multiprocessing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from boresight.arrays import FloatArray
+from boresight.arrays import FloatArray, IntArray
 from boresight.errors import Fault, RefusedInputError
 from boresight.images.detection import LOOKED_AT, REASONS, Common, DetectionOptions, Detections, detect, learn
 from boresight.images.limits import LIMITS, ImageLimits, ImageSource
@@ -42,6 +43,7 @@ IMAGE_COLUMNS = (
 FAINTEST_SHARE = 0.05
 DEFAULT_LIMIT = 6.0
 MOST_FAULTS = 20
+NO_TIME = np.datetime64("NaT", "us")
 MOST_TIMES_BYTES = 10_000_000
 #: Stars of an image from which on it can be recognised.
 FEWEST_STARS = 4
@@ -317,7 +319,7 @@ def _texts(values: FloatArray) -> pa.ChunkedArray:
     return pa.chunked_array([pa.array([f"{value:.7g}" for value in values.tolist()], pa.string())])
 
 
-def _repeated(names: list[str], frame: FloatArray) -> pa.ChunkedArray:
+def _repeated(names: list[str], frame: IntArray) -> pa.ChunkedArray:
     return pa.chunked_array([pa.array([names[k] for k in frame.tolist()], pa.string())])
 
 
@@ -400,10 +402,9 @@ def read_times(path: Path) -> dict[str, np.datetime64]:
         raise RefusedInputError(f"{path.name} lacks the columns image and time_utc: name them in its first row.")
     times: dict[str, np.datetime64] = {}
     for number, row in enumerate(rows, start=2):
-        try:
+        time: np.datetime64 = NO_TIME
+        with suppress(ValueError):
             time = np.datetime64(str(row["time_utc"]).strip().removesuffix("Z"), "us")
-        except ValueError:
-            time = np.datetime64("NaT", "us")
         if np.isnat(time):
             raise RefusedInputError(
                 f"{path.name}: row {number}, column time_utc: {str(row['time_utc'])[:40]!r} is no time: write "

@@ -273,7 +273,7 @@ def _read_picture(content: bytes, name: str, _sensor: Sensor, _raw: ImageFormat,
                 _refuse_pixels(name, picture.width * picture.height, limits)
                 if getattr(picture, "n_frames", 1) > 1:
                     raise RefusedInputError(  # noqa: TRY301 - it passes as it is
-                        f"{name} holds {picture.n_frames} images: write each into a file of its own."
+                        f"{name} holds several images: write each into a file of its own."
                     )
                 if _is_cut_to_8_bits(content, picture.mode):
                     raise RefusedInputError(  # noqa: TRY301 - it passes as it is

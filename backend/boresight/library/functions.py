@@ -429,6 +429,76 @@ def extract(  # noqa: PLR0913 - each is a choice of its own
 
 
 @_on_kernels
+def draw_images(
+    images: Sequence[str | os.PathLike[str]],
+    sensor: SensorSource,
+    found: Extraction | Matches,
+    folder: Path,
+    *,
+    parameters: ParameterSource | None = None,
+    raw: Mapping[str, Any] | None = None,
+) -> list[Path]:
+    """Draw each image with its stars over it, and of matches with residuals under the parameters, as SVG; returns the files."""
+    import numpy as np
+
+    from boresight.images import picture, reading
+    from boresight.library.inputs import read_any_parameters, read_any_sensor
+    from boresight.library.results import Extraction
+
+    described, telemetry = read_any_sensor(sensor), found.telemetry
+    x = described.initial if parameters is None else read_any_parameters(parameters, described)[0]
+    away = None if isinstance(found, Extraction) else _find_residuals(found, described, x)
+    named = np.array(telemetry.unknown["image"].to_pylist())
+    saturated = np.array(telemetry.unknown["saturated"].to_pylist()) == "1"
+    form = None if raw is None else reading.parse_raw({**described.image.document(), **raw})
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for path in map(Path, images):
+        rows = np.flatnonzero(named == path.name)
+        stars = picture.StarsOfImage(
+            telemetry.row_px[rows],
+            telemetry.col_px[rows],
+            saturated[rows],
+            None if away is None or telemetry.star_id is None else telemetry.star_id[rows],
+            None if away is None else away[rows, 0],
+            None if away is None else away[rows, 1],
+        )
+        written.append(folder / f"{path.name}.svg")
+        image = reading.read_image(path, described, form, limits=read_settings().image_limits)
+        written[-1].write_text(picture.draw_svg(image.dn, stars, path.name), encoding="utf-8")
+    return written
+
+
+def _find_residuals(found: Matches, sensor: Sensor, x: FloatArray) -> FloatArray:
+    """Centroids less predicted places (n, 2), rows and columns, under each exposure's attitude; NaN where unmatched."""
+    import numpy as np
+
+    from boresight.cameras import CAMERA_MODELS
+    from boresight.estimation.attitude import to_matrix
+    from boresight.sky.apparent import apparent_directions
+    from boresight.sky.catalogue import load_catalogue
+
+    telemetry = found.telemetry
+    away = np.full((len(telemetry), 2), np.nan)
+    catalogue = load_catalogue(read_settings().catalogue_folder)
+    if telemetry.star_id is None:
+        return away
+    for exposure in found.document["exposures"]:
+        of_frame = (telemetry.frame == exposure["frame"]) & (telemetry.star_id > 0)
+        rows = np.flatnonzero(of_frame)
+        if exposure["quaternion"] is None or not len(rows):
+            continue
+        star = catalogue.find_index(telemetry.star_id[rows])
+        time = np.datetime64("1991-04-02", "us") if telemetry.time_utc is None else telemetry.time_utc[rows[0]]
+        s_i = apparent_directions(catalogue, star, np.repeat(time, len(rows)), np.zeros((len(rows), 3)))
+        s_d = s_i @ to_matrix(np.array(exposure["quaternion"])).T
+        s_d[:, 1] *= sensor.parity
+        row, col = CAMERA_MODELS[sensor.camera_model].project(x, s_d, sensor.pixel_pitch_m)
+        away[rows] = np.column_stack([telemetry.row_px[rows] - row, telemetry.col_px[rows] - col])
+    return away
+
+
+@_on_kernels
 def check(telemetry: TelemetrySource, sensor: SensorSource, *, progress: Wanted = None) -> Quality:
     """Report on the quality of telemetry: counts, gaps, coverage, magnitudes, matches. Arguments as `calibrate`."""
     from boresight.library.inputs import iterate_telemetry, read_any_sensor

@@ -109,7 +109,7 @@ class Optics:
     @property
     def white_dn(self) -> int:
         """The largest number of a pixel."""
-        return 2**self.bits - 1
+        return int(2**self.bits) - 1
 
     @property
     def background_sigma_e(self) -> float:
@@ -339,7 +339,7 @@ def _zenith(site: Site, exposures: SimulatedExposures) -> FloatArray:
     to_earth = erfa.c2t06a(2451545.0, days + 69.184 / 86_400.0, 2451545.0, days, 0.0, 0.0)
     latitude, longitude = np.radians(site.latitude_deg), np.radians(site.longitude_deg)
     up = np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
-    return np.einsum("nji,j->ni", to_earth, up)
+    return np.asarray(np.einsum("nji,j->ni", to_earth, up))
 
 
 def _refracted(s_i: FloatArray, up: FloatArray, site: Site) -> FloatArray:

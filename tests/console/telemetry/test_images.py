@@ -18,11 +18,11 @@ URL = "/api/v1/telemetry-sets"
 
 
 @pytest.fixture
-def content(folder):  # noqa: F811
+def content(folder):  # noqa: F811 - a fixture
     return {path.name: path.read_bytes() for path in sorted(folder.glob("*.fits"))[:2]}
 
 
-def register(house, night):  # noqa: F811
+def register(house, night):  # noqa: F811 - a fixture
     made = house.person("ada").post(
         "/api/v1/sensors", json=sensor_document(night.sensor) | {"name": f"night camera {next(NUMBERS)}"}
     )
@@ -45,7 +45,7 @@ def zipped(content):
     return stream.getvalue()
 
 
-def test_images_become_one_set_and_each_frame_shows_its_own(house, night, content):  # noqa: F811
+def test_images_become_one_set_and_each_frame_shows_its_own(house, night, content):  # noqa: F811 - a fixture
     sensor = register(house, night)
     answer = send(house, sensor, content)
     assert answer.status_code == 201, answer.text
@@ -64,7 +64,7 @@ def test_images_become_one_set_and_each_frame_shows_its_own(house, night, conten
     assert house.person("ada").get(f"/telemetry/{row['id']}/images/7.png").status_code == 404
 
 
-def test_an_image_that_cannot_be_used_is_refused_by_name_and_leaves_nothing(house, night, content):  # noqa: F811
+def test_an_image_that_cannot_be_used_is_refused_by_name_and_leaves_nothing(house, night, content):  # noqa: F811 - a fixture
     sensor = register(house, night)
     answer = send(house, sensor, {**content, "cut.fits": b"SIMPLE  = and then nothing"})
     assert answer.status_code == 422
