@@ -317,7 +317,9 @@ def _piece(
     off = OffDetector()
     off.look_at(telemetry, sensor)
     epoch = _epoch(telemetry, starts[:-1])
-    return TelemetryPiece(held, len(telemetry), begins, telemetry.first_row, len(starts) - 1, epoch, off, telemetry.site)
+    return TelemetryPiece(
+        held, len(telemetry), begins, telemetry.first_row, len(starts) - 1, epoch, off, telemetry.site
+    )
 
 
 def copy_stretch(stretch: Stretch, frames: int, sensor: Sensor, path: str) -> tuple[TelemetryPiece, ...] | None:
