@@ -11,6 +11,7 @@ same input without it.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from unittest import mock
 
 import numpy as np
 
-from benchmarks import Report, held
+from benchmarks import ROOT, Report, held
 from boresight.arrays import FloatArray, IntArray
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.diagnosis import explain
@@ -46,7 +47,7 @@ NOTHING_SAID = Diagnosis(sensor="", causes=[FoundCause(name="none", exposures_so
 GOAL, OF = 38, 40
 #: What may be wrong by the focal length of a mended file, and stars named otherwise than the truth, of those matched.
 FOCAL_ERROR, WRONG_STARS = 0.01, 0.01
-REAL = Path("/work/shared/data/real-sky")
+REAL = Path(os.environ.get("BORESIGHT_REAL_SKY", ROOT.parent / "shared/data/real-sky"))
 J2000_S = 946_728_000
 
 

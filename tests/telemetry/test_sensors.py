@@ -238,7 +238,7 @@ def test_matched_stars_off_the_detector_are_refused_with_row_and_column_by_numbe
     with pytest.raises(RefusedInputError) as caught:
         check_against_sensor(telemetry, sensor)
     assert [(fault.row, fault.column) for fault in caught.value.faults] == [(3, "row_px"), (4, "col_px")]
-    assert "769.6 is off the detector (-0.5 to 767.5): choose the right sensor" in str(caught.value)
+    assert "769.6 is off the detector (-0.5 to 767.5): exchange rows and columns" in str(caught.value)
     telemetry = read("frame,exposure,row_px,col_px,ra_deg,dec_deg\n0,0,9000,20,1,2\n0,0,9001,20,,\n")
     with pytest.raises(RefusedInputError) as caught:
         check_against_sensor(telemetry, sensor)

@@ -60,8 +60,8 @@ from boresight.estimation.attitude import (
 )
 
 HOW_TO_INSTALL = (
-    "Frames of which no star is named and no attitude is known need the lost-in-space extra: "
-    "pip install 'boresight[lost-in-space]'."
+    "Frames of which no star is named and no attitude is known need the package tetra3rs, which every install brings and this one "
+    "has lost: pip install tetra3rs==0.14.0."
 )
 #: Four stars make a pattern.
 FEWEST_STARS = 4
@@ -88,7 +88,7 @@ _making = threading.Lock()
 
 
 def available() -> bool:
-    """Whether the lost-in-space extra is installed."""
+    """Whether the solver is installed; every install brings it, but an installation may have lost it."""
     return importlib.util.find_spec("tetra3rs") is not None
 
 
@@ -129,7 +129,7 @@ def identify(
     Raises
     ------
     RefusedInputError
-        When the extra is not installed; says how to install it.
+        When the solver is not installed; says how to install it.
     """
     if not available():
         raise RefusedInputError(HOW_TO_INSTALL)

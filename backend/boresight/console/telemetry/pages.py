@@ -29,6 +29,7 @@ from boresight.console.access.dependencies import (
     Who,
     csrf,
 )
+from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
@@ -414,13 +415,21 @@ async def _with(
 async def accept_sensor(request: Request, actor: Who, set_id: int) -> Response:
     """Change the sensor as the diagnosis of a set mends it."""
     version = parse_row_id(str((await request.form()).get("version", "")))
-    outcome = await attempt(request, lambda session: telemetry_sets.accept_sensor(session, actor, set_id, version))
+    outcome = await attempt(request, partial(_mend_sensor, actor, set_id, version))
     if outcome.refusal is not None:
         raise outcome.refusal.error
     flash = (
         f"{outcome.made.name} is mended; runs launched from now on start from it. Diagnose the set again to see it fit."
     )
     return redirect(f"/telemetry/{set_id}", flash=flash)
+
+
+def _mend_sensor(actor: Actor, set_id: int, version: int | None, session: Session) -> Sensor:
+    """Change the sensor of a set as the set's diagnosis mends it; what else was changed of it since stays."""
+    row = session.get_known(TelemetrySet, set_id)
+    document = session.get_known(Sensor, row.sensor_id).document
+    mended = telemetry_sets.mend_document(document, telemetry_sets.get_diagnosis(row))
+    return sensors.edit_sensor(session, actor, row.sensor_id, mended, version)
 
 
 @telemetry_set_router.post("/telemetry/{set_id}/accept-mapping")

@@ -19,7 +19,6 @@ from boresight.calibration.diagnosis.explain import add_to_report, explain_refus
 from boresight.calibration.diagnosis.result import Diagnosis
 from boresight.calibration.telemetry_pieces import StoredTable
 from boresight.console import list_queries as lists
-from boresight.console.fleet.service import edit_sensor
 from boresight.console.fleet.tables import Sensor as SensorRow
 from boresight.console.telemetry import queries as rows
 from boresight.console.telemetry.tables import TelemetrySet, find_diagnosis
@@ -192,15 +191,6 @@ def get_diagnosis(row: TelemetrySet) -> Diagnosis:
     if found is None or found.sensor_document is None:
         raise ConflictError(f"{row.name} has no diagnosis that mends anything; diagnose it first.")
     return found
-
-
-def accept_sensor(session: Session, actor: Actor, set_id: int, version: int | None) -> SensorRow:
-    """Change the sensor of a set as the set's diagnosis mends it, what else was changed since stays."""
-    _refuse_analysis(actor)
-    row = session.get_known(TelemetrySet, set_id)
-    found = get_diagnosis(row)
-    sensor = session.get_known(SensorRow, row.sensor_id)
-    return edit_sensor(session, actor, sensor.id, mend_document(sensor.document, found), version)
 
 
 def mend_document(document: Mapping[str, Any], found: Diagnosis) -> dict[str, Any]:
