@@ -159,9 +159,10 @@ class House:
             self._end(session, session.get_one(Run, run_id), state)
 
     def end_queued(self) -> None:
-        """End what is queued, in the transaction that reads it: a run that is cancelled meanwhile stays so."""
+        """End what is queued, in the transaction that reads it, but for filters, which examples cancel."""
+        queued = select(Run).where(Run.state == "QUEUED", Run.method != "sqrf")
         with open_writing(self.app.state.engine) as session:
-            for run in session.scalars(select(Run).where(Run.state == "QUEUED")).all():
+            for run in session.scalars(queued).all():
                 self._end(session, run, "SUCCEEDED")
 
     def _end(self, session: Session, run: Run, state: str) -> None:
