@@ -13,7 +13,6 @@ import pytest
 from astropy import units as u
 from astropy.coordinates import GCRS, SkyCoord
 from astropy.io import ascii as text_tables
-from astropy.io import fits
 from astropy.table import Table
 from astropy.time import Time
 
@@ -50,11 +49,12 @@ def test_three_programs_put_the_same_star_in_the_same_pixel(load, name, profile,
     assert np.all(telemetry.frame == 0)
 
 
-def test_a_list_of_astrometry_net_is_read_as_astropy_reads_it(load):
-    telemetry = load(VECTORS / "astrometry-net.xyls", "astrometry-xyls").telemetry
-    with fits.open(VECTORS / "astrometry-net.xyls") as file:
-        np.testing.assert_allclose(telemetry.col_px, file[1].data["X"].astype(float) - 1)
-        np.testing.assert_allclose(telemetry.row_px, file[1].data["Y"].astype(float) - 1)
+def test_a_list_of_positions_is_read_as_astropy_wrote_it(load, tmp_path):
+    x, y = np.array([1.0, 200.5, 512.25]), np.array([1.0, 40.75, 300.0])
+    Table({"X": x, "Y": y}).write(tmp_path / "list.xyls", format="fits")
+    telemetry = load(tmp_path / "list.xyls", "astrometry-xyls").telemetry
+    np.testing.assert_allclose(telemetry.col_px, x - 1)
+    np.testing.assert_allclose(telemetry.row_px, y - 1)
 
 
 def test_places_of_an_index_become_apparent_where_a_time_is_known_and_are_kept_beside_where_none_is(load):
