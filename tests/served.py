@@ -159,8 +159,8 @@ class House:
             self._end(session, session.get_one(Run, run_id), state)
 
     def end_queued(self) -> None:
-        """End what is queued, in the transaction that reads it, but for filters, which examples cancel."""
-        queued = select(Run).where(Run.state == "QUEUED", Run.method != "sqrf")
+        """End what is queued, in the transaction that reads it, but for `ekf`, which an example cancels."""
+        queued = select(Run).where(Run.state == "QUEUED", Run.method != "ekf")
         with open_writing(self.app.state.engine) as session:
             for run in session.scalars(queued).all():
                 self._end(session, run, "SUCCEEDED")
