@@ -130,9 +130,8 @@ def build_problem(
     Raises RefusedInputError when matched rows can be given no direction at all, see `sky.directions`.
     """
     s_i = star_directions(
-        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue,
-        telemetry.site,
-    )  # fmt: skip
+        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
+    )
     return make_problem_of_directions(telemetry, sensor, s_i, minimum_stars)
 
 

@@ -12,7 +12,7 @@ from boresight.console.schemas import Document, Row
 class TelemetrySet(Row):
     """An uploaded telemetry file."""
 
-    versioned_by = ("id", "archived_utc", "diagnosed")
+    versioned_by = ("id", "archived_utc")
     location = "/telemetry-sets/{row.id}"
 
     id: int

@@ -1,1 +1,0 @@
-"""Importing: what other programs write, by a mapping profile, as telemetry."""
