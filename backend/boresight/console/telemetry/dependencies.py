@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from collections.abc import AsyncIterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Depends
 from python_multipart.multipart import parse_options_header
@@ -17,9 +18,14 @@ from starlette.requests import Request
 
 from boresight.console.access.dependencies import ServerSettings
 from boresight.console.operation import FORM_CONTENT
+from boresight.console.telemetry import profiles
+from boresight.console.telemetry import service as telemetry_sets
 from boresight.disks import storage_error
 from boresight.errors import RefusedInputError
+from boresight.platform.db.sessions import Session
 from boresight.platform.web.paging import parse_row_id
+from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.read.limits import Limits
 
 HOW = "Send multipart/form-data with the fields sensor_id, purpose and file."
 LONGEST_FIELD_BYTES = 4096
@@ -123,6 +129,28 @@ async def _receive(request: Request, place: Path) -> Upload:
     fields = {name: value for name, value in form.items() if isinstance(value, str)}
     names = [value.filename or "" for _, value in form.multi_items() if isinstance(value, UploadFile)]
     return Upload(fields, place if names else None, "".join(names))
+
+
+def import_request(session: Session, upload: Upload) -> telemetry_sets.ImportRequest | None:
+    """Return by which profile a form wants its file imported; None where it names none."""
+    key = upload.fields.get("profile", "").strip()
+    if not key:
+        return None
+    fields = {name: upload.fields.get(name, "").strip() or None for name in ("time", "elements")}
+    return telemetry_sets.ImportRequest(profiles.find_profile(session, key), **fields)
+
+
+def prepare(
+    sensor_document: Mapping[str, Any],
+    catalogue: Catalogue | None,
+    upload: Upload,
+    wanted: telemetry_sets.ImportRequest | None,
+    limits: Limits,
+) -> AbstractContextManager[telemetry_sets.PreparedUpload]:
+    """Check a form's file as telemetry, or import and check it."""
+    if wanted is None:
+        return telemetry_sets.hold_prepared(sensor_document, catalogue, upload.file(), upload.file_name, limits)
+    return telemetry_sets.hold_imported(sensor_document, catalogue, upload.file(), upload.file_name, wanted, limits)
 
 
 Uploaded = Annotated[Upload, Depends(uploaded, scope="function")]

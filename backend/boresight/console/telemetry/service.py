@@ -10,7 +10,7 @@ import hashlib
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -26,6 +26,8 @@ from boresight.platform.blobs.store import BlobStore, register_blob
 from boresight.platform.db.sessions import Session, utc_now
 from boresight.platform.web.text_validation import normal_name
 from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.imports.mapping import Imported, SourceFile, import_files
+from boresight.telemetry.imports.profile import Profile
 from boresight.telemetry.quality.report import QualityParts
 from boresight.telemetry.read.limits import LIMITS, Limits
 from boresight.telemetry.read.readers import read_chunks
@@ -34,6 +36,7 @@ from boresight.telemetry.working_table import MEDIA_TYPE, WorkingTableParts
 
 PURPOSES = ("calibration", "validation")
 MEDIA_TYPES = {".csv": "text/csv", ".jsonl": "application/x-ndjson", ".ndjson": "application/x-ndjson"}
+MOST_OF_NAME = 200
 PARQUET = "application/vnd.apache.parquet"
 
 
@@ -49,6 +52,48 @@ class PreparedUpload:
     frames: int
     stars: int
     quality: dict[str, Any]
+    source: Path | None = None
+    imported: Imported | None = None
+
+
+@dataclass(frozen=True)
+class ImportRequest:
+    """By which profile a file is to be imported, and what it does not say itself."""
+
+    profile: Profile
+    time: str | None = None
+    elements: str | None = None
+
+
+@contextmanager
+def hold_imported(
+    sensor_document: Mapping[str, Any],
+    catalogue: Catalogue | None,
+    path: Path,
+    file_name: str,
+    wanted: ImportRequest,
+    limits: Limits = LIMITS,
+) -> Iterator[PreparedUpload]:
+    """Make telemetry of what another program wrote, and check it as telemetry is checked."""
+    name = _base_name(file_name)
+    with tempfile.TemporaryDirectory() as folder:
+        orbit = None
+        if wanted.elements:
+            orbit = SourceFile(Path(folder) / "elements", "The two-line elements")
+            orbit.path.write_text(wanted.elements)
+        imported = import_files(
+            [SourceFile(path, name)],
+            wanted.profile,
+            sensor=parse_sensor(sensor_document),
+            orbit=orbit,
+            time=wanted.time or None,
+            limits=limits,
+        )
+        made = Path(folder) / "telemetry"
+        with made.open("wb") as stream:
+            imported.write(stream, ".parquet")
+        with hold_prepared(sensor_document, catalogue, made, f"{name[:MOST_OF_NAME]}.parquet", limits) as prepared:
+            yield replace(prepared, source=path, imported=imported)
 
 
 @contextmanager
@@ -133,6 +178,9 @@ def store_prepared(
     if (existing := rows.find_set_with_bytes(session, sensor_id, upload.original_sha256)) is not None:
         return _use_again(session, actor, existing)
     original, table = _put_both(session, blobs, upload)
+    source = None if upload.source is None else blobs.put(upload.source)
+    if source is not None:
+        register_blob(session, blobs, source, "application/octet-stream")
     register_blob(session, blobs, original, upload.media_type)
     register_blob(session, blobs, table, MEDIA_TYPE)
     row = TelemetrySet(
@@ -146,9 +194,13 @@ def store_prepared(
         quality=upload.quality,
         uploaded_utc=utc_now(),
         uploaded_by=actor.user_id,
+        import_record=None if upload.imported is None else upload.imported.record(),
+        source_sha256=source,
     )
     session.put(row)
-    after = {"name": row.name, "sensor_id": sensor_id, "purpose": purpose, "original_sha256": original}
+    after: dict[str, Any] = {"name": row.name, "sensor_id": sensor_id, "purpose": purpose, "original_sha256": original}
+    if upload.imported is not None:
+        after |= {"source_sha256": source, "profile": upload.imported.record()["profile"]}
     audit.append(session, actor, "uploaded", _subject(row), None, after)
     return row
 

@@ -518,7 +518,7 @@ class _Reading:
         if axis.origin == "centre":
             if size is None:
                 raise RefusedInputError(
-                    f"{axis.column} counts from the detector's middle, and its size is not known: give the sensor, or detector.rows and "
+                    f"{axis.column} counts from the detector's middle, of unknown size: give the sensor, or detector.rows and "
                     "detector.columns in the profile."
                 )
             pixels = sign * found / pitch + (size - 1) / 2
