@@ -19,6 +19,7 @@ from boresight.telemetry.imports.profile import (
     Layout,
     Magnitude,
     Profile,
+    Quantity,
     Quaternion,
     Sigma,
     StarId,
@@ -28,7 +29,16 @@ from boresight.telemetry.imports.profile import (
     Wide,
 )
 
-_CONTRACT = ("time", "star_id", "directions", "quaternion", "velocity", "magnitude", "sigma", "temperature")
+_CONTRACT: Final[tuple[Quantity, ...]] = (
+    "time",
+    "star_id",
+    "directions",
+    "quaternion",
+    "velocity",
+    "magnitude",
+    "sigma",
+    "temperature",
+)
 _HALF: Final = math.sqrt(0.5)
 #: From a camera's frame (x right along the columns, y down, z out) to the triad of an upright detector, parity -1: (y, -x, z).
 _UPRIGHT: Final = (0.0, 0.0, -_HALF, _HALF)

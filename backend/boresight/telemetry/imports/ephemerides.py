@@ -229,7 +229,8 @@ def _segments(name: str, lines: list[str]) -> Iterator[Segment]:  # noqa: C901 -
 def _numbers(name: str, segment: Segment, least: int) -> tuple[TimeArray, FloatArray]:
     """Return a segment's (n,) times and the first numbers (n, least) of its lines."""
     system = segment.metadata.get("TIME_SYSTEM", "")
-    moments, values = [], []
+    moments: list[np.datetime64] = []
+    values: list[list[float]] = []
     for row, cells in segment.data:
         try:
             numbers = [float(cell) for cell in cells[1 : least + 1]]

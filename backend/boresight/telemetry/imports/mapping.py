@@ -363,7 +363,9 @@ class _Reading:
 
     def without_missing(self) -> Profile:
         """Return the profile without the optional quantities that the file does not have."""
-        absent = {name: None for name in self.profile.optional if not self.has_all(getattr(self.profile, name))}
+        absent: dict[str, Any] = {
+            name: None for name in self.profile.optional if not self.has_all(getattr(self.profile, name))
+        }
         if absent:
             self.notes.append(f"The file has no {', '.join(name.replace('_', ' ') for name in absent)}.")
         return replace(self.profile, **absent)
@@ -446,9 +448,9 @@ class _Reading:
             "dec_rad": dec_rad,
             **optional,
         }
-        arrays = {name: None if values is None else values[order] for name, values in arrays.items()}
+        ordered: dict[str, Any] = {name: None if values is None else values[order] for name, values in arrays.items()}
         unknown = {name: cells.take(pa.array(order)) for name, cells in {**self.kept(), **beside}.items()}
-        telemetry = Telemetry(**arrays, unknown=unknown)
+        telemetry = Telemetry(**ordered, unknown=unknown)
         self.check(telemetry, order)
         if self.profile.time is not None and moments is not None:
             self.notes += tell_leap_seconds(self.profile.time)
@@ -689,7 +691,7 @@ class _Reading:
         found = None
         if turned is not None and turned.columns and attitude is None:
             values = np.column_stack([self.numbers(column)[:, 0] for column in turned.columns])
-            absent = np.isnan(values).any(axis=1) & ~np.isnan(values).all(axis=1)
+            absent = np.asarray(np.isnan(values).any(axis=1) & ~np.isnan(values).all(axis=1))
             self.faults.add_entries(
                 absent, self.names(turned.columns[0])[0], lambda _: "a quaternion is given in part: give all four"
             )

@@ -139,7 +139,7 @@ def utc_to_tai(utc: TimeArray) -> TimeArray:
 def _two_part(moments: TimeArray) -> tuple[FloatArray, FloatArray]:
     """Return (n,) times as Julian dates in two parts, midnight and the fraction of the day."""
     us = (moments - _MIDNIGHT).astype(np.int64)
-    return _JD_OF_MIDNIGHT + us // _DAY_US, (us % _DAY_US) / _DAY_US
+    return (_JD_OF_MIDNIGHT + us // _DAY_US).astype(np.float64), (us % _DAY_US) / _DAY_US
 
 
 def _plain_iso(cells: pa.Array) -> pa.Array:
