@@ -16,6 +16,7 @@ from boresight.disks import Opened, absent, failing, full, read_only, refuse_unw
 from boresight.errors import NotFoundError, RefusedInputError, StorageError, UnavailableError
 
 BUSY_S = 10  # wait for another writer of SQLite
+LOCKED = ("SQLITE_BUSY", "SQLITE_LOCKED")  # how SQLite's names of errors begin where another holds the lock
 WRITE_AHEAD = "PRAGMA journal_mode=WAL"
 PRAGMAS = (
     f"PRAGMA busy_timeout={BUSY_S * 1000}",
@@ -125,8 +126,8 @@ def _write_ahead(connection: Any) -> None:
     while True:
         try:
             connection.execute(WRITE_AHEAD).close()
-        except sqlite3.OperationalError:
-            if time.monotonic() > until:
+        except sqlite3.OperationalError as error:
+            if not error.sqlite_errorname.startswith(LOCKED) or time.monotonic() > until:
                 raise
             time.sleep(0.01)
         else:
@@ -141,7 +142,7 @@ def _on_sqlite_begin(connection: sa.Connection) -> None:
 def _say_what_sqlite_lacks(path: Path, context: sa.engine.ExceptionContext) -> UnavailableError | None:
     """Turn lock timeouts and disk failures into sentences."""
     name = getattr(context.original_exception, "sqlite_errorname", "")
-    if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+    if name.startswith(LOCKED):
         return UnavailableError(BUSY)
     if name.startswith("SQLITE_CANTOPEN"):  # also the error of a read-only disk
         try:
