@@ -68,11 +68,20 @@ PARTS: dict[str, Part] = {
     "choice": Part(
         "choice:measure", "the camera chosen for lenses of every camera, by sensors of every camera: false choices, held-out error"
     ),
+    "images": Part(
+        "images:measure", "three extractors beside truth, and from hard night images to a calibration"
+    ),
     "trust": Part(
         "trust.measure:measure", "what is told of clean sets, of known cases and of thirty faults, each before it matters or not"
     ),
     "causes": Part(
         "causes:measure", "what the first advice names in sets spoiled by seventeen causes, and false alarms over clean sets"
+    ),
+    "ground": Part(
+        "ground:measure", "cameras on the ground at 20 to 80 degrees with the air and without, and the real field: bias and finding"
+    ),
+    "diagnosis": Part(
+        "diagnosis:measure", "what is named of forty wrong inputs, each mistake alone and in pairs, and what is mended wrongly"
     ),
     "fresh": Part("growth:measure_fresh", "what a fresh process pays before its first calibration, beside a warm one"),
     "growth": Part("growth:measure", "time and memory from a thousand frames to a million"),

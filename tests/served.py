@@ -160,8 +160,9 @@ class House:
 
     def end_queued(self) -> None:
         """End what is queued, in the transaction that reads it, but for `ekf`, which an example cancels."""
+        queued = select(Run).where(Run.state == "QUEUED", Run.method != "ekf")
         with open_writing(self.app.state.engine) as session:
-            for run in session.scalars(select(Run).where(Run.state == "QUEUED", Run.method != "ekf")).all():
+            for run in session.scalars(queued).all():
                 self._end(session, run, "SUCCEEDED")
 
     def _end(self, session: Session, run: Run, state: str) -> None:

@@ -37,7 +37,7 @@ def _name(path: Path) -> str:
 
 def _texts() -> Iterator[tuple[str, str]]:
     for path in _files():
-        if path.suffix not in {".png", ".webp", ".parquet", ".npz"}:
+        if path.suffix not in {".png", ".webp", ".parquet", ".npz", ".axy", ".corr", ".fits"}:
             yield _name(path), path.read_text()
 
 
@@ -104,7 +104,7 @@ def test_test_folders_mirror_the_source():
     strange = [
         str(folder)
         for folder in folders
-        if folder.parts[0] not in whole and not (ROOT / "backend" / "boresight" / folder).is_dir()
+        if folder.parts[0] not in whole and folder.name != "vectors" and not (ROOT / "backend" / "boresight" / folder).is_dir()
     ]
     assert strange == []
 

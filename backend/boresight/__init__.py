@@ -105,13 +105,17 @@ if TYPE_CHECKING:
     )
     from boresight.library.choice import Choice
     from boresight.library.client import AsyncClient, Client
+    from boresight.library.diagnosis import Diagnosis
     from boresight.library.functions import (
         assess,
         calibrate,
         check,
         choose,
+        diagnose,
         draw,
         evaluate,
+        extract,
+        import_telemetry,
         load,
         match,
         read_sensor,
@@ -119,7 +123,8 @@ if TYPE_CHECKING:
         simulate,
     )
     from boresight.library.remote import RunFailedError
-    from boresight.library.results import Assessment, Calibration, Evaluation, Matches, Quality, Simulation
+    from boresight.library.results import Assessment, Calibration, Evaluation, Extraction, Matches, Quality, Simulation
+    from boresight.telemetry.imports.mapping import Imported
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
 
@@ -132,16 +137,31 @@ _PLACES = {
         "calibrate",
         "check",
         "choose",
+        "diagnose",
         "draw",
         "evaluate",
+        "export_camera",
+        "extract",
+        "import_telemetry",
         "load",
         "match",
         "read_sensor",
         "read_telemetry",
         "simulate",
     ),
-    "boresight.library.results": ("Assessment", "Calibration", "Evaluation", "Matches", "Quality", "Simulation"),
+    "boresight.library.results": (
+        "Assessment",
+        "Calibration",
+        "CameraFile",
+        "Evaluation",
+        "Extraction",
+        "Matches",
+        "Quality",
+        "Simulation",
+    ),
     "boresight.library.choice": ("Choice",),
+    "boresight.library.diagnosis": ("Diagnosis",),
+    "boresight.telemetry.imports.mapping": ("Imported",),
     "boresight.telemetry.schema": ("Telemetry",),
     "boresight.telemetry.sensors": ("Sensor",),
     "boresight.library.client": ("AsyncClient", "Client"),
@@ -166,13 +186,17 @@ __all__ = [
     "AsyncClient",
     "BoresightError",
     "Calibration",
+    "CameraFile",
     "CancelledError",
     "Choice",
     "Client",
     "ConflictError",
+    "Diagnosis",
     "Evaluation",
+    "Extraction",
     "Fault",
     "ForbiddenError",
+    "Imported",
     "Matches",
     "NotFoundError",
     "Quality",
@@ -188,8 +212,12 @@ __all__ = [
     "calibrate",
     "check",
     "choose",
+    "diagnose",
     "draw",
     "evaluate",
+    "export_camera",
+    "extract",
+    "import_telemetry",
     "load",
     "match",
     "read_sensor",

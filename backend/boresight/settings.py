@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from boresight.errors import RefusedInputError
+from boresight.images.limits import ImageLimits
 from boresight.platform.actors import Policy, SessionLimits
 from boresight.platform.audit.external_head import refuse_place
 from boresight.platform.blobs.locations import BlobLocation, parse_address
@@ -90,6 +91,12 @@ class Settings:
     upload_limit_mb: float = _setting("512", "MB", "Largest telemetry file that is accepted.")
     telemetry_rows: int = _setting("50000000", "rows", "Most detections of a telemetry file, compressed or not.")
     telemetry_columns: int = _setting("1000", "columns", "Most columns of a telemetry file.")
+    images: int = _setting("2000", "images", "Most images of one set.")
+    image_mb: float = _setting(
+        "512", "MB", "Largest image file; BORESIGHT_UPLOAD_LIMIT_MB holds for all images of an upload together."
+    )
+    image_seconds: float = _setting("600", "s", "How long a server works on the images of one upload.")
+    image_megapixels: float = _setting("150", "megapixels", "Most pixels of an image, told before it is expanded.")
     session_hours: float = _setting("12", "h", "A log-in ends after so long.")
     session_idle_minutes: float = _setting(
         "60", "min", "A log-in that is not used for so long ends too; 0 = it does not."
@@ -136,6 +143,11 @@ class Settings:
     def telemetry_limits(self) -> Limits:
         """How much a telemetry file may hold."""
         return Limits(rows=self.telemetry_rows, columns=self.telemetry_columns)
+
+    @property
+    def image_limits(self) -> ImageLimits:
+        """How much images may hold."""
+        return ImageLimits(self.images, int(self.image_mb * 1e6), int(self.image_megapixels * 1e6))
 
     @property
     def computing_threads(self) -> int:

@@ -81,7 +81,7 @@ def test_a_parquet_file_that_was_cut_short_is_refused_with_what_to_do(people, se
 def test_telemetry_of_another_sensor_is_refused_by_where_its_stars_lie(people, small_sensor, files):
     with people.seat("analyst") as window:
         told = refused(window, small_sensor, files / "calibration.csv", "32-wrong-sensor")
-        expect(told).to_contain_text("off the detector (-0.5 to 599.5): choose the right sensor")
+        expect(told).to_contain_text("off the detector (-0.5 to 599.5): exchange rows and columns")
         expect(told.locator("code").first).to_have_text("row_px")
 
 

@@ -165,7 +165,7 @@ def test_too_few_stars_and_stars_on_one_line_leave_nothing_estimated_and_are_cou
     document = calibrated(make_telemetry(7, stars=3))
     assert document["status"] == "too_few_stars"
     assert set(document["sigma"].values()) == {None}
-    assert "No exposure has 4 usable matched stars" in document["advice"][0]
+    assert any("No exposure has 4 usable matched stars" in sentence for sentence in document["advice"])
     assert set(document) >= CONTRACT
     json.dumps(document, allow_nan=False)
     telemetry = make_telemetry(8, frames=3)

@@ -36,7 +36,7 @@ def test_holms_correction_is_that_of_its_definition():
     assert adjust([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert adjust([0.5, 0.9]) == [1.0, 1.0]
     assert adjust([]) == []
-    p = np.random.default_rng(2).uniform(size=(20_000, 26))
+    p = np.random.default_rng(2).uniform(size=(20_000, len(TRUST_TESTS)))
     assert 0.003 < np.mean([min(adjust(row)) < FAMILY_LEVEL for row in p.tolist()]) < 0.007
 
 
@@ -61,7 +61,8 @@ def test_a_clean_set_is_not_called_into_question(catalogue):
             found = judge(make_set(None, seed, 100, catalogue))
         assert found.causes == []
         assert not any(test.noticed for test in found.tests)
-        assert [test.name for test in found.tests] == [kind.name for kind in TRUST_TESTS]
+        # these images are declared to be from space
+        assert [test.name for test in found.tests] == [kind.name for kind in TRUST_TESTS if kind.name != "refraction"]
         assert found.advice == []
 
 
@@ -109,7 +110,7 @@ def test_what_moves_stars_by_next_to_nothing_is_noticed_in_a_very_large_set_and_
     def effect(fall, n_arcs):
         sums = SimpleNamespace(A=np.eye(8), n_arcs=n_arcs)
         score = SimpleNamespace(dof=2, p=1e-30, fall=fall, misled=50.0)
-        return dict(outcome(SimpleNamespace(scores={"tangential": score, "phase": score}, sums=sums)))
+        return dict(outcome(SimpleNamespace(scores={"tangential": score, "phase": score}, sums=sums, trials={})))
 
     def outcome(examined):
         return [(name, KIND_OF_TEST[name].ask(examined)[1]) for name in ("tangential", "phase")]

@@ -9,6 +9,8 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import build_problem
 from boresight.estimation.robust import TUNING, StarWeights
 from boresight.estimation.statistics.special import chdtri
+from boresight.telemetry.read.readers import read_telemetry
+from boresight.telemetry.sensors import read_sensor
 from tests.calibration.sets import field, in_memory, st16, streamed, written
 from tests.calibration.test_verification import calibrated, normalised_error, with_wrong
 from tests.estimation.fields import TRUTH
@@ -122,3 +124,18 @@ def test_a_set_in_pieces_has_the_same_estimate(catalogue, tmp_path):
 def test_the_loss_is_of_the_batch():
     with pytest.raises(ValueError, match="choose method 'batch'"):
         CalibrationSettings.parse({"method": "sqrf", "robust": "stars"})
+
+
+@pytest.mark.parametrize(("frames", "stars"), [(1, 12), (1, 30), (5, 100)])
+def test_few_exposures_reach_their_fixed_point_though_rounding_hides_the_last_of_the_way(catalogue, frames, stars):
+    for seed in range(4):
+        found = calibrated(field(seed, frames=frames, stars=stars, exposures=1), catalogue, robust="stars")
+        assert found.status == "converged"
+
+
+def test_real_frames_reach_their_fixed_point(catalogue, real_sky):
+    telemetry, sensor = read_telemetry(real_sky / "esa-5-frames.csv"), read_sensor(real_sky / "esa.sensor.json")
+    found, plain = (calibrated(telemetry, catalogue, sensor, robust=robust) for robust in ("stars", "none"))
+    assert found.status == "converged"
+    for name in plain.free:
+        assert abs(found.parameters[name] - plain.parameters[name]) < plain.sigma[name]

@@ -12,11 +12,13 @@ from boresight.calibration.corrections import Corrections, put_right, to_apparen
 from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.readout import MOST_GAP_S, compute_rates, correct_readout, find_rates, find_speed_px_s
 from boresight.calibration.telemetry_pieces import TelemetryFile
+from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.simulation.scenes import calibration_scenario, parse_scenario, scenario_document, simulate
 from boresight.simulation.sensors import st16_truth
 from boresight.sky.apparent import apparent_directions
 from boresight.telemetry.declarations import NOTHING_DECLARED, Declared, Readout
+from boresight.telemetry.schema import Telemetry
 from tests.calibration.sets import write_in_groups
 from tests.effort import effort
 
@@ -189,6 +191,40 @@ def test_every_assumption_says_whether_it_was_declared_and_what_an_error_would_d
     made_of = {one.name: one for one in calibrate(telemetry, declared, catalogue, CalibrationSettings()).assumptions}
     assert all(one.declared for one in made_of.values())
     assert [name for name, one in made_of.items() if one.left_in] == ["refraction"]
+
+
+def test_a_tilt_is_asked_of_a_camera_that_has_none_for_it_is_fitted_as_principal_point(catalogue):
+    scenario = calibration_scenario(1, 60)
+    sensor = replace(
+        scenario.sensor, camera_model="pinhole_radial", free=("f_m", "u0_px", "v0_px"),
+        initial=np.array([1.0, 0.016, 1296.0, 972.0, 0.0, 0.0]), typical_sigma=np.array([2e-4, 8e-6, 10.0, 10.0, 1e-2, 0.1]),
+    )  # fmt: skip
+    camera, rng = CAMERA_MODELS["pinhole_radial"], np.random.default_rng(1)
+    n, a, f_px = 2400, 1e-3, 0.016 / sensor.pixel_pitch_m
+    row, col = rng.uniform(0, sensor.rows - 1, n), rng.uniform(0, sensor.columns - 1, n)
+    from_axis = np.stack([row - 972.0, col - 1296.0], axis=1)
+    seen = np.stack([row, col], axis=1) + a * from_axis * from_axis[:, :1] / f_px  # tilted about the columns
+    s = camera.directions(sensor.initial, row, col, sensor.pixel_pitch_m)
+    turns = Rotation.random(n // 12, rng=rng).as_matrix()
+    s_i = np.einsum("eij,enj->eni", turns, s.reshape(-1, 12, 3)).reshape(-1, 3)
+    inside = (seen >= 0).all(axis=1) & (seen < [sensor.rows, sensor.columns]).all(axis=1)
+    noise = 0.01 * rng.normal(size=(2, inside.sum()))
+    telemetry = Telemetry(
+        frame=np.repeat(np.arange(n // 12), 12)[inside], exposure=np.zeros(inside.sum(), int),
+        row_px=seen[inside, 0] + noise[0], col_px=seen[inside, 1] + noise[1],
+        star_id=np.arange(1, n + 1)[inside],
+        ra_rad=np.arctan2(s_i[inside, 1], s_i[inside, 0]) % (2 * np.pi), dec_rad=np.arcsin(s_i[inside, 2]),
+    )  # fmt: skip
+    settings = CalibrationSettings(match="given")
+    found = calibrate(telemetry, replace(sensor, centroid_sigma_px=0.01), catalogue, settings)
+    assert abs(found.parameters["v0_px"] - 972.0) == pytest.approx(a * f_px, rel=0.1)  # 7.3 px
+    assert abs(found.parameters["u0_px"] - 1296.0) < 0.3
+    (tilt,) = (one for one in found.assumptions if one.name == "tilt")
+    assert not tilt.declared
+    assert "7.3 px" in tilt.sentence
+    said = replace(sensor, centroid_sigma_px=0.01, declared=Declared(tilt="aligned"))
+    (declared,) = (one for one in calibrate(telemetry, said, catalogue, settings).assumptions if one.name == "tilt")
+    assert declared.declared
 
 
 def test_a_scenario_keeps_its_readout_and_slew():

@@ -68,6 +68,27 @@ def test_a_reduced_set_is_judged_by_its_own_parameters_and_the_wrong_parity_foun
     assert trust["residuals"] is trust["stars"] is trust["residual_against"] is None
 
 
+@pytest.mark.parametrize(("name", "absurd"), [("magnitude", 1e200), ("magnitude", 99.0), ("temperature_c", -999.0)])
+def test_numbers_that_stand_for_no_measurement_leave_the_tests_of_the_others_as_they_are(name, absurd, catalogue):
+    telemetry = simulated(catalogue, frames=40).telemetry
+    values = getattr(telemetry, name).copy()
+    values[telemetry.frame % 9 == 0] = np.nan
+    absent = replace(telemetry, **{name: values})
+    stated = replace(telemetry, **{name: np.where(np.isnan(values), absurd, values)})
+    tests, others = (case(one, st16_sensor(1), catalogue).report.tests for one in (absent, stated))
+    assert len(tests) > 20
+    assert [(one.name, one.probability) for one in tests] == [(one.name, one.probability) for one in others]
+
+
+def test_temperatures_of_which_none_is_known_are_as_none_given(catalogue):
+    judged = simulated(catalogue, frames=40)
+    without, unknown = (
+        case(replace(judged.telemetry, temperature_c=values), st16_sensor(1), catalogue).report
+        for values in (None, np.full(len(judged.telemetry), np.nan))
+    )
+    assert [one.name for one in without.tests] == [one.name for one in unknown.tests]
+
+
 def test_a_model_that_does_not_fit_is_said_before_drift_and_stars(catalogue):
     judged = simulated(catalogue, seed=1, free=("f_m",)).report
     trust = to_plain(judged.trust)

@@ -9,8 +9,8 @@ import pytest
 
 from boresight.calibration.calibrate import calibrate
 from boresight.calibration.matching import verification
-from boresight.calibration.matching.verification import BY_VOTE, compute_limit
-from boresight.calibration.options import CalibrationSettings
+from boresight.calibration.matching.verification import BY_NAME, BY_VOTE, compute_limit
+from boresight.calibration.options import METHODS, CalibrationSettings
 from boresight.calibration.problem import make_problem
 from boresight.estimation.statistics.consistency import nees
 from boresight.estimation.statistics.special import chdtri
@@ -259,3 +259,66 @@ def test_a_star_of_a_far_field_is_refused_by_the_vote(catalogue):
     found = calibrated(telemetry, catalogue)
     assert {one.reason for one in found.removed} == {BY_VOTE}
     assert (removed_rows(found, telemetry) == wrong).all()
+
+
+def named_twice(telemetry, rng, away_px):
+    """Give a tenth of the exposures a detection more that bears a star of theirs, `away_px` off; returns the set and which rows."""
+    exposure = 2 * telemetry.frame + telemetry.exposure
+    chosen = rng.choice(np.unique(exposure), len(np.unique(exposure)) // 10, replace=False)
+    of = np.array([rng.choice(np.flatnonzero(exposure == one)) for one in chosen])
+    rows = np.sort(np.concatenate([np.arange(len(telemetry)), of]), kind="stable")
+    second = np.append(False, np.diff(rows) == 0)
+    columns = {name: values[rows] for name, values in vars(telemetry).items() if isinstance(values, np.ndarray)}
+    for name, size in (
+        ("row_px", st16().rows),
+        ("col_px", st16().columns),
+    ):  # toward the middle, so that it stays on the detector
+        columns[name] = columns[name] + np.where(second, np.copysign(away_px, size / 2 - columns[name]), 0.0)
+    return replace(telemetry, **columns), second
+
+
+@pytest.mark.parametrize(("away_px", "reason"), [(300.0, BY_VOTE), (1.0, BY_NAME)])
+def test_of_two_detections_under_one_star_the_nearer_keeps_it(catalogue, away_px, reason):
+    right = field(9, frames=60)
+    telemetry, second = named_twice(right, RNG(4), away_px)
+    found, without = calibrated(telemetry, catalogue), calibrated(right, catalogue)
+    removed = removed_rows(found, telemetry)
+    exposure = 2 * telemetry.frame + telemetry.exposure
+    assert removed.sum() == second.sum() == 12
+    assert sorted(exposure[removed]) == sorted(exposure[second])  # one of each pair
+    assert (removed & second).sum() >= 9  # so near the noise may bring the wrong one nearer
+    assert reason in {one.reason for one in found.removed}
+    for name in found.free:
+        assert abs(found.parameters[name] - without.parameters[name]) < 0.3 * without.sigma[name]
+
+
+def test_a_star_named_twice_is_found_where_it_is_in_files_too(catalogue, tmp_path):
+    telemetry, _ = named_twice(field(9, frames=40), RNG(4), 1.0)
+    path, whole = written(telemetry, tmp_path)
+    one, other = in_memory(whole, st16(), catalogue, match="given"), streamed(path, st16(), catalogue, 7, match="given")
+    assert len(one["removed"]) == 8
+    assert differences(one["removed"], other["removed"]) == []
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("stars", [4, 12])
+def test_a_set_of_wrong_identities_alone_ends_with_a_status_and_advice(catalogue, method, stars):
+    telemetry, _ = with_wrong(field(3, frames=30, stars=stars), 1.0, 5, near=False)
+    found = calibrated(telemetry, catalogue, method=method)
+    assert found.status != "converged"
+    assert found.advice
+
+
+def test_exposures_that_are_all_lost_with_a_star_each_leave_too_few_stars(catalogue):
+    telemetry = field(3, frames=30, stars=4)
+    telemetry, _ = with_wrong(telemetry, 0.0, 1)
+    last = np.arange(len(telemetry)) % 4 == 3
+    wrong = replace(
+        telemetry,
+        ra_rad=np.where(last, np.roll(telemetry.ra_rad, 4), telemetry.ra_rad),
+        dec_rad=np.where(last, np.roll(telemetry.dec_rad, 4), telemetry.dec_rad),
+    )
+    for method in ("batch", "sqrf"):
+        found = calibrated(wrong, catalogue, method=method)
+        assert found.status == "too_few_stars"
+        assert len(found.removed) == len(telemetry) // 4

@@ -9,9 +9,13 @@ import click
 import numpy as np
 import orjson
 import pytest
+from click.shell_completion import ShellComplete
 
 from benchmarks.stars import write_synthetic
+from boresight.calibration.exports import EXPORT_FORMATS
 from boresight.calibration.options import OPTIONS, CalibrationSettings
+from boresight.cameras import CAMERA_MODELS
+from boresight.cli import main
 from boresight.cli.calibrate import Choice
 from boresight.cli.calibrate import calibrate as command
 from boresight.simulation.sensors import st16_sensor, wu_sensor
@@ -491,3 +495,50 @@ def test_a_conversion_follows_what_the_camera_leaves_where_there_is_something(
     told = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["conversion"]
     assert told["residual"]["p"] == 1e-9
     assert len(told["turn_rad"]) == 3
+
+
+def test_a_pipe_gives_what_a_file_gives_and_takes_one_file_of_a_command(boresight, simulated):
+    sensor, calibration = simulated / "sensor.json", simulated / "calibration.csv"
+    text = calibration.read_bytes()
+    piped = json.loads(accepted(boresight("check", "-", "--sensor", sensor, "--json", "-", stdin=text)).stdout)
+    named = json.loads(accepted(boresight("check", calibration, "--sensor", sensor, "--json", "-")).stdout)
+    assert piped == named
+    assert_refused(boresight("check", "-", "--sensor", "-", stdin=text), lines=1)
+    assert_refused(boresight("check", "-", "--sensor", sensor, stdin=b""), lines=1)
+
+
+@pytest.mark.parametrize(
+    ("words", "typed", "offered"),
+    [
+        (["calibrate"], "--method", {"batch", "sqrf", "ekf", "ukf", "svd", "angular"}),
+        (["calibrate"], "--robust", {"none", "stars", "huber"}),
+        (["user", "add"], "--role", {"viewer", "analyst", "operator", "approver", "administrator"}),
+        (["convert"], "--to", set(CAMERA_MODELS) | set(EXPORT_FORMATS)),
+    ],
+)
+def test_the_shell_completes_the_choices_of_an_option(words, typed, offered):
+    complete = ShellComplete(main, {}, "boresight", "_BORESIGHT_COMPLETE")
+    assert {item.value for item in complete.get_completions([*words, typed], "")} == offered
+
+
+def test_a_format_is_written_by_its_ending_with_its_misfit_and_refused_by_another(boresight, simulated, tmp_path):
+    sensor = simulated / "sensor.json"
+    document = json.loads(sensor.read_text(encoding="utf-8"))
+    parameters = tmp_path / "parameters.json"
+    parameters.write_text(json.dumps(document["initial"]), encoding="utf-8")
+    words = ("convert", parameters, "--sensor", sensor)
+    out = tmp_path / "camera.xml"
+    done = accepted(boresight(*words, "--to", "giant-owen", "--out", out, "--json", tmp_path / "told.json"))
+    told = json.loads((tmp_path / "told.json").read_text(encoding="utf-8"))
+    assert told["misfit_px"]["max"] <= told["allowed_px"]
+    assert told["source"]["sha256"] in out.read_text(encoding="utf-8")
+    assert "misfit over the detector" in done.stdout
+    assert_refused(boresight(*words, "--to", "giant-owen", "--out", tmp_path / "camera.yaml"), ".xml or .json")
+    assert_refused(boresight(*words, "--to", "fits-sip", "--out", tmp_path / "a.fits"), "--telemetry")
+    assert_refused(
+        boresight(*words, "--to", "giant-owen", "--out", out, "--sensor-out", tmp_path / "s.json"), "leave out"
+    )
+    fits = tmp_path / "frames.fits"
+    telemetry = simulated / "calibration.csv"
+    done = accepted(boresight(*words, "--to", "fits-tpv", "--telemetry", telemetry, "--out", fits, "--allow-px", "1"))
+    assert fits.read_bytes().startswith(b"SIMPLE  =")

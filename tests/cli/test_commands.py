@@ -342,7 +342,7 @@ def test_where_the_extra_is_missing_and_needed_every_command_says_how_to_install
     boresight, simulated, nameless, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(identification.importlib.util, "find_spec", lambda _: None)
-    how = "pip install 'boresight[lost-in-space]'"
+    how = "pip install tetra3rs"
     sensor = ("--sensor", simulated / "sensor.json")
     calibrated = boresight("calibrate", nameless, *sensor, "--json", tmp_path / "result.json")
     matched = boresight("match", nameless, *sensor, "--out", tmp_path / "out.csv")

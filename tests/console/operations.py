@@ -200,6 +200,7 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "upload_telemetry_set": _upload,
     "get_telemetry_set": lambda house: ("victor", {"telemetry_set_id": house.ready_sensor()[1]}),
     "get_telemetry_file": lambda house: ("victor", {"telemetry_set_id": house.ready_sensor()[1]}),
+    "diagnose_telemetry_set": lambda house: ("ada", {"telemetry_set_id": house.ready_sensor()[1]}),
     "archive_telemetry_set": _archive,
     "list_runs": lambda _: ("victor", {}),
     "launch_run": _launch,
@@ -213,6 +214,10 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "get_run_choice_data": lambda house: ("victor", {"run_id": house.chosen()}),
     "get_run_log": lambda house: ("victor", {"run_id": house.finished()}),
     "get_run_report": lambda house: ("victor", {"run_id": house.finished()}),
+    "get_run_camera_file": lambda house: (
+        "victor",
+        {"run_id": house.finished(), "params": {"to": "opencv", "allow_px": 1000}},
+    ),
     "list_frames": lambda house: ("victor", {"run_id": house.finished()}),
     "get_frame": lambda house: ("victor", {"run_id": house.finished(), "frame": 1}),
     **campaigns.GOOD,
@@ -225,6 +230,10 @@ GOOD: dict[str, Callable[[House], Made]] = {
     "convert_parameter_set": lambda house: (
         "victor",
         {"parameter_set_id": house.candidate()["id"], "params": {"to": "pinhole_radial", "allow_px": 100}},
+    ),
+    "get_parameter_set_camera_file": lambda house: (
+        "victor",
+        {"parameter_set_id": house.candidate()["id"], "params": {"to": "mrcal", "allow_px": 1000}},
     ),
     "submit_parameter_set": _submit,
     "withdraw_parameter_set": _withdraw,

@@ -105,6 +105,8 @@ ABLE = {
 BODIES: dict[str, dict[str, Any]] = {
     **alarms.BODIES,
     "convert_parameter_set": {"params": {"to": "pinhole_radial"}},
+    "get_parameter_set_camera_file": {"params": {"to": "opencv"}},
+    "get_run_camera_file": {"params": {"to": "opencv"}},
     "edit_sensor": {"json": {"name": "x"}},
     "submit_parameter_set": {"json": {"reason": "x"}},
     "approve": {"json": {"meaning": "x", "password": PASSWORD}},

@@ -15,7 +15,7 @@ from boresight.errors import CancelledError
 from boresight.estimation import arcs, batch, cosine
 from boresight.estimation import arcs as arcsets
 from boresight.estimation.arcs import arclength
-from boresight.estimation.metrics import arc_errors
+from boresight.estimation.metrics import arc_errors, rms
 from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.statistics.consistency import chi_square, nees
 from boresight.estimation.statistics.cramer_rao import centroid_rows
@@ -500,3 +500,15 @@ def test_attitude_covariance_is_the_spread_of_attitudes_fitted_to_noisy_stars():
 
 def _correlation(P):
     return P / np.sqrt(np.outer(np.diag(P), np.diag(P)))
+
+
+def test_arcs_that_are_not_whitened_are_refused_where_compiled_loops_would_run_beyond_them():
+    field = star_field(np.random.default_rng(3), frames=5)
+    for evaluated in (
+        lambda: arc_errors(field, GROUND),
+        lambda: rms(field, GROUND),
+        lambda: batch.compute_chi2(field, GROUND),
+        lambda: batch.fit(field, GROUND, FREE, SCALE),
+    ):
+        with pytest.raises(ValueError, match="whiten the set first"):
+            evaluated()

@@ -385,7 +385,7 @@ def test_threads_that_ask_at_once_share_one_table(tmp_path, monkeypatch):
 def test_without_the_extra_one_sentence_says_how_to_install_it(monkeypatch):
     monkeypatch.setattr(identification.importlib.util, "find_spec", lambda _: None)
     assert not identification.available()
-    with pytest.raises(RefusedInputError, match=r"pip install 'boresight\[lost-in-space\]'"):
+    with pytest.raises(RefusedInputError, match="pip install tetra3rs"):
         identify(random_field(5, 8), None, 1, 20.0, None)
 
 

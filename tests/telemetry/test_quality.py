@@ -81,7 +81,7 @@ CASES = [
     ("OFF_DETECTOR", "NORMAL", {"row_px": lambda t: with_rows(t.row_px, {7: 767.6, 8: -0.6, 9: 767.4})}, 2, [9, 10]),
     ("OFF_DETECTOR", "CAUTION", OFF_BY_5[0], 3, [2, 3, 4]),
     ("OFF_DETECTOR", "SERIOUS", OFF_BY_5[1], 4, [2, 3, 4, 5]),
-    ("REPEATED_STARS", "SERIOUS", SAME_STAR_TWICE, 1, [3]),
+    ("REPEATED_STARS", "CAUTION", SAME_STAR_TWICE, 1, [3]),
     ("REPEATED_CENTROIDS", "SERIOUS", SAME_PLACE_TWICE, 1, [3]),
     ("TIME_MISSING", "SERIOUS", {"time_utc": None}, ROWS, list(range(2, 22))),
     ("TIME_MISSING", "CAUTION", {"time_utc": lambda t: with_rows(t.time_utc, {4: np.datetime64("NaT")})}, 1, [6]),

@@ -238,7 +238,7 @@ def test_matched_stars_off_the_detector_are_refused_with_row_and_column_by_numbe
     with pytest.raises(RefusedInputError) as caught:
         check_against_sensor(telemetry, sensor)
     assert [(fault.row, fault.column) for fault in caught.value.faults] == [(3, "row_px"), (4, "col_px")]
-    assert "769.6 is off the detector (-0.5 to 767.5): choose the right sensor" in str(caught.value)
+    assert "769.6 is off the detector (-0.5 to 767.5): exchange rows and columns" in str(caught.value)
     telemetry = read("frame,exposure,row_px,col_px,ra_deg,dec_deg\n0,0,9000,20,1,2\n0,0,9001,20,,\n")
     with pytest.raises(RefusedInputError) as caught:
         check_against_sensor(telemetry, sensor)
@@ -302,3 +302,20 @@ def test_what_is_left_out_or_refused_does_not_depend_on_the_parts_a_set_comes_in
                 off.refuse()
             said.append((str(caught.value), caught.value.faults))
         assert said[0] == said[1]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"readout": {"mode": "z" * 100_000}},
+        {"readout": {"mode": "rolling", "line_time_s": 1e-5, "axis": "z" * 100_000}},
+        {"declared": {"directions": "z" * 100_000}},
+        {"declared": {"z" * 100_000: "apparent"}},
+        {"declared": "z" * 100_000},
+        {"initial": "z" * 100_000},
+    ],
+)
+def test_what_is_long_is_refused_in_a_short_sentence(document, wrong):
+    with pytest.raises(RefusedInputError) as caught:
+        parse_sensor({**document, **wrong})
+    assert max(len(fault.detail) for fault in caught.value.faults) < 300

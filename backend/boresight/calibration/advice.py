@@ -149,7 +149,10 @@ def _of_shift(problem: Problem, parameters: Parameters, estimate: Estimate, fit:
     if not far:
         return
     if np.abs(shift).max() > ANOTHER_SENSOR and fit.mean > FITS:
-        yield f"This telemetry hardly comes from this sensor (moved in typical sigmas: {far}): choose the right sensor."
+        yield (
+            f"This telemetry hardly comes from this sensor (moved in typical sigmas: {far}): diagnose it, or choose the right "
+            "sensor."
+        )
     else:
         yield f"Moved far from the start, in typical sigmas: {far}; check the sensor file's start and typical_sigma."
 

@@ -4,27 +4,52 @@ Sizes, for a tracker whose half diagonal is theta and whose pixel is 1 / f_px ra
 v / c sin(angle to v), so the field is stretched by up to v / c: 2.5e-5 for 7.6 km/s, 1.0e-4 for the Earth's 29.8 km/s, which is
 the change of focal length that would be fitted for it. Refraction R = 2.9e-4 tan z (Bennett, at the sea's level) stretches the
 field by 2.9e-4 across the vertical and by 2.9e-4 / cos^2 z along it. A rolling shutter displaces stars by their speed times the
-time of a readout.
+time of a readout. A detector tilted by a about an axis in it displaces a star at r from the principal point by a r (n.r) / f with n
+a unit vector; so does a principal point that is a f off in the direction n, once the attitude has turned by a: for a camera without
+a tilt the one is the other to second order in r / f, and no star tells which it is.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Assumption
+from boresight.calibration.corrections import lacks_refraction
 from boresight.calibration.readout import ReadoutCorrection, find_rates
 from boresight.cameras import CAMERA_MODELS
+from boresight.cameras.model import Role
+from boresight.site import Site
 from boresight.sky.catalogue import Catalogue
+from boresight.sky.directions import star_directions
+from boresight.sky.ground import air, earth_tables, elevation_deg, refraction_constants
 from boresight.telemetry.declarations import DECLARATIONS
 from boresight.telemetry.schema import Telemetry, select_rows
 from boresight.telemetry.sensors import Sensor
 
 #: A usual time of a rolling readout, and a usual rate, where the set tells none.
 USUAL_READOUT_S, USUAL_RATE_DEG_S = 0.05, 0.06
+#: A usual tilt of a detector.
+USUAL_TILT_RAD = 1e-3
 #: Rows that the speed of a set is found from.
 MOST_ROWS = 20_000
 WHERE = "declare it in the sensor file"
+
+
+@dataclass(frozen=True)
+class AirError:
+    """What pressure and temperature may be off by: of a weather station, or where nobody gave them."""
+
+    pressure_hpa: float
+    temperature_c: float
+
+
+KNOWN_AIR, UNKNOWN_AIR = AirError(1.0, 1.0), AirError(20.0, 10.0)
+#: Elevation below which A tan Z + B tan^3 Z errs by more than 0.06 arcsec (`erfa.refco`).
+FORMULA_DEG = 15.0
+COLUMNS_OF_DIRECTIONS = ("star_id", "ra_rad", "dec_rad", "time_utc", "velocity_m_s")
 
 
 def list_assumptions(
@@ -41,10 +66,18 @@ def list_assumptions(
     readout.
     """
     corner_px = np.hypot(sensor.rows, sensor.columns) / 2
-    return [
+    made = [
         _readout(named, sensor, catalogue, x, done),
-        *(make(telemetry, sensor, float(corner_px)) for make in (_velocity, _directions, _refraction)),
+        *(make(telemetry, sensor, float(corner_px)) for make in (_velocity, _directions)),
+        *_tilt(sensor, x),
     ]
+    if sensor.site is None:
+        return [*made, _refraction(telemetry, sensor, float(corner_px))]
+    if telemetry.ra_rad is not None and not lacks_refraction(sensor):
+        air_above = _refraction_given(sensor)
+    else:
+        air_above = _refraction_above(sensor.site, named, catalogue, float(corner_px))
+    return [*made, air_above, _earth_rotation(telemetry)]
 
 
 def _readout(
@@ -101,6 +134,9 @@ def _velocity(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assumpt
         return Assumption(
             name=name, declared=True, value="given", sentence="The telemetry gives the satellite's velocity."
         )
+    if sensor.site is not None:
+        sentence = "The site's own velocity, up to 0.3 arcsec of diurnal aberration, is computed from where it stands."
+        return Assumption(name=name, declared=True, value="of the site", sentence=sentence)
     if word == "negligible" or (word == "given" and telemetry.ra_rad is not None):
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
     opening = (
@@ -138,10 +174,107 @@ def _refraction(telemetry: Telemetry, sensor: Sensor, corner_px: float) -> Assum
     if word == "uncorrected":
         sentence = (
             f"Declared: images from the ground with refraction left in. It changes the scale by {size}, and is in these "
-            "parameters: correct directions for it, or do not use them for a sensor in space."
+            "parameters: give `site` in the sensor file, or do not use them for a sensor in space."
         )
         return Assumption(name=name, declared=True, value=word, sentence=sentence, left_in=True)
     if word is not None:
         return Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")
-    sentence = f"No refraction is assumed, as in space. Of images from the ground it would change the scale by {size}: {WHERE}."
+    sentence = (
+        f"No refraction is assumed, as in space. Of images from the ground it would change the scale by {size}: {WHERE}, or give "
+        "its `site`."
+    )
     return Assumption(name=name, declared=False, value="none", sentence=sentence)
+
+
+def _tilt(sensor: Sensor, x: FloatArray) -> list[Assumption]:
+    """That the detector is square to the axis: of cameras that have no tilt."""
+    camera, name, word = CAMERA_MODELS[sensor.camera_model], "tilt", sensor.declared.tilt
+    if any(one.role is Role.TILT for one in camera.parameters):
+        return []
+    if word is not None:
+        return [Assumption(name=name, declared=True, value=word, sentence=f"Declared. {_words(name, word)}.")]
+    moved_px = USUAL_TILT_RAD * camera.focal_px(x, sensor.pixel_pitch_m)
+    sentence = (
+        f"The camera model has no tilt, so a detector square to the optical axis is assumed. A tilt of "
+        f"{USUAL_TILT_RAD * 1e3:g} mrad would be fitted as a principal point {moved_px:.2g} px off, with no sign in the residuals "
+        f"and hardly any in the directions of stars: calibrate with a model that has it, such as inverted_wang, or {WHERE}."
+    )
+    return [Assumption(name=name, declared=False, value="none", sentence=sentence)]
+
+
+def _refraction_given(sensor: Sensor) -> Assumption:
+    """What directions of the telemetry of a sensor on the ground are taken to hold."""
+    known = sensor.declared.refraction == "corrected"
+    sentence = "Directions that the telemetry gives are taken to hold refraction already" + (
+        ", as declared." if known else f": {WHERE} (`refraction` corrected), or uncorrected to have it added."
+    )
+    return Assumption(name="refraction", declared=known, value="in the directions given", sentence=sentence)
+
+
+def _refraction_above(site: Site, named: Telemetry, catalogue: Catalogue, corner_px: float) -> Assumption:
+    """What was made of the air above a site, and what an error of pressure or temperature does at the lowest star."""
+    pressure, temperature, humidity, wavelength = air(site)
+    assumed = [one for one in site.assumed if one != "height_m" or site.pressure_hpa is None]
+    lowest = _lowest_deg(site, named, catalogue)
+    off = UNKNOWN_AIR if {"pressure_hpa", "temperature_c"} & set(assumed) else KNOWN_AIR
+    by_pressure, by_temperature = (
+        abs(_stretch(changed, lowest) - _stretch(site, lowest))
+        for changed in (
+            replace(site, pressure_hpa=pressure + off.pressure_hpa, temperature_c=temperature),
+            replace(site, pressure_hpa=pressure, temperature_c=temperature + off.temperature_c),
+        )
+    )
+    sentence = (
+        f"Stars are seen through the air at {site.latitude_deg:.4g}°, {site.longitude_deg:.4g}° east, {pressure:.4g} hPa, "
+        f"{temperature:.3g} °C, humidity {humidity:.2g}, {wavelength:.2g} µm"
+        + (f" ({', '.join(assumed)}: usual values that nobody gave)" if assumed else "")
+        + f". At {lowest:.0f}° above the horizon, the lowest here, it shrinks the field by {_stretch(site, lowest) * 1e6:.0f} ppm; "
+        f"{off.pressure_hpa:g} hPa more change it by {by_pressure * 1e6:.2g} ppm, {by_pressure * corner_px:.2g} px at the corner, "
+        f"{off.temperature_c:g} °C by {by_temperature * 1e6:.2g} ppm"
+        + (f": {WHERE}, under `site`." if assumed else ".")
+        + (f" Below {FORMULA_DEG:g}° the formula itself errs by arcseconds." if lowest < FORMULA_DEG else "")
+    )
+    value = "computed from the site" + (f", {', '.join(assumed)} assumed" if assumed else "")
+    return Assumption(name="refraction", declared=not assumed, value=value, sentence=sentence)
+
+
+def _stretch(site: Site, elevation_deg: float) -> float:
+    """By what share air shrinks the field along the vertical, the slope of A tan Z + B tan^3 Z."""
+    A, B = refraction_constants(site)
+    tangent2 = np.tan(np.radians(90.0 - elevation_deg)) ** 2
+    return float((A + 3 * B * tangent2) * (1 + tangent2))
+
+
+def _lowest_deg(site: Site, named: Telemetry, catalogue: Catalogue) -> float:
+    """How high the lowest star of a set stands, degrees; 45 where nothing tells."""
+    step = max(1, len(named) // MOST_ROWS)
+    rows = np.arange(0, len(named), step)
+    part = {one: None if getattr(named, one) is None else getattr(named, one)[rows] for one in COLUMNS_OF_DIRECTIONS}
+    if part["time_utc"] is None:
+        return 45.0
+    s = star_directions(**part, catalogue=catalogue, site=site)
+    found = elevation_deg(s, site, part["time_utc"])
+    return float(np.nanmin(found)) if np.isfinite(found).any() else 45.0
+
+
+def _earth_rotation(telemetry: Telemetry) -> Assumption:
+    """How far the tables of the Earth's rotation, its pole and leap seconds reach, beside the set's time."""
+    tables, time_utc = earth_tables(), telemetry.time_utc
+    known = None if time_utc is None else time_utc[~np.isnat(time_utc)]
+    last = None if known is None or not len(known) else known.max().astype("datetime64[D]")
+    value = f"tables of the IERS measured to {tables.measured_to}, predicted to {tables.predicted_to}"
+    leap = f"leap seconds are sure until {tables.leap_seconds_to}"
+    if last is None or last <= tables.measured_to:
+        sentence = f"The Earth's rotation and its pole are measured ones: {value}; {leap}."
+    elif last <= tables.predicted_to:
+        days = int((last - tables.measured_to) / np.timedelta64(1, "D"))
+        sentence = (
+            f"The Earth's rotation and its pole are predicted {days} days ahead of what was measured: {value}; {leap}. That moves "
+            "the zenith by 0.1 arcsec or so, which does not matter; a newer astropy-iers-data has them measured."
+        )
+    else:
+        sentence = (
+            f"The set ends {last}, after the last table of the Earth's rotation: {value}; {leap}. The last values are taken, and "
+            "the zenith may be off by arcseconds, which does not matter to refraction: install a newer astropy-iers-data."
+        )
+    return Assumption(name="earth_rotation", declared=True, value=value, sentence=sentence)

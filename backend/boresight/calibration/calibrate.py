@@ -43,10 +43,11 @@ from boresight.calibration.telemetry_pieces import (
     read_whole,
 )
 from boresight.cameras import CAMERA_MODELS
-from boresight.errors import RefusedInputError
+from boresight.errors import CancelledError, RefusedInputError
 from boresight.estimation.executor import Executor, LocalExecutor
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.quality.detector import OffDetector, check_against_sensor
+from boresight.sky.matching import EXPOSURE_REASONS
+from boresight.telemetry.quality.detector import OffDetector, OffDetectorError, check_against_sensor
 from boresight.telemetry.schema import Telemetry, joined
 from boresight.telemetry.sensors import Sensor
 from boresight.waiting import report_waits_to
@@ -241,10 +242,18 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
     with told:
         while corrections is not None:
             used = corrections
-            with open_dataset(telemetry, sensor, catalogue, parameters, settings, context, used) as (sets, off):
-                found, ended, corrections = _calibrated(
-                    sets, parameters, sets.settings, sha256s or {}, context, clock, used
-                )
+            try:
+                with open_dataset(telemetry, sensor, catalogue, parameters, settings, context, used) as (sets, off):
+                    found, ended, corrections = _calibrated(
+                        sets, parameters, sets.settings, sha256s or {}, context, clock, used
+                    )
+            except OffDetectorError as error:
+                from boresight.calibration.diagnosis.explain import explain_refusal  # noqa: PLC0415 - only refused sets
+
+                raise explain_refusal(error, telemetry, sensor, catalogue, cache_folder) from error
+    if hardly_matches(found):
+        found = replace(found, advice=[*_explained(telemetry, sensor, catalogue, settings, context), *found.advice])
+        clock.lap("diagnose")
     found = with_advice(replace(found, stars_off_detector=_describe_off(off)), *off.sentences())
     if validation is not None and ended is not None and ended.estimate.status != "diverged":
         judged, off = open_validation_set(validation, sensor, JUDGED_STARS)
@@ -259,6 +268,35 @@ def calibrate(  # noqa: PLR0913 - what is calibrated, and seven choices of the c
             )
         clock.lap("validate")
     return found if ended is None else replace(found, timing_s={**clock.laps, "method": ended.method_s})
+
+
+def hardly_matches(found: Calibration) -> bool:
+    """Whether so little of a set matched that sensor file and telemetry may not fit each other."""
+    if found.status in {"too_few_stars", "diverged"}:
+        return True
+    if found.matching is None:
+        return False
+    reasons = found.matching.exposure_reasons
+    return 2 * reasons.get(EXPOSURE_REASONS[0], 0) < sum(reasons.values())
+
+
+def _explained(
+    telemetry: Telemetry | TelemetryFile | StoredTable,
+    sensor: Sensor,
+    catalogue: Catalogue,
+    settings: CalibrationSettings,
+    context: CalibrationContext,
+) -> list[str]:
+    """What a diagnosis says of a set that hardly matches."""
+    from boresight.calibration.diagnosis.explain import explain  # noqa: PLC0415 - only for sets that hardly match
+
+    def report(message: str, _: float | None) -> None:
+        if context.cancelled():
+            raise CancelledError("Stopped as asked, before it was known why so few stars match")
+        if context.report is not None:
+            context.report(Progress(0.0, f"finding out why so few stars match: {message}", None))
+
+    return explain(telemetry, sensor, catalogue, settings, context.cache_folder, report)
 
 
 def _describe_off(off: OffDetector) -> StarsOffDetector:
@@ -287,6 +325,8 @@ def _calibrated(
     clock.lap("arcs")
     if first.problem.arcs.n_exposures == 0:
         nothing = result.nothing_estimated(first.problem, parameters, settings, sha256s)
+        if sets.is_given:
+            nothing = _with_removed(nothing, sets, first)
         advice = [*identification_advice(first.unidentified), *nothing.advice]
         return replace(nothing, advice=advice), None, None
     reporter = ProgressReporter(first.problem, parameters, settings, sha256s, context.report, sets.prepared)

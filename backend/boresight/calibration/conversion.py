@@ -32,7 +32,7 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.parameter_file import parse_parameters
-from boresight.calibration.residual_spline import ResidualSplineFit, find_in
+from boresight.calibration.residual_spline import ResidualSplineFit, require_in
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import NEUTRAL, CameraModel
 from boresight.errors import RefusedInputError
@@ -86,7 +86,7 @@ def convert(
         return Conversion(x.copy(), None if P is None else P.copy(), 0.0, 0.0, 0.0, 0.0, 0.0, np.eye(3))
     seen, meant = CAMERA_MODELS[source], CAMERA_MODELS[target]
     places, pitch = _grid(detector), detector[2]
-    s, J = seen.directions_and_jacobian(x, *(places if residual is None else _undone(places, residual)), pitch)
+    s, J = seen.directions_and_jacobian(x, *(places if residual is None else undone(places, residual)), pitch)
     pixel = np.sqrt(seen.solid_angle(x, *places, pitch))
     plain = meant.plain(seen.focal_px(x, pitch), *seen.principal_point(x), pitch)
     y, turn = _fit(meant, plain, places, pitch, s, turning=residual is not None)
@@ -105,7 +105,7 @@ def convert(
     return Conversion(y, carried, *_sizes(away / pixel), *_sizes(away), lost, turn)
 
 
-def _undone(places: tuple[FloatArray, FloatArray], residual: Surface) -> tuple[FloatArray, FloatArray]:
+def undone(places: tuple[FloatArray, FloatArray], residual: Surface) -> tuple[FloatArray, FloatArray]:
     """Places (n,) at which the source alone would show the stars that are seen at these."""
     d = residual(*places)
     return places[0] - d[:, 0], places[1] - d[:, 1]
@@ -208,7 +208,7 @@ def converted(
     """
     x, P = _given(document, sensor, name, target)
     allowed = ALLOWED_SHARE * sensor.centroid_sigma_px if allowed_px is None else allowed_px
-    spline = _residual(document, name) if with_residual else None
+    spline = require_in(document, name) if with_residual else None
     residual = None if spline is None else spline.surface
     detector = (sensor.rows, sensor.columns, sensor.pixel_pitch_m)
     found = convert(x, sensor.camera_model, target, detector, P=P, residual=residual)
@@ -230,17 +230,6 @@ def converted(
     }
     parse_parameters(written, sensor_under(sensor, written), f"{name} in {target}")
     return written
-
-
-def _residual(document: Mapping[str, Any], name: str) -> ResidualSplineFit:
-    """Read the residual spline; refuse where there is none to be followed."""
-    spline = find_in(document)
-    if spline is None:
-        raise RefusedInputError(
-            f"{name} has no residual spline beyond its noise: convert it without --residual, or give the calibration that "
-            "`boresight calibrate --json` wrote."
-        )
-    return spline
 
 
 def _told(spline: ResidualSplineFit | None, found: Conversion) -> dict[str, Any]:

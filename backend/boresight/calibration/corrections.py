@@ -1,9 +1,11 @@
 """What is put right in telemetry before anything is estimated from it, and repeated at the result: directions, readout, noise.
 
-In this order: directions that are declared to be of J2000.0 become apparent ones; the bias that an earlier pass found against
-pixel phase and colour is subtracted from the centroids as measured, and its noise replaces the stated; centroids of a rolling
-shutter that nobody corrected are moved back to the time of the first line. Readout and noise depend a little on the camera's
-state, and on the stars that a first pass matched, so a calibration is made again with what it found until that changes nothing.
+In this order: directions that are declared to be of J2000.0 become apparent ones; from a site on the ground those without
+refraction are refracted, here where the file gives them, and when they are made where the catalogue does; the bias that an
+earlier pass found against pixel phase and colour is subtracted from the centroids as measured, and its noise replaces the stated;
+centroids of a rolling shutter that nobody corrected are moved back to the time of the first line. Readout and noise depend a
+little on the camera's state, and on the stars that a first pass matched, so a calibration is made again with what it found until
+that changes nothing.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from boresight.errors import RefusedInputError
 from boresight.estimation.arcs import ArcSet
 from boresight.sky.apparent import apparent_from_j2000
 from boresight.sky.catalogue import Catalogue
+from boresight.sky.ground import refracted_at, velocity_at
 from boresight.telemetry.schema import Telemetry, find_exposures
 from boresight.telemetry.sensors import Sensor
 
@@ -56,7 +59,12 @@ class Corrections:
     @property
     def needed(self) -> bool:
         """Whether there is anything to put right."""
-        return self.noise is not None or self._in_centroids or self.sensor.declared.directions == "j2000"
+        return (
+            self.noise is not None
+            or self._in_centroids
+            or self.sensor.declared.directions == "j2000"
+            or self.sensor.site is not None
+        )
 
     @property
     def _in_centroids(self) -> bool:
@@ -71,9 +79,7 @@ class Corrections:
         self.measured = telemetry if whole else None
         if not self.needed:
             return telemetry
-        right = telemetry
-        if self.sensor.declared.directions == "j2000":
-            right = to_apparent(right, self.catalogue)
+        right = with_directions(telemetry, self.sensor, self.catalogue)
         named = replace(right, star_id=self.star_id) if whole and self.star_id is not None else right
         rates = None
         if self._in_centroids or self._wants_rates:
@@ -136,6 +142,45 @@ def put_right(telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, x: Flo
     return Corrections(sensor, catalogue, x).apply(telemetry)
 
 
+def with_directions(telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue) -> Telemetry:
+    """Return telemetry with directions as its sensor's declarations want them, and the site through whose air stars are seen."""
+    right = telemetry if sensor.site is None else replace(telemetry, site=sensor.site)
+    if sensor.declared.directions == "j2000":
+        right = to_apparent(right, catalogue)
+    return to_observed(right) if lacks_refraction(sensor) else right
+
+
+def lacks_refraction(sensor: Sensor) -> bool:
+    """Whether directions that the telemetry of a sensor on the ground gives are to be refracted: they are said to hold none.
+
+    Of J2000.0 they cannot hold any; apparent ones are taken to be as observed unless `refraction` is declared uncorrected.
+    """
+    declared = sensor.declared
+    return sensor.site is not None and (
+        declared.refraction == "uncorrected" or (declared.directions == "j2000" and declared.refraction is None)
+    )
+
+
+def to_observed(telemetry: Telemetry) -> Telemetry:
+    """Bend directions that the telemetry gives by the air above its site.
+
+    Raises RefusedInputError when there are directions and no times.
+    """
+    if telemetry.ra_rad is None or telemetry.dec_rad is None or telemetry.site is None:
+        return telemetry
+    if telemetry.time_utc is None:
+        raise RefusedInputError(
+            "The sensor has a site on the ground, and the telemetry has no time to find its zenith for: "
+            "add time_utc (ISO 8601, UTC), or declare refraction corrected where its directions hold it."
+        )
+    cos_dec = np.cos(telemetry.dec_rad)
+    s = np.column_stack(
+        [cos_dec * np.cos(telemetry.ra_rad), cos_dec * np.sin(telemetry.ra_rad), np.sin(telemetry.dec_rad)]
+    )
+    s = refracted_at(s, telemetry.site, telemetry.time_utc)
+    return replace(telemetry, ra_rad=np.arctan2(s[:, 1], s[:, 0]), dec_rad=np.arcsin(np.clip(s[:, 2], -1.0, 1.0)))
+
+
 def to_apparent(telemetry: Telemetry, catalogue: Catalogue) -> Telemetry:
     """Turn directions of J2000.0 into apparent ones at the time of each row.
 
@@ -149,8 +194,11 @@ def to_apparent(telemetry: Telemetry, catalogue: Catalogue) -> Telemetry:
             "add time_utc (ISO 8601, UTC), or give apparent directions and declare them so."
         )
     known = np.zeros(len(telemetry), np.int64) if telemetry.star_id is None else telemetry.star_id
+    velocity = telemetry.velocity_m_s
+    if velocity is None and telemetry.site is not None:
+        velocity = velocity_at(telemetry.site, telemetry.time_utc)
     s = apparent_from_j2000(
         telemetry.ra_rad, telemetry.dec_rad, catalogue, catalogue.find_index(known), telemetry.time_utc,
-        telemetry.velocity_m_s,
+        velocity,
     )  # fmt: skip
     return replace(telemetry, ra_rad=np.arctan2(s[:, 1], s[:, 0]), dec_rad=np.arcsin(np.clip(s[:, 2], -1.0, 1.0)))

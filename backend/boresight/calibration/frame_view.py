@@ -43,6 +43,7 @@ from numpy.typing import NDArray
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
 from boresight.calibration.calibration import Calibration, Covariance
+from boresight.calibration.corrections import with_directions
 from boresight.calibration.estimate import Parameters
 from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, PixelResiduals, pixel_residuals
 from boresight.calibration.matching.match_report import NOT_ACCEPTED
@@ -53,8 +54,8 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.errors import RefusedInputError
 from boresight.estimation.arcs import ArcSet
 from boresight.estimation.attitude import to_quaternion, triad, turns_from
-from boresight.sky.apparent import apparent_directions
 from boresight.sky.catalogue import Catalogue
+from boresight.sky.ground import observed_directions
 from boresight.sky.guide_stars import phrases
 from boresight.sky.matching import EXPOSURE_REASONS, OFF_DETECTOR, ROW_REASONS, STARTS
 from boresight.telemetry.quality.detector import on_detector
@@ -175,6 +176,7 @@ def _matched(
 ) -> MatchedFrame:
     """Match some frames under both states."""
     settings = states.settings if _rematched(states, telemetry) else replace(states.settings, match="given")
+    telemetry = with_directions(telemetry, states.sensor, catalogue)
     sets = Dataset(telemetry, states.sensor, catalogue, states.parameters, settings, cache_folder)
     old = sets.at_start()
     with_old = states.new is None or (settings.sequential and settings.matched_with == "baseline")
@@ -288,7 +290,8 @@ def undetected(here: Telemetry, states: RunStates, C: FloatArray, catalogue: Cat
     x = (states.new or states.old).x
     star = _in_the_cone(catalogue, C[2], cone_rad(sensor, x), limit)
     velocity = None if here.velocity_m_s is None else np.repeat(here.velocity_m_s[:1], len(star), axis=0)
-    s_i = apparent_directions(catalogue, star, np.repeat(here.time_utc[:1], len(star)), velocity)
+    time_utc = np.repeat(here.time_utc[:1], len(star))
+    s_i = observed_directions(catalogue, star, time_utc, velocity, sensor.site)
     row, col = CAMERA_MODELS[sensor.camera_model].project(x, triad(s_i @ C.T, sensor.parity), sensor.pixel_pitch_m)
     inside = (row >= -0.5) & (row <= sensor.rows - 0.5) & (col >= -0.5) & (col <= sensor.columns - 0.5)
     inside[inside] &= ~_near_a_detection(row[inside], col[inside], here)

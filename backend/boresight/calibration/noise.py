@@ -50,7 +50,7 @@ from boresight.estimation.attitude import to_quaternion
 from boresight.estimation.statistics.cramer_rao import centroid_rows
 from boresight.estimation.statistics.special import chdtrc
 from boresight.sky.catalogue import Catalogue
-from boresight.telemetry.schema import Telemetry
+from boresight.telemetry.schema import MAGNITUDES, Telemetry, within
 from boresight.telemetry.sensors import Sensor
 
 MOST_FRAMES = 500
@@ -136,7 +136,7 @@ def find_quantities(
     away = np.stack([row_px - row, col_px - col], axis=-1) / corner
     magnitude, colour = _of_catalogue(telemetry, rows, catalogue)
     if telemetry.magnitude is not None:
-        own = telemetry.magnitude[rows]
+        own = within(telemetry.magnitude[rows], MAGNITUDES)
         magnitude = np.where(np.isfinite(own), own, magnitude)
     speed = np.full(len(rows), np.nan) if w is None else find_speed_px_s(sensor, x, row_px, col_px, w)
     places = (None, None) if measured is None else (measured.row_px[rows], measured.col_px[rows])

@@ -130,8 +130,9 @@ def build_problem(
     Raises RefusedInputError when matched rows can be given no direction at all, see `sky.directions`.
     """
     s_i = star_directions(
-        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
-    )
+        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue,
+        telemetry.site,
+    )  # fmt: skip
     return make_problem_of_directions(telemetry, sensor, s_i, minimum_stars)
 
 

@@ -119,8 +119,9 @@ def _solved(telemetry: Telemetry, sensor: Sensor, catalogue: Catalogue, x: Float
     if telemetry.star_id is None and telemetry.ra_rad is None:
         return None
     s_i = star_directions(
-        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
-    )
+        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue,
+        telemetry.site,
+    )  # fmt: skip
     exposure = find_exposures(telemetry).of_entry
     camera = CAMERA_MODELS[sensor.camera_model]
     s_d = camera.directions(x, telemetry.row_px, telemetry.col_px, sensor.pixel_pitch_m)

@@ -180,6 +180,17 @@ def find_in(document: Mapping[str, Any]) -> ResidualSplineFit | None:
     return spline if spline is not None and spline.structure else None
 
 
+def require_in(document: Mapping[str, Any], name: str) -> ResidualSplineFit:
+    """Read the residual spline of a document; refuse where there is none to be followed. `name`: what the refusal calls it."""
+    spline = find_in(document)
+    if spline is None:
+        raise RefusedInputError(
+            f"{name} has no residual spline beyond its noise: convert it without --residual, or give the calibration that "
+            "`boresight calibrate --json` wrote."
+        )
+    return spline
+
+
 def suffices(explanation: SplineExplanation) -> bool:
     """Whether a camera model leaves nothing that noise does not explain."""
     return explanation.p >= FALSE_ALARM

@@ -19,6 +19,7 @@ from boresight.errors import CancelledError, RefusedInputError
 from boresight.estimation.blocks import FRAMES
 from boresight.estimation.executor import Executor, LocalExecutor
 from boresight.estimation.stored_arcs import Arcs
+from boresight.site import Site
 from boresight.telemetry.quality.detector import OffDetector
 from boresight.telemetry.read.limits import LIMITS, Limits
 from boresight.telemetry.read.readers import CHUNK_FRAMES, Stretch, read_chunks, read_telemetry, rows_in, stretches
@@ -122,6 +123,7 @@ class TelemetryPiece:
     frames: int
     epoch: np.datetime64
     off_detector: OffDetector
+    site: Site | None = None
 
     def read(self) -> Telemetry:
         """Map it."""
@@ -131,7 +133,7 @@ class TelemetryPiece:
             return self.held[0].part(self.held[1])
         arrays: dict[str, Any] = self.held.read()
         del arrays["frame_start"]
-        return Telemetry(**arrays, first_row=self.first_row)
+        return Telemetry(**arrays, first_row=self.first_row, site=self.site)
 
     def frame_start(self) -> IntArray:
         """(n_frames + 1,) first row of each frame."""
@@ -315,7 +317,9 @@ def _piece(
     off = OffDetector()
     off.look_at(telemetry, sensor)
     epoch = _epoch(telemetry, starts[:-1])
-    return TelemetryPiece(held, len(telemetry), begins, telemetry.first_row, len(starts) - 1, epoch, off)
+    return TelemetryPiece(
+        held, len(telemetry), begins, telemetry.first_row, len(starts) - 1, epoch, off, telemetry.site
+    )
 
 
 def copy_stretch(stretch: Stretch, frames: int, sensor: Sensor, path: str) -> tuple[TelemetryPiece, ...] | None:

@@ -18,11 +18,15 @@ from boresight.cli.audit import audit, backup, restore
 from boresight.cli.calibrate import calibrate
 from boresight.cli.choose import choose
 from boresight.cli.convert import convert
+from boresight.cli.diagnose import diagnose
 from boresight.cli.evaluate import check, evaluate, match
+from boresight.cli.extract import extract
+from boresight.cli.importing import import_telemetry
 from boresight.cli.output import RefusingGroup
 from boresight.cli.report import report
 from boresight.cli.reproduce import reproduce, simulate
 from boresight.cli.schema import schema
+from boresight.cli.sensor import sensor
 from boresight.cli.serve import demo, serve
 from boresight.cli.table import export, table
 from boresight.cli.worker import scheduler, warm, worker
@@ -51,14 +55,18 @@ def main(*, debug: bool) -> None:  # noqa: ARG001 - the group asks for it itself
 for command in (
     calibrate,
     choose,
+    extract,
+    diagnose,
     match,
     evaluate,
     convert,
     assess,
     check,
+    import_telemetry,
     simulate,
     report,
     schema,
+    sensor,
     export,
     table,
     reproduce,

@@ -9,9 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.shell_completion import CompletionItem
 
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.settings import read_settings
+
+
+def _complete_role(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Complete the name of a role."""
+    from boresight.console.access.tables import ROLES
+
+    return [CompletionItem(role) for role in ROLES if role.startswith(incomplete)]
 
 
 @click.group()
@@ -21,7 +29,14 @@ def user() -> None:
 
 @user.command()
 @click.argument("name")
-@click.option("--role", "roles", multiple=True, required=True, help="analyst, approver, ...; repeat it for several.")
+@click.option(
+    "--role",
+    "roles",
+    multiple=True,
+    required=True,
+    shell_complete=_complete_role,
+    help="analyst, approver, ...; repeat it for several.",
+)
 @click.option("--printed-name", required=True, help="As signatures show it.")
 @click.option("--password-stdin", is_flag=True, help="Read the password from standard input instead of asking.")
 def add(name: str, roles: tuple[str, ...], printed_name: str, *, password_stdin: bool) -> None:

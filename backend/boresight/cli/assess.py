@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import check_writable, json_option, write_json
 from boresight.library import functions as library
 from boresight.library.progress import progress
@@ -16,15 +17,13 @@ from boresight.library.text import aligned
 if TYPE_CHECKING:
     from boresight.library.results import Assessment
 
-FILE = click.Path(path_type=Path)
-
 
 @click.command()
-@click.argument("calibration", type=FILE)
-@click.option("--sensor", "sensor_file", type=FILE, required=True, help="Sensor file, JSON.")
-@click.option("--against", type=FILE, help="The incumbent's parameters; the sensor file's if left out.")
-@click.option("--validate", "telemetry", type=FILE, help="Held-out telemetry; the calibration's own if left out.")
-@click.option("--profile", "profile_file", type=FILE, help="Gate profile, JSON; the default limits if left out.")
+@click.argument("calibration", type=INPUT_FILE)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
+@click.option("--against", type=INPUT_FILE, help="The incumbent's parameters; the sensor file's if left out.")
+@click.option("--validate", "telemetry", type=INPUT_FILE, help="Held-out telemetry; the calibration's own if left out.")
+@click.option("--profile", "profile_file", type=INPUT_FILE, help="Gate profile, JSON; the default limits if left out.")
 @json_option
 def assess(
     calibration: Path,

@@ -8,10 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from boresight.calibration.options import GROUPS, OPTIONS, CalibrationSettings, Option
+from boresight.cli.extract import extraction_options, take_extraction_choices, telemetry_of
+from boresight.cli.importing import profile_option
+from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import check_writable, json_option, write_json
 from boresight.cli.remote import first_message, open_client, server_option
+from boresight.cli.sensor import place_sensor, refuse_site_on_server, site_option
 from boresight.errors import RefusedInputError
 from boresight.library.functions import calibrate as estimate
 from boresight.library.functions import parse_choices
@@ -28,7 +33,13 @@ class Choice(click.Option):
 
     def __init__(self, words: list[str], *, of: Option, **settings: Any) -> None:
         super().__init__(words, **settings)
-        self.group = of.group
+        self.group, self.of = of.group, of
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Complete a word by the choices that the setting is declared with."""
+        if self.of.kind != "word":
+            return super().shell_complete(ctx, incomplete)
+        return [CompletionItem(word) for word in self.of.words if word.startswith(incomplete)]
 
 
 class GroupedCommand(click.Command):
@@ -84,23 +95,26 @@ FAILED = ("diverged", "too_few_stars")
 
 
 @click.command(cls=GroupedCommand)
-@click.argument("telemetry", type=click.Path(path_type=Path))
-@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@click.argument("telemetry", type=INPUT_FILE, nargs=-1, required=True)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
+@site_option
 @calibration_options
-@click.option(
-    "--validate", type=click.Path(path_type=Path), help="Telemetry that takes no part, to check the result by."
-)
+@click.option("--validate", type=INPUT_FILE, help="Telemetry that takes no part, to check the result by.")
+@extraction_options
+@profile_option
 @server_option
 @json_option
 def calibrate(
-    telemetry: Path,
+    telemetry: tuple[Path, ...],
     sensor_file: Path,
+    site: str | None,
     validate: Path | None,
+    profile: str | None,
     server_url: str | None,
     json_file: str | None,
     **choices: Any,
 ) -> None:
-    """Calibrate a sensor from TELEMETRY (CSV, JSON Lines or Parquet).
+    """Calibrate a sensor from TELEMETRY (CSV, JSON Lines or Parquet), or from images (FITS, PNG, TIFF or raw numbers).
 
     Prints the parameters with their sigmas, what the fit is worth, and advice. A set from which nothing could be
     estimated, or a fit that diverged, writes its JSON and ends with exit code 1.
@@ -109,14 +123,21 @@ def calibrate(
     of a sensor of that server.
     """
     check_writable(json_file)
+    refuse_site_on_server(site, server_url)
+    extraction = take_extraction_choices(choices)
     settings = chosen(choices)
     parse_settings(settings)
-    with progress(first_message(server_url)) as report:
+    if profile is not None and server_url is not None:
+        raise RefusedInputError("A profile is read here, and the calibration made elsewhere: import the file first.")
+    with (
+        progress(first_message(server_url)) as report,
+        telemetry_of(telemetry, profile, sensor_file, extraction, report) as source,
+    ):
         if server_url is None:
-            found = estimate(telemetry, sensor_file, validate=validate, progress=report, **settings)
+            found = estimate(source, place_sensor(sensor_file, site), validate=validate, progress=report, **settings)
         else:
             with open_client(server_url) as server:
-                found = server.calibrate(telemetry, str(sensor_file), validate=validate, progress=report, **settings)
+                found = server.calibrate(source, str(sensor_file), validate=validate, progress=report, **settings)
     write_json(found.to_dict(), json_file)
     if json_file != "-" and found.status != "too_few_stars":
         click.echo("\n".join(summary_lines(found)))

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from boresight.cli.calibrate import chosen, parse_settings, setting_option
+from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import STANDARD_OUTPUT, check_one_stream, check_writable, json_option, write_json
 from boresight.cli.remote import first_message, open_client, server_option
+from boresight.cli.sensor import place_sensor, refuse_site_on_server, site_option
 from boresight.errors import RefusedInputError
 from boresight.library import functions as library
 from boresight.library.progress import progress
@@ -21,11 +23,12 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("telemetry", type=click.Path(path_type=Path))
-@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@click.argument("telemetry", type=INPUT_FILE)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
+@site_option
 @click.option(
     "--validate",
-    type=click.Path(path_type=Path),
+    type=INPUT_FILE,
     help="Telemetry that candidates are held out against; left out, frames of TELEMETRY are.",
 )
 @setting_option("match")
@@ -38,6 +41,7 @@ if TYPE_CHECKING:
 def choose(
     telemetry: Path,
     sensor_file: Path,
+    site: str | None,
     validate: Path | None,
     out_file: str | None,
     server_url: str | None,
@@ -56,11 +60,12 @@ def choose(
         check_writable(place)
     if out_file is not None and sensor_file.exists() and Path(out_file).exists() and sensor_file.samefile(out_file):
         raise RefusedInputError(f"{out_file} is the sensor file that is read, and is kept: choose another name.")
+    refuse_site_on_server(site, server_url)
     settings = chosen(choices)
     parse_settings(settings)
     with progress(first_message(server_url)) as report:
         if server_url is None:
-            sensor = library.read_sensor(sensor_file)
+            sensor = library.read_sensor(place_sensor(sensor_file, site))
             found = library.choose(telemetry, sensor, validate=validate, progress=report, **settings)
         else:
             with open_client(server_url) as server:

@@ -1,4 +1,4 @@
-"""`boresight convert`: parameters of one camera model written in the other, with how closely that one can follow."""
+"""`boresight convert`: a camera written in another camera model, or as a file of another program, with how closely that follows."""
 
 from __future__ import annotations
 
@@ -7,24 +7,55 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
-from boresight.cli.output import STANDARD_OUTPUT, check_one_stream, check_writable, json_option, write_json
+from boresight.cli.input import INPUT_FILE
+from boresight.cli.output import (
+    STANDARD_OUTPUT,
+    check_one_stream,
+    check_writable,
+    json_option,
+    tell,
+    write_bytes,
+    write_json,
+)
 from boresight.errors import RefusedInputError
 from boresight.library.text import aligned
 
 
+def _complete_target(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Complete the name of a camera model or a format."""
+    from boresight.calibration.exports import EXPORT_FORMATS
+    from boresight.cameras import CAMERA_MODELS
+
+    known = dict.fromkeys(CAMERA_MODELS, "camera model") | {n: f.program for n, f in EXPORT_FORMATS.items()}
+    return [CompletionItem(name, help=said) for name, said in known.items() if name.startswith(incomplete)]
+
+
 @click.command()
-@click.argument("parameters", type=click.Path(path_type=Path))
+@click.argument("parameters", type=INPUT_FILE)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Their sensor file, JSON.")
 @click.option(
-    "--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Their sensor file, JSON."
+    "--to",
+    "target",
+    required=True,
+    metavar="MODEL|FORMAT",
+    shell_complete=_complete_target,
+    help="The other camera model, or another program's format: opencv, ros, mrcal, colmap, tetra3, cedar, giant-brown, "
+    "giant-owen, fits-sip, fits-tpv.",
 )
-@click.option("--to", "target", required=True, metavar="MODEL", help="The other camera model.")
-@click.option("--out", "out_file", required=True, metavar="FILE", help="Parameter file to write, with its covariance.")
+@click.option("--out", "out_file", required=True, metavar="FILE", help="File to write; - is standard output.")
 @click.option("--sensor-out", "sensor_out", metavar="FILE", help="Write a sensor file of the other model too.")
+@click.option(
+    "--telemetry",
+    type=INPUT_FILE,
+    help="Telemetry whose exposures FITS headers are written for: its stars are matched for their attitudes.",
+)
 @click.option(
     "--allow-px",
     type=click.FloatRange(min=0),
-    help="Largest misfit over the detector; 1 % of centroid_sigma_px if left out.",
+    help="Largest misfit over the detector; if left out, of centroid_sigma_px 1 % for a camera model, 10 % for a format, and "
+    "100 % for tetra3 and cedar.",
 )
 @click.option(
     "--residual",
@@ -32,26 +63,37 @@ from boresight.library.text import aligned
     help="Follow the camera with what its calibration found it to leave over: its residual spline.",
 )
 @json_option
-def convert(
+def convert(  # noqa: PLR0913 - an option each
     parameters: Path,
     sensor_file: Path,
     target: str,
     out_file: str,
     sensor_out: str | None,
+    telemetry: Path | None,
     allow_px: float | None,
     json_file: str | None,
     *,
     residual: bool,
 ) -> None:
-    """Write PARAMETERS in another camera model: values, covariance, and what is left of the fit.
+    """Write PARAMETERS in another camera model or in another program's format, and what is left of the fit.
 
-    Refused where the other model cannot follow within the misfit allowed. `evaluate` and `match` take the parameter file, with
-    the sensor file that --sensor-out writes.
+    Refused where the other cannot follow within the misfit allowed. In a camera model it is a parameter file with covariance,
+    which `evaluate` and `match` take with the sensor file of --sensor-out. A format is written by the ending of FILE; its
+    comments say the misfit, the frame, and what it was made of.
     """
+    from boresight.calibration.exports import EXPORT_FORMATS
+
     check_one_stream(out_file, sensor_out, json_file)
-    for place in (out_file, sensor_out, json_file):
-        check_writable(place)
-        _check_kept(place, parameters, sensor_file)
+    form = EXPORT_FORMATS.get(target)
+    _check_places(form, out_file, sensor_out, json_file, parameters, sensor_file)
+    if form is not None:
+        _export(form, parameters, sensor_file, out_file, telemetry, allow_px, json_file, residual=residual)
+        return
+    if telemetry is not None:
+        raise RefusedInputError(
+            f"{target} has nothing for single exposures: leave out --telemetry, which is for "
+            f"{' and '.join(name for name, one in EXPORT_FORMATS.items() if one.needs_attitudes)}."
+        )
     written, sensor = _converted(
         parameters, sensor_file, target, allow_px, sensor_wanted=sensor_out is not None, residual=residual
     )
@@ -62,6 +104,77 @@ def convert(
     if STANDARD_OUTPUT not in {out_file, sensor_out, json_file}:
         click.echo("\n".join(_lines(written)))
         click.echo("\n".join(f"Wrote {place}" for place in (out_file, sensor_out) if place is not None))
+
+
+def _check_places(
+    form: Any, out_file: str, sensor_out: str | None, json_file: str | None, parameters: Path, sensor_file: Path
+) -> None:
+    """Refuse, before the work begins, files that cannot be written, would replace an input, or end otherwise."""
+    if form is None:
+        check_writable(out_file)
+    else:
+        if sensor_out is not None:
+            raise RefusedInputError(
+                f"{form.name} is no camera model, so there is no sensor file of it: leave out --sensor-out."
+            )
+        check_writable(out_file, forms=form.suffixes, title=form.name)
+    for place in (sensor_out, json_file):
+        check_writable(place)
+    for place in (out_file, sensor_out, json_file):
+        _check_kept(place, parameters, sensor_file)
+
+
+def _export(
+    form: Any,
+    parameters: Path,
+    sensor_file: Path,
+    out_file: str,
+    telemetry: Path | None,
+    allow_px: float | None,
+    json_file: str | None,
+    *,
+    residual: bool,
+) -> None:
+    """Write a file of another program and say how well it follows."""
+    from boresight.library import functions as library
+    from boresight.library.progress import progress
+
+    if form.needs_attitudes and telemetry is None:
+        raise RefusedInputError(
+            f"{form.name} has a header for each exposure, whose attitude its stars tell: give the telemetry with --telemetry."
+        )
+    suffix = Path(out_file).suffix.lower() if out_file != STANDARD_OUTPUT else None
+    with progress("fitting") as report:
+        found = library.export_camera(
+            parameters, sensor_file, form.name, telemetry=telemetry, allow_px=allow_px, residual=residual, suffix=suffix,
+            progress=report,
+        )  # fmt: skip
+    write_bytes(found.content, out_file)
+    write_json(found.document, json_file)
+    if json_file != STANDARD_OUTPUT:
+        tell("\n".join(_export_lines(found.document, out_file)), out_file)
+
+
+def _export_lines(document: dict[str, Any], out_file: str) -> Iterator[str]:
+    yield f"{document['sensor']}: {document['camera_model']} as {document['format']}"
+    if "lens" in document:
+        sigma = document["sigma"]
+        rows = [
+            (name, f"{value:.9g}", "-" if sigma[name] is None else f"{sigma[name]:.3g}")
+            for name, value in document["parameters"].items()
+        ]
+        yield f"\n{aligned([(document['lens'], 'value', 'sigma'), *rows])}"
+        if document["mirrored"]:
+            yield "\nparity +1: this is the camera of the image mirrored left to right"
+        if any(document["turn_rad"]):
+            turn = ", ".join(f"{1e6 * angle:.3f}" for angle in document["turn_rad"])
+            yield f"\nits frame is turned by the rotation vector ({turn}) microradians: turn attitudes with it"
+    else:
+        yield f"{document['exposures']:,} exposures, polynomials of order {document['order']}"
+    px = document["misfit_px"]
+    allowed = document["allowed_px"]
+    yield f"\nmisfit over the detector: largest {px['max']:.2g} px, RMS {px['rms']:.2g} px; {allowed:.2g} px is allowed"
+    yield f"Wrote {out_file}"
 
 
 def _check_kept(place: str | None, *inputs: Path) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from boresight.cli.calibrate import chosen, parse_settings, setting_option
+from boresight.cli.extract import extraction_options, pictures_option, take_extraction_choices, telemetry_of
+from boresight.cli.importing import profile_option, read_by_profile
+from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import (
     FORMATS,
     STANDARD_OUTPUT,
@@ -19,19 +22,23 @@ from boresight.cli.output import (
     tell,
     write_json,
 )
+from boresight.cli.sensor import place_sensor, site_option
 from boresight.errors import RefusedInputError
+from boresight.images.limits import is_image
 from boresight.library import functions as library
 from boresight.library.progress import progress
 from boresight.library.text import aligned
 from boresight.settings import read_settings
 
+if TYPE_CHECKING:
+    from boresight.library.results import Matches
+
 
 @click.command()
-@click.argument("telemetry", type=click.Path(path_type=Path))
-@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
-@click.option(
-    "--parameters", type=click.Path(path_type=Path), help="Calibration JSON, or names and values, to match with."
-)
+@click.argument("telemetry", type=INPUT_FILE, nargs=-1, required=True)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
+@site_option
+@click.option("--parameters", type=INPUT_FILE, help="Calibration JSON, or names and values, to match with.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -40,30 +47,57 @@ from boresight.settings import read_settings
 )
 @setting_option("leave_out_doubles")
 @click.option("--flight", is_flag=True, help="Keep only what the simulated check of the flight code accepts.")
+@extraction_options
+@profile_option
+@pictures_option
 @json_option
-def match(telemetry: Path, sensor_file: Path, parameters: Path | None, out: Path, **choices: Any) -> None:
-    """Match the stars of TELEMETRY again and write its rows with `star_id` as found (empty = unmatched).
+def match(
+    telemetry: tuple[Path, ...],
+    sensor_file: Path,
+    site: str | None,
+    parameters: Path | None,
+    out: Path,
+    profile: str | None,
+    **choices: Any,
+) -> None:
+    """Match the stars of TELEMETRY, or of images, again and write its rows with `star_id` as found (empty = unmatched).
 
     Every other column stays as it is. With --json every exposure is listed with its attitude and covariance, or the reason
     why it has none.
     """
     check_writable(choices["json_file"])
     check_one_stream(out, choices["json_file"])
-    _check_out(telemetry, out)
-    with progress("reading the telemetry") as report:
+    for path in telemetry:
+        _check_out(path, out)
+    extraction = take_extraction_choices(choices)
+    with (
+        progress("reading the telemetry") as report,
+        telemetry_of(telemetry, profile, sensor_file, extraction, report) as source,
+    ):
         found = library.match(
-            telemetry,
-            sensor_file,
+            source,
+            place_sensor(sensor_file, site),
             parameters=parameters,
             leave_out_doubles=bool(choices["leave_out_doubles"]),
             flight=choices["flight"],
             progress=report,
         )
-        _write_rows(telemetry, found.telemetry.star_id, out)
+        _write_rows(source, found.telemetry.star_id, out)
+        if choices["pictures"] is not None:
+            _draw(telemetry, sensor_file, found, parameters, choices["pictures"], extraction["raw"])
     document = found.to_dict()
     write_json(document, choices["json_file"])
     if choices["json_file"] != STANDARD_OUTPUT:
         tell("\n".join(_match_lines(document)), out)
+
+
+def _draw(
+    images: tuple[Path, ...], sensor: Path, found: Matches, parameters: Path | None, folder: Path, raw: Any
+) -> None:
+    """Draw the images with their stars, matches and residuals; refuses a telemetry file, which has none."""
+    if not is_image(images[0]):
+        raise RefusedInputError(f"{images[0].name} is telemetry, of which no image can be drawn: leave --pictures out.")
+    library.draw_images(images, sensor, found, folder, parameters=parameters, raw=raw)
 
 
 def _check_out(telemetry: Path, out: Path) -> None:
@@ -77,11 +111,14 @@ def _check_out(telemetry: Path, out: Path) -> None:
         raise RefusedInputError(f"{out} is the telemetry itself, which is never overwritten: choose another name.")
 
 
-def _write_rows(telemetry: Path, star_id: Any, out: Path) -> None:
-    """Write the rows of a telemetry file again, every other column as it stands."""
-    from boresight.telemetry.read.readers import read_table, write_with_stars
+def _write_rows(telemetry: Any, star_id: Any, out: Path) -> None:
+    """Write the rows of a telemetry file again, every other column as it stands; or those that were imported."""
+    from boresight.telemetry.read.readers import contract_table, read_table, write_with_stars
 
-    table = read_table(telemetry, telemetry.name, read_settings().telemetry_limits)
+    if isinstance(telemetry, Path):
+        table = read_table(telemetry, telemetry.name, read_settings().telemetry_limits)
+    else:
+        table = contract_table(telemetry.telemetry)
     with opened_for_writing(out) as stream:
         write_with_stars(table, star_id, stream, out.suffix.lower())
 
@@ -109,14 +146,17 @@ def _match_lines(document: dict[str, Any]) -> Iterator[str]:
 
 
 @click.command()
-@click.argument("telemetry", type=click.Path(path_type=Path))
-@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
+@click.argument("telemetry", type=INPUT_FILE)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
+@profile_option
 @json_option
-def check(telemetry: Path, sensor_file: Path, json_file: str | None) -> None:
+def check(telemetry: Path, sensor_file: Path, profile: str | None, json_file: str | None) -> None:
     """Report on the quality of TELEMETRY: counts, gaps, coverage, magnitudes, matches."""
     check_writable(json_file)
     with progress("reading the telemetry") as report:
-        quality = library.check(telemetry, sensor_file, progress=report).to_dict()
+        quality = library.check(
+            read_by_profile(telemetry, profile, sensor_file), sensor_file, progress=report
+        ).to_dict()
     write_json(quality, json_file)
     if json_file != "-":
         click.echo(aligned(list(_rows(quality)), left=(0, 1)))
@@ -148,19 +188,18 @@ FRAMES_SHOWN = 40
 
 
 @click.command()
-@click.argument("telemetry", type=click.Path(path_type=Path))
-@click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file, JSON.")
-@click.option(
-    "--parameters", type=click.Path(path_type=Path), required=True, help="Calibration JSON, or names and values."
-)
-@click.option(
-    "--against", type=click.Path(path_type=Path), help="Parameters to compare with; the sensor file's if left out."
-)
+@click.argument("telemetry", type=INPUT_FILE)
+@click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file, JSON.")
+@site_option
+@click.option("--parameters", type=INPUT_FILE, required=True, help="Calibration JSON, or names and values.")
+@click.option("--against", type=INPUT_FILE, help="Parameters to compare with; the sensor file's if left out.")
 @setting_option("match")
 @setting_option("flight_tolerance_urad")
 @click.option("--shadow", is_flag=True, help="List the frames that one of the two parameter sets would lose.")
 @json_option
-def evaluate(telemetry: Path, sensor_file: Path, json_file: str | None, *, shadow: bool, **choices: Any) -> None:
+def evaluate(
+    telemetry: Path, sensor_file: Path, site: str | None, json_file: str | None, *, shadow: bool, **choices: Any
+) -> None:
     """Compare two parameter sets on TELEMETRY: availability, matched stars, RMS on common pairs.
 
     The check of the flight code is simulated: an exposure is valid when at least four matches, and more than two thirds of
@@ -170,7 +209,7 @@ def evaluate(telemetry: Path, sensor_file: Path, json_file: str | None, *, shado
     with progress("reading the telemetry") as report:
         document = library.evaluate(
             telemetry,
-            sensor_file,
+            place_sensor(sensor_file, site),
             choices["parameters"],
             against=choices["against"],
             shadow=shadow,

@@ -55,8 +55,14 @@ FORMATS = {
 }
 
 
-def check_writable(place: str | Path | None, form: str = "JSON") -> None:
-    """Refuse, before the work begins, a file that cannot be written or whose suffix means another format."""
+def check_writable(
+    place: str | Path | None, form: str = "JSON", *, forms: tuple[str, ...] = (), title: str | None = None
+) -> None:
+    """Refuse, before the work begins, a file that cannot be written or whose suffix means another format.
+
+    `form`: what is written, as `FORMATS` calls it. `forms`: endings that the name must have one of, where the format is none of
+    those; `title` is what it is called then.
+    """
     if place is None or str(place) == STANDARD_OUTPUT:
         return
     path = Path(place)
@@ -64,8 +70,13 @@ def check_writable(place: str | Path | None, form: str = "JSON") -> None:
         raise RefusedInputError(f"{path} is a folder: name the file to write in it.")
     if not path.absolute().parent.is_dir():
         raise RefusedInputError(f"The folder {path.parent} does not exist: make it first, or choose another place.")
-    promised = FORMATS.get(path.suffix.lower(), form)
-    if promised != form:
+    ending = path.suffix.lower()
+    if forms and ending not in forms:
+        raise RefusedInputError(
+            f"{path.name} does not end as a file of {title}: end the name with {' or '.join(forms)}."
+        )
+    promised = FORMATS.get(ending, form)
+    if not forms and promised != form:
         own = " or ".join(ending for ending, name in FORMATS.items() if name == form)
         raise RefusedInputError(
             f"{path.name} is named as {promised}, and {form or 'bytes of no such format'} is written: "

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import orjson
 
+from boresight.cli.input import keep_standard_input
 from boresight.cli.output import STANDARD_OUTPUT, check_writable, write_bytes
 from boresight.cli.remote import open_client, server_option
 from boresight.errors import RefusedInputError
@@ -31,6 +32,8 @@ def report(source: str, out_file: str, server_url: str | None) -> None:
     from boresight.figures.report import render_report
 
     _check_out(out_file)
+    if source == STANDARD_OUTPUT:
+        source = str(keep_standard_input(None))
     if server_url is not None:
         _write(_fetch(server_url, source), out_file)
         return

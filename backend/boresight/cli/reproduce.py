@@ -8,7 +8,8 @@ from typing import Any
 
 import click
 
-from boresight.cli.output import refuse_standard_output
+from boresight.cli.input import keep_standard_input
+from boresight.cli.output import STANDARD_OUTPUT, refuse_standard_output
 from boresight.errors import RefusedInputError
 from boresight.library import functions as library
 from boresight.library.progress import progress
@@ -23,16 +24,25 @@ from boresight.settings import read_settings, use_kernel_folder
     "--frames", type=click.IntRange(1, 200_000), help="Frames of the calibration set, instead of the scenario's."
 )
 @click.option("--seed", type=click.IntRange(0), help="Seed of the noise, instead of the scenario's.")
+@click.option("--images", type=click.IntRange(1, 1000), help="FITS images of so many frames beside it, in images/.")
 @click.option("--format", "suffix", type=click.Choice(["csv", "parquet"]), default="csv", show_default=True)
-def simulate(scenario: str, folder: Path, frames: int | None, seed: int | None, suffix: str) -> None:
+def simulate(
+    scenario: str, folder: Path, frames: int | None, seed: int | None, images: int | None, suffix: str
+) -> None:
     """Simulate SCENARIO: st16-1 to st16-6, or a scenario file (JSON).
 
-    Writes sensor.json, the calibration and the validation set, scenario.json and truth.json.
+    Writes sensor.json, the calibration and the validation set, scenario.json and truth.json; with --images also what the detector
+    records of the first frames.
     """
+    if scenario == STANDARD_OUTPUT:
+        scenario = str(keep_standard_input(None))
     refuse_standard_output(folder, "A folder of files")
     with progress("simulating") as report:
         made = library.simulate(scenario, frames=frames, seed=seed, progress=report)
         made.save(folder, "parquet" if suffix == "parquet" else "csv")
+        if images is not None:
+            report(f"simulating images of {images:,} frames", None)
+            library.simulate_images(scenario, images, folder / "images")
     sets = {"calibration": made.telemetry, "validation": made.validation}
     rows = [
         (str(folder / f"{purpose}.{suffix}"), f"{len(set(one.frame.tolist())):,}", f"{len(one):,}")

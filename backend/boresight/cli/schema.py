@@ -8,14 +8,16 @@ from boresight.cli.output import check_writable, json_option, write_json
 
 
 @click.command()
-@click.argument("document", type=click.Choice(["calibration"]))
+@click.argument("document", type=click.Choice(["calibration", "import-profile"]))
 @json_option
-def schema(document: str, json_file: str | None) -> None:  # noqa: ARG001 - there is one as yet
-    """Print the JSON Schema (2020-12) of the JSON that `boresight calibrate --json` writes.
+def schema(document: str, json_file: str | None) -> None:
+    """Print the JSON Schema (2020-12) of the JSON that `boresight calibrate --json` writes, or of a mapping profile.
 
-    Code generators and validators take it; it is `docs/calibration.schema.json` too.
+    Code generators and validators take it; they are `docs/calibration.schema.json` and `docs/import-profile.schema.json` too.
     """
-    from boresight.calibration.calibration import compute_json_schema
-
     check_writable(json_file)
-    write_json(compute_json_schema(), json_file or "-")
+    if document == "calibration":
+        from boresight.calibration.calibration import compute_json_schema as compute
+    else:
+        from boresight.telemetry.imports.profile import compute_json_schema as compute
+    write_json(compute(), json_file or "-")

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from boresight.cli.input import INPUT_FILE
 from boresight.cli.output import REFUSED, check_writable, tell, write_bytes
 from boresight.cli.remote import open_client, server_option
 from boresight.library.text import aligned
@@ -60,9 +61,9 @@ def export(
     tell(f"back to {package.inputs['backout']['name']}; audit head {package.inputs['first_built']['audit_head']}", file)
 
 
-SENSOR = click.option("--sensor", "sensor_file", type=click.Path(path_type=Path), required=True, help="Sensor file.")
+SENSOR = click.option("--sensor", "sensor_file", type=INPUT_FILE, required=True, help="Sensor file.")
 DEFINITION = click.option(
-    "--definition", "definition_file", type=click.Path(path_type=Path), required=True, help="Table definition, JSON."
+    "--definition", "definition_file", type=INPUT_FILE, required=True, help="Table definition, JSON."
 )
 
 
@@ -72,7 +73,7 @@ def table() -> None:
 
 
 @table.command()
-@click.argument("parameters", type=click.Path(path_type=Path))
+@click.argument("parameters", type=INPUT_FILE)
 @SENSOR
 @DEFINITION
 @click.option("--out", "file", metavar="FILE", required=True, help="The image to write; - is standard output.")
@@ -97,7 +98,7 @@ def encode(parameters: Path, sensor_file: Path, definition_file: Path, file: str
 
 
 @table.command()
-@click.argument("image", type=click.Path(path_type=Path))
+@click.argument("image", type=INPUT_FILE)
 @SENSOR
 @DEFINITION
 @click.pass_context

@@ -111,6 +111,14 @@ class ArcSet:
         return len(self.phi)
 
     @property
+    def known_phi(self) -> FloatArray:
+        """`phi`; raises ValueError where it has not one entry an arc, beyond which compiled loops would read and write."""
+        expected = 2 * self.n_stars - 3 * self.n_exposures
+        if self.n_arcs != expected:
+            raise ValueError(f"Expected {expected} catalogue arcs, received {self.n_arcs}: whiten the set first")
+        return self.phi
+
+    @property
     def frame_arcs(self) -> IntArray:
         """First arc of each frame, and the end, (n_frames + 1,)."""
         return 2 * self.star_start[self.frame_start] - 3 * self.frame_start

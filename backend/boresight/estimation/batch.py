@@ -42,6 +42,8 @@ REST = 1e-4
 RANK_TOLERANCE = 1e-13
 FIRST_DAMPING = 1e-4
 LARGEST_DAMPING = 1e12
+#: Fall of chi-square, as a share of one more than it, that the rounding of its residuals hides.
+ROUNDING = 1e-11
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,7 @@ def _of_block(
     """Evaluate A and b of one block."""
     A, b = np.empty((len(free), len(free))), np.empty(len(free))
     chi2, total = kernels.normal_equations(
-        block.camera.kind, x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band,
+        block.camera.kind, x, block.pitch, block.star_start, block.row_px, block.col_px, block.known_phi, block.band,
         free, scale, threshold, A, b,
     )  # fmt: skip
     return NormalEquations(A, b, float(chi2), float(total))
@@ -181,7 +183,7 @@ def _squares_of_block(block: ArcSet, x: FloatArray) -> float:
     """Whitened sum of squares of one block."""
     return float(
         kernels.count_beyond(
-            block.camera.kind, x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band, np.inf
+            block.camera.kind, x, block.pitch, block.star_start, block.row_px, block.col_px, block.known_phi, block.band, np.inf
         )[1]
     )  # fmt: skip
 
@@ -287,10 +289,16 @@ def fit(  # noqa: PLR0913 - what is fitted, and six choices by name
         else:
             damping, growth = damping * growth, growth * 2
     rank = int(here.spectrum[2].sum()) if here.finite() else 0
-    if status == "converged" and rank < len(free):
-        status = "rank_deficient"
+    status = _ended(here, status, rank)
     fitted = BatchFit(x, here.A, here.chi2, here.sum_of_squares, rank, status, tuple(steps), cost=here.chi2)
     return fitted if np.isinf(threshold) or not here.finite() else _insured(fitted, arcs, free, scale, threshold)
+
+
+def _ended(here: NormalEquations, status: Status, rank: int) -> Status:
+    """How a fit ended: converged too where nothing lower can be told apart, whatever `rest` asks for."""
+    if here.finite() and _decrement(here) < ROUNDING * (1 + here.chi2):
+        status = "converged"
+    return "rank_deficient" if status == "converged" and rank < len(here.b) else status
 
 
 def _insured(fitted: BatchFit, arcs: Arcs, free: NDArray[np.int64], scale: FloatArray, threshold: float) -> BatchFit:

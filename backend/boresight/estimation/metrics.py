@@ -18,7 +18,7 @@ from boresight.estimation.stored_arcs import Arcs
 def arc_errors(arcs: ArcSet, x: FloatArray) -> FloatArray:
     """Measured minus catalogue arclength of every arc, (n_arcs,) rad, at state x (n_parameters,)."""
     e = np.empty(arcs.n_arcs)
-    kernels.residuals(arcs.camera.kind, x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, e)
+    kernels.residuals(arcs.camera.kind, x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.known_phi, e)
     return e
 
 
@@ -44,7 +44,14 @@ def _squares_in_block(block: ArcSet, states: FloatArray) -> FloatArray:
     """Sums of squares of one block at each state, (n_states,)."""
     totals = np.empty(len(states))
     kernels.sums_of_squares(
-        block.camera.kind, states, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, totals
+        block.camera.kind,
+        states,
+        block.pitch,
+        block.star_start,
+        block.row_px,
+        block.col_px,
+        block.known_phi,
+        totals,
     )
     return totals
 

@@ -199,7 +199,7 @@ def _beyond_in_block(block: ArcSet, x: NDArray[np.float64], threshold: float) ->
         block.star_start,
         block.row_px,
         block.col_px,
-        block.phi,
+        block.known_phi,
         block.band,
         threshold,
     )

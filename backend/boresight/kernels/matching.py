@@ -365,8 +365,31 @@ def _residual(s, T, C, c, r):
 
 
 @_part
-def _apparent(place, motion, parallax, j, years, earth, beta, c):
-    """Apparent direction of guide star j: motion, parallax, aberration (`sky.apparent`)."""
+def _refract(c, air):
+    """Bend direction c (3,) towards the zenith air[:3] by A tan Z + B tan^3 Z, A and B the last of air (5,): as `erfa.atioq` does.
+
+    Z is observed and c is not, hence one Newton step; the sine and the cosine of the elevation are kept from nought.
+    """
+    along = c[0] * air[0] + c[1] * air[1] + c[2] * air[2]
+    across2 = 1.0 - along * along
+    across = math.sqrt(across2) if across2 > 1e-12 else 1e-6
+    high = max(along, 0.05)
+    tangent = across / high
+    w = air[4] * tangent * tangent
+    turn = (air[3] + w) * tangent / (1.0 + (air[3] + 3.0 * w) / (high * high))
+    cosine = 1.0 - 0.5 * turn * turn
+    shrunk = cosine - turn * high / across
+    raised = cosine * along + turn * across - shrunk * along
+    for a in range(3):
+        c[a] = shrunk * c[a] + raised * air[a]
+    norm = 1.0 / math.sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
+    for a in range(3):
+        c[a] *= norm
+
+
+@_part
+def _apparent(place, motion, parallax, j, years, earth, beta, air, c):
+    """Direction in which guide star j is seen: motion, parallax, aberration (`sky.apparent`), and air where there is any."""
     norm = 0.0
     for a in range(3):
         c[a] = place[j, a] + years * motion[j, a] - parallax[j] * earth[a]
@@ -386,6 +409,8 @@ def _apparent(place, motion, parallax, j, years, earth, beta, c):
     norm = 1.0 / math.sqrt(norm)
     for a in range(3):
         c[a] *= norm
+    if air[3] > 0.0:
+        _refract(c, air)
 
 
 @_part
@@ -402,7 +427,7 @@ def _first_from(place, low):
 
 
 @_part
-def _candidates(axis, cone, place, motion, parallax, years, earth, beta, star, c):
+def _candidates(axis, cone, place, motion, parallax, years, earth, beta, air, star, c):
     """Fill star (m,) and c (m, 3) with the guide stars inside a cone; guide stars ascend in declination. Returns m."""
     declination = math.asin(min(1.0, max(-1.0, axis[2])))
     low, high = math.sin(max(-math.pi / 2, declination - cone)), math.sin(min(math.pi / 2, declination + cone))
@@ -417,7 +442,7 @@ def _candidates(axis, cone, place, motion, parallax, years, earth, beta, star, c
             break
         if place[j, 0] * axis[0] + place[j, 1] * axis[1] + place[j, 2] * axis[2] > nearest and m < star.shape[0]:
             star[m] = j
-            _apparent(place, motion, parallax, j, years, earth, beta, c[m])
+            _apparent(place, motion, parallax, j, years, earth, beta, air, c[m])
             m += 1
     return m
 
@@ -790,11 +815,12 @@ class Seen(NamedTuple):
 
 
 class Observer(NamedTuple):
-    """When each exposure was made and how fast its observer moved, (n_exposures,)."""
+    """When each exposure was made, how fast its observer moved, and the zenith and the air's A and B above it, (n_exposures,)."""
 
     years: np.ndarray
     earth: np.ndarray
     beta: np.ndarray
+    air: np.ndarray  # (n_exposures, 5)
 
 
 class Guides(NamedTuple):
@@ -877,7 +903,7 @@ def frame_space(frame_start: np.ndarray, row_start: np.ndarray, p: int, n_stars:
 
 
 @loop(
-    "i1 i1", (Seen, "f2 f3 f1 f1 i1 f2 b1"), (Observer, "f1 f2 f2"), (Guides, "i1 f2 f2 f1 f"), (Hints, "f3 f1 i1"),
+    "i1 i1", (Seen, "f2 f3 f1 f1 i1 f2 b1"), (Observer, "f1 f2 f2 f2"), (Guides, "i1 f2 f2 f1 f"), (Hints, "f3 f1 i1"),
     (Rules, "b b f f i"), (Answer, "i1 f2 i1 f1 i1 b1 f3 f3"),
     (Frame, "f4 f4 b2 b2 b1 f3 f2 f3 f2 f2 f1 f2 f1 f1 i1 i1 i1 b1 f2", (
         Scratch, "f1 f1 f1 f1 f1 f1 f1 f1 i1 b1 b1 b1 f3 f2 f2 f2 f1 f1 f2 f2 f2 i1 f2 i1 i1 i1 i1 b2",
@@ -1000,7 +1026,7 @@ def _near(e, i0, i1, cone, seen, observer, guides, rules, answer, frame):
     """List the guide stars within `cone` of the boresight of exposure e, with their directions; returns how many."""
     m = _candidates(
         answer.attitude[e, 2], cone, guides.place, guides.motion, guides.parallax, observer.years[e], observer.earth[e],
-        observer.beta[e], frame.star, frame.c,
+        observer.beta[e], observer.air[e], frame.star, frame.c,
     )  # fmt: skip
     if rules.any_own:
         m = _onto_given(

@@ -11,7 +11,7 @@ import hashlib
 import inspect
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -25,11 +25,24 @@ from boresight.settings import Settings, read_settings, use_kernel_folder
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
+    from boresight.arrays import FloatArray
+    from boresight.calibration.exports import ExposureAttitude
     from boresight.calibration.options import Choices
     from boresight.library.choice import Choice
-    from boresight.library.inputs import ParameterSource, SensorSource, TelemetrySource
-    from boresight.library.results import Assessment, Calibration, Evaluation, Matches, Quality, Simulation
+    from boresight.library.diagnosis import Diagnosis
+    from boresight.library.inputs import ParameterSource, ProfileSource, SensorSource, TelemetrySource
+    from boresight.library.results import (
+        Assessment,
+        Calibration,
+        CameraFile,
+        Evaluation,
+        Extraction,
+        Matches,
+        Quality,
+        Simulation,
+    )
     from boresight.sky.catalogue import Catalogue
+    from boresight.telemetry.imports.mapping import Imported
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
 
@@ -197,6 +210,29 @@ def choose(
 
 
 @_on_kernels
+def diagnose(telemetry: TelemetrySource, sensor: SensorSource, *, progress: Wanted = None) -> Diagnosis:
+    """Find why telemetry does not match its sensor file: what is wrong with either, verified by matching with it mended.
+
+    Arguments as `calibrate`. Up to 40 exposures, spread over the telemetry, are looked at.
+    """
+    from boresight.library.diagnosis import Diagnosis
+    from boresight.library.inputs import open_telemetry, read_any_sensor
+
+    with _prepared(progress, "reading the telemetry") as prepared:
+        from boresight.calibration.diagnosis.diagnose import diagnose as find
+
+        stars = open_telemetry(telemetry, prepared.settings.telemetry_limits)
+        found = find(
+            stars,
+            read_any_sensor(sensor),
+            prepared.load_catalogue(),
+            cache_folder=prepared.settings.catalogue_folder,
+            report=prepared.report,
+        )
+    return Diagnosis.of(found)
+
+
+@_on_kernels
 def match(
     telemetry: TelemetrySource,
     sensor: SensorSource,
@@ -238,7 +274,14 @@ def match(
         matches = rematch(stars, described, catalogue, x, P, chosen, prepared.settings.catalogue_folder)
         seen = apply_flight_check(stars, described, matches, x, chosen) if flight else None
         document = match_report(stars, described, matches, seen)
-        document |= {"advice": document["advice"] + off.sentences(), "stars_off_detector": off.document()}
+        advice = document["advice"] + off.sentences()
+        if 2 * matches.valid.sum() < len(matches.valid):
+            from boresight.calibration.diagnosis.explain import explain
+
+            prepared.report("finding out why so few stars match", None)
+            folder = prepared.settings.catalogue_folder
+            advice = explain(stars, described, catalogue, chosen, folder, prepared.report) + advice
+        document |= {"advice": advice, "stars_off_detector": off.document()}
         matched = replace(stars, star_id=matched_stars(matches, seen)[0])
     found: Matches = parse_report(Matches, document, telemetry=matched)
     return found
@@ -304,6 +347,157 @@ def evaluate(
         )
 
 
+def extract(  # noqa: PLR0913 - each is a choice of its own
+    images: Sequence[str | os.PathLike[str]],
+    sensor: SensorSource,
+    *,
+    threshold: float = 8.0,
+    most_stars: int = 200,
+    gain_e_per_dn: float | None = None,
+    saturation_dn: float | None = None,
+    raw: Mapping[str, Any] | None = None,
+    times: str | os.PathLike[str] | None = None,
+    processes: int | None = None,
+    progress: Wanted = None,
+) -> Extraction:
+    """Extract telemetry from images: FITS, PNG, TIFF or raw numbers, each a frame.
+
+    Parameters
+    ----------
+    images, sensor, progress
+        Paths of the images, and as `calibrate`.
+    threshold
+        Signal-to-noise ratio of the faintest star, of the filter matched to a star.
+    most_stars
+        Of an image, the brightest.
+    gain_e_per_dn, saturation_dn
+        Electrons a DN, and where a pixel is full; else as the sensor or the images say, or estimated.
+    raw
+        How raw numbers are read: `bits`, `byte_order`, `header_bytes`, instead of the sensor's `image`.
+    times
+        CSV with the columns `image` and `time_utc`, mid-exposure, instead of what the images say.
+    processes
+        That extract at the same time; one a core where left out.
+
+    Returns
+    -------
+    The telemetry, with centroids, `sigma_px`, magnitudes and what else the images say of each star.
+
+    Raises
+    ------
+    RefusedInputError
+        When images cannot be used; names each.
+    """
+    from boresight.calibration.calibration import to_plain
+    from boresight.images import extraction, reading
+    from boresight.images.detection import DetectionOptions
+    from boresight.images.limits import ImageSource
+    from boresight.library.inputs import read_any_sensor
+    from boresight.library.results import Extraction
+
+    described = read_any_sensor(sensor)
+    settings = read_settings()
+    options = DetectionOptions(threshold, most_stars, gain_e_per_dn, saturation_dn)
+    with reporting(progress, "reading the images") as report:
+        found = extraction.extract(
+            [ImageSource(Path(one), Path(one).name) for one in images],
+            described,
+            options,
+            raw=None if raw is None else reading.parse_raw({**described.image.document(), **raw}),
+            times=None if times is None else extraction.read_times(Path(times)),
+            processes=processes or settings.computing_threads,
+            report=report,
+            limits=settings.image_limits,
+        )
+    common = found.common
+    document = {
+        "schema": "boresight.extraction/1",
+        "sensor": described.name,
+        "frames": len(found.images),
+        "stars": len(found.telemetry),
+        "star_sigma_px": common.window.sigma_px,
+        "phase_error_px": common.window.phase_error_px,
+        "gain_e_per_dn": common.gain_e_per_dn,
+        "gain_estimated": common.gain_estimated,
+        "saturation_dn": common.saturation_dn,
+        "hot_pixels": int(common.hot.sum()),
+        "dead_pixels": int(common.dead.sum()),
+        "images": [to_plain(one) for one in found.images],
+        "sentences": found.sentences,
+    }
+    return Extraction(telemetry=found.telemetry, images=found.images, sentences=found.sentences, document=document)
+
+
+@_on_kernels
+def draw_images(
+    images: Sequence[str | os.PathLike[str]],
+    sensor: SensorSource,
+    found: Extraction | Matches,
+    folder: Path,
+    *,
+    parameters: ParameterSource | None = None,
+    raw: Mapping[str, Any] | None = None,
+) -> list[Path]:
+    """Draw each image with its stars over it, and of matches with residuals under the parameters, as SVG; returns the files."""
+    import numpy as np
+
+    from boresight.images import picture, reading
+    from boresight.library.inputs import read_any_parameters, read_any_sensor
+    from boresight.library.results import Extraction
+
+    described, telemetry = read_any_sensor(sensor), found.telemetry
+    x = described.initial if parameters is None else read_any_parameters(parameters, described)[0]
+    away = None if isinstance(found, Extraction) else _find_residuals(found, described, x)
+    named = np.array(telemetry.unknown["image"].to_pylist())
+    saturated = np.array(telemetry.unknown["saturated"].to_pylist()) == "1"
+    form = None if raw is None else reading.parse_raw({**described.image.document(), **raw})
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for path in map(Path, images):
+        rows = np.flatnonzero(named == path.name)
+        stars = picture.StarsOfImage(
+            telemetry.row_px[rows],
+            telemetry.col_px[rows],
+            saturated[rows],
+            None if away is None or telemetry.star_id is None else telemetry.star_id[rows],
+            None if away is None else away[rows, 0],
+            None if away is None else away[rows, 1],
+        )
+        written.append(folder / f"{path.name}.svg")
+        image = reading.read_image(path, described, form, limits=read_settings().image_limits)
+        written[-1].write_text(picture.draw_svg(image.dn, stars, path.name), encoding="utf-8")
+    return written
+
+
+def _find_residuals(found: Matches, sensor: Sensor, x: FloatArray) -> FloatArray:
+    """Centroids less predicted places (n, 2), rows and columns, under each exposure's attitude; NaN where unmatched."""
+    import numpy as np
+
+    from boresight.cameras import CAMERA_MODELS
+    from boresight.estimation.attitude import to_matrix
+    from boresight.sky.apparent import apparent_directions
+    from boresight.sky.catalogue import load_catalogue
+
+    telemetry = found.telemetry
+    away = np.full((len(telemetry), 2), np.nan)
+    catalogue = load_catalogue(read_settings().catalogue_folder)
+    if telemetry.star_id is None:
+        return away
+    for exposure in found.document["exposures"]:
+        of_frame = (telemetry.frame == exposure["frame"]) & (telemetry.star_id > 0)
+        rows = np.flatnonzero(of_frame)
+        if exposure["quaternion"] is None or not len(rows):
+            continue
+        star = catalogue.find_index(telemetry.star_id[rows])
+        time = np.datetime64("1991-04-02", "us") if telemetry.time_utc is None else telemetry.time_utc[rows[0]]
+        s_i = apparent_directions(catalogue, star, np.repeat(time, len(rows)), np.zeros((len(rows), 3)))
+        s_d = s_i @ to_matrix(np.array(exposure["quaternion"])).T
+        s_d[:, 1] *= sensor.parity
+        row, col = CAMERA_MODELS[sensor.camera_model].project(x, s_d, sensor.pixel_pitch_m)
+        away[rows] = np.column_stack([telemetry.row_px[rows] - row, telemetry.col_px[rows] - col])
+    return away
+
+
 @_on_kernels
 def check(telemetry: TelemetrySource, sensor: SensorSource, *, progress: Wanted = None) -> Quality:
     """Report on the quality of telemetry: counts, gaps, coverage, magnitudes, matches. Arguments as `calibrate`."""
@@ -316,13 +510,31 @@ def check(telemetry: TelemetrySource, sensor: SensorSource, *, progress: Wanted 
         from boresight.telemetry.read.readers import read_chunks
 
         prepared = _Prepared(settings, report)
-        parts = QualityParts(read_any_sensor(sensor), prepared.load_catalogue())
+        described, catalogue = read_any_sensor(sensor), prepared.load_catalogue()
+        parts = QualityParts(described, catalogue)
         for part in iterate_telemetry(telemetry, settings.telemetry_limits, read_chunks):
             parts.add(part)
             report(f"reading the telemetry, up to frame {part.frame[-1]}", None)
-        document = parts.report()
+        document = _diagnosed(parts.report(), telemetry, described, catalogue, prepared)
     found: Quality = parse_report(Quality, document)
     return replace(found, findings=[Finding(**one) for one in document["findings"]])
+
+
+def _diagnosed(
+    document: dict[str, Any], telemetry: TelemetrySource, sensor: Sensor, catalogue: Catalogue, prepared: _Prepared
+) -> dict[str, Any]:
+    """Return a quality report with a diagnosis, where what the set names does not match its sensor file by itself."""
+    from boresight.calibration.diagnosis.diagnose import diagnose as find
+    from boresight.calibration.diagnosis.diagnose import match_as_they_stand
+    from boresight.calibration.diagnosis.explain import add_to_report
+    from boresight.library.inputs import open_telemetry
+
+    stars = open_telemetry(telemetry, prepared.settings.telemetry_limits)
+    prepared.report("matching a sample of the stars", None)
+    if document["usable_exposures"] and match_as_they_stand(stars, sensor, catalogue):
+        return document
+    found = find(stars, sensor, catalogue, cache_folder=prepared.settings.catalogue_folder, report=prepared.report)
+    return add_to_report(document, found)
 
 
 @_on_kernels
@@ -433,6 +645,22 @@ def simulate(
     )
 
 
+@_on_kernels
+def simulate_images(scenario: str | os.PathLike[str] | Mapping[str, Any], frames: int, folder: Path) -> list[Path]:
+    """Write FITS images of the first frames of a scenario, seen from orbit, into a folder; returns the files."""
+    import numpy as np
+
+    from boresight.simulation import images
+    from boresight.sky.catalogue import load_catalogue
+
+    one, _ = make_scenarios(scenario, frames, None)
+    optics = images.Optics()
+    made = images.simulate_images(
+        one, optics, np.random.default_rng(one.seed), load_catalogue(read_settings().catalogue_folder)
+    )
+    return images.write_images(folder, made, optics)
+
+
 def make_scenarios(
     scenario: str | os.PathLike[str] | Mapping[str, Any], frames: int | None, seed: int | None
 ) -> tuple[Any, Any]:
@@ -466,6 +694,85 @@ def _read_scenario(path: Path) -> Any:
         raise RefusedInputError(f"{path} is no JSON: {error}.") from error
     except OSError as error:
         raise RefusedInputError(f"{path} cannot be read: {error.strerror}.") from error
+
+
+@_on_kernels
+def export_camera(
+    parameters: ParameterSource,
+    sensor: SensorSource,
+    to: str,
+    *,
+    telemetry: TelemetrySource | None = None,
+    allow_px: float | None = None,
+    residual: bool = False,
+    suffix: str | None = None,
+    progress: Wanted = None,
+) -> CameraFile:
+    """Write a camera as a file of another program, with the largest misfit over the detector.
+
+    Parameters
+    ----------
+    parameters, sensor
+        As `evaluate`.
+    to
+        The format: `opencv`, `ros`, `mrcal`, `colmap`, `tetra3`, `cedar`, `giant-brown`, `giant-owen`, `fits-sip` or `fits-tpv`.
+    telemetry
+        What a format with something for each exposure takes the attitudes from, by matching its stars again.
+    allow_px
+        Largest misfit; the format's share of the sensor's `centroid_sigma_px` where left out.
+    residual
+        Follow the residual spline of the calibration too.
+    suffix
+        Ending of the file's name, for formats of several spellings.
+
+    Raises
+    ------
+    RefusedInputError
+        When the format cannot follow the camera within the misfit allowed, or lacks what it needs.
+    """
+    from boresight.calibration.exports import Source, export_document, find_format
+    from boresight.library.inputs import describe_source, read_any_sensor, read_parameter_document
+    from boresight.library.results import CameraFile
+
+    form, described = find_format(to), read_any_sensor(sensor)
+    document = read_parameter_document(parameters)
+    source = Source(describe_source(parameters), _hash_parameters(parameters, document), described)
+
+    def attitudes(x: FloatArray, P: FloatArray | None) -> Sequence[ExposureAttitude]:
+        return () if telemetry is None else _find_attitudes(telemetry, described, x, P, progress)
+
+    content, told = export_document(
+        form, document, source, residual=residual, allowed_px=allow_px, suffix=suffix, exposures=attitudes
+    )
+    return CameraFile(content=content, document=told, misfit_px=told["misfit_px"]["max"])
+
+
+def _hash_parameters(source: ParameterSource, document: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a file of parameters, as `sha256sum` says it, else of the document's canonical JSON."""
+    import orjson
+
+    if isinstance(source, str | os.PathLike):
+        return _hash_files({"parameters": source})["parameters"]
+    return hashlib.sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()
+
+
+def _find_attitudes(
+    telemetry: TelemetrySource, sensor: Sensor, x: FloatArray, P: FloatArray | None, progress: Wanted
+) -> Sequence[ExposureAttitude]:
+    """Match telemetry under parameters and list the attitudes of its exposures."""
+    with _prepared(progress, "reading the telemetry") as prepared:
+        from boresight.calibration.corrections import put_right
+        from boresight.calibration.exports.attitudes import list_attitudes
+        from boresight.calibration.matching.rematch import ground_covariance, rematch
+
+        chosen = CalibrationSettings(match="rematch")
+        stars, _, catalogue = read_set(telemetry, sensor, prepared)
+        stars = put_right(stars, sensor, catalogue, x)
+        prepared.report("matching the stars", None)
+        P = ground_covariance(sensor, chosen.initial_sigma_scale) if P is None else P
+        return list_attitudes(
+            stars, rematch(stars, sensor, catalogue, x, P, chosen, prepared.settings.catalogue_folder)
+        )
 
 
 @_on_kernels
@@ -516,6 +823,60 @@ def read_telemetry(source: TelemetrySource) -> Telemetry:
 
 
 @_on_kernels
+def import_telemetry(
+    files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    profile: ProfileSource,
+    *,
+    sensor: SensorSource | None = None,
+    orbit: str | os.PathLike[str] | None = None,
+    attitude: str | os.PathLike[str] | None = None,
+    time: str | None = None,
+) -> Imported:
+    """Make telemetry of what another program wrote, by a mapping profile.
+
+    Parameters
+    ----------
+    files
+        One file or several of one sensor in the order of time: CSV, JSON Lines, Parquet, FITS, VOTable, text tables, JSON.
+    profile
+        The name of a built-in profile, a profile's file, or what one says.
+    sensor
+        For lengths, and for pixels that are counted from the detector's middle.
+    orbit
+        Two-line elements or an OEM, where the files have no velocity.
+    attitude
+        An AEM, or a table of quaternions that the profile names, where the files have no attitude.
+    time
+        ISO 8601: when the files were taken, where they do not say it.
+
+    Returns
+    -------
+    The telemetry with the record of how it was made; every function that takes telemetry takes it.
+
+    Raises
+    ------
+    RefusedInputError
+        When a file does not fit the profile: one sentence, with row and column of that file.
+    """
+    from boresight.library.inputs import read_any_profile, read_any_sensor
+    from boresight.telemetry.imports.mapping import SourceFile, import_files
+
+    def named(path: str | os.PathLike[str]) -> SourceFile:
+        return SourceFile(Path(path), Path(path).name)
+
+    paths = [files] if isinstance(files, str | os.PathLike) else list(files)
+    return import_files(
+        [named(path) for path in paths],
+        read_any_profile(profile),
+        sensor=None if sensor is None else read_any_sensor(sensor),
+        orbit=None if orbit is None else named(orbit),
+        attitude=None if attitude is None else named(attitude),
+        time=time,
+        limits=read_settings().telemetry_limits,
+    )
+
+
+@_on_kernels
 def read_sensor(source: SensorSource) -> Sensor:
     """Read a sensor: a file, or what one says."""
     from boresight.library.inputs import read_any_sensor
@@ -525,11 +886,15 @@ def read_sensor(source: SensorSource) -> Sensor:
 
 def read_set(telemetry: TelemetrySource, sensor: Sensor, prepared: _Prepared) -> tuple[Telemetry, Any, Catalogue]:
     """Read a telemetry set, its detections outside the detector, and the catalogue for its directions."""
-    from boresight.telemetry.quality.detector import check_against_sensor
+    from boresight.telemetry.quality.detector import OffDetectorError, check_against_sensor
 
-    stars = read_telemetry(telemetry)
-    off = check_against_sensor(stars, sensor)
-    return stars, off, prepared.load_catalogue()
+    stars, catalogue = read_telemetry(telemetry), prepared.load_catalogue()
+    try:
+        return stars, check_against_sensor(stars, sensor), catalogue
+    except OffDetectorError as error:
+        from boresight.calibration.diagnosis.explain import explain_refusal
+
+        raise explain_refusal(error, stars, sensor, catalogue, prepared.settings.catalogue_folder) from error
 
 
 def _hash_files(sources: Mapping[str, Any]) -> dict[str, str]:
@@ -539,6 +904,9 @@ def _hash_files(sources: Mapping[str, Any]) -> dict[str, str]:
         if isinstance(source, str | os.PathLike):
             with Path(source).open("rb") as file:
                 addresses[role] = hashlib.file_digest(file, "sha256").hexdigest()
+        elif (record := getattr(source, "record", None)) is not None:  # what was imported: the files that it came from
+            told = record()
+            addresses[role], addresses[f"{role}_profile"] = told["sources"][0]["sha256"], told["profile"]["sha256"]
     return addresses
 
 

@@ -20,6 +20,9 @@ from boresight.calibration.calibration import Calibration, parse_calibration
 from boresight.calibration.parameter_file import parse_parameters, read_document
 from boresight.calibration.telemetry_pieces import TelemetryFile
 from boresight.errors import RefusedInputError
+from boresight.telemetry.imports.builtin import BUILT_IN
+from boresight.telemetry.imports.mapping import Imported
+from boresight.telemetry.imports.profile import Profile, parse_profile, read_profile
 from boresight.telemetry.read.formats import FormFaults, Tables
 from boresight.telemetry.read.limits import Limits
 from boresight.telemetry.read.readers import iterate_chunks
@@ -58,6 +61,7 @@ TelemetrySource = (
     str
     | os.PathLike[str]
     | Telemetry
+    | Imported
     | ArrowTable
     | InterchangeFrame
     | Mapping[str, "ArrayLike | Sequence[object]"]
@@ -69,6 +73,25 @@ SensorSource = str | os.PathLike[str] | Mapping[str, Any] | Sensor
 ParameterSource = str | os.PathLike[str] | Mapping[str, Any] | Calibration
 
 
+#: The name of a built-in mapping profile, a file, what such a file says, or a profile of this library.
+ProfileSource = str | os.PathLike[str] | Mapping[str, Any] | Profile
+
+
+def read_any_profile(source: ProfileSource) -> Profile:
+    """Read a mapping profile; a text is the name of a built-in one, unless a file is called so."""
+    if isinstance(source, Profile):
+        return source
+    if isinstance(source, Mapping):
+        return parse_profile(source)
+    if isinstance(source, str) and source in BUILT_IN and not Path(source).is_file():
+        return BUILT_IN[source]
+    if not Path(source).exists():
+        raise RefusedInputError(
+            f"{source} is neither a built-in profile nor a file: the built-in ones are {', '.join(BUILT_IN)}."
+        )
+    return read_profile(Path(source))
+
+
 def open_telemetry(source: TelemetrySource, limits: Limits) -> Telemetry | TelemetryFile:
     """Open telemetry; a large file is left on the disk and read in pieces."""
     if isinstance(source, str | os.PathLike):
@@ -78,8 +101,8 @@ def open_telemetry(source: TelemetrySource, limits: Limits) -> Telemetry | Telem
 
 def read_in_memory(source: TelemetrySource, limits: Limits) -> Telemetry:
     """Read telemetry from memory."""
-    if isinstance(source, Telemetry):
-        return source
+    if isinstance(source, Telemetry | Imported):
+        return source if isinstance(source, Telemetry) else source.telemetry
     name, table = _open_table(source)
     columns = tuple(table.column_names)
     tables = Tables(columns, FIRST_ROW, lambda: iter([table]), FormFaults(name))
@@ -169,7 +192,7 @@ def read_any_sensor(source: SensorSource) -> Sensor:
 
 def read_any_parameters(source: ParameterSource, sensor: Sensor) -> tuple[FloatArray, FloatArray | None]:
     """Read parameters and, where there is one, their covariance, as `parameter_file.read_parameters` does."""
-    return parse_parameters(read_parameter_document(source), sensor, _describe(source))
+    return parse_parameters(read_parameter_document(source), sensor, describe_source(source))
 
 
 def read_parameter_document(source: ParameterSource) -> Mapping[str, Any]:
@@ -185,10 +208,10 @@ def read_any_calibration(source: ParameterSource) -> Calibration:
     """Read a whole calibration."""
     if isinstance(source, Calibration):
         return source
-    return parse_calibration(read_parameter_document(source), _describe(source))
+    return parse_calibration(read_parameter_document(source), describe_source(source))
 
 
-def _describe(source: ParameterSource) -> str:
+def describe_source(source: ParameterSource) -> str:
     """Return the name of a source of parameters for refusals."""
     if isinstance(source, Calibration):
         return "The calibration"

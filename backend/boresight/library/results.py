@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     import polars as pl
     import pyarrow as pa
 
+    from boresight.images.extraction import ExtractedImage
     from boresight.telemetry.schema import Telemetry
     from boresight.telemetry.sensors import Sensor
     from boresight.verdicts.gates import GateAnswer
@@ -243,6 +244,50 @@ class Matches(Tabular, Summarised):
     def save(self, path: str | Path) -> None:
         """Write the rows with `star_id` as matched, as CSV or Parquet by the name's ending."""
         save_telemetry(self.telemetry, Path(path))
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Extraction(Tabular, Summarised):
+    """Telemetry extracted from images: what became of each image, what was found and assumed, in sentences."""
+
+    telemetry: Telemetry = field(repr=False)
+    images: list[ExtractedImage]
+    sentences: list[str]
+    document: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def _summarise(self) -> Summary:
+        return text.summarise_extraction(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the whole report, `boresight.extraction/1`, as plain lists, numbers and None."""
+        return self.document
+
+    def _columns(self) -> pa.Table:
+        return tabulate(self.telemetry)
+
+    def save(self, path: str | Path) -> None:
+        """Write the telemetry, as CSV or Parquet by the name's ending."""
+        save_telemetry(self.telemetry, Path(path))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraFile:
+    """A camera as a file of another program: its bytes, their description, and how far they are from the camera.
+
+    `document`: schema `boresight.export/1`, with the lens, its parameters and sigmas. `misfit_px`: largest over the detector.
+    """
+
+    content: bytes = field(repr=False)
+    document: dict[str, Any] = field(repr=False)
+    misfit_px: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the description as plain lists, numbers and None."""
+        return self.document
+
+    def save(self, path: str | Path) -> None:
+        """Write the file."""
+        Path(path).write_bytes(self.content)
 
 
 @dataclass(frozen=True, kw_only=True)

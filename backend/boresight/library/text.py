@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
         Numbers,
     )
     from boresight.calibration.choice.result import Choice
-    from boresight.library.results import Assessment, Matches, Quality
+    from boresight.calibration.diagnosis.result import Diagnosis
+    from boresight.library.results import Assessment, Extraction, Matches, Quality
     from boresight.library.results import Evaluation as Comparison
 
 
@@ -230,6 +231,20 @@ def summarise_matches(found: Matches) -> Summary:
     )
 
 
+def summarise_extraction(found: Extraction) -> Summary:
+    """How many stars the images gave."""
+    counts = sorted(image.stars for image in found.images)
+    names = ("images", "stars", "fewest", "median", "most", "saturated")
+    saturated = sum(image.saturated for image in found.images)
+    numbers = (len(counts), sum(counts), counts[0], counts[len(counts) // 2], counts[-1], saturated)
+    return Summary(
+        f"{sum(counts):,} stars of {len(counts):,} images",
+        [names, [f"{number:,}" for number in numbers]],
+        (),
+        found.sentences,
+    )
+
+
 def summarise_evaluation(found: Comparison) -> Summary:
     """The scores under both parameter sets, with their intervals."""
     ends, stars = found.intervals, found.matched_stars
@@ -260,6 +275,20 @@ def summarise_choice(found: Choice) -> Summary:
     """The sentence, and a row a camera."""
     headline = f"{found.sensor}: {found.frames:,} frames, {found.stars:,} stars, {found.arcs:,} arcs\n{found.sentence}"
     return Summary(headline, list(camera_rows(found)), (0, 1), found.advice)
+
+
+def summarise_diagnosis(found: Diagnosis) -> Summary:
+    """The sentence, and a row for all that was tried."""
+    rows: list[Sequence[str]] = [("tried", "exposures matched", "stars")]
+    rows += [(one.what, f"{one.exposures_solved:,} of {found.exposures:,}", f"{one.stars:,}") for one in found.tried]
+    sentences = ["The time limit ended the search before all was tried."] if found.cut_short else []
+    if (mapping := found.mapping) is not None:
+        from boresight.telemetry.mapping import TelemetryMapping
+
+        as_is = asdict(TelemetryMapping())
+        changed = [f"{name} {value}" for name, value in mapping.items() if value != as_is[name]]
+        sentences.append(f"Read the telemetry with {', '.join(changed)}.")
+    return Summary(f"{found.sensor}: {found.sentence}", rows, (0,), sentences)
 
 
 def summarise_assessment(found: Assessment) -> Summary:

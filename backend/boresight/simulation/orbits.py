@@ -157,7 +157,11 @@ MOTIONS: dict[str, Pointing] = {"nadir": nadir, "slew": slew, "hold_and_slew": h
 
 def attitude(motion: str, orbit: Orbit, t_s: FloatArray, pointing_rad: float) -> FloatArray:
     """Return C (n, 3, 3) from ICRS to the right-handed (rows, columns, boresight) triad at t_s (n,)."""
-    boresight, reference = MOTIONS[motion](orbit, t_s, pointing_rad)
+    return look_at(*MOTIONS[motion](orbit, t_s, pointing_rad))
+
+
+def look_at(boresight: FloatArray, reference: FloatArray) -> FloatArray:
+    """Return C (n, 3, 3), ICRS to the triad, with z along a boresight (n, 3) and x along what a reference (n, 3) has across it."""
     z = _unit(boresight)
     x = _unit(reference - _dot(reference, z)[:, None] * z)
     return np.stack([x, np.cross(z, x), z], axis=1)

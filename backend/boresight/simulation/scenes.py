@@ -42,8 +42,13 @@ replaces one default::
       "blanked_share": 0.05,
       "focal_drift_m_per_c": 0.0,
       "slew_rate_deg_s": 0.0,
+      "elevation_span_deg": 0.0,
       "seed": 1
     }
+
+A sensor document with a `site` stands on the ground: its motion is `ground`, and `orbit` has no meaning. Stars are seen through the
+site's air; frame k looks at azimuth k times the golden angle, at elevations from `pointing_deg` to `elevation_span_deg` above it,
+upright: rows run down to the horizon. Daylight and clouds are left out, and the telemetry has no velocity.
 
 The readout that the sensor document declares is simulated where it says that the centroids are not corrected for it: each star is
 seen at the attitude of its own line, found by repeating projection and attitude, and `slew_rate_deg_s` says how fast it moves.
@@ -64,10 +69,11 @@ from boresight.arrays import FloatArray, IntArray
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import Role
 from boresight.errors import RefusedInputError
-from boresight.simulation.orbits import MOTIONS, Orbit, attitude, state, usable
+from boresight.simulation.orbits import GOLDEN_ANGLE_RAD, MOTIONS, Orbit, attitude, look_at, state, usable
 from boresight.simulation.sensors import SENSOR_NUMBERS, st16_sensor, st16_truth
-from boresight.sky.apparent import apparent_directions
+from boresight.site import Site
 from boresight.sky.catalogue import Catalogue
+from boresight.sky.ground import observed_directions, view_from
 from boresight.telemetry.schema import UNMATCHED, Telemetry
 from boresight.telemetry.sensors import Sensor, parse_sensor, sensor_document
 
@@ -106,6 +112,8 @@ class Scenario:
         Change of the true focal length with temperature, about the value at the mean temperature.
     slew_rate_deg_s
         Turn about the detector's column axis beside the motion, by which stars move along the rows.
+    elevation_span_deg
+        On the ground: how far above `pointing_rad` the highest frame looks.
     seed
         Seed of the random generator that a door makes for this scenario.
     """
@@ -126,6 +134,7 @@ class Scenario:
     blanked_share: float = 0.05
     focal_drift_m_per_c: float = 0.0
     slew_rate_deg_s: float = 0.0
+    elevation_span_deg: float = 0.0
     seed: int = 0
 
 
@@ -141,9 +150,13 @@ MEASURES = {
     "blanked_share": (0.0, 1.0),
     "focal_drift_m_per_c": (-1e-4, 1e-4),
     "slew_rate_deg_s": (-10.0, 10.0),
+    "elevation_span_deg": (0.0, 85.0),
 }
 ORBIT_MEASURES = {"altitude_km": (200.0, 2_000.0), "inclination_deg": (0.0, 180.0), "node_hour": (0.0, 24.0)}
 OTHER_KEYS = ("sensor", "truth", "orbit", "motion", "pointing_deg", "start_utc")
+
+#: The motion of a sensor on the ground, and how low it may look: the formula of refraction ends near the horizon.
+GROUND, LOWEST_ELEVATION_DEG = "ground", 5.0
 
 # E Table I by sensor: altitude km, inclination deg, motion, sample period s; then ours: node hour, and the pointings of
 # the calibration and of the validation set in deg, which put the two on different parts of the sky
@@ -208,7 +221,9 @@ def parse_scenario(document: Mapping[str, Any]) -> Scenario:
         changes["pointing_rad"] = float(np.radians(_measure(document, "pointing_deg", {"pointing_deg": (-360, 360)})))
     if "motion" in document:
         changes["motion"] = _parse_motion(document["motion"])
-    return replace(base, **changes)
+    scenario = replace(base, **changes)
+    _check_ground(scenario)
+    return scenario
 
 
 def scenario_document(scenario: Scenario) -> dict[str, Any]:
@@ -237,7 +252,10 @@ def _parse_sensor(document: Mapping[str, Any]) -> Scenario:
     if isinstance(sensor, Mapping):
         parsed = parse_sensor(sensor)
         base = calibration_scenario(1)
-        return replace(base, sensor=parsed, truth=parsed.initial, centroid_sigma_px=parsed.centroid_sigma_px)
+        motion = base.motion if parsed.site is None else GROUND
+        return replace(
+            base, sensor=parsed, truth=parsed.initial, motion=motion, centroid_sigma_px=parsed.centroid_sigma_px
+        )
     raise RefusedInputError("A scenario's `sensor` must be a number from 1 to 6 or a sensor document.")
 
 
@@ -281,9 +299,24 @@ def _parse_orbit(document: Mapping[str, Any], base: Orbit) -> Orbit:
 
 
 def _parse_motion(motion: Any) -> str:
-    if not isinstance(motion, str) or motion not in MOTIONS:
-        raise RefusedInputError(f"A scenario's `motion` must be one of {', '.join(MOTIONS)}.")
+    known = (*MOTIONS, GROUND)
+    if not isinstance(motion, str) or motion not in known:
+        raise RefusedInputError(f"A scenario's `motion` must be one of {', '.join(known)}.")
     return motion
+
+
+def _check_ground(scenario: Scenario) -> None:
+    """Refuse a sensor that is both in orbit and on the ground, and one that looks at the horizon or beyond the zenith."""
+    site, low = scenario.sensor.site, float(np.degrees(scenario.pointing_rad))
+    if (site is None) == (scenario.motion == GROUND):
+        raise RefusedInputError(
+            "A scenario's `motion` is ground where its sensor has a `site`, and only there: give both, or neither."
+        )
+    if site is not None and not (low >= LOWEST_ELEVATION_DEG and low + scenario.elevation_span_deg <= 90.0):
+        raise RefusedInputError(
+            f"A scenario on the ground must look at elevations from {LOWEST_ELEVATION_DEG:g} to 90 degrees: change "
+            "`pointing_deg` or `elevation_span_deg`."
+        )
 
 
 def _parse_time(text: Any) -> np.datetime64:
@@ -320,6 +353,9 @@ CHUNK_EXPOSURES = 512
 
 MEAN_TEMPERATURE_C, TEMPERATURE_SWING_C = 20.0, 5.0
 
+#: Share of the span of elevations from one frame to the next.
+GOLDEN_RATIO = (np.sqrt(5.0) - 1.0) / 2.0
+
 READOUT_ROUNDS = 3  # a round leaves the displacement times line time times speed: below 1e-2 each
 
 # instants tried for one usable frame: half of a low orbit is dark, and a slew meets Earth and Sun
@@ -327,7 +363,7 @@ INSTANTS_PER_FRAME = 6
 
 
 @dataclass(frozen=True)
-class _Exposures:
+class SimulatedExposures:
     """Every exposure of a scenario; arrays of leading dimension n_exposures."""
 
     frame: IntArray
@@ -335,7 +371,7 @@ class _Exposures:
     t_s: FloatArray
     time_utc: NDArray[np.datetime64]
     attitude: FloatArray  # (n, 3, 3), ICRS to the right-handed triad
-    velocity_m_s: FloatArray  # (n, 3)
+    velocity_m_s: FloatArray | None  # (n, 3); None on the ground, where the site tells it
     temperature_c: FloatArray
 
 
@@ -372,7 +408,7 @@ def simulate(scenario: Scenario, rng: np.random.Generator, catalogue: Catalogue)
     RefusedInputError
         When the motion shows too little usable sky for so many frames, or no star at all.
     """
-    exposures = _exposures(scenario)
+    exposures = expose(scenario)
     true = _true_stars(scenario, exposures, catalogue, rng)
     false = _false_stars(scenario, len(exposures.frame), rng)
     if len(true.index) + len(false.index) == 0:
@@ -380,60 +416,100 @@ def simulate(scenario: Scenario, rng: np.random.Generator, catalogue: Catalogue)
     return _telemetry(scenario, exposures, _joined(true, false), rng)
 
 
-def _exposures(scenario: Scenario) -> _Exposures:
+def expose(scenario: Scenario) -> SimulatedExposures:
     """Choose the usable instants of the motion and expose at each of them."""
     orbit = scenario.orbit
-    t_frame = np.arange(INSTANTS_PER_FRAME * scenario.frames + 1000, dtype=np.float64) * scenario.sample_period_s
-    boresight = _attitude(scenario, t_frame)[:, 2]
-    t_frame = t_frame[usable(orbit, t_frame, boresight)][: scenario.frames]
-    if len(t_frame) < scenario.frames:
-        raise RefusedInputError(
-            f"The motion shows usable sky for {len(t_frame)} of {scenario.frames} frames; "
-            "change `pointing_deg` or `orbit`, or ask for fewer `frames`."
-        )
+    t_frame = _usable_instants(scenario)
     t = (t_frame[:, None] + np.arange(scenario.exposures) * scenario.exposure_interval_s).ravel()
-    return _Exposures(
+    in_space = scenario.sensor.site is None
+    return SimulatedExposures(
         frame=np.repeat(np.arange(scenario.frames, dtype=np.int64), scenario.exposures),
         exposure=np.tile(np.arange(scenario.exposures, dtype=np.int64), scenario.frames),
         t_s=t,
         time_utc=orbit.times_utc(t),
         attitude=_attitude(scenario, t),
-        velocity_m_s=state(orbit, t)[1],
+        velocity_m_s=state(orbit, t)[1] if in_space else None,
         temperature_c=MEAN_TEMPERATURE_C + TEMPERATURE_SWING_C * np.sin(orbit.mean_motion_rad_s * t),
     )
 
 
+def _usable_instants(scenario: Scenario) -> FloatArray:
+    """Seconds after the start at which frames are taken, (frames,): on the ground all of them."""
+    if scenario.sensor.site is not None:
+        return np.arange(scenario.frames, dtype=np.float64) * scenario.sample_period_s
+    t_frame = np.arange(INSTANTS_PER_FRAME * scenario.frames + 1000, dtype=np.float64) * scenario.sample_period_s
+    boresight = _attitude(scenario, t_frame)[:, 2]
+    t_frame = t_frame[usable(scenario.orbit, t_frame, boresight)][: scenario.frames]
+    if len(t_frame) < scenario.frames:
+        raise RefusedInputError(
+            f"The motion shows usable sky for {len(t_frame)} of {scenario.frames} frames; "
+            "change `pointing_deg` or `orbit`, or ask for fewer `frames`."
+        )
+    return t_frame
+
+
 def _attitude(scenario: Scenario, t_s: FloatArray) -> FloatArray:
     """Return C (n, 3, 3), ICRS to the right-handed triad, at t_s (n,): the motion, and the slew beside it."""
-    C = attitude(scenario.motion, scenario.orbit, t_s, scenario.pointing_rad)
+    if scenario.sensor.site is None:
+        C = attitude(scenario.motion, scenario.orbit, t_s, scenario.pointing_rad)
+    else:
+        C = _attitude_on_the_ground(scenario, scenario.sensor.site, t_s)
     if scenario.slew_rate_deg_s == 0.0:
         return C
     turn = np.radians(scenario.slew_rate_deg_s) * t_s[:, None] * np.array([0.0, 1.0, 0.0])
     return np.asarray(Rotation.from_rotvec(turn).as_matrix() @ C)
 
 
-def _true_stars(scenario: Scenario, exposures: _Exposures, catalogue: Catalogue, rng: np.random.Generator) -> _Stars:
+def _attitude_on_the_ground(scenario: Scenario, site: Site, t_s: FloatArray) -> FloatArray:
+    """The same of a camera that stands on the ground: upright, one azimuth and elevation a frame."""
+    view = view_from(site, scenario.orbit.times_utc(t_s))
+    frame = np.floor(t_s / scenario.sample_period_s + 1e-6)
+    elevation = scenario.pointing_rad + np.radians(scenario.elevation_span_deg) * np.mod(frame * GOLDEN_RATIO, 1.0)
+    boresight = view.direction(np.mod(frame * GOLDEN_ANGLE_RAD, 2 * np.pi), elevation)
+    return look_at(boresight, -view.zenith)
+
+
+def _true_stars(
+    scenario: Scenario, exposures: SimulatedExposures, catalogue: Catalogue, rng: np.random.Generator
+) -> _Stars:
     """Image the catalogue: candidates, apparent place, camera, detection, noise."""
-    index, star = _candidates(scenario, exposures, catalogue)
-    s_i = apparent_directions(catalogue, star, exposures.time_utc[index], exposures.velocity_m_s[index])
-    row_px, col_px = _read_out(scenario, exposures, index, s_i)
+    bright = np.flatnonzero(catalogue.magnitude < scenario.magnitude_limit + FAINTEST_BEYOND_LIMIT_MAG)
+    bright = bright[_resolved(scenario, _catalogue_directions(catalogue, bright), catalogue.magnitude[bright])]
+    index, star = _candidates(scenario, exposures, catalogue, bright)
+    velocity = None if exposures.velocity_m_s is None else exposures.velocity_m_s[index]
+    s_i = observed_directions(catalogue, star, exposures.time_utc[index], velocity, scenario.sensor.site)
+    row_px, col_px = read_out(scenario, exposures, index, s_i)
     magnitude = catalogue.magnitude[star]
     chance = 1.0 / (1.0 + np.exp((magnitude - scenario.magnitude_limit) / DETECTION_WIDTH_MAG))
-    seen = _on_detector(scenario.sensor, row_px, col_px) & (rng.random(len(star)) < chance)
+    seen = is_on_detector(scenario.sensor, row_px, col_px) & (rng.random(len(star)) < chance)
     index, star, magnitude = index[seen], star[seen], magnitude[seen]
     sigma_px = _sigma_px(scenario, magnitude)
     row_px = row_px[seen] + sigma_px * rng.standard_normal(len(star))
     col_px = col_px[seen] + sigma_px * rng.standard_normal(len(star))
-    kept = _on_detector(scenario.sensor, row_px, col_px)  # noise may push a star over the edge
+    kept = is_on_detector(scenario.sensor, row_px, col_px)  # noise may push a star over the edge
     blanked = rng.random(len(star)) < scenario.blanked_share
     star_id = np.where(blanked, UNMATCHED, catalogue.hip[star])
     return _Stars(index[kept], row_px[kept], col_px[kept], magnitude[kept], star_id[kept])
 
 
-def _candidates(scenario: Scenario, exposures: _Exposures, catalogue: Catalogue) -> tuple[IntArray, IntArray]:
-    """Pair exposures with the stars of their cone: exposure (n_pairs,) and catalogue index (n_pairs,)."""
-    bright = np.flatnonzero(catalogue.magnitude < scenario.magnitude_limit + FAINTEST_BEYOND_LIMIT_MAG)
-    bright = bright[_resolved(scenario, _catalogue_directions(catalogue, bright), catalogue.magnitude[bright])]
+def visible_stars(
+    scenario: Scenario, exposures: SimulatedExposures, catalogue: Catalogue, faintest: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return every star down to a magnitude in the cone that holds the detector, without noise, misses or blends.
+
+    Returns the exposure (n,), ascending, the place in the catalogue (n,), and the apparent direction (n, 3), ICRS axes.
+    """
+    index, star = _candidates(scenario, exposures, catalogue, np.flatnonzero(catalogue.magnitude < faintest))
+    velocity = None if exposures.velocity_m_s is None else exposures.velocity_m_s[index]
+    s_i = observed_directions(catalogue, star, exposures.time_utc[index], velocity, scenario.sensor.site)
+    order = np.argsort(index, kind="stable")
+    return index[order], star[order], s_i[order]
+
+
+def _candidates(
+    scenario: Scenario, exposures: SimulatedExposures, catalogue: Catalogue, bright: IntArray
+) -> tuple[IntArray, IntArray]:
+    """Pair exposures with those bright stars that lie in their cone: exposure (n_pairs,) and catalogue index (n_pairs,)."""
     s_i = _catalogue_directions(catalogue, bright)
     nearest = np.cos(_cone_rad(scenario) + CONE_MARGIN_RAD)
     boresight = exposures.attitude[:, 2]
@@ -469,8 +545,8 @@ def _cone_rad(scenario: Scenario) -> float:
     return camera.cone_rad(scenario.truth, sensor.rows, sensor.columns, sensor.pixel_pitch_m)
 
 
-def _read_out(
-    scenario: Scenario, exposures: _Exposures, index: IntArray, s_i: FloatArray
+def read_out(
+    scenario: Scenario, exposures: SimulatedExposures, index: IntArray, s_i: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return where stars (n,) are when their own line is read, row and column."""
     row_px, col_px = _project(scenario, exposures, index, s_i)
@@ -486,7 +562,7 @@ def _read_out(
 
 
 def _project(
-    scenario: Scenario, exposures: _Exposures, index: IntArray, s_i: FloatArray
+    scenario: Scenario, exposures: SimulatedExposures, index: IntArray, s_i: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return where stars fall, row and column (n,), through attitude, parity and the true camera."""
     s_d = np.einsum("nij,nj->ni", exposures.attitude[index], s_i)
@@ -508,7 +584,7 @@ def _drifted(scenario: Scenario, temperature_c: float) -> FloatArray:
     return x
 
 
-def _on_detector(sensor: Sensor, row_px: FloatArray, col_px: FloatArray) -> NDArray[np.bool_]:
+def is_on_detector(sensor: Sensor, row_px: FloatArray, col_px: FloatArray) -> NDArray[np.bool_]:
     """Tell (n,) which positions fall on a pixel; NaN does not."""
     inside_rows = (row_px >= -0.5) & (row_px <= sensor.rows - 0.5)
     inside_columns = (col_px >= -0.5) & (col_px <= sensor.columns - 0.5)
@@ -548,7 +624,7 @@ def _joined(true: _Stars, false: _Stars) -> _Stars:
     )
 
 
-def _telemetry(scenario: Scenario, exposures: _Exposures, stars: _Stars, rng: np.random.Generator) -> Telemetry:
+def _telemetry(scenario: Scenario, exposures: SimulatedExposures, stars: _Stars, rng: np.random.Generator) -> Telemetry:
     """Write the detections as a telemetry table, with the sensor's own magnitude estimate."""
     index = stars.index
     return Telemetry(
@@ -561,6 +637,6 @@ def _telemetry(scenario: Scenario, exposures: _Exposures, stars: _Stars, rng: np
         sigma_px=_sigma_px(scenario, stars.magnitude),
         star_id=stars.star_id,
         quaternion=Rotation.from_matrix(exposures.attitude).as_quat(canonical=True)[index],
-        velocity_m_s=exposures.velocity_m_s[index],
+        velocity_m_s=None if exposures.velocity_m_s is None else exposures.velocity_m_s[index],
         temperature_c=exposures.temperature_c[index],
     )

@@ -37,6 +37,8 @@ centroid noise, 0.2 px what its tables imply (erratum). Its frame is right-hande
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from boresight.arrays import FloatArray
@@ -126,7 +128,7 @@ def wu_sensor(centroid_sigma_px: float = WU_IMPLIED_SIGMA_PX) -> Sensor:
         free=CAMERA_MODELS[WU_CAMERA_MODEL].parameter_names,
         magnitude_limit=WU_MAGNITUDE_LIMIT,
         readout=Readout(GLOBAL),
-        declared=IN_SPACE,
+        declared=replace(IN_SPACE, tilt="aligned"),
     )
 
 

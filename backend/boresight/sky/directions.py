@@ -5,7 +5,8 @@ row                                 direction
 ==================================  ==========================================================================
 unmatched (`star_id` 0)             none (NaN): the row is not used
 matched, `ra` and `dec` given       as given: it is apparent already
-matched, no `ra`, in the catalogue  proper motion, parallax, aberration at the row's time (`sky.apparent`)
+matched, no `ra`, in the catalogue  proper motion, parallax, aberration at the row's time (`sky.apparent`), and
+                                    from the ground refraction (`sky.ground`)
 matched, no `ra`, unknown number    none (NaN): the quality report lists the number
 the file has no `star_id` column    as given where `ra` and `dec` are, else none
 ==================================  ==========================================================================
@@ -21,8 +22,9 @@ from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
 from boresight.errors import RefusedInputError
-from boresight.sky.apparent import apparent_directions
+from boresight.site import Site
 from boresight.sky.catalogue import Catalogue
+from boresight.sky.ground import observed_directions
 
 
 def star_directions(
@@ -32,6 +34,7 @@ def star_directions(
     time_utc: NDArray[np.datetime64] | None,
     velocity_m_s: FloatArray | None,
     catalogue: Catalogue,
+    site: Site | None = None,
 ) -> FloatArray:
     """Return the apparent direction of every row.
 
@@ -47,6 +50,8 @@ def star_directions(
         (n_rows, 3) satellite velocity, GCRS; None when the file gives none.
     catalogue
         Where directions come from that the file does not give.
+    site
+        Where on the ground these are seen through air; None in space.
 
     Returns
     -------
@@ -71,7 +76,7 @@ def star_directions(
     if len(wanted):
         times = _get_times(time_utc, wanted)
         velocity = None if velocity_m_s is None else velocity_m_s[wanted]
-        directions[wanted] = apparent_directions(catalogue, index[wanted], times, velocity)
+        directions[wanted] = observed_directions(catalogue, index[wanted], times, velocity, site)
     return directions
 
 

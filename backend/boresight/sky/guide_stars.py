@@ -26,8 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
+from boresight.site import Site
 from boresight.sky.apparent import C_AU_DAY, C_M_S, DAYS_PER_YEAR, J1991_25_DAYS, days_since_j2000, earth_state
 from boresight.sky.catalogue import SINGLE_STAR, Catalogue
+from boresight.sky.ground import velocity_at, view_from
 
 #: Bands of z are so far apart where places are put in one order: x and a reach fit between, each two at most.
 BAND = 8.0
@@ -62,15 +64,20 @@ class GuideStars:
 
 @dataclass(frozen=True)
 class ObserverMotion:
-    """Of each exposure: years since J1991.25 (n,), the Earth's place in au (n, 3) and the observer's velocity in c (n, 3)."""
+    """Of each exposure: years since J1991.25 (n,), the Earth's place in au (n, 3) and the observer's velocity in c (n, 3).
+
+    `air`: (n, 5) the zenith, ICRS axes, and the constants A and B of refraction, rad; None in space.
+    """
 
     years: FloatArray
     earth_au: FloatArray
     beta: FloatArray
+    air: FloatArray | None = None
 
     def __getitem__(self, exposures: slice) -> ObserverMotion:
         """Return the motion of consecutive exposures."""
-        return ObserverMotion(self.years[exposures], self.earth_au[exposures], self.beta[exposures])
+        air = None if self.air is None else self.air[exposures]
+        return ObserverMotion(self.years[exposures], self.earth_au[exposures], self.beta[exposures], air)
 
 
 def guide_stars(catalogue: Catalogue, magnitude_limit: float, blend_rad: float) -> GuideStars:
@@ -133,14 +140,20 @@ def close_pairs(place: FloatArray, reach: float) -> tuple[IntArray, IntArray]:
     return pairs[0], pairs[1]
 
 
-def observer_motion(time_utc: NDArray[np.datetime64], velocity_m_s: FloatArray | None) -> ObserverMotion:
+def observer_motion(
+    time_utc: NDArray[np.datetime64], velocity_m_s: FloatArray | None, site: Site | None = None
+) -> ObserverMotion:
     """Place and velocity of the observer at times (n,), datetime64[us]; at NaT the catalogue's stars are nowhere (NaN years).
 
     Parameters
     ----------
     velocity_m_s
         (n, 3) of the satellite, GCRS; None, or NaN, = that of the Earth's centre.
+    site
+        Where on the ground stars are seen through air, and whose velocity counts where none is given; None in space.
     """
+    if site is not None and velocity_m_s is None:
+        velocity_m_s = velocity_at(site, time_utc)
     moments, place = np.unique(time_utc.astype("datetime64[us]"), return_inverse=True)
     known = ~np.isnat(moments)
     years, earth, beta = np.full(len(moments), np.nan), np.zeros((len(moments), 3)), np.zeros((len(moments), 3))
@@ -152,7 +165,14 @@ def observer_motion(time_utc: NDArray[np.datetime64], velocity_m_s: FloatArray |
     beta = beta[place]
     if velocity_m_s is not None:
         beta = beta + np.nan_to_num(velocity_m_s) / C_M_S
-    return ObserverMotion(years[place], np.ascontiguousarray(earth[place]), np.ascontiguousarray(beta))
+    air = None
+    if site is not None:
+        air = np.zeros((len(moments), 5))
+        if known.any():
+            view = view_from(site, moments[known])
+            air[known, :3], air[known, 3:] = view.zenith, (view.A, view.B)
+        air = np.ascontiguousarray(air[place])
+    return ObserverMotion(years[place], np.ascontiguousarray(earth[place]), np.ascontiguousarray(beta), air)
 
 
 FAINTER_MAG = 3.0

@@ -149,7 +149,7 @@ EXPOSURE_REASONS = (
     "nothing to start from: too few given matches, and no quaternion, neighbour or lost-in-space answer that fits",
     "too few stars agree with the catalogue",
     "no time, so that no catalogue star has a direction",
-    "nothing to start from but lost-in-space identification, which is not installed: pip install 'boresight[lost-in-space]'",
+    "nothing to start from but lost-in-space identification, which is not installed: pip install tetra3rs==0.14.0",
 )
 NOTHING_TO_START_FROM, NO_TIME, NOT_INSTALLED = 1, 3, 4
 LEFT_OUT = ROW_REASONS.index("left out as a double or for its unreliable astrometry")
@@ -291,7 +291,10 @@ class _Matcher:
         kind = kind[exposures]
         radius = np.array([START_RADIUS.get(place, 0.0) for place in range(len(STARTS))])[kind]
         hints, any_own = to_matrix(hint[exposures]), bool(part.own.any())
-        years, earth_au, beta = (values[exposures] for values in (motion.years, motion.earth_au, motion.beta))
+        above = np.zeros((len(motion.years), 5)) if motion.air is None else motion.air
+        years, earth_au, beta, air = (
+            values[exposures] for values in (motion.years, motion.earth_au, motion.beta, above)
+        )
 
         guides = loops.Guides(stars.hip, stars.place, stars.motion, stars.parallax_rad, stars.density)
         rules = loops.Rules(any_own, believe, self._cone, GATE, self._minimum_stars)
@@ -309,7 +312,7 @@ class _Matcher:
                 frame_start,
                 row_start,
                 seen,
-                loops.Observer(years[x], earth_au[x], beta[x]),
+                loops.Observer(years[x], earth_au[x], beta[x], air[x]),
                 guides,
                 loops.Hints(hints[x], radius[x], kind[x]),
                 rules,

@@ -1,17 +1,23 @@
-"""What no telemetry can show and an operator declares in the sensor file: readout, satellite velocity, directions, refraction.
+"""What no telemetry can show and an operator declares in the sensor file: readout, velocity, directions, refraction, site, tilt.
 
 A rolling shutter exposes line after line. The centroid of a star on line l (a row, or a column) was taken l * line_time_s later
 than one on the first line, and the sky moved in between; along some axes a camera model takes that up as scale and distortion,
 with residuals as small as ever. The other declarations say how star directions were formed: an error in them is as smooth over
 the field. So each is asked once, by name; until it is answered a calibration states what it assumed (`calibration.assumptions`).
+
+A camera on the ground has a `site`: where it stands, and the air above it (`sky.ground` bends the stars' directions by it).
+Latitude and longitude are asked; the rest has the values of `SITE_FIELDS` where nobody gives it, and the pressure that of the
+height.
 """
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
+from boresight.site import SITE_FIELDS, Site, SiteField
 from boresight.telemetry.read.checks import Faults
 
 GLOBAL: Final = "global"
@@ -57,8 +63,13 @@ DECLARATIONS = {
             {
                 "none": "images from space",
                 "corrected": "images from the ground, with refraction in their directions",
-                "uncorrected": "images from the ground, as they came",
+                "uncorrected": "images from the ground, as they came, and directions without refraction",
             },
+        ),
+        Declaration(
+            "tilt",
+            "Tilt of the detector",
+            {"aligned": "the detector was measured to be square to the optical axis, or its tilt does not matter"},
         ),
     )
 }
@@ -107,6 +118,7 @@ class Declared:
     satellite_velocity: str | None = None
     directions: str | None = None
     refraction: str | None = None
+    tilt: str | None = None
 
     def document(self) -> dict[str, str]:
         """Return what is declared as a sensor file has it."""
@@ -115,14 +127,96 @@ class Declared:
 
 NOTHING_DECLARED = Declared()
 
+BYTE_ORDERS = ("little", "big")
+#: Bits of a number of a raw image, and bytes before the first.
+RAW_BITS, MOST_HEADER_BYTES = (8, 16), 1 << 20
+#: Electrons a DN, and DN, that a detector may have.
+GAIN_E_PER_DN, SATURATION_DN = (1e-3, 1e4), (1.0, 1e9)
+
+
+@dataclass(frozen=True)
+class ImageFormat:
+    """How images of a sensor are to be read where their files do not say it.
+
+    `bits`: of a number of a raw image, which has one byte up to 8 of them and two beyond. `byte_order`: of two bytes.
+    `header_bytes`: before the first number. `gain_e_per_dn`: electrons a DN. `saturation_dn`: from here on a pixel says nothing.
+    """
+
+    bits: int | None = None
+    byte_order: str = BYTE_ORDERS[0]
+    header_bytes: int = 0
+    gain_e_per_dn: float | None = None
+    saturation_dn: float | None = None
+
+    def document(self) -> dict[str, Any]:
+        """Return it as a sensor file has it: what is not the default."""
+        return {name: value for name, value in vars(self).items() if value != getattr(NO_FORMAT, name)}
+
+
+NO_FORMAT = ImageFormat()
+
+
+def parse_image_format(value: Any, faults: Faults) -> ImageFormat:
+    """Read the `image` of a sensor file."""
+    if value is None:
+        return NO_FORMAT
+    names = tuple(item.name for item in fields(ImageFormat))
+    if not isinstance(value, Mapping):
+        faults.add(f"image is {value!r}: write an object with {', '.join(names)}")
+        return NO_FORMAT
+    _refuse_unknown("image", value, names, faults)
+    limits = {"bits": RAW_BITS, "header_bytes": (0, MOST_HEADER_BYTES)}
+    for name, (low, high) in (limits | {"gain_e_per_dn": GAIN_E_PER_DN, "saturation_dn": SATURATION_DN}).items():
+        number = value.get(name)
+        whole = name in limits
+        kinds = int if whole else (int, float)
+        if number is not None and (
+            isinstance(number, bool) or not isinstance(number, kinds) or not low <= number <= high
+        ):
+            faults.add(
+                f"image.{name} is {number!r}: give a {'whole ' * whole}number from {low:g} to {high:g}, or leave it out"
+            )
+            return NO_FORMAT
+    if value.get("byte_order", BYTE_ORDERS[0]) not in BYTE_ORDERS:
+        faults.add(f"image.byte_order is {value['byte_order']!r}: write {' or '.join(BYTE_ORDERS)}")
+        return NO_FORMAT
+    return ImageFormat(**{name: value[name] for name in names if value.get(name) is not None})
+
+
+def parse_site(value: Any, faults: Faults) -> Site | None:
+    """Read the `site` of a sensor file; None where there is none, or a fault."""
+    if value is None:
+        return None
+    if not isinstance(value, Mapping):
+        faults.add(f"site is {value!r}: write an object with latitude_deg and longitude_deg")
+        return None
+    _refuse_unknown("site", value, tuple(SITE_FIELDS), faults)
+    numbers = {name: _site_number(one, value.get(name), faults) for name, one in SITE_FIELDS.items()}
+    return None if numbers["latitude_deg"] is None or numbers["longitude_deg"] is None else Site(**numbers)  # type: ignore[arg-type] # both are there
+
+
+def _site_number(one: SiteField, value: Any, faults: Faults) -> float | None:
+    """Return a number of a site within its bounds, None with a fault where it is none."""
+    if value is None:
+        if not one.optional:
+            faults.add(f"site.{one.name} is missing: give it in degrees")
+        return None
+    if isinstance(value, int | float) and not isinstance(value, bool) and one.lowest <= value <= one.highest:
+        return float(value)
+    faults.add(
+        f"site.{one.name} is {value!r}: give a number from {one.lowest:g} to {one.highest:g}{one.unit and f' {one.unit}'}, "
+        f"{one.sentence}"
+    )
+    return None
+
 
 def parse_readout(value: Any, faults: Faults) -> Readout | None:
     """Read the `readout` of a sensor file; None where there is none, or a fault."""
     if value is None:
         return None
     if not isinstance(value, Mapping) or value.get("mode") not in MODES:
-        shown = value.get("mode") if isinstance(value, Mapping) else value
-        faults.add(f"readout.mode is {shown!r}: write global, or rolling for a shutter that reads line after line")
+        given = value.get("mode") if isinstance(value, Mapping) else value
+        faults.add(f"readout.mode is {shown(given)}: write global, or rolling for a shutter that reads line after line")
         return None
     _refuse_unknown("readout", value, tuple(item.name for item in fields(Readout)), faults)
     if value["mode"] == GLOBAL:
@@ -133,10 +227,10 @@ def parse_readout(value: Any, faults: Faults) -> Readout | None:
         return Readout(GLOBAL)
     axis, corrected = value.get("axis", AXES[0]), value.get("corrected", False)
     if axis not in AXES:
-        faults.add(f"readout.axis is {axis!r}: write rows if a line is a row, or columns")
+        faults.add(f"readout.axis is {shown(axis)}: write rows if a line is a row, or columns")
     if not isinstance(corrected, bool):
         faults.add(
-            f"readout.corrected is {corrected!r}: write true if the telemetry's centroids are corrected, or false"
+            f"readout.corrected is {shown(corrected)}: write true if the telemetry's centroids are corrected, or false"
         )
     return Readout(
         ROLLING, _line_time(value.get("line_time_s"), corrected is True, faults), str(axis), corrected is True
@@ -152,7 +246,7 @@ def _line_time(value: Any, corrected: bool, faults: Faults) -> float | None:
     if is_number and low <= abs(value) <= high:
         return float(value)
     faults.add(
-        f"readout.line_time_s is {'missing' if value is None else repr(value)}: give the seconds from one line to the next, "
+        f"readout.line_time_s is {'missing' if value is None else shown(value)}: give the seconds from one line to the next, "
         f"{low:g} to {high:g}, negative if the last line is read first"
     )
     return None
@@ -163,16 +257,28 @@ def parse_declared(value: Any, faults: Faults) -> Declared:
     if value is None:
         return Declared()
     if not isinstance(value, Mapping):
-        faults.add(f"declared is {value!r}: write an object with {', '.join(DECLARATIONS)}")
+        faults.add(f"declared is {shown(value)}: write an object with {', '.join(DECLARATIONS)}")
         return Declared()
     _refuse_unknown("declared", value, tuple(DECLARATIONS), faults)
     for name, declaration in DECLARATIONS.items():
         if name in value and value[name] not in tuple(declaration.words):
-            faults.add(f"declared.{name} is {value[name]!r}: write {' or '.join(declaration.words)}, or leave it out")
+            faults.add(
+                f"declared.{name} is {shown(value[name])}: write {' or '.join(declaration.words)}, or leave it out"
+            )
     return Declared(**{name: value[name] for name in DECLARATIONS if name in value})
 
 
 def _refuse_unknown(key: str, value: Mapping[str, Any], known: tuple[str, ...], faults: Faults) -> None:
     for name in value:
         if name not in known:
-            faults.add(f"{key}.{name} is not a field: it has {', '.join(known)}")
+            meant = difflib.get_close_matches(str(name)[:40], known, 1, 0.6)
+            faults.add(
+                f"{key}.{str(name)[:40]} is not a field: it has {', '.join(known)}"
+                + (f"; did you mean {meant[0]}?" if meant else "")
+            )
+
+
+def shown(value: Any) -> str:
+    """Write a value of a sensor file as it is told of, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= 40 else text[:39] + "…"

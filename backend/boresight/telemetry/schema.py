@@ -27,6 +27,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from boresight.arrays import FloatArray, IntArray
+from boresight.site import Site
 
 REQUIRED_COLUMNS = ("frame", "exposure", "row_px", "col_px")
 OPTIONAL_COLUMNS = (
@@ -54,6 +55,8 @@ FLOAT_COLUMNS = tuple(
 COLUMN_GROUPS = (("ra_deg", "dec_deg"), ("q_x", "q_y", "q_z", "q_w"), ("vx_km_s", "vy_km_s", "vz_km_s"))
 
 UNMATCHED = 0
+#: Between which numbers a magnitude, or a temperature in degrees Celsius, is one: 99 or -999 often stands for no measurement.
+MAGNITUDES, TEMPERATURES_C = (-2.0, 20.0), (-273.15, 400.0)
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,8 @@ class Telemetry:
         Columns the contract does not name, kept as texts, empty where absent; of repeated texts each once.
     first_row
         Row of the first entry in its file, counted as an editor does: 2 after a header line, 1 in JSON Lines.
+    site
+        Where on the ground it was taken, where directions from the catalogue are to be refracted; None in space.
     """
 
     frame: IntArray
@@ -99,6 +104,7 @@ class Telemetry:
     temperature_c: FloatArray | None = None
     unknown: dict[str, pa.ChunkedArray] = field(default_factory=dict)
     first_row: int = 2
+    site: Site | None = None
 
     def __len__(self) -> int:
         """Count the rows."""
@@ -110,7 +116,7 @@ def select_rows(telemetry: Telemetry, rows: slice) -> Telemetry:
     if rows == slice(0, len(telemetry)):
         return telemetry
     arrays = {item.name: getattr(telemetry, item.name) for item in fields(telemetry)}
-    parts = {name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray)}
+    parts: dict[str, Any] = {name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray)}
     unknown = {name: cells.slice(rows.start, rows.stop - rows.start) for name, cells in telemetry.unknown.items()}
     return replace(telemetry, **parts, unknown=unknown, first_row=telemetry.first_row + rows.start)
 
@@ -166,6 +172,11 @@ def find_exposures(telemetry: Telemetry) -> Exposures:
         exposure=telemetry.exposure[start],
         of_entry=np.cumsum(first) - 1,
     )
+
+
+def within(values: FloatArray, ends: tuple[float, float]) -> FloatArray:
+    """Return values (n,) that are measurements, NaN for others: one absurd number would drown what depends on the rest."""
+    return np.where((values >= ends[0]) & (values <= ends[1]), values, np.nan)
 
 
 def time_text(telemetry: Telemetry, row: int) -> str | None:

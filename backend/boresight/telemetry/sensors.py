@@ -15,14 +15,26 @@ import numpy as np
 from boresight.arrays import FloatArray
 from boresight.cameras import CAMERA_MODELS, CameraModel
 from boresight.errors import RefusedInputError
-from boresight.telemetry.declarations import NOTHING_DECLARED, Declared, Readout, parse_declared, parse_readout
+from boresight.site import Site
+from boresight.telemetry.declarations import (
+    NO_FORMAT,
+    NOTHING_DECLARED,
+    Declared,
+    ImageFormat,
+    Readout,
+    parse_declared,
+    parse_image_format,
+    parse_readout,
+    parse_site,
+    shown,
+)
 from boresight.telemetry.read.checks import Faults
 from boresight.telemetry.read.formats import read_json
 
 _REQUIRED = ("name", "detector", "camera_model", "parity", "centroid_sigma_px", "initial", "typical_sigma")
 #: Focal length as it is kept, and as a file may give it instead.
 FOCAL_M, FOCAL_PX = "f_m", "f_px"
-_OPTIONAL = ("free", "magnitude_limit", "readout", "declared")
+_OPTIONAL = ("free", "magnitude_limit", "readout", "declared", "site", "image")
 _LONGEST_NAME = 64
 _MOST_FIELDS = 100
 _MOST_PIXELS = 65536
@@ -60,6 +72,10 @@ class Sensor:
         How the detector is read, or None where nobody declared it.
     declared
         What else the data cannot show, as far as it is declared.
+    site
+        Where on the ground it stands, and the air above; None in space, or where nobody said so.
+    image
+        How its images are to be read where their files do not say it.
     """
 
     name: str
@@ -75,6 +91,8 @@ class Sensor:
     magnitude_limit: float | None = None
     readout: Readout | None = None
     declared: Declared = NOTHING_DECLARED
+    site: Site | None = None
+    image: ImageFormat = NO_FORMAT
 
 
 def read_sensor(path: Path) -> Sensor:
@@ -121,6 +139,10 @@ def sensor_document(sensor: Sensor) -> dict[str, Any]:
         document["readout"] = sensor.readout.document()
     if declared := sensor.declared.document():
         document["declared"] = declared
+    if sensor.site is not None:
+        document["site"] = sensor.site.document()
+    if image := sensor.image.document():
+        document["image"] = image
     return document
 
 
@@ -147,7 +169,13 @@ def _parse(document: Mapping[str, Any], faults: Faults) -> Sensor:
         magnitude_limit=_magnitude_limit(document.get("magnitude_limit"), faults),
         readout=parse_readout(document.get("readout"), faults),
         declared=parse_declared(document.get("declared"), faults),
+        site=parse_site(document.get("site"), faults),
+        image=parse_image_format(document.get("image"), faults),
     )
+    if sensor.site is not None and sensor.declared.refraction == "none":
+        faults.add(
+            "declared.refraction is none, images from space, and there is a site on the ground: leave one of the two out"
+        )
     faults.refuse()
     check_geometry(sensor, model, faults)
     faults.refuse()
@@ -176,14 +204,14 @@ def _mapping(document: Mapping[str, Any], key: str, faults: Faults) -> Mapping[s
     value = document[key]
     if isinstance(value, Mapping):
         return value
-    faults.add(f"{key} is {value!r}: write an object of names and numbers")
+    faults.add(f"{key} is {shown(value)}: write an object of names and numbers")
     return {}
 
 
 def _name(value: Any, faults: Faults) -> str:
     if isinstance(value, str) and value.strip() == value and 0 < len(value) <= _LONGEST_NAME and value.isprintable():
         return value
-    faults.add(f"name is {_shown(value)}: write a text of 1 to {_LONGEST_NAME} printable characters")
+    faults.add(f"name is {shown(value)}: write a text of 1 to {_LONGEST_NAME} printable characters")
     return ""
 
 
@@ -192,11 +220,11 @@ def _number(value: Any, field: str, limits: tuple[float, float], faults: Faults)
     if value is None:
         faults.add(f"{field} is missing: give a number")
     elif isinstance(value, bool) or not isinstance(value, int | float):
-        faults.add(f"{field} is {_shown(value)}: give a number")
+        faults.add(f"{field} is {shown(value)}: give a number")
     elif isinstance(value, float) and not math.isfinite(value):
         faults.add(f"{field} is {value}: give a finite number")
     elif not limits[0] <= value <= limits[1]:
-        faults.add(f"{field} is {_shown(value)}, expected {limits[0]:g} to {limits[1]:g}: check its unit")
+        faults.add(f"{field} is {shown(value)}, expected {limits[0]:g} to {limits[1]:g}: check its unit")
     else:
         return float(value)
     return math.nan
@@ -214,7 +242,7 @@ def _pixels(detector: Mapping[str, Any], key: str, faults: Faults) -> int:
 def _parity(value: Any, faults: Faults) -> int:
     if isinstance(value, int) and not isinstance(value, bool) and value in {1, -1}:
         return value
-    faults.add(f"parity is {_shown(value)}: give 1 for a right-handed detector frame or -1 for an upright image")
+    faults.add(f"parity is {shown(value)}: give 1 for a right-handed detector frame or -1 for an upright image")
     return 0
 
 
@@ -222,7 +250,7 @@ def _camera_model(value: Any, faults: Faults) -> CameraModel:
     """Return the model of a name; any model, with a fault, when there is none such."""
     if isinstance(value, str) and value in CAMERA_MODELS:
         return CAMERA_MODELS[value]
-    faults.add(f"camera_model is {_shown(value)}: choose {' or '.join(CAMERA_MODELS)}")
+    faults.add(f"camera_model is {shown(value)}: choose {' or '.join(CAMERA_MODELS)}")
     return next(iter(CAMERA_MODELS.values()))
 
 
@@ -262,13 +290,13 @@ def _free(value: Any, names: tuple[str, ...], faults: Faults) -> tuple[str, ...]
     if value is None:
         return names
     if not isinstance(value, list | tuple) or not value:
-        faults.add(f"free is {_shown(value)}: list the parameters to estimate, or leave it out for all")
+        faults.add(f"free is {shown(value)}: list the parameters to estimate, or leave it out for all")
         return ()
     if FOCAL_M in names:
         value = [FOCAL_M if name == FOCAL_PX else name for name in value]
     for name in value:
         if name not in names:
-            faults.add(f"free names {_shown(name)}: choose from {', '.join(names)}")
+            faults.add(f"free names {shown(name)}: choose from {', '.join(names)}")
     return tuple(name for name in names if name in value)
 
 
@@ -303,8 +331,3 @@ def check_geometry(sensor: Sensor, model: CameraModel, faults: Faults, subject: 
             f"{subject} gives a field of view of {field_deg:.3g} degrees from corner to corner, expected "
             f"{_FIELD_DEG[0]:g} to {_FIELD_DEG[1]:g}: check focal length, distortion and pixel_pitch_m (all in metres)"
         )
-
-
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else text[:39] + "…"

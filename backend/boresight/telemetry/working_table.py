@@ -23,7 +23,7 @@ _MAGIC = b"ARROW1"
 _KIND, _FIRST_ROW = b"boresight.telemetry", b"first_row"
 _VERSION = b"1"
 #: The arrays there may be, in the order of the file's columns.
-ARRAYS = tuple(item.name for item in fields(Telemetry) if item.name not in {"unknown", "first_row"})
+ARRAYS = tuple(item.name for item in fields(Telemetry) if item.name not in {"unknown", "first_row", "site"})
 
 
 def is_working_table(path: Path) -> bool:

@@ -13,19 +13,19 @@ camera that runs from the detector to the sky has no polynomial for its inverse:
 would be another camera.
 
 A set of numbers is no camera: the same eight values mean another direction under another order of operations, pixel origin or
-sense of the distortion. So every `parameters.json` says how a pixel becomes a direction.
+sense of the distortion. (Approximations, with their misfit, are `calibration.exports`'; a package holds none.) So every
+`parameters.json` says how a pixel becomes a direction.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from boresight.calibration.exports.opencv import opencv_yaml, ros_yaml
 from boresight.cameras import CAMERA_MODELS
-from boresight.cameras.model import OpenCV
 from boresight.telemetry.sensors import Sensor
 
 NAMES = ("camera_opencv.yaml", "camera_info.yaml")
@@ -62,48 +62,12 @@ def camera_files(sensor: Sensor, parameters: Mapping[str, float], title: str) ->
         "X of their frame is y of the detector frame D (columns), Y is x (rows), Z is z (boresight).\n"
         "They are for analysis; parameters.json is normative.\n"
     )
-    files = (_opencv(sensor, K, seen.coefficients), _ros(sensor, K, seen, title))
-    return dict(zip(NAMES, files, strict=True)) | {"camera_files.txt": said.encode()}
-
-
-def _opencv(sensor: Sensor, K: Sequence[float], distortion: Sequence[float]) -> bytes:
-    """Write a file for `cv::FileStorage`."""
-    lines = ["%YAML:1.0", "---", f"image_width: {sensor.columns}", f"image_height: {sensor.rows}"]
-    for name, rows, values in (("camera_matrix", 3, K), ("distortion_coefficients", 1, distortion)):
-        lines += [f"{name}: !!opencv-matrix", f"   rows: {rows}", f"   cols: {len(values) // rows}", "   dt: d"]
-        lines.append(f"   data: {_listed(values)}")
-    return ("\n".join(lines) + "\n").encode()
-
-
-def _ros(sensor: Sensor, K: Sequence[float], seen: OpenCV, title: str) -> bytes:
-    lines = [
-        f"image_width: {sensor.columns}",
-        f"image_height: {sensor.rows}",
-        f"camera_name: {re.sub(r'[^A-Za-z0-9_]', '_', title)}",
-        f"distortion_model: {seen.distortion_model}",
-    ]
-    P = (*K[:3], 0.0, *K[3:6], 0.0, *K[6:], 0.0)
-    identity = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-    matrices = (
-        ("camera_matrix", 3, K),
-        ("distortion_coefficients", 1, seen.coefficients),
-        ("rectification_matrix", 3, identity),
-        ("projection_matrix", 3, P),
+    size = sensor.columns, sensor.rows
+    files = (
+        opencv_yaml(*size, K, seen.coefficients),
+        ros_yaml(*size, K, (seen.distortion_model, seen.coefficients), title),
     )
-    for name, rows, values in matrices:
-        lines += [f"{name}:", f"  rows: {rows}", f"  cols: {len(values) // rows}", f"  data: {_listed(values)}"]
-    return ("\n".join(lines) + "\n").encode()
-
-
-def _listed(values: Sequence[float]) -> str:
-    """Write numbers in the digits that read back as the same, with a point, so that YAML takes them for numbers."""
-    return f"[{', '.join(_number(value) for value in values)}]"
-
-
-def _number(value: float) -> str:
-    """Write a number as YAML 1.1 reads a float: an exponent needs a point before it and a sign."""
-    text = repr(float(value))
-    return text if "e" not in text or "." in text else text.replace("e", ".0e")
+    return dict(zip(NAMES, files, strict=True)) | {"camera_files.txt": said.encode()}
 
 
 def conventions(sensor: Sensor) -> dict[str, Any]:

@@ -67,8 +67,8 @@ function upload(form) {
   result().replaceChildren();
   const sent = (request = new XMLHttpRequest());
   sent.upload.onprogress = ({ loaded, total }) =>
-    say(loaded / total, loaded < total ? `${megabytes(loaded)} of ${megabytes(total)} MB sent` : "Sent; reading and checking");
-  sent.upload.onload = () => say(null, "Sent; reading and checking");
+    say(loaded / total, loaded < total ? `${megabytes(loaded)} of ${megabytes(total)} MB sent` : "Sent; reading, extracting and checking");
+  sent.upload.onload = () => say(null, "Sent; reading, extracting and checking");
   sent.onload = () => finish(sent);
   sent.onerror = () => {
     rest();

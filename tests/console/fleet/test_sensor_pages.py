@@ -1,5 +1,6 @@
 """The list of sensors, registering one, and a sensor's page."""
 
+import html
 import json
 import math
 import re
@@ -16,8 +17,8 @@ from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
 from boresight.console.fleet import queries as sensor_queries
 from boresight.console.fleet import service as sensors
-from boresight.console.fleet.pages.sensor import baseline_values, compute_optics
-from boresight.console.fleet.pages.sensors import EXAMPLE, FIELDS, read_document
+from boresight.console.fleet.pages.sensor import baseline_values
+from boresight.console.fleet.pages.sensors import EXAMPLE, FIELDS, compute_optics, read_document
 from boresight.console.fleet.service import MOST_CHOICES
 from boresight.console.fleet.tables import Sensor
 from boresight.console.parameter_sets import queries as set_queries
@@ -50,6 +51,28 @@ def test_the_documented_example_registers_as_it_is(site, read):
 def test_every_field_of_the_example_is_explained():
     assert set(json.loads(EXAMPLE)) <= {name for name, _ in FIELDS}
     assert parse_sensor(read_document(EXAMPLE)).camera_model == "inverted_wang"
+
+
+def test_a_few_numbers_make_a_sensor_file_that_registers_with_its_field_drawn(site, read):
+    visitor = site.visitor("ada")
+    address = "/sensors?name=Tripod&rows=768&columns=1024&pixel_pitch_um=6.9&focal_length_mm=35&latitude_deg=52.2&longitude_deg=4.4"
+    page = visitor.get(f"{address}&parity=-1&describe=1")
+    assert "1024 by 768 pixels" in page
+    assert "upright image" in page
+    text = html.unescape(re.search(r'<textarea id="document"[^>]*>(.*?)</textarea>', page, re.DOTALL)[1])
+    assert json.loads(text)["site"] == {"latitude_deg": 52.2, "longitude_deg": 4.4}
+    answer = visitor.post("/sensors", document=text)
+    assert answer.status_code == 303
+    assert "Baseline PS-Tripod-0" in read(visitor.get(answer.headers["location"]))
+    assert "mirrored image" in visitor.get(f"{address}&parity=1&describe=1")
+
+
+def test_every_fault_of_the_numbers_is_told_beside_what_was_typed(site):
+    page = site.visitor("ada").get("/sensors?rows=many&columns=5&pixel_pitch_um=3&sheet=&latitude_deg=95&describe=1")
+    assert page.count('class="fault"') >= 4
+    assert page.count('aria-describedby="describe-faults"') >= 3
+    assert 'value="many"' in page
+    assert '<svg class="plot sketch"' not in page
 
 
 def test_a_refused_sensor_keeps_the_text_and_names_every_fault(site, read):

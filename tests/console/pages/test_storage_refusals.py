@@ -46,6 +46,9 @@ FORMS = {  # who sends which form to which page
     "/runs/new": ("ada", {"intent": "queue", "sensor_id": "1", "telemetry_set_id": "1", "method": "batch"}),
     "/presets/{preset_id:int}/archive": ("ada", {}),
     "/telemetry/{set_id}/archive": ("ada", {}),
+    "/telemetry/{set_id}/diagnose": ("ada", {}),
+    "/telemetry/{set_id}/accept-sensor": ("ada", {"version": "1"}),
+    "/telemetry/{set_id}/accept-mapping": ("ada", {}),
     "/sensors": ("ada", {"document": "{}"}),
     "/campaigns/{campaign_id:int}/cancel": ("ada", {"reason": "x"}),
     "/campaigns/{campaign_id:int}/launch-failed": ("ada", {}),
@@ -97,7 +100,7 @@ def test_a_full_disk_is_503_with_retry_after_by_every_form(request, site, monkey
         place = ada.post("/runs/1/parameter-set").headers["location"]
         version = ada.get(place).split('name="version" value="')[1].split('"')[0]
         assert ada.post(f"{place}/submit", version=version, reason="x").status_code == 303
-    if route == "/telemetry":
+    if route in {"/telemetry", "/telemetry/{set_id}/diagnose", "/telemetry/{set_id}/accept-mapping"}:
 
         @asynccontextmanager
         async def nothing_to_prepare(_made: object) -> AsyncIterator[None]:

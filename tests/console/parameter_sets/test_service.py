@@ -298,6 +298,20 @@ def test_what_cannot_be_converted_is_refused_with_422(site, query, said):
     assert said in answer.text
 
 
+def test_a_set_and_a_run_are_downloaded_as_another_program_s_file_or_refused_above_the_limit(site):
+    victor = site.visitor("victor")
+    for address in ("/api/v1/parameter-sets/1", "/api/v1/runs/1"):
+        answer = victor.send("GET", f"{address}/camera-file", params={"to": "opencv", "allow_px": "1000"})
+        assert answer.status_code == 200
+        assert answer.content.startswith(b"%YAML:1.0")
+        assert "-opencv.yaml" in answer.headers["content-disposition"]
+        for query in ({"to": "fits-sip"}, {"to": "none"}, {"to": "cedar", "allow_px": "0"}):
+            assert victor.send("GET", f"{address}/camera-file", params=query).status_code == 422
+    page = victor.get("/runs/1")
+    assert "/api/v1/runs/1/camera-file?to=giant-owen" in page
+    assert "camera-file?to=fits-sip" not in page
+
+
 @pytest.mark.parametrize("model", sorted(CAMERA_MODELS))
 def test_a_set_of_every_model_is_approved_and_becomes_baseline(engine, blobs, people, finished_run, model):
     camera = CAMERA_MODELS[model]

@@ -42,9 +42,9 @@ def test_the_bytes_come_back_as_they_were_uploaded(house):
     assert 'filename="telemetry.csv"' in answer.headers["content-disposition"]
 
 
-def test_an_uploaded_image_is_told_that_centroids_are_read(house):
+def test_an_image_under_another_name_is_told_that_centroids_are_read(house):
     answer = house.upload(
-        house.person("ada"), house.new_sensor()["id"], b"SIMPLE  =    T".ljust(2880), file_name="a.fits"
+        house.person("ada"), house.new_sensor()["id"], b"SIMPLE  =    T".ljust(2880), file_name="a.csv"
     )
     assert answer.status_code == 422
     assert "FITS image" in answer.json()["detail"]

@@ -28,6 +28,7 @@ from boresight.arrays import FloatArray
 from boresight.calibration.advice import remedies, too_few
 from boresight.calibration.calibrate import choose_match_mode, select_free_parameters
 from boresight.calibration.calibration import Observability
+from boresight.calibration.corrections import with_directions
 from boresight.calibration.estimate import Estimate, Parameters, covariance, never, run_batch
 from boresight.calibration.matching.match_report import identification_advice
 from boresight.calibration.matching.matched import Dataset
@@ -114,9 +115,8 @@ def forecast(
     RefusedInputError when the free parameters are not the sensor's, or directions cannot be had.
     """
     parameters = select_free_parameters(sensor, settings)
-    sets = Dataset(
-        sample.telemetry, sensor, catalogue, parameters, choose_match_mode(sample.telemetry, settings), cache_folder
-    )
+    telemetry = with_directions(sample.telemetry, sensor, catalogue)
+    sets = Dataset(telemetry, sensor, catalogue, parameters, choose_match_mode(telemetry, settings), cache_folder)
     start = sets.at_start()
     problem = start.problem
     names = [problem.camera.parameter_names[p] for p in parameters.free]

@@ -121,6 +121,8 @@ class Estimation:
         again = matched if last is None else self.sets.at_covariance(last.x, last.P)
         if not self.sets.changed(matched, again):
             return replace(ended, matched=again)
+        if again.problem.arcs.n_exposures == 0:
+            return replace(ended, rested=False)
         settled = self._settled_by_batch(again)
         return replace(self._filtered_once(settled.matched), cycles=settled.cycles, rested=settled.rested)
 

@@ -171,8 +171,9 @@ def write_ordered(problem: Problem, begins: int, path: Path, timeless: int = 0) 
 def _directions(telemetry: Telemetry, catalogue: Catalogue) -> NDArray[np.float64]:
     """Apparent direction of every row, (n_rows, 3)."""
     return star_directions(
-        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
-    )
+        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue,
+        telemetry.site,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -125,8 +125,9 @@ def read_given_matches(telemetry: Telemetry, sensor: Sensor, catalogue: Catalogu
     """
     exposures = find_exposures(telemetry)
     s_i = star_directions(
-        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
-    )
+        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue,
+        telemetry.site,
+    )  # fmt: skip
     s_i = np.where(on_detector(telemetry, sensor)[:, None], s_i, np.nan)
     named = np.zeros(len(telemetry), np.int64) if telemetry.star_id is None else telemetry.star_id
     return GivenMatches(

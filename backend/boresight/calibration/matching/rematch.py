@@ -45,8 +45,9 @@ def given_stars(telemetry: Telemetry, catalogue: Catalogue) -> tuple[IntArray, F
         return np.zeros(n, np.int64), np.full((n, 3), np.nan), np.zeros(n, np.bool_)
     own = np.zeros(n, np.bool_) if telemetry.ra_rad is None else np.isfinite(telemetry.ra_rad)
     given_s = star_directions(
-        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue
-    )
+        telemetry.star_id, telemetry.ra_rad, telemetry.dec_rad, telemetry.time_utc, telemetry.velocity_m_s, catalogue,
+        telemetry.site,
+    )  # fmt: skip
     return np.maximum(telemetry.star_id, 0), given_s, own & (telemetry.star_id > 0)
 
 
@@ -219,7 +220,8 @@ class Rematcher:
     `telemetry`, `sensor`, `catalogue`: the set, whose it is, and the stars there are. `settings`: `minimum_stars` and
     `leave_out_doubles` count here. `cache_folder`: where lost-in-space identification keeps its tables; None makes them anew in
     every process. `sky`, `epoch`: where the telemetry is part of a set: the stars of the whole set, and the first time in it;
-    None takes those of the part.
+    None takes those of the part. `identified`: (n_exposures, 4) attitudes that identification found beforehand, NaN where none;
+    None identifies frames without any other start when they come.
     """
 
     def __init__(
@@ -231,8 +233,11 @@ class Rematcher:
         cache_folder: Path | None = None,
         sky: MatchingSky | None = None,
         epoch: np.datetime64 | None = None,
+        *,
+        identified: FloatArray | None = None,
     ) -> None:
         self._telemetry, self._sensor, self._settings = telemetry, sensor, settings
+        self._identified = identified
         self._cache_folder = cache_folder
         self._exposures = find_exposures(telemetry)
         frame_first = np.unique(self._exposures.frame, return_index=True)[1]
@@ -246,7 +251,7 @@ class Rematcher:
         nowhere = np.full((len(first), 4), np.nan)
         self._quaternion = nowhere if telemetry.quaternion is None else telemetry.quaternion[first]
         velocity = None if telemetry.velocity_m_s is None else telemetry.velocity_m_s[first]
-        self._motion = observer_motion(times, velocity)
+        self._motion = observer_motion(times, velocity, telemetry.site)
         if sky is None:
             limit = magnitude_limit(telemetry, sensor, catalogue, self._given)
             sky = matching_sky(catalogue, limit, blend_rad(sensor))
@@ -287,7 +292,7 @@ class Rematcher:
             quaternion=self._quaternion[exposures],
             time_s=self._time_s[k0:k1],
         )
-        identify = self._identifier(detections, x, rows) if identification.available() else None
+        identify = self._identifier(detections, x, rows, e0) if identification.available() else None
         answer = matching.match(
             detections, self._stars, self._motion[exposures], cone_rad(self._sensor, x),
             self._settings.minimum_stars, identify,
@@ -296,12 +301,17 @@ class Rematcher:
             answer.reason[self._identifiable(answer, detections)] = matching.NOT_INSTALLED
         return self._matches(answer, detections, exposures, self._off[rows])
 
-    def _identifier(self, detections: Detections, x: FloatArray, rows: slice) -> matching.Identify | None:
+    def _identifier(
+        self, detections: Detections, x: FloatArray, rows: slice, first_exposure: int
+    ) -> matching.Identify | None:
         """Lost-in-space identification of one exposure of these detections, which are in the triad already.
 
         None where a corner of the detector has no direction under x, or the field of view is none of a star tracker: such a field
         matches no pattern.
         """
+        if (known := self._identified) is not None:
+            attitudes = [quaternion if np.isfinite(quaternion[0]) else None for quaternion in known[first_exposure:]]
+            return attitudes.__getitem__
         magnitude = None if self._telemetry.magnitude is None else self._telemetry.magnitude[rows]
         sensor, camera = self._sensor, CAMERA_MODELS[self._sensor.camera_model]
         if camera.blind_corner(x, sensor.rows, sensor.columns, sensor.pixel_pitch_m) is not None:

@@ -30,6 +30,9 @@ P is that of the estimate, widened by chi-square, and kappa^2 the median of the 
 degrees of freedom, where chi-square is above its bound: the median does not follow the stars that are to be found. Every proposed
 star is judged anew in each cycle, so that none is lost for good, until the set rests.
 
+**Names.** A star is seen once in an exposure. Of detections that all stand under one star the nearest to its place, by t_i, keeps
+it; the others are refused, however near they lie.
+
 A first-order residual r misses a share of the correction that it makes, so (`BENT` |r|)^2 is added to its variance.
 
 **Cost.** Few exposures need that closer look. Before the estimate they are those in which one of the estimator's own 2 N - 3 arcs
@@ -58,6 +61,7 @@ from boresight.estimation.statistics.consistency import chi_square
 from boresight.estimation.stored_arcs import Arcs
 from boresight.kernels import verification as loops
 from boresight.sky.matching import GATE
+from boresight.telemetry.read.checks import repeats_within
 
 #: Of clean sets the share that loses any star, and the largest share of the stars of a small one.
 FAMILY_LEVEL, LARGEST_LEVEL = 0.01, 1e-4
@@ -77,18 +81,22 @@ SAMPLE_STARS = 20_000
 MOST_LISTED = 10_000
 BY_VOTE = "its arcs to the other stars of its exposure disagree with the catalogue"
 BY_GATE = "it lies too far from where the other stars of its exposure place it"
+BY_NAME = "its star is named twice in its exposure, and the other detection lies nearer to the star's place"
+REASONS = (BY_VOTE, BY_GATE, BY_NAME)
+#: Directions, rad, that are one star's: two of a catalogue that lie so close are one image.
+SAME_DIRECTION = 1e-8
 
 
 @dataclass(frozen=True)
 class Refusals:
     """Proposed stars that do not stand, by ascending row.
 
-    `row`: (n,) place in the set. `voted_out`: (n,) whether the vote refused it before the gate. `probability`: (n,) that a right
-    star lies as far from its place; NaN where too few others agree to tell.
+    `row`: (n,) place in the set. `reason`: (n,) which of `REASONS`. `probability`: (n,) that a right star lies as far from its
+    place; NaN where too few others agree to tell.
     """
 
     row: IntArray
-    voted_out: BoolArray
+    reason: IntArray
     probability: FloatArray
 
     @classmethod
@@ -96,9 +104,9 @@ class Refusals:
         """Put those of parts of a set together."""
         row = np.concatenate([np.zeros(0, np.int64), *(part.row for part in parts)])
         order = np.argsort(row)
-        voted_out = np.concatenate([np.zeros(0, np.bool_), *(part.voted_out for part in parts)])
+        reason = np.concatenate([np.zeros(0, np.int64), *(part.reason for part in parts)])
         probability = np.concatenate([np.zeros(0), *(part.probability for part in parts)])
-        return cls(row[order], voted_out[order], probability[order])
+        return cls(row[order], reason[order], probability[order])
 
     def __len__(self) -> int:
         """Count them."""
@@ -109,9 +117,8 @@ class Refusals:
         return len(np.setxor1d(self.row, other.row, assume_unique=True))
 
     def counted(self) -> dict[str, int]:
-        """How many each of the two tests refused."""
-        by_vote = int(self.voted_out.sum())
-        return {BY_VOTE: by_vote, BY_GATE: len(self) - by_vote}
+        """How many were refused for each reason."""
+        return dict(zip(REASONS, np.bincount(self.reason, minlength=len(REASONS)).tolist(), strict=True))
 
 
 NONE = Refusals.joined(())
@@ -147,7 +154,7 @@ def compute_limit(n_stars: int) -> float:
 
 def _verify_block(block: ArcSet, how: Verification) -> Refusals:
     """Verify one block of exposures."""
-    part = block.exposures(_doubtful(block, how))
+    part = block.exposures(_doubtful(block, how) | _names_twice(block))
     if not part.n_exposures:
         return NONE
     camera = CAMERA_MODELS[how.camera]
@@ -159,9 +166,34 @@ def _verify_block(block: ArcSet, how: Verification) -> Refusals:
         part.star_start, triad(s, how.parity), np.ascontiguousarray(sign * (ds_dx @ how.root)), sigma, part.s_i, GATE,
         how.limit, START_BENT if how.before_estimate else BENT, use, voted, t,
     )  # fmt: skip
-    out = ~use
+    reason = np.where(voted, REASONS.index(BY_GATE), REASONS.index(BY_VOTE))
+    second = _second_of_one_name(part, use, t)
+    reason[second] = REASONS.index(BY_NAME)
+    use[second] = False
     probability = np.where(np.isfinite(t), np.exp(-np.minimum(t, LARGEST_T) / 2), np.nan)
-    return Refusals(part.source_row[out], ~voted[out], probability[out])
+    return Refusals(part.source_row[~use], reason[~use], probability[~use])
+
+
+def _names_twice(block: ArcSet) -> BoolArray:
+    """Exposures (n_exposures,) in which two stars may have one direction: one coordinate tells it, at half the cost."""
+    exposure = np.repeat(np.arange(block.n_exposures), np.diff(block.star_start))
+    found = np.zeros(block.n_exposures, np.bool_)
+    found[exposure[_repeats(exposure, block.s_i[:, :1])]] = True
+    return found
+
+
+def _second_of_one_name(part: ArcSet, use: BoolArray, t: FloatArray) -> IntArray:
+    """Stars of a set that stand, by their places, though another of their name stands nearer to its place."""
+    standing = np.flatnonzero(use)
+    nearest_first = standing[np.argsort(t[standing], kind="stable")]
+    exposure = np.repeat(np.arange(part.n_exposures), np.diff(part.star_start))
+    return nearest_first[_repeats(exposure[nearest_first], part.s_i[nearest_first])]
+
+
+def _repeats(exposure: IntArray, s_i: FloatArray) -> IntArray:
+    """Places of stars whose direction, or some coordinates of it, (n, 1 to 3), an earlier one of their exposure (n,) has."""
+    later, _ = repeats_within(exposure, *np.rint(s_i / SAME_DIRECTION).astype(np.int64).T)
+    return later
 
 
 def _doubtful(block: ArcSet, how: Verification) -> BoolArray:
@@ -171,7 +203,7 @@ def _doubtful(block: ArcSet, how: Verification) -> BoolArray:
         return doubtful
     if how.before_estimate:
         loops.find_disagreeing(
-            block.camera.kind, how.x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band,
+            block.camera.kind, how.x, block.pitch, block.star_start, block.row_px, block.col_px, block.known_phi, block.band,
             how.root, GATE, doubtful,
         )  # fmt: skip
         return doubtful
@@ -182,7 +214,15 @@ def _chi2_in_block(block: ArcSet, x: FloatArray) -> FloatArray:
     """Chi-square of each exposure of one block, (n_exposures,)."""
     chi2 = np.empty(block.n_exposures)
     loops.exposure_chi2(
-        block.camera.kind, x, block.pitch, block.star_start, block.row_px, block.col_px, block.phi, block.band, chi2
+        block.camera.kind,
+        x,
+        block.pitch,
+        block.star_start,
+        block.row_px,
+        block.col_px,
+        block.known_phi,
+        block.band,
+        chi2,
     )
     return chi2
 
@@ -251,7 +291,7 @@ def list_removed(pieces: Pieces, refused: Refusals) -> Iterator[RemovedStar]:
                 exposure=int(telemetry.exposure[at]),
                 row=telemetry.first_row + at,
                 star_id=star if star is not None and star > 0 else None,
-                reason=BY_VOTE if refused.voted_out[k] else BY_GATE,
+                reason=REASONS[refused.reason[k]],
                 probability=float(refused.probability[k]) if known else None,
             )
 

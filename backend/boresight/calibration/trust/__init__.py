@@ -17,8 +17,8 @@
 `residual_spline`  what the camera model leaves over the detector, as a spline with its sigma, and which camera has it
 =================  ====================================================================================================
 
-`displacements` and `departures` test what moves stars, `trust_tests` makes one family of all tests, `causes` says what explains
-those that notice something.
+`displacements` and `departures` test what moves stars, `flaws` looks for the place of a flaw, `trust_tests` makes one family of
+all tests, `causes` says what explains those that notice something.
 
 A part that cannot be had is null, and `unavailable` says why in a sentence. Large sets are thinned where a part needs more than
 a pass over the set a frame; such a part says how many frames it used.
@@ -40,7 +40,7 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.calibration.problem import Problem
 from boresight.calibration.trust.advice import cause_advice, trust_advice
 from boresight.calibration.trust.causes import find_causes
-from boresight.calibration.trust.departures import find_departures
+from boresight.calibration.trust.departures import find_companions, find_departures
 from boresight.calibration.trust.displacements import add_up, find_score
 from boresight.calibration.trust.efficiency import arc_sigma_map, efficiency, more_data
 from boresight.calibration.trust.field import residual_against, residual_distribution, residual_field, residual_outliers
@@ -131,9 +131,10 @@ def _tested(fitted: FittedSet, trust: Trust, parts: Parts, stars: StarParts) -> 
     """Make every test that can be made, look for what explains them, and widen the sigmas by it."""
     departures, _ = find_departures(fitted)
     try:
-        sums = add_up(fitted, departures, MOST_TESTED)
+        sums = add_up(fitted, [*departures, *find_companions(fitted)], MOST_TESTED)
         scores = {one.name: find_score(sums, one.name) for one in departures}
-        examined = Examined(fitted, sums, scores, parts, stars.found, stars.table)
+        trials = {one.name: one.trials for one in departures}
+        examined = Examined(fitted, sums, scores, parts, stars.found, stars.table, trials)
         tests = make_tests(examined)
         causes = find_causes(examined, tests)
     except np.linalg.LinAlgError:  # the numbers are too near to singular

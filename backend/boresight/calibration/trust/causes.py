@@ -10,8 +10,9 @@ number k of coefficients; n are the arcs. Its gain over the camera alone, both w
     sum over stars (z^2 - 2 ln n)                               catalogue places: a star seen twice or more, off by z sigmas
     n (r - 1 - ln r) - ln n                                     noise misstated: r times the stated variance
 
-the difference of Schwarz's criterion; of aberration, of which all may be missing or none, and of readout, whose lines take some
-time that is not long, the evidence itself: with c normal of sigma one beforehand, F and s in units of the noise,
+the difference of Schwarz's criterion, less 2 ln m for the best of m places on the ground; of aberration and refraction, of which
+all may be missing or none, and of readout, whose lines take some time that is not long, the evidence itself: with c
+normal of sigma one beforehand, F and s in units of the noise,
 
     n ln(RSS_0 / (RSS_0 - s^T (F + I)^-1 s)) - ln det(I + F),                    but no more than by the first line.
 
@@ -37,9 +38,10 @@ import numpy as np
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Cause, TrustTest
-from boresight.calibration.trust.departures import ANY_VELOCITY
+from boresight.calibration.trust.departures import ANY_VELOCITY, SOUGHT
 from boresight.calibration.trust.displacements import Score, find_score
 from boresight.calibration.trust.fitted_set import UNLIKELY
+from boresight.calibration.trust.flaws import Flaw
 from boresight.calibration.trust.trust_tests import TRUST_TESTS, Examined, gate_of_test
 from boresight.estimation.statistics.special import fdtrc
 
@@ -50,13 +52,17 @@ NOISE_OFF = 1.01
 #: What the Earth's velocity is, and a satellite's, km/s.
 VELOCITIES_KM_S = (29.8, 7.5)
 #: Departures whose fields have the size that a coefficient of one gives them.
-KNOWN_SIZE = ("aberration", "readout")
+KNOWN_SIZE = ("aberration", "readout", "refraction")
+#: Largest displacement of fields that leave most stars where they are, for a coefficient of one.
+LARGEST = {"edges": 1.0, "flaw": float(np.exp(-0.5))}
+#: Departures of the directions, whose size is known beforehand: tails of the centroids make none of them.
+OF_THE_SKY = ("aberration", "refraction")
 #: Fields of a velocity of which nothing is known.
 FREE_VELOCITY = 3
 #: More centroids than `FEW` beyond so many spreads are no noise, whatever its tails.
 FARTHEST, FEW = 30.0, 2
 #: Causes of which one alone is told: each takes up most of what the others leave.
-ONE_OF = ({"time", "temperature", "drift"}, {"lens", "tangential", "radial"})
+ONE_OF = ({"trend", "time", "temperature", "drift"}, {"lens", "tangential", "radial", "edges", "flaw"})
 #: Sightings of a star that tell its place from one wrong identity.
 SEEN_AGAIN = 2
 
@@ -106,10 +112,28 @@ CAUSES: dict[str, CauseKind] = {
             ("lens", *GENERAL),
         ),
         CauseKind(
+            "edges",
+            "Centroids near the edges of the detector are drawn off by about {size} px, as windows cut by the edge do",
+            "leave out stars whose window reaches over the edge, or correct their centroids",
+            ("edges", *GENERAL),
+        ),
+        CauseKind(
+            "flaw",
+            "Something at one place displaces stars about it by up to {size} px: a flaw of the window, a droplet, dust",
+            "leave out stars near it, or load the correction table of the residual spline",
+            ("flaw", *GENERAL),
+        ),
+        CauseKind(
             "readout",
             "Lines are read out one after another: stars are displaced by about {size} px with their line and the image's velocity",
             "state readout mode and line time in the sensor file, or use frames taken at rest",
             ("readout", *GENERAL),
+        ),
+        CauseKind(
+            "trend",
+            "The focal length drifts one way during the set, which moves stars by about {size} px",
+            "calibrate shorter stretches apart, or run a filter with process noise and use its last state",
+            ("trend", *GENERAL),
         ),
         CauseKind(
             "time",
@@ -128,6 +152,12 @@ CAUSES: dict[str, CauseKind] = {
             "The camera drifts over the set, not by its focal length alone",
             "calibrate shorter stretches apart, or run a filter with process noise and use its last state",
             ("drift", *GENERAL),
+        ),
+        CauseKind(
+            "exposure",
+            "The exposures of a frame see different cameras: parameters change from the first exposure to the last",
+            "calibrate them apart; look at exposure times, motion during the exposure and how each is read",
+            ("exposure", *GENERAL),
         ),
         CauseKind(
             "magnitude",
@@ -154,6 +184,15 @@ CAUSES: dict[str, CauseKind] = {
             ("aberration", *GENERAL),
         ),
         CauseKind(
+            "refraction",
+            "These residuals look like refraction: stars are displaced by {size} times what the usual air above a place on the "
+            "ground does",
+            "give the site in the sensor file (`site`: latitude_deg, longitude_deg, pressure_hpa, temperature_c), or on the "
+            "command line with --site, and times in UTC; where directions of the telemetry hold refraction already, declare it "
+            "corrected",
+            ("refraction", *GENERAL),
+        ),
+        CauseKind(
             "identities",
             "Single stars are named wrongly or are no stars: about {size} % of the sightings lie where noise cannot put them",
             "match the stars again (`--match rematch`) and look at the outliers",
@@ -168,7 +207,7 @@ CAUSES: dict[str, CauseKind] = {
         CauseKind(
             "tails",
             "The centroid noise has heavier tails than the normal distribution: Student's with {size} degrees of freedom fits",
-            "look for hot pixels and blends, or calibrate with Huber's loss",
+            "look for hot pixels and blends, or calibrate with robust 'stars'",
             GENERAL,
         ),
         CauseKind(
@@ -217,7 +256,7 @@ def find_causes(examined: Examined, tests: Sequence[TrustTest]) -> list[Cause]:
         return []
     candidates = [*_displacements(examined), *_of_stars(examined)]
     candidates.append(_noise(examined, candidates))
-    found = _in_order(examined, [one for one in candidates if one.gain > 0])
+    found = _in_order(examined, [one for one in candidates if one.gain > 0], noticed)
     explained = _explained(examined, [one.name for one, _ in found if one.name in examined.scores], noticed)
     causes = [
         _describe(examined, one, share, noticed, explained if not place else ())
@@ -240,8 +279,12 @@ def _notices(examined: Examined, free: list[str], name: str) -> float:
     if k < 1:
         return 0.0
     freedom = n - both.dof - len(examined.sums.A)
-    p = fdtrc(k, freedom, (alone.left - both.left) / k / (both.left / freedom))
-    return max(float(n * np.log(alone.left / both.left) - k * np.log(n)), 0.0) if p < UNLIKELY else 0.0
+    p = fdtrc(k, freedom, (alone.left - both.left) / k / (both.left / freedom)) * examined.trials.get(name, 1)
+    return (
+        max(float(n * np.log(alone.left / both.left) - (k + SOUGHT.get(name, 0)) * np.log(n)), 0.0)
+        if p < UNLIKELY
+        else 0.0
+    )
 
 
 def _guess(examined: Examined, candidates: list[Candidate], noticed: list[str]) -> Cause:
@@ -277,7 +320,8 @@ def _displacements(examined: Examined) -> list[Candidate]:
     return [
         Candidate(
             name,
-            _evidence(n, score) if name in KNOWN_SIZE else _gain(n, score, score.dof),
+            (_evidence(n, score) if name in KNOWN_SIZE else _gain(n, score, score.dof + SOUGHT.get(name, 0)))
+            - 2 * np.log(examined.trials.get(name, 1)),
             _size(examined, name, score),
         )
         for name, score in examined.scores.items()
@@ -288,8 +332,13 @@ def _displacements(examined: Examined) -> list[Candidate]:
 def _size(examined: Examined, name: str, score: Score) -> float:
     """How far a departure still displaces stars, as the amplitude of a wave would: its root mean square times the root of two.
 
-    Of aberration the velocity, km/s.
+    Of aberration the velocity, km/s; of what is near the edges or about one place the largest displacement there; of refraction
+    how many times that of the usual air.
     """
+    if name in LARGEST:
+        return abs(float(score.c[0])) * LARGEST[name]
+    if name == "refraction":
+        return float(np.abs(score.c[0]))
     if name == "aberration":
         speeds = VELOCITIES_KM_S[: len(score.c)] if len(score.c) < FREE_VELOCITY else [ANY_VELOCITY] * FREE_VELOCITY
         return float(np.linalg.norm(score.c * speeds))
@@ -375,14 +424,14 @@ def _noise(examined: Examined, others: Sequence[Candidate]) -> Candidate:
     return Candidate("noise", -np.inf if little else float(off), float(np.sqrt(variance)))
 
 
-def _in_order(examined: Examined, candidates: list[Candidate]) -> list[tuple[Candidate, float]]:
+def _in_order(examined: Examined, candidates: list[Candidate], noticed: list[str]) -> list[tuple[Candidate, float]]:
     """Take the best, then what is still noticed beside it, and so on; each with its share of likelihood at its turn."""
     left, found = list(candidates), list[tuple[Candidate, float]]()
     while left:
         special = [one for one in left if one.name != "noise"]
         best = max(special or left, key=lambda one: one.gain)
         found.append((best, _share(best, special or left)))
-        left = _beside(examined, [one for one, _ in found], [one for one in left if one is not best])
+        left = _beside(examined, [one for one, _ in found], [one for one in left if one is not best], noticed)
     return found
 
 
@@ -392,7 +441,7 @@ def _share(one: Candidate, among: list[Candidate]) -> float:
     return float(1 / np.sum(np.exp(np.clip((gains - one.gain) / 2, -700, 700))))
 
 
-def _beside(examined: Examined, taken: list[Candidate], left: list[Candidate]) -> list[Candidate]:
+def _beside(examined: Examined, taken: list[Candidate], left: list[Candidate], noticed: list[str]) -> list[Candidate]:
     """What stands beside the causes that were taken: displacements with theirs free, and those of another kind."""
     free = [one.name for one in taken if one.name in examined.scores]
     stars = {"identities", "tails", "places"}
@@ -406,7 +455,8 @@ def _beside(examined: Examined, taken: list[Candidate], left: list[Candidate]) -
                 found.append(one)
             continue
         if not free:
-            if stars & told:
+            of_sky = one.name in OF_THE_SKY and one.name in noticed and stars & told == {"tails"}
+            if stars & told and not of_sky:
                 continue  # what displaces stars can be told when the stars are right
             found.append(one)
             continue
@@ -425,6 +475,9 @@ def _describe(
             kind,
             sentence="The centroid noise is {size} times the stated one; the sigmas hold the scale that was measured",
         )
+    if isinstance(flaw := examined.fitted.kept.get("flaw"), Flaw) and one.name == "flaw":
+        where = f"row {flaw.row_px:.0f}, column {flaw.col_px:.0f}"
+        kind = replace(kind, sentence=kind.sentence.replace("one place", where))
     return Cause(
         name=one.name,
         likelihood=share,

@@ -8,20 +8,30 @@ polynomials, which keep the fields of one departure apart:
 `radial`       (x, y) L_j(2 R^2 - 1), j = 1 ... 4: distortion of higher order than the camera has
 `affine`       (x, -y) and (y, x): pixels that are not square or not upright, and lines read out while the image moves steadily
 `lens`         (L_i L_j, 0) and (0, L_i L_j), 1 <= i + j <= 3: any smooth residual of the lens
+`edges`        centroids within `EDGE` of an edge drawn inwards or outwards, the more the nearer: windows that the edge cuts
+`flaw`         (p - p_0) / w exp(-|p - p_0|^2 / 2 w^2): at the place p_0 that `flaws` has found, of the width found there
 `magnitude`    (m, 0), (0, m), (m x, m y) with m the star's magnitude: centroids pulled with brightness
 `colour`       the same with its colour B-V
 `phase`        sin and cos of 2 pi and 4 pi times the place in the pixel, along either axis: centroids drawn to its centre
 `readout`      the image's velocity times the row, or the column: one line after another
 `aberration`   v - (v.s) s with v the Earth's velocity, and the satellite's, in units of c, where times tell them, or else any
                constant one of so many km/s as `ANY_VELOCITY`: directions of another observer
+`trend`        (x, y) L_1(time): a focal length that drifts one way, which six orders at once would hide
+`refraction`   the lift of the air, A tan Z towards the zenith, of a usual pressure and temperature: once where it is missing
 `time`         (x, y) L_j(time), j = 1 ... 6: a focal length that changes
 `temperature`  (x, y) L_j(temperature), j = 1 ... 5
 `drift`        every free parameter times L_1(time)
+`exposure`     every free parameter times the place of the exposure in its frame, from -1 for the first to 1 for the last
 =============  ====================================================================================================
 
 The image's velocity comes from the attitudes of exposures that follow each other closely: with C_a and C_b a time t apart the
 detector turns by w t, the rotation vector of C_b C_a^T, and a star at s moves by -w x s. Exposures that are `FAR_APART` or turn by
 more than `FAR_TURN` say nothing of it.
+
+The zenith of refraction is that of the sensor's site. Where nobody gave one, places all over the Earth are tried, those from which
+every exposure looks up; of a set that looks all around the sky there are none. The place whose lift explains most is taken,
+after two rounds about it that are each twice as near, and its probability is multiplied by the number of places tried, which holds
+however they hang together. The lift of an exposure as a whole is a rotation and left out, for it is a hundred times the rest.
 
 A departure whose numbers a set does not have is not tested, and `find_departures` says why.
 """
@@ -36,12 +46,20 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from boresight.arrays import FloatArray, IntArray
-from boresight.calibration.trust.displacements import Block, Departure
+from boresight.arrays import FloatArray, IntArray, TimeArray
+from boresight.calibration.trust.displacements import Block, Departure, add_up, find_score_of
 from boresight.calibration.trust.fitted_set import FittedSet
+from boresight.calibration.trust.flaws import Flaw, bump
 from boresight.estimation.attitude import attitudes, rotation_vector, to_quaternion, triad
+from boresight.site import Site
 from boresight.sky.apparent import C_AU_DAY, C_M_S, days_since_j2000, earth_state
+from boresight.sky.ground import lift, refraction_constants, view_from, zeniths_from
+from boresight.telemetry.schema import MAGNITUDES, TEMPERATURES_C, within
 
+#: Width of the edges, half diagonals: what a window of a few per cent of the detector's side reaches.
+EDGE = 0.1
+#: Numbers of a departure that were looked for before it was tested: Schwarz's criterion counts them with its coefficients.
+SOUGHT = {"flaw": 3}
 #: Orders of the polynomials above.
 RADIAL, LENS, TIME, TEMPERATURE, HARMONICS = 4, 3, 6, 5, 2
 #: Seconds between exposures, and the angle between them, rad, beyond which they do not tell a rate.
@@ -50,6 +68,11 @@ FAR_APART, FAR_TURN = 60.0, 0.2
 ANY_VELOCITY = 20.0
 #: Seconds that the lines over half the diagonal take to read where a coefficient is one.
 READOUT_S = 0.03
+#: Places on Earth that are tried, how low above their horizon an exposure may look, how often closer ones are tried; exposures that
+#: tell which, and frames that tell the likeliest.
+PLACES, LOWEST_DEG, CLOSER, PLACED, SEARCHED = 200, 8.0, 2, 500, 256
+#: Air where nobody gave a site.
+USUAL_SITE = Site(0.0, 0.0)
 #: Frames that a change over them needs.
 FEWEST_FRAMES = 20
 #: Spread of a quantity below which nothing can depend on it.
@@ -79,20 +102,51 @@ def find_departures(fitted: FittedSet) -> tuple[list[Departure], dict[str, str]]
         Departure("radial", "detector", _radial),
         Departure("affine", "detector", _affine),
         Departure("lens", "detector", _lens),
+        Departure("edges", "detector", _edges),
         Departure("phase", "detector", _phase),
         Departure("aberration", "sky", _aberration),
     ]
+    air = _find_refraction(fitted)
+    if isinstance(air, str):
+        known.missing["refraction"] = air
+    else:
+        found.append(air)
     for name, values in (("magnitude", known.magnitude), ("colour", known.colour)):
         if values is not None:
             found.append(Departure(name, "detector", partial(_with, values)))
     if "rate" not in known.missing:
         found.append(Departure("readout", "detector", _readout))
-    for name, values, order in (("time", known.time, TIME), ("temperature", known.temperature, TEMPERATURE)):
+    for name, values, order in (
+        ("trend", known.time, 1),
+        ("time", known.time, TIME),
+        ("temperature", known.temperature, TEMPERATURE),
+    ):
         if values is not None:
             found.append(Departure(name, "rows", partial(_scale_with, values, order)))
     if known.time is not None:
         found.append(Departure("drift", "rows", partial(_drift, known.time)))
+    if "exposure" not in known.missing:
+        found.append(Departure("exposure", "rows", _exposure))
+    if isinstance(flaw := fitted.kept.get("flaw"), Flaw):
+        found.append(Departure("flaw", "detector", partial(_flaw, flaw)))
     return found, known.missing
+
+
+def find_companions(fitted: FittedSet) -> list[Departure]:
+    """List fields that have no test of their own, for how far `magnitude` and `colour` mislead when they are noticed.
+
+    `magnitude stretch`, `colour stretch`: (m x, -m y) and (m y, m x). `alike`: the fields of both with m one, for the star that is
+    not displaced need not be the mean one.
+    """
+    known = find_quantities(fitted)
+    return [
+        Departure("alike", "detector", _alike),
+        *(
+            Departure(f"{name} stretch", "detector", partial(_stretched_with, values))
+            for name, values in (("magnitude", known.magnitude), ("colour", known.colour))
+            if values is not None
+        ),
+    ]
 
 
 def find_quantities(fitted: FittedSet) -> Quantities:
@@ -106,6 +160,8 @@ def find_quantities(fitted: FittedSet) -> Quantities:
             missing[name] = values
     if why := _why_no_rate(fitted):
         missing["rate"] = why
+    if fitted.arcs.n_exposures == fitted.arcs.n_frames:
+        missing["exposure"] = "Every frame has one exposure."
     return Quantities(**found, missing=missing)
 
 
@@ -113,7 +169,7 @@ def _magnitude(fitted: FittedSet) -> FloatArray | str:
     given = fitted.telemetry.magnitude
     if given is None:
         return "The telemetry has no magnitudes."
-    return _about_mean(given[fitted.arcs.source_row], "All stars have one magnitude.")
+    return _about_mean(within(given[fitted.arcs.source_row], MAGNITUDES), "All stars have one magnitude.")
 
 
 def _colour(fitted: FittedSet) -> FloatArray | str:
@@ -150,8 +206,11 @@ def _temperature(fitted: FittedSet) -> FloatArray | str:
         return "The telemetry has no temperatures."
     if fitted.arcs.n_frames < FEWEST_FRAMES:
         return f"A change with temperature needs {FEWEST_FRAMES} frames."
-    values = given[_first_rows(fitted)]
-    return _within_one(np.where(np.isfinite(values), values, np.nanmean(values)), "All frames have one temperature.")
+    values = within(given[_first_rows(fitted)], TEMPERATURES_C)
+    known = np.isfinite(values)
+    if not known.any():
+        return "The telemetry has no temperatures."
+    return _within_one(np.where(known, values, values[known].mean()), "All frames have one temperature.")
 
 
 def _first_rows(fitted: FittedSet) -> FloatArray:
@@ -263,6 +322,24 @@ def _lens(block: Block) -> FloatArray:
     return np.stack([np.concatenate([values, none], axis=1), np.concatenate([none, values], axis=1)], axis=1)
 
 
+def _edges(block: Block) -> FloatArray:
+    sensor = block.fitted.problem.sensor
+    places = ((block.arcs.row_px, sensor.rows), (block.arcs.col_px, sensor.columns))
+    return _pairs((_towards_edges(block, *places[0]), _towards_edges(block, *places[1])))
+
+
+def _towards_edges(block: Block, place: FloatArray, pixels: int) -> FloatArray:
+    """One at the far edge, minus one at the first, and nothing `EDGE` half diagonals from either."""
+    reach = EDGE * half_diagonal(block.fitted)
+    near, far = (np.maximum(1 - away / reach, 0.0) for away in (place, pixels - 1 - place))
+    return np.asarray(far - near)
+
+
+def _flaw(flaw: Flaw, block: Block) -> FloatArray:
+    places = np.stack([block.arcs.row_px, block.arcs.col_px], axis=1)
+    return bump(places[..., None], np.array([[flaw.row_px], [flaw.col_px]]), flaw.width_px)
+
+
 def _phase(block: Block) -> FloatArray:
     found = np.zeros((block.arcs.n_stars, 2, 4 * HARMONICS))
     for axis, place in enumerate((block.arcs.row_px, block.arcs.col_px)):
@@ -280,9 +357,98 @@ def _with(values: FloatArray, block: Block) -> FloatArray:
     return _pairs((m, none), (none, m), (m * x, m * y))
 
 
+def _stretched_with(values: FloatArray, block: Block) -> FloatArray:
+    """Stretches of the image that grow with a quantity of each star."""
+    m, (x, y) = values[block.stars], _places(block)
+    return _pairs((m * x, -m * y), (m * y, m * x))
+
+
+def _alike(block: Block) -> FloatArray:
+    """The same shifts, scale and stretches of all stars."""
+    every = np.ones(block.fitted.arcs.n_stars)
+    return np.concatenate([_with(every, block), _stretched_with(every, block)], axis=2)
+
+
 def _aberration(block: Block) -> FloatArray:
     v = np.repeat(_find_velocities(block), np.diff(block.arcs.star_start), axis=0)
     return np.asarray(np.einsum("nij,nic->njc", block.in_sky[1], v))
+
+
+def _find_refraction(fitted: FittedSet) -> Departure | str:
+    """The departure of refraction above the sensor's site, or above the likeliest place; else why it cannot be tested."""
+    sensor, site = fitted.problem.sensor, fitted.telemetry.site
+    if sensor.declared.refraction == "none":
+        return "The sensor declares that its images are from space."
+    time = None if fitted.telemetry.time_utc is None else fitted.telemetry.time_utc[_first_row_of_exposures(fitted)]
+    if time is None or np.isnat(time).any():
+        return "The telemetry has no times, so it is not known where the zenith is."
+    if site is not None:
+        zenith = view_from(site, time).zenith
+        return Departure("refraction", "sky", partial(_lifted, zenith[:, None], refraction_constants(site)))
+    places = _places_that_look_up(fitted, time)
+    if not len(places):
+        return "The exposures look all around the sky: they are not from one place on the ground."
+    place, trials = _likeliest_place(fitted, time, places)
+    return Departure(
+        "refraction", "sky", partial(_lifted, zeniths_from(place[None], time), refraction_constants(USUAL_SITE)), trials
+    )
+
+
+def _first_row_of_exposures(fitted: FittedSet) -> IntArray:
+    """Row of the telemetry of one star of each exposure, (n_exposures,)."""
+    arcs = fitted.arcs
+    return np.asarray(arcs.source_row[arcs.star_start[:-1]])
+
+
+def _places_that_look_up(fitted: FittedSet, time: TimeArray) -> FloatArray:
+    """Places on Earth (n, 3), evenly spread, above whose horizon every exposure stands."""
+    k = np.arange(PLACES) + 0.5
+    z, around = 1 - 2 * k / PLACES, k * np.pi * (3 - np.sqrt(5))
+    places = np.stack([np.sqrt(1 - z**2) * np.cos(around), np.sqrt(1 - z**2) * np.sin(around), z], axis=-1)
+    some = np.linspace(0, len(time) - 1, min(len(time), PLACED)).round().astype(int)
+    look = fitted.arcs.s_i[fitted.arcs.star_start[some]]
+    lowest = np.einsum("nkj,nj->nk", zeniths_from(places, time[some]), look).min(axis=0)
+    return np.asarray(places[lowest > np.sin(np.radians(LOWEST_DEG))])
+
+
+def _likeliest_place(fitted: FittedSet, time: TimeArray, places: FloatArray) -> tuple[FloatArray, int]:
+    """The place (3,) whose lift explains most of the residuals, and of how many; from some of the frames."""
+    best, trials, step = places[0], 0, np.sqrt(4 * np.pi / PLACES) / 2
+    for _ in range(1 + CLOSER):
+        trials += len(places)
+        zenith = zeniths_from(places, time)
+        lift = partial(_lifted, zenith, refraction_constants(USUAL_SITE))
+        sums = add_up(fitted, [Departure("places", "sky", lift)], SEARCHED)
+        falls = [find_score_of(sums, np.array([k])).statistic for k in range(len(places))]
+        best = places[int(np.argmax(falls))]
+        places, step = _about(best, step), step / 2
+    return best, trials
+
+
+def _about(place: FloatArray, step: float) -> FloatArray:
+    """A place (3,) and six at a distance from it, rad, (7, 3)."""
+    across = np.cross(place, np.eye(3)[np.argmin(np.abs(place))])
+    across /= np.linalg.norm(across)
+    up, angle = np.cross(place, across), np.arange(6) * np.pi / 3
+    ring = np.cos(step) * place + np.sin(step) * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * up)
+    return np.concatenate([place[None], ring])
+
+
+def _lifted(zenith: FloatArray, constants: tuple[float, float], block: Block) -> FloatArray:
+    """How far air lifts each star, less the turn of its exposure, with zeniths (n_exposures, n_fields, 3) of the whole set."""
+    arcs = block.arcs
+    first = int(block.fitted.arcs.frame_start[block.first])
+    here, counts = zenith[first : first + arcs.n_exposures], np.diff(arcs.star_start)
+    s, axes = block.in_sky
+    middle = np.add.reduceat(s, arcs.star_start[:-1], axis=0)
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    found = np.empty((len(s), 2, zenith.shape[1]))
+    for k in range(zenith.shape[1]):
+        turn = np.cross(middle, lift(middle, here[:, k], *constants))
+        of_star = lift(s, np.repeat(here[:, k], counts, axis=0), *constants)
+        of_star -= np.cross(np.repeat(turn, counts, axis=0), s)
+        found[:, :, k] = np.einsum("ni,nic->nc", of_star, axes)
+    return found
 
 
 def _readout(block: Block) -> FloatArray:
@@ -310,3 +476,12 @@ def _scale_with(values: FloatArray, order: int, block: Block) -> FloatArray:
 
 def _drift(time: FloatArray, block: Block) -> FloatArray:
     return np.asarray(-block.H * time[block.frame_of_arc][:, None])
+
+
+def _exposure(block: Block) -> FloatArray:
+    arcs = block.arcs
+    many = np.diff(arcs.frame_start)
+    first = np.repeat(arcs.frame_start[:-1], many)
+    place = 2 * (np.arange(arcs.n_exposures) - first) / np.maximum(np.repeat(many, many) - 1, 1) - 1
+    level = np.where(np.repeat(many, many) > 1, place, 0.0)
+    return np.asarray(-block.H * np.repeat(level, 2 * np.diff(arcs.star_start) - 3)[:, None])

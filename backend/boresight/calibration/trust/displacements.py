@@ -145,12 +145,14 @@ class Departure:
     """A departure from the model with its fields.
 
     `fields` makes them of a block: of kind `detector` displacements (n_stars, 2, n_fields), pixels; `sky`: the same, rad east and
-    north; `rows`: their rows G (n_arcs, n_fields), where these are those of another field times numbers of the frame.
+    north; `rows`: their rows G (n_arcs, n_fields), where these are those of another field times numbers of the frame. `trials`: of
+    how many fields these are the best, by which its probability is multiplied (Bonferroni).
     """
 
     name: str
     kind: Kind
     fields: Callable[[Block], FloatArray]
+    trials: int = 1
 
 
 @dataclass(frozen=True)
@@ -185,8 +187,8 @@ class Score:
     `statistic`: fall of chi-square in the noise found, and `dof` its degrees of freedom; `p`: chance of as much. `c`, `covariance`:
     (n_fields,) and (n_fields, n_fields) the coefficients, zero along directions that were left out. `d`: (n_free,) how far the
     parameters are off if it is real, typical sigmas. `misled`: that of the parameter that is misled most, in its claimed sigmas,
-    from the directions of c that stand clear of noise; `shift`, `shift_covariance`: d from these alone, and its covariance. `fall`,
-    `left`: of chi-square, in the stated noise, and what remains of it.
+    from the directions of c that stand clear of noise; `clear`: (n_fields,) c along these alone; `shift`, `shift_covariance`: d
+    from these alone, and its covariance. `fall`, `left`: of chi-square, in the stated noise, and what remains of it.
     """
 
     name: str
@@ -199,6 +201,7 @@ class Score:
     misled: float
     fall: float
     left: float
+    clear: FloatArray
     shift: FloatArray
     shift_covariance: FloatArray
 
@@ -266,6 +269,11 @@ def find_score(sums: ScoreSums, *names: str) -> Score:
     return _solve(sums, names[0], np.concatenate([every[sums.places[name]] for name in names]))
 
 
+def find_score_of(sums: ScoreSums, places: IntArray) -> Score:
+    """Test some fields of a departure alone, by their places among all."""
+    return _solve(sums, "", places)
+
+
 def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:
     P = covariance(sums.A)
     G_H = sums.G_H[places]
@@ -281,7 +289,19 @@ def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:
     if k == 0 or freedom < 1:
         none = np.zeros(len(P))
         return Score(
-            name, 0.0, 0, 1.0, np.zeros(len(s)), np.zeros(F.shape), none, 0.0, 0.0, left, none, np.zeros_like(P)
+            name,
+            0.0,
+            0,
+            1.0,
+            np.zeros(len(s)),
+            np.zeros(F.shape),
+            none,
+            0.0,
+            0.0,
+            left,
+            np.zeros(len(s)),
+            none,
+            np.zeros_like(P),
         )
     square = float(fall @ fall)
     noise = max(left - square, np.finfo(float).tiny) / freedom
@@ -294,5 +314,5 @@ def _solve(sums: ScoreSums, name: str, places: IntArray) -> Score:
     p = float(fdtrc(k, freedom, square / k / noise))
     return Score(
         name, square / noise, k, p, c, F_inverse * noise, towards @ c, misled, square, left - square,
-        by_clear, moving @ moving.T * noise,
+        inverse[:, clear] @ fall[clear], by_clear, moving @ moving.T * noise,
     )  # fmt: skip

@@ -18,8 +18,12 @@ deviates q_i spaced evenly; a sample quantile at p = Phi(q) has, with n values a
     sqrt(p (1 - p) / n) / phi(q)                                              (Kendall & Stuart, vol. 1, 14.10).
 
 Tails are judged beyond `TAIL` spreads: so scaled, understated noise alone is no heavy tail. The number of components out there is
-binomial; its two-sided p-value below 1 % calls the tails heavy or light. (Residuals of one exposure share its attitude, which
-makes them a little dependent; at the 1 % level that is well below what a wrong match does.)
+binomial about a share that the spread s, known from the n residuals too, moves: with T the limit, q = 2 Phi(-T), m = 0.67449 the
+median of |z| and phi the density, the count's variance is by the influence of each residual on s
+
+    n V,    V = q (1 - q) + 4 T^2 phi(T)^2 / (16 m^2 phi(m)^2) - T phi(T) q / (m phi(m))                    (Hampel 1974),
+
+`INFLATION` = V / q (1 - q) = 1.3 times that of a binomial count; so count and n are taken as so many times fewer.
 
 Residual against radius, magnitude, temperature, time, colour, row, column and pixel phase: what the camera model or the noise model
 leaves out.
@@ -34,6 +38,8 @@ with M_rr the radial share of a star's own error (`residuals`), times the residu
 the means over their sigmas, summed over bins, are compared with chi-square of as many degrees of freedom. The fit has taken some
 freedom out of them, so chance alone calls fewer than 1 % of sets uneven; of the last five, which are for looking at and are
 tested together elsewhere, fewer than 1 % by all of them. Bins hold equally many stars.
+
+Reference: F. R. Hampel, "The influence curve and its role in robust estimation", J. Am. Stat. Assoc. 69, 1974.
 """
 
 from __future__ import annotations
@@ -54,6 +60,7 @@ from boresight.calibration.evaluation.pixel_residuals import FreeCovariance, pix
 from boresight.calibration.trust.fitted_set import UNLIKELY, FittedSet, Unavailable, nested, probability
 from boresight.calibration.trust.residuals import LEAST_SHARE, StarResiduals
 from boresight.estimation.statistics.special import bdtr, bdtrc, chdtrc, ndtr
+from boresight.telemetry.schema import MAGNITUDES, TEMPERATURES_C, within
 
 #: Cells along the longer side.
 FEWEST_CELLS, MOST_CELLS = 4, 16
@@ -171,6 +178,8 @@ def _field_sentence(before: FieldOfResiduals | None, after: FieldOfResiduals) ->
 EDGES = np.linspace(-6.0, 6.0, 49)
 DEVIATES = np.linspace(-4.0, 4.0, 81)
 TAIL = 3.0
+#: Variance of the count beyond it over a binomial one's.
+INFLATION = 1.295
 FEWEST = 50
 MOST_OUTLIERS = 200
 #: Spreads beyond which a single star is listed: one in 16,000 components by chance.
@@ -187,7 +196,7 @@ def residual_distribution(fitted: FittedSet, found: StarResiduals) -> ResidualDi
     density = np.exp(-(DEVIATES[seen] ** 2) / 2) / np.sqrt(2 * np.pi)
     beyond = int(np.sum(np.abs(z) > TAIL * found.spread))
     share = 2 * float(ndtr(-TAIL))
-    p_tail = two_sided(beyond, len(z), share)
+    p_tail = two_sided(round(beyond / INFLATION), round(len(z) / INFLATION), share)
     return ResidualDistribution(
         edges=nested(EDGES),
         before=_histogram(_before_z(fitted, found)),
@@ -335,8 +344,10 @@ def _quantities(fitted: FittedSet, found: StarResiduals, radius: FloatArray) -> 
         hours = (time - np.nanmin(time)) / np.timedelta64(1, "h") if not np.isnat(time).all() else None
     return {
         "radius": radius,
-        "magnitude": None if telemetry.magnitude is None else telemetry.magnitude[rows],
-        "temperature": None if telemetry.temperature_c is None else telemetry.temperature_c[rows],
+        "magnitude": None if telemetry.magnitude is None else within(telemetry.magnitude[rows], MAGNITUDES),
+        "temperature": None
+        if telemetry.temperature_c is None
+        else within(telemetry.temperature_c[rows], TEMPERATURES_C),
         "time": hours,
         "colour": _colour(fitted, rows),
         "row": found.arcs.row_px,

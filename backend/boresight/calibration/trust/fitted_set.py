@@ -35,7 +35,7 @@ MOST_ITERATIONS = 20
 #: Chance that any test calls a sound set into question, half of the 1 % that is promised, for no probability is exact; and what one
 #: test of the whole table must fall below alone.
 FAMILY_LEVEL = 0.005
-UNLIKELY = FAMILY_LEVEL / 26
+UNLIKELY = FAMILY_LEVEL / 31
 ARCSEC = float(np.degrees(1.0) * 3600)
 
 
@@ -159,7 +159,7 @@ def fit_best(
         raise Unavailable("There are no more arcs than free parameters, so nothing can be checked: add frames.")
     e, H = np.empty(arcs.n_arcs), np.empty((arcs.n_arcs, len(parameters.free)))
     kernels.whitened_rows(
-        arcs.camera.kind, x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.phi, arcs.band,
+        arcs.camera.kind, x, arcs.pitch, arcs.star_start, arcs.row_px, arcs.col_px, arcs.known_phi, arcs.band,
         parameters.free, parameters.scale, e, H,
     )  # fmt: skip
     if not (np.isfinite(e).all() and np.isfinite(H).all()):

@@ -21,6 +21,11 @@ four ways, each of which may only widen it.
    departure that the tests notice, `displacements` has d, how far the parameters are off if it is real. The departure that
    explains most for its number of coefficients (Schwarz's criterion) is taken first, others only while they explain what is left;
    together they widen by d d^T + cov(d), and each parameter by a share `CURVATURE` of its own d besides, for d is of first order.
+   Two kinds of departure leave d small though the camera is wrong by more. One that changes it over the set (`drift`, `exposure`,
+   `time`, `trend`, `temperature`): a fit ends between its states, and each of these is off by up to the change's amplitude a, along
+   the parameters that change, or the focal length: a a^T. One that goes with the magnitude or the colour m of a star about the
+   mean: the star at which it is nought need not be the mean one. If that is the brightest or the faintest, all stars are displaced
+   alike besides, by c times the reach of m, and the parameters by -A^-1 H^T G c of that: d d^T.
 
 4. Selection. A filter that matches by the tolerance of the flight code takes in, frame by frame, the arcs that agree with where it
    stands. From a start that is off by more than that tolerance it keeps few, and those lean to the start. The fit of the whole set
@@ -41,12 +46,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.legendre import legval
 
 from boresight.arrays import FloatArray
 from boresight.calibration.calibration import Covariance, ModelMisfit, TrustTest, Values
 from boresight.calibration.estimate import covariance
+from boresight.calibration.trust.departures import find_quantities, half_diagonal
 from boresight.calibration.trust.displacements import Score, ScoreSums, find_score
 from boresight.calibration.trust.fitted_set import FittedSet
+from boresight.cameras.model import Role
 from boresight.estimation.robust import measure_huber_effect
 from boresight.estimation.statistics.consistency import chi_square
 from boresight.estimation.statistics.special import chdtrc
@@ -57,6 +65,10 @@ BLOCKS = (96, 48, 24)
 LEVEL, TRACY_WIDOM = 0.005, 2.4224
 #: Share of d by which it may be wrong because the camera is not linear over it.
 CURVATURE = 0.1
+#: Departures that change every free parameter during the set, and those that change the scale alone.
+WHOLE_CAMERA, SCALE_ALONE = ("drift", "exposure"), ("trend", "time", "temperature")
+#: Quantiles of magnitude or colour between which the star lies that is not displaced.
+REACH = (0.02, 0.98)
 #: Factor below which nobody need hear of a widening, and from which on it belongs among the advice.
 SAME, WIDE = 1.05, 2.0
 
@@ -99,6 +111,7 @@ def widen(
     shift, taken = np.zeros_like(noise), tuple[str, ...]()
     if sums is not None and scores:
         shift, taken = _of_departures(sums, [one.name for one in tests if one.noticed and one.name in scores])
+        shift = shift + _of_changes(fitted, scores, taken) + _of_zero_points(fitted, sums, taken)
     lean = _lean(fitted)
     excess = np.asarray(widest - noise + shift + np.outer(lean, lean))
     selected = float(np.max(np.abs(lean) / np.sqrt(np.diag(fitted.estimate.P))))
@@ -185,6 +198,42 @@ def _of_departures(sums: ScoreSums, noticed: list[str]) -> tuple[FloatArray, tup
         return np.zeros_like(sums.A), ()
     d = best.shift
     return np.outer(d, d) + best.shift_covariance + np.diag((CURVATURE * d) ** 2), tuple(taken)
+
+
+def _of_changes(fitted: FittedSet, scores: Mapping[str, Score], taken: Sequence[str]) -> FloatArray:
+    """Sum of a a^T (n_free, n_free) over the departures that change the camera during the set."""
+    total = np.zeros_like(fitted.A)
+    for name in taken:
+        if name in WHOLE_CAMERA:
+            a = scores[name].c
+            total += np.outer(a, a) + scores[name].covariance
+        elif name in SCALE_ALONE:
+            a = _of_scale(fitted, scores[name].clear)
+            total += np.outer(a, a)
+    return total
+
+
+def _of_scale(fitted: FittedSet, c: FloatArray) -> FloatArray:
+    """Largest change (n_free,) by a scale of the Legendre coefficients c, pixels at half a diagonal: that of the focal length."""
+    camera, free = fitted.problem.camera, fitted.parameters.free
+    place = camera.place(Role.FOCAL)
+    largest = float(np.abs(legval(np.linspace(-1, 1, 201), [0.0, *c])).max())
+    a = np.asarray(fitted.x[free] / fitted.parameters.scale * largest / half_diagonal(fitted))
+    return np.where(np.asarray(free) == place, a, 0.0)
+
+
+def _of_zero_points(fitted: FittedSet, sums: ScoreSums, taken: Sequence[str]) -> FloatArray:
+    """Sum of d d^T (n_free, n_free) where the star that is not displaced may be any of the set."""
+    total = np.zeros_like(sums.A)
+    known = find_quantities(fitted)
+    for name, values in (("magnitude", known.magnitude), ("colour", known.colour)):
+        if name not in taken or values is None or "alike" not in sums.places:
+            continue
+        both = find_score(sums, name, f"{name} stretch")
+        reach = float(np.abs(np.quantile(values, REACH)).max())
+        d = reach * covariance(sums.A) @ sums.G_H[sums.places["alike"]].T @ both.clear
+        total += np.outer(d, d) + np.outer(both.shift, both.shift) + both.shift_covariance
+    return total
 
 
 def _noise(sums: ScoreSums, score: Score) -> float:

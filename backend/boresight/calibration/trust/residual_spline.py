@@ -21,6 +21,7 @@ from boresight.arrays import FloatArray
 from boresight.calibration.calibration import LargestDisplacement, SplineExplanation
 from boresight.calibration.residual_spline import FALSE_ALARM, ResidualSplineFit, suffices
 from boresight.calibration.trust.fitted_set import FittedSet, Unavailable, grid, probability
+from boresight.calibration.trust.flaws import find_flaw
 from boresight.cameras import CAMERA_MODELS
 from boresight.cameras.model import CameraModel
 from boresight.estimation import residual_spline as splines
@@ -47,6 +48,7 @@ def find_residual_spline(fitted: FittedSet) -> ResidualSplineFit:
     )  # fmt: skip
     if fit.data.dof <= 0 or not np.isfinite(fit.posterior.surface.coefficients).all():
         raise Unavailable("There are too few stars for a spline of what the camera model leaves: add frames.")
+    fitted.kept["flaw"] = find_flaw(fit)
     shape = (sensor.rows, sensor.columns)
     counts = [max(FEWEST_PLACES, round(PLACES * n / max(shape))) for n in shape]
     row, col = grid(*shape, *counts)

@@ -19,7 +19,7 @@ Reference: S. Holm, "A simple sequentially rejective multiple test procedure", S
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -43,7 +43,10 @@ FAR_OFF = 5.0
 
 @dataclass(frozen=True)
 class Examined:
-    """What the tests look at: a fitted set, its score tests, the parts of its trust, and its star residuals where it has any."""
+    """What the tests look at: a fitted set, its score tests, the parts of its trust, and its star residuals where it has any.
+
+    `trials`: of how many the departure of a name is the best, where it is of more than one.
+    """
 
     fitted: FittedSet
     sums: ScoreSums
@@ -51,6 +54,7 @@ class Examined:
     parts: Mapping[str, object]
     found: StarResiduals | None
     table: StarTable | None
+    trials: Mapping[str, int] = field(default_factory=dict)
 
 
 #: Probability of as much where all is as the model says, and the size in claimed sigmas, where it is known.
@@ -92,7 +96,7 @@ def _of_score(name: str, *, stays: bool) -> Callable[[Examined], Outcome | None]
         if score is None or score.dof == 0:
             return None
         effect = _excess(examined, score) if stays else score.misled
-        return score.p, _bounded(examined, score, effect)
+        return min(1.0, score.p * examined.trials.get(name, 1)), _bounded(examined, score, effect)
 
     return ask
 
@@ -116,6 +120,14 @@ def _of_dependence(cause: str) -> Callable[[Examined], Outcome | None]:
         return None if part is None else (part.p, None)
 
     return ask
+
+
+def _flaw(examined: Examined) -> Outcome | None:
+    """Ask the place that was found, with its chance at any place."""
+    flaw, score = examined.fitted.kept.get("flaw"), examined.scores.get("flaw")
+    if flaw is None or score is None or score.dof == 0:
+        return None
+    return flaw.p, _bounded(examined, score, _excess(examined, score))
 
 
 def _chi_square(examined: Examined) -> Outcome | None:
@@ -199,6 +211,15 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
         _of_score("lens", stays=True),
     ),
     TrustTestKind(
+        "edges", "Edges of the detector", "lens-structure",
+        "Centroids are displaced near the edges of the detector", "Centroids near the edges of the detector are not displaced",
+        _of_score("edges", stays=True),
+    ),
+    TrustTestKind(
+        "flaw", "Flaw at one place", "lens-structure",
+        "Stars are displaced about one place of the detector", "Stars are displaced about no place of the detector", _flaw,
+    ),
+    TrustTestKind(
         "residual_field", "Residuals over the detector", "lens-structure",
         "Mean residuals differ from cell to cell of the detector", "Mean residuals are alike in all cells of the detector",
         _of_part("residual_field", lambda part: part.after.p),
@@ -219,6 +240,11 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
         _of_score("readout", stays=False),
     ),
     TrustTestKind(
+        "trend", "Trend of the scale", "stability",
+        "The scale of the image drifts one way over the set", "The scale of the image does not drift over the set",
+        _of_score("trend", stays=True),
+    ),
+    TrustTestKind(
         "time", "Scale over time", "stability",
         "The scale of the image changes with time", "The scale of the image does not change with time",
         _of_score("time", stays=True),
@@ -231,6 +257,11 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
     TrustTestKind(
         "drift", "Drift of all parameters", "stability",
         "The parameters drift over the set", "The parameters do not drift over the set", _of_score("drift", stays=True),
+    ),
+    TrustTestKind(
+        "exposure", "Exposures of a frame", "stability",
+        "The exposures of a frame see another camera", "All exposures of a frame see one camera",
+        _of_score("exposure", stays=True),
     ),
     TrustTestKind(
         "two_halves", "Two halves", "stability",
@@ -302,6 +333,11 @@ TRUST_TESTS: tuple[TrustTestKind, ...] = (
         "aberration", "Aberration", "identities",
         "Directions are those of an observer with another velocity", "Directions are those of this observer",
         _of_score("aberration", stays=False),
+    ),
+    TrustTestKind(
+        "refraction", "Refraction", "identities",
+        "Stars are displaced as by the air above a place on the ground", "No refraction is left",
+        _of_score("refraction", stays=False),
     ),
 )  # fmt: skip
 #: The same by name.

@@ -45,7 +45,7 @@ _ABOUT_FILE = (
     "The sensor file. What no data can show is declared in `readout` (`mode` global or rolling, `line_time_s`, `axis` rows or "
     "columns, `corrected`) and `declared` ("
     + ", ".join(f"`{name}` {' or '.join(one.words)}" for name, one in DECLARATIONS.items())
-    + "); until then the gate `assumptions` has no data."
+    + "); `site` is where on the ground a camera stands. Until it is declared the gate `assumptions` has no data."
 )
 SensorFile = Annotated[console_schemas.Document, Body(description=_ABOUT_FILE, examples=[EXAMPLE])]
 

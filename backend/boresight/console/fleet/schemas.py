@@ -30,7 +30,7 @@ class Sensor(Row):
     name: str
     version: int = Field(description='Counts edits; the ETag is `"v<version>"`.')
     document: Document = Field(
-        description="The sensor file; `readout` and `declared` stand in it as far as they are declared.",
+        description="The sensor file; `readout`, `declared` and, on the ground, `site` stand in it as far as they are declared.",
     )
     simulated: bool = Field(description="Whether its telemetry was made here.")
     truth: Document | None = Field(description="True parameters of a simulated sensor.")

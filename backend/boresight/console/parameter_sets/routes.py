@@ -20,6 +20,7 @@ from boresight.console.parameter_sets import schemas, service
 from boresight.console.parameter_sets import service as conversions
 from boresight.console.parameter_sets.tables import ParameterSet
 from boresight.console.schemas import Shape
+from boresight.platform.web.media import CameraFile
 from boresight.platform.web.paging import Id, Listing, Page, Paged
 
 router = operations("/parameter-sets", tags=["parameter sets"])
@@ -103,6 +104,31 @@ def convert_parameter_set(
     return json_response(
         conversions.convert_parameter_set(session, parameter_set_id, to, allow_px, with_residual=residual)
     )
+
+
+@router.get(
+    "/{parameter_set_id}/camera-file", summary="Read its camera as a file of another program", response_class=CameraFile
+)
+def get_parameter_set_camera_file(
+    parameter_set_id: Id,
+    session: Reading,
+    to: Annotated[str, Query(examples=["opencv"], description="The format, one of the README's table.")],
+    allow_px: Annotated[
+        float | None,
+        Query(
+            ge=0,
+            allow_inf_nan=False,
+            description="Largest misfit; the format's share of centroid_sigma_px when left out.",
+        ),
+    ] = None,
+    *,
+    residual: Annotated[
+        bool, Query(description="Follow the residual spline of its calibration too, where that is beyond the noise.")
+    ] = False,
+) -> Response:
+    """Write the camera of this set for another program, or say why not; FITS, which needs telemetry, is the command's."""
+    content, name = conversions.export_parameter_set(session, parameter_set_id, to, allow_px, with_residual=residual)
+    return CameraFile(content, headers={"Content-Disposition": f'attachment; filename="{name}"'})
 
 
 @router.post(

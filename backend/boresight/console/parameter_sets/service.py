@@ -15,6 +15,7 @@ from typing import Any
 
 from boresight.calibration.calibration import Calibration, Trust, parse_calibration, to_plain
 from boresight.calibration.conversion import converted
+from boresight.calibration.exports import Source, export_document, find_format
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.approvals.tables import Approval
 from boresight.console.fleet.tables import Sensor
@@ -170,6 +171,22 @@ def convert_parameter_set(
     row = session.get_known(ParameterSet, parameter_set_id)
     sensor = parse_sensor(session.get_known(Sensor, row.sensor_id).document)
     return converted(row.document, sensor, row.name, target, allowed_px, with_residual=with_residual)
+
+
+def export_parameter_set(
+    session: Session,
+    parameter_set_id: int,
+    form: str,
+    allowed_px: float | None = None,
+    *,
+    with_residual: bool = False,
+) -> tuple[bytes, str]:
+    """Write a set as another program's file, as `calibration.exports` does: its bytes and its name."""
+    row = session.get_known(ParameterSet, parameter_set_id)
+    found = find_format(form)
+    source = Source(row.name, row.sha256, parse_sensor(session.get_known(Sensor, row.sensor_id).document))
+    content, _ = export_document(found, row.document, source, residual=with_residual, allowed_px=allowed_px)
+    return content, f"{row.name}-{found.name}{found.suffixes[0]}"
 
 
 def get_incumbent_parameters(session: Session, run: Run) -> dict[str, float | None]:

@@ -15,7 +15,7 @@ from boresight.calibration.options import CalibrationSettings
 from boresight.cameras import CAMERA_MODELS
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs.queries import list_recent_runs
-from boresight.console.telemetry.tables import TelemetrySet, find_quality
+from boresight.console.telemetry.tables import TelemetrySet, find_diagnosis, find_quality
 from boresight.errors import ConflictError, RefusedInputError
 from boresight.platform.db.sessions import Session
 from boresight.platform.jobs.forecasts import ForecastSources
@@ -205,7 +205,7 @@ def dry_run(session: Session, request: RunRequest, forecast_sources: ForecastSou
         "predicted_range_s": seconds[1:],
         "paced_by": pace.runs,
         "forecast": forecast,
-        "warnings": [*quality.warnings, *_warnings(request, free, pairs)],
+        "warnings": [*quality.warnings, *_warnings(request, free, None if recognised(telemetry) else pairs)],
     }
 
 
@@ -224,9 +224,16 @@ def estimate_s(session: Session, requests: Sequence[RunRequest]) -> float:
     )
 
 
-def _warnings(request: RunRequest, free: Sequence[str], pairs: int) -> list[str]:
+def recognised(telemetry: TelemetrySet) -> bool:
+    """Whether a diagnosis says that a set matches as it stands, whatever of it is named."""
+    found = find_diagnosis(telemetry.quality)
+    return found is not None and found.fits
+
+
+def _warnings(request: RunRequest, free: Sequence[str], pairs: int | None) -> list[str]:
+    """What to know before a run; `pairs` is None where names do not tell how many arcs there are."""
     warnings = []
-    if pairs < 10 * len(free):
+    if pairs is not None and pairs < 10 * len(free):
         warnings.append(f"About {pairs} arcs for {len(free)} parameters is little; free fewer or use a longer set.")
     if request.validation is None:
         warnings.append("Without a validation set nothing independent will say whether the result is better.")

@@ -38,7 +38,7 @@ from boresight.figures.report import render_report
 from boresight.figures.tables import removed_table
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
-from boresight.platform.web.media import CsvFile, csv_response
+from boresight.platform.web.media import CameraFile, CsvFile, csv_response
 from boresight.platform.web.paging import GREATEST_ID, Id, Listing, Page, Paged
 from boresight.platform.web.response_cache import cover_with_tag
 
@@ -191,6 +191,30 @@ def get_run_report(run_id: Id, session: Reading, blobs: Blobs, policy: ServerPol
     report = render_report(parse_calibration(runs.get_final_result(session, blobs, run_id)), four_eyes=policy.four_eyes)
     headers = {"Content-Disposition": f'attachment; filename="run-{run_id}-report.html"'}
     return HTMLResponse(report, headers=headers)
+
+
+@router.get("/{run_id}/camera-file", summary="Read its camera as a file of another program", response_class=CameraFile)
+def get_run_camera_file(
+    run_id: Id,
+    session: Reading,
+    blobs: Blobs,
+    to: Annotated[str, Query(examples=["opencv"], description="The format, one of the README's table.")],
+    allow_px: Annotated[
+        float | None,
+        Query(
+            ge=0,
+            allow_inf_nan=False,
+            description="Largest misfit; the format's share of centroid_sigma_px when left out.",
+        ),
+    ] = None,
+    *,
+    residual: Annotated[
+        bool, Query(description="Follow the residual spline of its calibration too, where that is beyond the noise.")
+    ] = False,
+) -> Response:
+    """Write the camera that this run found for another program, or say why not; FITS, which needs telemetry, is the command's."""
+    content, name = runs.export_run(session, blobs, run_id, to, allow_px, with_residual=residual)
+    return CameraFile(content, headers={"Content-Disposition": f'attachment; filename="{name}"'})
 
 
 def result_so_far(session: Session, blobs: BlobStore, run_id: Id) -> dict[str, Any]:

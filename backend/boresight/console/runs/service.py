@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from boresight.calibration.calibration import Calibration, parse_calibration
+from boresight.calibration.exports import Source, export_document, find_format
 from boresight.console import list_queries as lists
 from boresight.console.fleet.tables import Sensor
 from boresight.console.runs import queries
@@ -19,6 +20,7 @@ from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session
 from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.text_validation import refuse_control_characters
+from boresight.telemetry.sensors import parse_sensor
 
 
 def launch(  # noqa: PLR0913 - who launches what, and four choices by name
@@ -128,6 +130,23 @@ def get_final_result(session: Session, blobs: BlobStore, run_id: int) -> dict[st
     if run.result_sha256 is None or document is None:
         raise ConflictError(f"Run {run_id} is {run.state} and has no result; wait for its end, or launch it again.")
     return document
+
+
+def export_run(
+    session: Session,
+    blobs: BlobStore,
+    run_id: int,
+    form: str,
+    allowed_px: float | None = None,
+    *,
+    with_residual: bool = False,
+) -> tuple[bytes, str]:
+    """Write the camera that a run found as another program's file, as `calibration.exports` does: its bytes and its name."""
+    document, run, found = get_final_result(session, blobs, run_id), get_run(session, run_id), find_format(form)
+    described = run.sensor_document or session.get_one(Sensor, run.sensor_id).document
+    source = Source(f"run {run_id}", run.result_sha256, parse_sensor(described))
+    content, _ = export_document(found, document, source, residual=with_residual, allowed_px=allowed_px)
+    return content, f"run-{run_id}-{found.name}{found.suffixes[0]}"
 
 
 def _in_model_order(document: dict[str, Any]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import tempfile
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import Annotated
 
 from fastapi import Depends
 from python_multipart.multipart import parse_options_header
-from starlette.datastructures import FormData, UploadFile
+from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
@@ -19,20 +20,23 @@ from boresight.console.access.dependencies import ServerSettings
 from boresight.console.operation import FORM_CONTENT
 from boresight.disks import storage_error
 from boresight.errors import RefusedInputError
+from boresight.images.limits import ImageSource, is_image
 from boresight.platform.web.paging import parse_row_id
+from boresight.platform.web.text_validation import normal_name
 
-HOW = "Send multipart/form-data with the fields sensor_id, purpose and file."
+HOW = "Send multipart/form-data with the fields sensor_id, purpose and file; of images several files."
 LONGEST_FIELD_BYTES = 4096
 MOST_FIELDS = 20
 
 
 @dataclass(frozen=True)
 class Upload:
-    """An upload: the form's fields, and its one file with the sender's name for it."""
+    """An upload: the form's fields, and its one file with the sender's name for it, or several images."""
 
     fields: Mapping[str, str]
     path: Path | None
     file_name: str
+    images: tuple[ImageSource, ...] = ()
 
     def file(self) -> Path:
         """Return where the file is."""
@@ -41,9 +45,12 @@ class Upload:
         return self.path
 
     def content(self) -> bytes:
-        """Return fields and file as bytes, for the digest of the request."""
-        with self.file().open("rb") as file:
-            return repr(sorted(self.fields.items())).encode() + hashlib.file_digest(file, "sha256").digest()
+        """Return fields and files as bytes, for the digest of the request."""
+        parts = [repr(sorted(self.fields.items())).encode()]
+        for path in [one.path for one in self.images] or [self.file()]:
+            with path.open("rb") as file:
+                parts.append(hashlib.file_digest(file, "sha256").digest())
+        return b"".join(parts)
 
     def number(self, name: str) -> int:
         """Return a field that is a number."""
@@ -55,41 +62,53 @@ class Upload:
 
 
 class _Form(MultiPartParser):
-    """The framework's parser, with the file of a form streamed to a place instead of to the system's temporary folder."""
+    """The framework's parser, with the files of a form streamed to a folder instead of to the system's temporary one."""
 
-    def __init__(self, request: Request, place: Path) -> None:
+    def __init__(self, request: Request, folder: Path, most_images: int) -> None:
         super().__init__(
-            request.headers, request.stream(), max_files=2, max_fields=MOST_FIELDS, max_part_size=LONGEST_FIELD_BYTES
+            request.headers,
+            request.stream(),
+            max_files=most_images + 1,
+            max_fields=MOST_FIELDS,
+            max_part_size=LONGEST_FIELD_BYTES,
         )
-        self.has_file = self.is_whole = False
-        self._file = place.open("wb")
+        self.is_whole = False
+        self.files: list[tuple[Path, str]] = []
+        self._folder = folder
 
     def on_headers_finished(self) -> None:
         """Open the part."""
         super().on_headers_finished()
         if (spooled := self._current_part.file) is not None:
             spooled.file.close()
-            if self.has_file:
-                raise RefusedInputError("One file at a time: send each telemetry file by itself.")
-            self.has_file = True
-            self._current_part.file = _OnDisk(self._file, filename=spooled.filename)
+            path, name = self._folder / f"upload-{len(self.files)}", spooled.filename or ""
+            self.files.append((path, name))
+            if len(self.files) > 1 and not all(is_image(Path(one)) for _, one in self.files):
+                raise RefusedInputError(
+                    "One file at a time: send each telemetry file by itself; only images may be several."
+                )
+            self._current_part.file = _OnDisk(path, spooled.filename)
 
     def on_end(self) -> None:
         """Note that the end came."""
         self.is_whole = True
 
-    async def parse(self) -> FormData:
-        """Parse the request; the part of the file that arrived is written in any case."""
-        with self._file:
-            return await super().parse()
-
 
 class _OnDisk(UploadFile):
-    """A file that is written in place and without a thread, which would take longer than writing a piece."""
+    """A file that is written in place and without a thread, which would take longer than writing a piece.
+
+    It is opened for each piece: of a thousand images no more than one needs a handle, whenever the parser writes to which.
+    """
+
+    def __init__(self, path: Path, name: str | None) -> None:
+        super().__init__(io.BytesIO(), filename=name)
+        self._path = path
+        path.touch()
 
     async def write(self, data: bytes) -> None:
         """Write a piece."""
-        self.file.write(data)
+        with self._path.open("ab") as file:
+            file.write(data)
 
 
 async def uploaded(
@@ -103,17 +122,17 @@ async def uploaded(
     except OSError as error:
         raise storage_error(error, folder) or error from error
     with tempfile.TemporaryDirectory(dir=folder) as place:
-        upload = await _receive(request, Path(place) / "upload")
+        upload = await _receive(request, Path(place), settings.images)
         setattr(request.state, FORM_CONTENT, upload.content)
         yield upload
 
 
-async def _receive(request: Request, place: Path) -> Upload:
+async def _receive(request: Request, folder: Path, most_images: int) -> Upload:
     content_type, options = parse_options_header(request.headers.get("content-type"))
     if content_type != b"multipart/form-data" or not options.get(b"boundary"):
         sent = content_type.decode(errors="replace") or "nothing"
         raise RefusedInputError(f"A telemetry file cannot be sent as {sent}. {HOW}")
-    parser = _Form(request, place)
+    parser = _Form(request, folder, most_images)
     try:
         form = await parser.parse()
     except MultiPartException as error:
@@ -121,8 +140,18 @@ async def _receive(request: Request, place: Path) -> Upload:
     if not parser.is_whole:
         raise RefusedInputError("The upload broke off before its end; send it again.")
     fields = {name: value for name, value in form.items() if isinstance(value, str)}
-    names = [value.filename or "" for _, value in form.multi_items() if isinstance(value, UploadFile)]
-    return Upload(fields, place if names else None, "".join(names))
+    if not parser.files:
+        return Upload(fields, None, "")
+    path, name = parser.files[0]
+    if not is_image(Path(name)):
+        return Upload(fields, path, name)
+    images = tuple(ImageSource(place, _base_name(sent)) for place, sent in parser.files)
+    others = f" and {len(images) - 1} more" if len(images) > 1 else ""
+    return Upload(fields, path, f"{images[0].name}{others}.zip", images)
+
+
+def _base_name(sent: str) -> str:
+    return normal_name("file name", sent.replace("\\", "/").rsplit("/", 1)[-1]) or "image"
 
 
 Uploaded = Annotated[Upload, Depends(uploaded, scope="function")]

@@ -5,19 +5,22 @@ from __future__ import annotations
 import csv
 import hmac
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import orjson
 from fastapi import APIRouter, Depends, Request
 from fastapi.concurrency import contextmanager_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
+from boresight.calibration.diagnosis.result import Diagnosis
 from boresight.console.access.dependencies import (
     CSRF_FIELD,
     KNOWN,
+    Blobs,
     Database,
     DryRunSources,
     Reading,
@@ -26,6 +29,7 @@ from boresight.console.access.dependencies import (
     Who,
     csrf,
 )
+from boresight.console.fleet import service as sensors
 from boresight.console.fleet.pages.sensors import list_sensor_choices
 from boresight.console.fleet.tables import Sensor
 from boresight.console.operation import Beside
@@ -48,7 +52,7 @@ from boresight.console.runs.pages.list import RunNames, make_run_line, read_name
 from boresight.console.telemetry import service as telemetry_sets
 from boresight.console.telemetry.dependencies import Upload, Uploaded
 from boresight.console.telemetry.service import PURPOSES, PreparedUpload
-from boresight.console.telemetry.tables import TelemetrySet, find_quality
+from boresight.console.telemetry.tables import TelemetrySet, find_diagnosis, find_quality
 from boresight.errors import BoresightError, ForbiddenError, NotFoundError, RefusedInputError
 from boresight.platform.actors import Actor, require_role
 from boresight.platform.blobs.store import BlobStore
@@ -223,12 +227,19 @@ def _prepared(
     if parse_row_id(upload.fields.get("sensor_id", "")) is None:
         raise RefusedInputError("Choose the sensor that the telemetry is of.")
     if upload.path is None or not upload.file_name:
-        raise RefusedInputError("No file was chosen: choose a CSV, JSON Lines or Parquet file.")
+        raise RefusedInputError("No file was chosen: choose a CSV, JSON Lines or Parquet file, or images.")
     with open_reading(engine) as session:
         document = session.get_known(Sensor, upload.number("sensor_id")).document
     limits = settings.telemetry_limits
+    images = telemetry_sets.ImageUpload(upload.images, settings.image_limits, settings.image_seconds)
     with telemetry_sets.hold_prepared(
-        document, forecast_sources.catalogue(), upload.path, upload.file_name, limits
+        document,
+        forecast_sources.catalogue(),
+        upload.path,
+        upload.file_name,
+        limits,
+        forecast_sources.catalogue_folder,
+        images,
     ) as prepared:
         forecast_sources.blobs.send_ahead(prepared.original, prepared.table)
         yield prepared
@@ -317,6 +328,8 @@ def telemetry_set_page(request: Request, session: Reading, actor: Who, set_id: i
         runs=[make_run_line(run, names) for run in used_by],
         uses=uses,
         is_analyst="analyst" in actor.roles,
+        diagnosis=find_diagnosis(row.quality),
+        sensor=session.get_known(Sensor, row.sensor_id),
     )
 
 
@@ -333,6 +346,124 @@ def figure_csv(session: Reading, set_id: int, name: str) -> Response:
     writer.writerows(drawing.rows)
     headers = {"Content-Disposition": f'attachment; filename="telemetry-{set_id}-{drawing.name}.csv"'}
     return Response(text.getvalue(), media_type="text/csv", headers=headers)
+
+
+@telemetry_set_router.get("/telemetry/{set_id}/images/{frame}.png", dependencies=[KNOWN])
+def frame_image(
+    request: Request, session: Reading, blobs: Blobs, settings: ServerSettings, set_id: int, frame: int
+) -> Response:
+    """Give the image of a frame as a picture; its bytes never change, so a browser keeps it."""
+    tag = f'"{session.get_known(TelemetrySet, set_id).original_sha256[:32]}-{frame}"'
+    headers = {"ETag": tag, "Cache-Control": "private, max-age=86400"}
+    if request.headers.get("if-none-match") == tag:
+        return Response(status_code=304, headers=headers)
+    picture = telemetry_sets.draw_image(session, blobs, set_id, frame, settings.image_limits)
+    return Response(picture, media_type="image/png", headers=headers)
+
+
+@telemetry_set_router.get("/telemetry/{set_id}/mended-sensor.json", dependencies=[KNOWN])
+def mended_sensor(session: Reading, set_id: int) -> Response:
+    """Give the sensor file as the diagnosis of a set mends it."""
+    found = telemetry_sets.get_diagnosis(session.get_known(TelemetrySet, set_id))
+    headers = {"Content-Disposition": f'attachment; filename="telemetry-{set_id}-sensor.json"'}
+    return Response(
+        orjson.dumps(found.sensor_document, option=orjson.OPT_INDENT_2), media_type="application/json", headers=headers
+    )
+
+
+@telemetry_set_router.post("/telemetry/{set_id}/diagnose")
+async def diagnose(
+    request: Request, actor: Who, set_id: int, forecast_sources: DryRunSources, engine: Database
+) -> Response:
+    """Diagnose a set, and show what was found."""
+    outcome = await _with(request, _searched(actor, set_id, forecast_sources, engine), partial(_keep, actor, set_id))
+    if outcome.refusal is not None:
+        raise outcome.refusal.error
+    return redirect(f"/telemetry/{set_id}", flash=f"{outcome.made.name} is diagnosed.")
+
+
+def _keep(actor: Actor, set_id: int, found: Diagnosis, session: Session) -> TelemetrySet:
+    return telemetry_sets.record_diagnosis(session, actor, set_id, found)
+
+
+@contextmanager
+def _searched(actor: Actor, set_id: int, forecast_sources: ForecastSources, engine: Engine) -> Iterator[Diagnosis]:
+    """Search before the writing transaction."""
+    row, document = _read_set(actor, set_id, engine)
+    yield telemetry_sets.diagnose_stored(document, row, forecast_sources)
+
+
+def _read_set(actor: Actor, set_id: int, engine: Engine) -> tuple[TelemetrySet, Mapping[str, Any]]:
+    require_role(actor, "analyst")
+    with open_reading(engine) as session:
+        row = session.get_known(TelemetrySet, set_id)
+        return row, session.get_known(Sensor, row.sensor_id).document
+
+
+async def _with(
+    request: Request, prepared: AbstractContextManager[Any], change: Callable[[Any, Session], TelemetrySet]
+) -> AttemptResult[TelemetrySet]:
+    """Write what takes seconds to make, which is made first and not on the server's own thread."""
+    try:
+        async with contextmanager_in_threadpool(prepared) as made:
+            return await attempt(request, lambda session: change(made, session))
+    except BoresightError as error:
+        return AttemptResult(None, RefusalContext.of(error))
+
+
+@telemetry_set_router.post("/telemetry/{set_id}/accept-sensor")
+async def accept_sensor(request: Request, actor: Who, set_id: int) -> Response:
+    """Change the sensor as the diagnosis of a set mends it."""
+    version = parse_row_id(str((await request.form()).get("version", "")))
+    outcome = await attempt(request, partial(_mend_sensor, actor, set_id, version))
+    if outcome.refusal is not None:
+        raise outcome.refusal.error
+    flash = (
+        f"{outcome.made.name} is mended; runs launched from now on start from it. Diagnose the set again to see it fit."
+    )
+    return redirect(f"/telemetry/{set_id}", flash=flash)
+
+
+def _mend_sensor(actor: Actor, set_id: int, version: int | None, session: Session) -> Sensor:
+    """Change the sensor of a set as the set's diagnosis mends it; what else was changed of it since stays."""
+    row = session.get_known(TelemetrySet, set_id)
+    document = session.get_known(Sensor, row.sensor_id).document
+    mended = telemetry_sets.mend_document(document, telemetry_sets.get_diagnosis(row))
+    return sensors.edit_sensor(session, actor, row.sensor_id, mended, version)
+
+
+@telemetry_set_router.post("/telemetry/{set_id}/accept-mapping")
+async def accept_mapping(
+    request: Request,
+    actor: Who,
+    set_id: int,
+    forecast_sources: DryRunSources,
+    engine: Database,
+    settings: ServerSettings,
+) -> Response:
+    """Store a set anew as its diagnosis says that it is to be read."""
+    made = _mapped(actor, set_id, forecast_sources, engine, settings)
+    outcome = await _with(request, made, partial(_store_mapped, actor, forecast_sources.blobs, set_id))
+    if outcome.refusal is not None:
+        raise outcome.refusal.error
+    row = outcome.made
+    return redirect(f"/telemetry/{row.id}", flash=f"{row.name} is telemetry set {row.id}, read as the diagnosis says.")
+
+
+@contextmanager
+def _mapped(
+    actor: Actor, set_id: int, forecast_sources: ForecastSources, engine: Engine, settings: Settings
+) -> Iterator[PreparedUpload]:
+    row, document = _read_set(actor, set_id, engine)
+    with telemetry_sets.hold_mapped(document, row, forecast_sources, settings.telemetry_limits) as prepared:
+        yield prepared
+
+
+def _store_mapped(
+    actor: Actor, blobs: BlobStore, set_id: int, prepared: PreparedUpload, session: Session
+) -> TelemetrySet:
+    row = session.get_known(TelemetrySet, set_id)
+    return telemetry_sets.store_prepared(session, actor, blobs, row.sensor_id, prepared, row.purpose)
 
 
 @telemetry_set_router.post("/telemetry/{set_id}/archive")

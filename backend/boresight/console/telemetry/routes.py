@@ -1,4 +1,4 @@
-"""Telemetry sets: upload, read, download, archive."""
+"""Telemetry sets: upload, read, download, diagnose, archive."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from fastapi import Depends, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
+from boresight.calibration.diagnosis.result import Diagnosis
 from boresight.console.access.dependencies import (
     SAME_FOR_ALL,
     Blobs,
@@ -44,7 +45,12 @@ FORM = {
                 "properties": {
                     "sensor_id": {"type": "integer", "description": "Whose telemetry it is."},
                     "purpose": {"type": "string", "enum": ["calibration", "validation"], "default": "calibration"},
-                    "file": {"type": "string", "format": "binary", "description": "CSV, JSON Lines or Parquet."},
+                    "file": {
+                        "type": "string",
+                        "format": "binary",
+                        "description": "CSV, JSON Lines or Parquet; or images, one file each (FITS, PNG, TIFF, raw) "
+                        "or packed as ZIP.",
+                    },
                 },
             }
         }
@@ -60,8 +66,15 @@ def _prepare(
     with open_reading(engine) as session:
         document = session.get_known(Sensor, upload.number("sensor_id")).document
     limits = settings.telemetry_limits
+    images = telemetry_sets.ImageUpload(upload.images, settings.image_limits, settings.image_seconds)
     with telemetry_sets.hold_prepared(
-        document, forecast_sources.catalogue(), upload.file(), upload.file_name, limits
+        document,
+        forecast_sources.catalogue(),
+        upload.file(),
+        upload.file_name,
+        limits,
+        forecast_sources.catalogue_folder,
+        images,
     ) as prepared:
         forecast_sources.blobs.send_ahead(prepared.original, prepared.table)
         yield prepared
@@ -123,6 +136,28 @@ def get_telemetry_file(telemetry_set_id: Id, session: Reading, blobs: Blobs, req
     if matches_tag(request.headers.get("if-none-match", "").encode(), headers["ETag"].encode()):
         return Response(status_code=304, headers=headers)
     return StoredFile(blobs.path(row.original_sha256), filename=row.name, headers=headers)
+
+
+def _diagnose(telemetry_set_id: Id, actor: Who, forecast_sources: DryRunSources, engine: Database) -> Diagnosis:
+    """Search before the writing transaction, because it takes seconds and there is one writer."""
+    require_role(actor, "analyst")
+    with open_reading(engine) as session:
+        row = session.get_known(TelemetrySet, telemetry_set_id)
+        document = session.get_known(Sensor, row.sensor_id).document
+    return telemetry_sets.diagnose_stored(document, row, forecast_sources)
+
+
+Diagnosed = Annotated[Diagnosis, Depends(_diagnose, scope="function")]
+
+
+@router.post("/{telemetry_set_id}:diagnose", summary="Diagnose a telemetry set", response_model=schemas.TelemetrySet)
+def diagnose_telemetry_set(telemetry_set_id: Id, actor: Who, found: Diagnosed, session: Writing) -> TelemetrySet:
+    """Find why a set does not match its sensor file, on up to 40 exposures; the answer is `diagnosis` of its `quality`.
+
+    `causes` are named best first, each with how many exposures match once it is mended; `sensor_document` is the mended sensor
+    file and `mapping` how the telemetry is to be read. Nothing but the quality report is changed.
+    """
+    return telemetry_sets.record_diagnosis(session, actor, telemetry_set_id, found)
 
 
 @router.post("/{telemetry_set_id}:archive", summary="Archive a telemetry set", response_model=schemas.TelemetrySet)

@@ -12,7 +12,7 @@ from boresight.console.schemas import Document, Row
 class TelemetrySet(Row):
     """An uploaded telemetry file."""
 
-    versioned_by = ("id", "archived_utc")
+    versioned_by = ("id", "archived_utc", "diagnosed")
     location = "/telemetry-sets/{row.id}"
 
     id: int

@@ -14,27 +14,48 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any
 
+from boresight.calibration.diagnosis.diagnose import diagnose
+from boresight.calibration.diagnosis.explain import add_to_report, explain_refusal
+from boresight.calibration.diagnosis.result import Diagnosis
+from boresight.calibration.telemetry_pieces import StoredTable
 from boresight.console import list_queries as lists
 from boresight.console.fleet.tables import Sensor as SensorRow
 from boresight.console.telemetry import queries as rows
-from boresight.console.telemetry.tables import TelemetrySet
-from boresight.errors import RefusedInputError, UnavailableError
+from boresight.console.telemetry.tables import TelemetrySet, find_diagnosis
+from boresight.errors import ConflictError, NotFoundError, RefusedInputError, UnavailableError
+from boresight.images.limits import LIMITS as IMAGE_LIMITS
+from boresight.images.limits import ImageLimits, ImageSource, is_archive
 from boresight.platform.actors import Actor, require_role, require_scope
 from boresight.platform.audit import log as audit
 from boresight.platform.blobs import files
 from boresight.platform.blobs.store import BlobStore, register_blob
+from boresight.platform.blobs.tables import Blob
+from boresight.platform.blobs.working_tables import table_path
 from boresight.platform.db.sessions import Session, utc_now
+from boresight.platform.jobs.forecasts import ForecastSources
 from boresight.platform.web.text_validation import normal_name
 from boresight.sky.catalogue import Catalogue
+from boresight.telemetry.mapping import parse_mapping
+from boresight.telemetry.quality.detector import OffDetectorError
+from boresight.telemetry.quality.findings import Finding
 from boresight.telemetry.quality.report import QualityParts
 from boresight.telemetry.read.limits import LIMITS, Limits
-from boresight.telemetry.read.readers import read_chunks
+from boresight.telemetry.read.readers import read_chunks, write_parquet
 from boresight.telemetry.sensors import Sensor, parse_sensor
 from boresight.telemetry.working_table import MEDIA_TYPE, WorkingTableParts
 
 PURPOSES = ("calibration", "validation")
 MEDIA_TYPES = {".csv": "text/csv", ".jsonl": "application/x-ndjson", ".ndjson": "application/x-ndjson"}
-PARQUET = "application/vnd.apache.parquet"
+PARQUET, ARCHIVE = "application/vnd.apache.parquet", "application/zip"
+
+
+@dataclass(frozen=True)
+class ImageUpload:
+    """Images in the place of a telemetry file, and how much they may hold and how long they may take."""
+
+    sources: Sequence[ImageSource] = ()
+    limits: ImageLimits = IMAGE_LIMITS
+    seconds: float = 600.0
 
 
 @dataclass(frozen=True)
@@ -58,17 +79,27 @@ def hold_prepared(
     path: Path,
     file_name: str,
     limits: Limits = LIMITS,
+    cache_folder: Path | None = None,
+    images: ImageUpload | None = None,
 ) -> Iterator[PreparedUpload]:
-    """Read and check an uploaded file, without the database."""
+    """Read and check an uploaded file, or images of which telemetry is extracted first, without the database.
+
+    `cache_folder` keeps the tables of a diagnosis.
+    """
     sensor, name = parse_sensor(sensor_document), _base_name(file_name)
     with tempfile.TemporaryDirectory() as folder:
-        table = Path(folder) / "table"
-        quality = _checked(path, name, sensor, catalogue, table, limits)
+        table, found = Path(folder) / "table", _extract(images or ImageUpload(), sensor, path, name, Path(folder))
+        if found is None:
+            quality = _checked(path, name, sensor, catalogue, table, limits, cache_folder)
+        else:
+            path = found.archive
+            quality = _checked(found.telemetry, "telemetry.parquet", sensor, catalogue, table, limits, cache_folder)
+            quality["findings"] += [Finding("IMAGES", "NORMAL", said, 1).document() for said in found.sentences]
         yield PreparedUpload(
             original=path,
             table=table,
             name=name,
-            media_type=MEDIA_TYPES.get(PurePath(name).suffix.lower(), PARQUET),
+            media_type=ARCHIVE if found else MEDIA_TYPES.get(PurePath(name).suffix.lower(), PARQUET),
             original_sha256=_sha256_of_file(path),
             frames=quality["frames"],
             stars=quality["stars"],
@@ -76,17 +107,133 @@ def hold_prepared(
         )
 
 
+@dataclass(frozen=True)
+class _Extracted:
+    """Images that became telemetry: both packed together, the telemetry, and what is to be said of them."""
+
+    archive: Path
+    telemetry: Path
+    sentences: list[str]
+
+
+def _extract(images: ImageUpload, sensor: Sensor, path: Path, name: str, folder: Path) -> _Extracted | None:
+    """Extract the stars of images, or of an archive of images; None where the upload is neither."""
+    if not images.sources and not is_archive(path):
+        return None
+    from boresight.images import archive, extraction  # noqa: PLC0415 - of uploads that are images alone
+    from boresight.images.detection import DetectionOptions  # noqa: PLC0415 - as above
+
+    unpacked = folder / "images"
+    unpacked.mkdir()
+    sources = list(images.sources) or archive.unpack(path, name, unpacked, images.limits)
+    found = extraction.extract_apart(sources, sensor, DetectionOptions(), seconds=images.seconds, limits=images.limits)
+    telemetry, packed = folder / archive.TELEMETRY, folder / "images.zip"
+    write_parquet(found.telemetry, telemetry)
+    archive.pack(sources, found, packed)
+    return _Extracted(packed, telemetry, found.sentences)
+
+
 def _checked(
-    path: Path, name: str, sensor: Sensor, catalogue: Catalogue | None, table: Path, limits: Limits
+    path: Path,
+    name: str,
+    sensor: Sensor,
+    catalogue: Catalogue | None,
+    table: Path,
+    limits: Limits,
+    cache_folder: Path | None,
 ) -> dict[str, Any]:
-    """Read a file in chunks into its working table, never whole in memory; returns its quality report."""
+    """Read a file in chunks into its working table, never whole in memory; returns its quality report.
+
+    A set whose names do not suffice is diagnosed, and so is one that is refused for stars off the detector.
+    """
     quality = QualityParts(sensor, catalogue)
     with WorkingTableParts(table) as parts:
         for chunk in read_chunks(path, name, limits=limits):
             parts.write(chunk)
             quality.add(chunk)
-    quality.off_detector.refuse()
-    return quality.report()
+    try:
+        quality.off_detector.refuse()
+    except OffDetectorError as error:
+        if catalogue is None:
+            raise
+        raise explain_refusal(error, _stored(table), sensor, catalogue, cache_folder) from error
+    report = quality.report()
+    if catalogue is None or report["usable_exposures"]:
+        return report
+    return add_to_report(report, diagnose(_stored(table), sensor, catalogue, cache_folder=cache_folder))
+
+
+def _stored(table: Path) -> StoredTable:
+    """A working table that is not in the store yet."""
+    return StoredTable(table, _sha256_of_file(table))
+
+
+def diagnose_stored(document: Mapping[str, Any], found: TelemetrySet, sources: ForecastSources) -> Diagnosis:
+    """Find why a stored set does not match its sensor, whose document this is; seconds, and without the database."""
+    if (catalogue := sources.catalogue()) is None:
+        raise UnavailableError("This server has no star catalogue to diagnose with; see its log, and try again.")
+    table = StoredTable(table_path(sources.blobs, found.table_sha256), found.table_sha256)
+    return diagnose(table, parse_sensor(document), catalogue, cache_folder=sources.catalogue_folder)
+
+
+def record_diagnosis(session: Session, actor: Actor, set_id: int, found: Diagnosis) -> TelemetrySet:
+    """Put a diagnosis into a set's quality report, in place of one that is there."""
+    _refuse_analysis(actor)
+    row = session.get_known(TelemetrySet, set_id)
+    row.quality = add_to_report(row.quality, found)
+    audit.append(session, actor, "diagnosed", _subject(row), None, {"causes": list(found.names)})
+    return row
+
+
+def get_diagnosis(row: TelemetrySet) -> Diagnosis:
+    """Return the diagnosis of a set; raises ConflictError where it has none that names a mend."""
+    found = find_diagnosis(row.quality)
+    if found is None or found.sensor_document is None:
+        raise ConflictError(f"{row.name} has no diagnosis that mends anything; diagnose it first.")
+    return found
+
+
+def mend_document(document: Mapping[str, Any], found: Diagnosis) -> dict[str, Any]:
+    """Return a sensor document with what a diagnosis mends of it, and nothing else."""
+    mended, names = found.sensor_document or {}, set(found.names)
+    changed = dict(document)
+    if "parity" in names:
+        changed["parity"] = mended["parity"]
+    if "focal_length" in names:
+        changed["initial"] = mended["initial"]
+    for key, name in (("magnitude_limit", "magnitude_limit"), ("declared", "j2000_directions")):
+        if name in names and key in mended:
+            changed[key] = mended[key]
+    return changed
+
+
+@contextmanager
+def hold_mapped(
+    document: Mapping[str, Any], row: TelemetrySet, sources: ForecastSources, limits: Limits = LIMITS
+) -> Iterator[PreparedUpload]:
+    """Read a set as its diagnosis says that it is to be read, checked like an upload, without the database."""
+    found = get_diagnosis(row)
+    if found.mapping is None:
+        raise ConflictError(f"{row.name} is to be read as it stands; its diagnosis mends the sensor file.")
+    table = StoredTable(table_path(sources.blobs, row.table_sha256), row.table_sha256)
+    if table.large():
+        raise RefusedInputError(
+            f"{row.name} is too large to be rewritten here: `boresight diagnose --out-telemetry` does it."
+        )
+    mapped = parse_mapping(found.mapping).apply(table.read(), parse_sensor(document))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "mapped.parquet"
+        write_parquet(mapped, path)
+        name = f"{PurePath(row.name).stem}-mended.parquet"
+        catalogue = sources.catalogue()
+        with hold_prepared(document, catalogue, path, name, limits, sources.catalogue_folder) as prepared:
+            yield prepared
+
+
+def _refuse_analysis(actor: Actor) -> None:
+    """Refuse who may not upload and diagnose."""
+    require_role(actor, "analyst")
+    require_scope(actor, "telemetry-sets")
 
 
 def add_telemetry_set(
@@ -155,8 +302,7 @@ def store_prepared(
 
 def _refuse_upload(actor: Actor, purpose: str) -> None:
     """Refuse who may not upload, and a purpose that does not exist."""
-    require_role(actor, "analyst")
-    require_scope(actor, "telemetry-sets")
+    _refuse_analysis(actor)
     if purpose not in PURPOSES:
         raise RefusedInputError(f"The purpose is calibration or validation, not {purpose!r}.")
 
@@ -183,6 +329,24 @@ def _base_name(file_name: str) -> str:
 
 def _without_folders(path: str) -> str:
     return path.replace("\\", "/").rsplit("/", 1)[-1]
+
+
+def has_images(session: Session, set_id: int) -> bool:
+    """Whether a set keeps the images that it was extracted from."""
+    blob = session.get(Blob, session.get_known(TelemetrySet, set_id).original_sha256)
+    return blob is not None and blob.media_type == ARCHIVE
+
+
+def draw_image(session: Session, blobs: BlobStore, set_id: int, frame: int, limits: ImageLimits) -> bytes:
+    """Return the image of a frame as PNG; refuses a set that has none."""
+    from boresight.images import archive  # noqa: PLC0415 - of sets that are images alone
+
+    row = session.get_known(TelemetrySet, set_id)
+    if not has_images(session, set_id):
+        raise NotFoundError(f"Telemetry set {set_id} was not extracted from images.")
+    sensor = parse_sensor(session.get_known(SensorRow, row.sensor_id).document)
+    with tempfile.TemporaryDirectory() as folder:
+        return archive.draw_image(blobs.path(row.original_sha256), sensor, frame, limits, Path(folder))
 
 
 def list_telemetry_sets(

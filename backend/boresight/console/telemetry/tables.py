@@ -9,6 +9,7 @@ import sqlalchemy as sa
 from sqlalchemy.orm import Mapped, mapped_column
 
 from boresight.calibration.calibration import parse_part
+from boresight.calibration.diagnosis.result import Diagnosis, parse_diagnosis
 from boresight.errors import RefusedInputError
 from boresight.platform.db.declared import STRICT, Base
 from boresight.platform.db.documents import JsonText
@@ -33,6 +34,15 @@ def find_quality(document: Mapping[str, Any]) -> QualityReport:
         return QualityReport(verdict=found.severity, warnings=[said], findings=[found])
 
 
+def find_diagnosis(document: Mapping[str, Any]) -> Diagnosis | None:
+    """Read the diagnosis in a quality report; None where there is none, or one that nobody can read."""
+    try:
+        found = parse_quality(document).diagnosis
+        return None if found is None else parse_diagnosis(found)
+    except RefusedInputError:
+        return None
+
+
 class TelemetrySet(Base):
     """An uploaded file of one sensor: the original bytes, the Parquet form that is worked on, the quality report."""
 
@@ -51,3 +61,9 @@ class TelemetrySet(Base):
     uploaded_utc: Mapped[str] = mapped_column(sa.Text)
     uploaded_by: Mapped[int | None] = mapped_column(sa.ForeignKey("users.id"))
     archived_utc: Mapped[str | None] = mapped_column(sa.Text)
+
+    @property
+    def diagnosed(self) -> str | None:
+        """The sentence of its diagnosis."""
+        found = find_diagnosis(self.quality)
+        return None if found is None else found.sentence

@@ -58,7 +58,7 @@ def square_root_filter(
     nis, dof, squares, passes = np.empty(n), np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64)
     done = kernels.square_root_filter(
         x, z, S, q, tuning.widening, arcs.camera.kind, arcs.pitch, arcs.frame_start, arcs.star_start, arcs.row_px, arcs.col_px,
-        arcs.phi, arcs.band, free, scale, tuning.linearisations, tuning.rest, states, sigmas, nis, dof, squares, passes,
+        arcs.known_phi, arcs.band, free, scale, tuning.linearisations, tuning.rest, states, sigmas, nis, dof, squares, passes,
     )  # fmt: skip
     return FilterHistory(
         states[:done], sigmas[:done], nis[:done], dof[:done], squares[:done], passes[:done],

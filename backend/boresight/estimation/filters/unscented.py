@@ -64,7 +64,7 @@ def unscented_filter(
     nis, dof, squares, passes = np.empty(n), np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64)
     done = kernels.unscented_filter(
         x, z, S, q, tuning.widening, arcs.camera.kind, arcs.pitch, arcs.frame_start, arcs.star_start, arcs.row_px, arcs.col_px,
-        arcs.phi, arcs.band, free, scale, tuning.linearisations, REST_SIGMA, SHRUNK, STRAIGHT,
+        arcs.known_phi, arcs.band, free, scale, tuning.linearisations, REST_SIGMA, SHRUNK, STRAIGHT,
         states, sigmas, nis, dof, squares, passes,
     )  # fmt: skip
     history = FilterHistory(

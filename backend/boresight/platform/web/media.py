@@ -35,6 +35,12 @@ class StoredFile(FileResponse):
         super().__init__(path, status_code, filename=filename, headers=headers, media_type=self.media_type)
 
 
+class CameraFile(Response):
+    """A camera as a file of another program."""
+
+    media_type = "application/octet-stream"
+
+
 class PythonFile(Response):
     """A program."""
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from boresight.arrays import BoolArray, FloatArray, IntArray
+from boresight.errors import RefusedInputError
 from boresight.telemetry.read.checks import MOST_FAULTS, Faults
 from boresight.telemetry.schema import Telemetry
 from boresight.telemetry.sensors import Sensor
@@ -47,6 +48,10 @@ class StarOff:
     exposure: int
     star_id: int | None
     off_px: float
+
+
+class OffDetectorError(RefusedInputError):
+    """So many matched stars lie off the detector that sensor file and telemetry do not belong together as they stand."""
 
 
 class OffDetector:
@@ -94,8 +99,8 @@ class OffDetector:
             off = beyond & ((values < -0.5 - _CUT_STAR_PX) | (values > size - 0.5 + _CUT_STAR_PX))
             for entry in np.flatnonzero(off)[:MOST_FAULTS].tolist():
                 detail = (
-                    f"{values[entry]:g} is off the detector (-0.5 to {size - 0.5:g}): choose the right sensor, exchange rows "
-                    "and columns, or delete the row"
+                    f"{values[entry]:g} is off the detector (-0.5 to {size - 0.5:g}): exchange rows and columns, "
+                    "correct the sensor's rows and columns, or delete the row"
                 )
                 self._faults.add(detail, column=column, row=int(number[entry]))
             self._faults.count += max(int(np.count_nonzero(off)) - MOST_FAULTS, 0)
@@ -116,7 +121,7 @@ class OffDetector:
                 f"The telemetry does not fit the sensor, {self.beyond_cut:,} of its {self.matched:,} matched stars lie off the "
                 f"detector where at most {self.most:,} may be left out"
             )
-            self._faults.refuse()
+            raise OffDetectorError(str(refusal := self._faults.refusal()), refusal.faults)
 
     def document(self) -> dict[str, Any]:
         """Return what was left out for a JSON document: how many stars, by how much at most, and the first twenty."""

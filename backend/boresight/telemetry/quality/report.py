@@ -23,6 +23,7 @@
     stars_off_detector  {stars, farthest_px, rows [{row, frame, exposure, star_id, off_px}]} matched stars that are left out for
                         it; rows are the first 20
     temperature_c       {smallest, largest} or null
+    diagnosis           "boresight.diagnosis/1" of a set whose names do not suffice, else absent
     unknown_columns     names
 
 The quality report of a set that comes in parts: of all of it what can be added up, and findings of what can be held.
@@ -36,6 +37,7 @@ second, fourth, ... is kept. The report of such a set says so in a finding of it
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -167,6 +169,7 @@ class QualityReport:
     off_detector: int | None = None
     temperature_c: Extremes | None = None
     unknown_columns: list[str] = field(default_factory=list)
+    diagnosis: dict[str, Any] | None = None
 
 
 def quality_report(telemetry: Telemetry, sensor: Sensor, catalogue: StarNumbers | None = None) -> dict[str, Any]:
@@ -196,6 +199,18 @@ def make_document(
         "repeats": {"stars": by_code.get("REPEATED_STARS", 0), "centroids": by_code.get("REPEATED_CENTROIDS", 0)},
         "out_of_order": by_code.get("FRAME_ORDER", 0),
         "stars_off_detector": off.document(),
+    }
+
+
+def put_finding_first(document: Mapping[str, Any], finding: Finding, without: Collection[str]) -> dict[str, Any]:
+    """Return a report with a finding more, first of its severity, and without those of some codes."""
+    kept = [one for one in document["findings"] if one["code"] not in without]
+    found = sorted([finding.document(), *kept], key=lambda one: -SEVERITIES.index(one["severity"]))
+    return {
+        **document,
+        "verdict": max((one["severity"] for one in found), key=SEVERITIES.index),
+        "warnings": [one["sentence"] for one in found if one["severity"] != SEVERITIES[0]],
+        "findings": found,
     }
 
 

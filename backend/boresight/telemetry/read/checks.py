@@ -34,12 +34,17 @@ MOST_COUNTED = 100_000
 _MOST_HELD = 50 * MOST_FAULTS
 
 
-class Faults:
-    """Faults of one input in the order of its rows."""
+#: Where an entry and its column stand in the file that a table was made from.
+Places = Callable[[int, str | None], tuple[int, str | None]]
 
-    def __init__(self, subject: str, first_row: int = 1) -> None:
+
+class Faults:
+    """Faults of one input in the order of its rows; `places` where it was made from another file, whose rows are told."""
+
+    def __init__(self, subject: str, first_row: int = 1, places: Places | None = None) -> None:
         self.subject = subject
         self.first_row = first_row
+        self._places = places
         self.count = 0
         self._kept: list[Fault] = []
         self._last: int | None = None  # row from which on a fault is none of the first, once there are enough
@@ -52,11 +57,20 @@ class Faults:
         if self._last is None or (row or 0) < self._last:
             self._keep([Fault(row, column, detail)])
 
+    def place(self, entry: int, column: str | None = None) -> tuple[int, str | None]:
+        """Return row, as an editor counts, and column of an entry."""
+        return self._places(entry, column) if self._places is not None else (entry + self.first_row, column)
+
+    def add_entry(self, entry: int, column: str, detail: str) -> None:
+        """Add a fault of one entry."""
+        row, named = self.place(entry, column)
+        self.add(detail, row=row, column=named)
+
     def add_entries(self, wrong: NDArray[np.bool_], column: str | None, detail: Callable[[int], str]) -> None:
         """Add a fault for every entry of the (n,) mask; `detail` writes the sentence of one entry."""
         entries = np.flatnonzero(wrong)
         self.count += len(entries)
-        self._keep([Fault(entry + self.first_row, column, detail(entry)) for entry in entries[:MOST_FAULTS].tolist()])
+        self._keep([Fault(*self.place(entry, column), detail(entry)) for entry in entries[:MOST_FAULTS].tolist()])
 
     def absorb(self, other: Faults) -> None:
         """Take over the faults of another collection; at the same row they come after those that are here."""
@@ -99,9 +113,9 @@ class Checks:
     Exposures lie within a frame, so a part has all that belongs together; only the order of the frames runs over the seams.
     """
 
-    def __init__(self, subject: str, most_stars: int = LIMITS.stars) -> None:
+    def __init__(self, subject: str, most_stars: int = LIMITS.stars, places: Places | None = None) -> None:
         self._most_stars = most_stars
-        self._order, self._torn, self._others = Faults(subject), Faults(subject), Faults(subject)
+        self._order, self._torn, self._others = (Faults(subject, places=places) for _ in range(3))
         self._last_frame: int | None = None
 
     @property
@@ -118,7 +132,6 @@ class Checks:
         self._last_frame = int(telemetry.frame[-1])
         _check_torn(telemetry, exposures, self._torn)
         _check_stars(telemetry, exposures, self._most_stars, self._others)
-        _check_repeated_stars(telemetry, exposures, self._others)
         _check_repeated_centroids(telemetry, exposures, self._others)
         with np.errstate(over="ignore"):  # the length of what is beyond all numbers is infinite, and refused
             _check_directions(telemetry, self._others)
@@ -173,29 +186,14 @@ def _check_stars(telemetry: Telemetry, exposures: Exposures, most: int, faults: 
     )
 
 
-def _check_repeated_stars(telemetry: Telemetry, exposures: Exposures, faults: Faults) -> None:
-    """Find stars that are seen twice in an exposure."""
-    if telemetry.star_id is None:
-        return
-    matched = np.flatnonzero(telemetry.star_id > 0)
-    later, earlier = repeats_within(exposures.of_entry[matched], telemetry.star_id[matched])
-    for entry, before in zip(matched[later].tolist(), matched[earlier].tolist(), strict=True):
-        faults.add(
-            f"star {telemetry.star_id[entry]} is already in row {before + faults.first_row} of this exposure: "
-            "leave star_id empty where the match is wrong",
-            row=entry + faults.first_row,
-            column="star_id",
-        )
-
-
 def _check_repeated_centroids(telemetry: Telemetry, exposures: Exposures, faults: Faults) -> None:
     """Find detections of an exposure in the very same place."""
     later, earlier = repeats_within(exposures.of_entry, telemetry.row_px, telemetry.col_px)
     for entry, before in zip(later.tolist(), earlier.tolist(), strict=True):
-        faults.add(
-            f"the centroid is that of row {before + faults.first_row} in the same exposure: delete one of the two rows",
-            row=entry + faults.first_row,
-            column="row_px",
+        faults.add_entry(
+            entry,
+            "row_px",
+            f"the centroid is that of row {faults.place(before)[0]} in the same exposure: delete one of the two rows",
         )
 
 

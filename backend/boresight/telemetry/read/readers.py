@@ -281,6 +281,11 @@ def write_with_stars(table: pa.Table, star_id: IntArray, stream: IO[bytes], suff
         table = table.set_column(table.column_names.index("star_id"), "star_id", cells)
     else:
         table = table.append_column("star_id", cells)
+    write_table(table, stream, suffix)
+
+
+def write_table(table: pa.Table, stream: IO[bytes], suffix: str) -> None:
+    """Write a table of telemetry as its suffix says, CSV where it says nothing."""
     match suffix:
         case ".parquet":
             import pyarrow.parquet as arrow_parquet  # noqa: PLC0415 - as above

@@ -6,27 +6,25 @@ The field of view is 2 atan(half a side / f), and one pixel at the centre sees p
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
 
-import numpy as np
 from fastapi import APIRouter, Depends, Form, Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 
 from boresight.calibration.calibration import Calibration, Change, Evaluation, IntervalChange, Values
 from boresight.calibration.parameter_set import parse_parameter_set
-from boresight.cameras import CAMERA_MODELS, CameraModel
+from boresight.cameras import CAMERA_MODELS
 from boresight.console import list_queries as lists
 from boresight.console.access.dependencies import KNOWN, Reading, Who, csrf, get_server
 from boresight.console.alarms import service as alarms
 from boresight.console.approvals import gates
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import timeline
-from boresight.console.fleet.pages.sensors import read_document
+from boresight.console.fleet.pages.sensors import compute_optics, read_document
 from boresight.console.fleet.status import list_fleet_tiles
 from boresight.console.fleet.tables import Sensor
 from boresight.console.fleet.trend import read_trend
@@ -48,6 +46,7 @@ from boresight.platform.actors import Actor
 from boresight.platform.blobs.store import BlobStore
 from boresight.platform.db.sessions import Session, open_reading, utc_now
 from boresight.platform.web.paging import parse_row_id
+from boresight.site import SITE_FIELDS
 from boresight.telemetry.declarations import DECLARATIONS
 from boresight.telemetry.sensors import parse_sensor
 from boresight.verdicts.numbers import MISSING, NARROW_SPACE, fixed, is_number, urad
@@ -187,40 +186,6 @@ sensor_router = APIRouter(dependencies=[Depends(csrf)])
 
 
 @dataclass(frozen=True)
-class Optics:
-    """What a detector and a focal length see."""
-
-    rows_deg: float
-    columns_deg: float
-    diagonal_deg: float
-    pixel_urad: float
-    principal_row_px: float
-    principal_col_px: float
-
-
-def compute_optics(camera: CameraModel, detector: Mapping[str, Any], parameters: Mapping[str, float]) -> Optics:
-    """Derive the field of view from a detector and camera parameters."""
-    x = np.array([parameters[name] for name in camera.parameter_names])
-    f_px, (principal_row_px, principal_col_px) = (
-        camera.focal_px(x, detector["pixel_pitch_m"]),
-        camera.principal_point(x),
-    )
-    rows, columns = detector["rows"], detector["columns"]
-
-    def degrees(side_px: float) -> float:
-        return 2.0 * math.degrees(math.atan(side_px / 2.0 / f_px))
-
-    return Optics(
-        rows_deg=degrees(rows),
-        columns_deg=degrees(columns),
-        diagonal_deg=degrees(math.hypot(rows, columns)),
-        pixel_urad=1e6 / f_px,
-        principal_row_px=principal_row_px,
-        principal_col_px=principal_col_px,
-    )
-
-
-@dataclass(frozen=True)
 class BaselineValue:
     """One parameter of the baseline."""
 
@@ -279,6 +244,9 @@ def describe_declarations(document: Mapping[str, Any]) -> dict[str, str]:
     """Say by title what a sensor file declares that no data can show, and what nobody declared."""
     sensor = parse_sensor(document)
     words = {"Readout": UNDECLARED if sensor.readout is None else sensor.readout.words}
+    if sensor.site is not None:
+        site = sensor.site.document()
+        words["Site"] = "; ".join(f"{SITE_FIELDS[name].label} {value:g}" for name, value in site.items())
     declared = sensor.declared.document()
     return words | {
         one.title: f"{declared[name]}: {one.words[declared[name]]}" if name in declared else UNDECLARED

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
 from textwrap import indent
@@ -16,7 +17,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, Response
 from starlette.datastructures import FormData, UploadFile
 
-from boresight.cameras import CAMERA_MODELS, DEFAULT_CAMERA
+from boresight.cameras import CAMERA_MODELS, DEFAULT_CAMERA, CameraModel
 from boresight.console.access.dependencies import KNOWN, Reading, Roles, Who, csrf, get_server
 from boresight.console.fleet import service as sensors
 from boresight.console.fleet import status as fleet
@@ -47,7 +48,10 @@ from boresight.errors import Fault, RefusedInputError
 from boresight.platform.actors import Actor
 from boresight.platform.db.sessions import Session, open_reading
 from boresight.platform.web.paging import parse_row_id
+from boresight.site import SITE_FIELDS
+from boresight.telemetry.data_sheets import ASKED, DATA_SHEETS
 from boresight.telemetry.declarations import DECLARATIONS
+from boresight.telemetry.new_sensor import Described, describe_typed
 from boresight.telemetry.read.formats import parse_json, read_text
 
 router = APIRouter(dependencies=[Depends(csrf)])
@@ -85,6 +89,8 @@ SENSORS = Table(
     kind="dense",
 )
 ROWS_AT_ONCE = 500
+#: What a person calls the sensor that the form makes, and letters of a field that are read.
+SUBJECT, LONGEST_TYPED = "The new sensor", 100
 FIELDS = (
     ("name", "Unique in the fleet; becomes part of PS-<sensor>-<n>."),
     ("detector", "rows, columns, and pixel_pitch_m in metres."),
@@ -101,6 +107,12 @@ FIELDS = (
             "Optional, asked until declared: mode global, or rolling with line_time_s, axis rows or columns, and corrected."
             " A rolling readout that the telemetry is not corrected for is corrected here."
         ),
+    ),
+    (
+        "site",
+        "Optional, of a camera on the ground: "
+        + ", ".join(SITE_FIELDS)
+        + ". Stars are then seen through the air above it.",
     ),
     (
         "declared",
@@ -137,6 +149,82 @@ async def typed_document(form: FormData) -> str:
 
 
 @dataclass(frozen=True)
+class Optics:
+    """What a detector and a focal length see."""
+
+    rows_deg: float
+    columns_deg: float
+    diagonal_deg: float
+    pixel_urad: float
+    principal_row_px: float
+    principal_col_px: float
+
+
+def compute_optics(camera: CameraModel, detector: Mapping[str, Any], parameters: Mapping[str, float]) -> Optics:
+    """Derive the field of view from a detector and camera parameters."""
+    x = np.array([parameters[name] for name in camera.parameter_names])
+    f_px, (principal_row_px, principal_col_px) = (
+        camera.focal_px(x, detector["pixel_pitch_m"]),
+        camera.principal_point(x),
+    )
+    rows, columns = detector["rows"], detector["columns"]
+
+    def degrees(side_px: float) -> float:
+        return 2.0 * math.degrees(math.atan(side_px / 2.0 / f_px))
+
+    return Optics(
+        rows_deg=degrees(rows),
+        columns_deg=degrees(columns),
+        diagonal_deg=degrees(math.hypot(rows, columns)),
+        pixel_urad=1e6 / f_px,
+        principal_row_px=principal_row_px,
+        principal_col_px=principal_col_px,
+    )
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What was typed of a new sensor, by name, and what was made of it, or every fault.
+
+    `optics`: its field of view, where one was made.
+    """
+
+    typed: Mapping[str, str] = field(default_factory=dict)
+    described: Described | None = None
+    optics: Optics | None = None
+    faults: tuple[Fault, ...] = ()
+
+    def is_faulty(self, name: str) -> bool:
+        """Whether a fault names a field."""
+        return any(str(one).removeprefix("site.").startswith(f"{name} ") for one in self.faults)
+
+    @property
+    def on_the_ground(self) -> bool:
+        """Whether anything of a site was typed."""
+        return any(self.typed.get(name) for name in SITE_FIELDS)
+
+    @property
+    def text(self) -> str:
+        """The sensor file that was made, as JSON."""
+        return "" if self.described is None else json.dumps(self.described.document, indent=2)
+
+
+def propose(request: Request) -> Proposal:
+    """Make a sensor of what an address holds; nothing is kept."""
+    names = ("name", "sheet", "camera_model", "parity", *ASKED, *SITE_FIELDS)
+    typed = {name: request.query_params.get(name, "").strip()[:LONGEST_TYPED] for name in names}
+    if not request.query_params.get("describe"):
+        return Proposal(typed)
+    try:
+        described = describe_typed(typed, SUBJECT)
+    except RefusedInputError as error:
+        return Proposal(typed, faults=tuple(error.faults))
+    document = described.document
+    optics = compute_optics(CAMERA_MODELS[document["camera_model"]], document["detector"], document["initial"])
+    return Proposal(typed, described, optics)
+
+
+@dataclass(frozen=True)
 class SensorsContext:
     """The state of the form: its text and its refusal."""
 
@@ -147,7 +235,7 @@ class SensorsContext:
 @router.get("/sensors", response_class=HTMLResponse)
 def sensors_page(request: Request, roles: Roles, example: str = "") -> HTMLResponse:
     """Show a page of sensors and the form, filled with the example when asked."""
-    return _page(request, roles, SensorsContext(EXAMPLE if example else ""))
+    return _page(request, roles, SensorsContext(EXAMPLE if example else propose(request).text))
 
 
 @router.get("/sensors.csv", dependencies=[KNOWN])
@@ -225,6 +313,10 @@ def _page(request: Request, roles: frozenset[str], shown: SensorsContext) -> HTM
             fields=FIELDS,
             focal_length_m=compute_focal_length,
             models=_models(),
+            proposal=propose(request),
+            asked=ASKED,
+            sheets=DATA_SHEETS,
+            site_fields=SITE_FIELDS,
             shown=shown,
         )
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 from typing import Any
 from urllib.parse import urlencode
@@ -19,6 +19,7 @@ from boresight.console.access.dependencies import get_server
 from boresight.console.runs import frames
 from boresight.console.runs.frames import FrameLine
 from boresight.console.runs.tables import Run
+from boresight.console.telemetry import service as telemetry_sets
 from boresight.errors import BoresightError, NotFoundError, RefusedInputError
 from boresight.estimation.statistics.consistency import CLEAR_SIGMAS
 from boresight.platform.db.sessions import Session
@@ -158,6 +159,7 @@ class FramePage:
     stars: Sequence[Mapping[str, Any]] = ()
     worst: Sequence[FrameLine] = ()
     address: Mapping[str, str] | None = None
+    image: str | None = None
 
     def to(self, **changes: Any) -> str:
         """Return the address of this view with changes; None removes a parameter."""
@@ -180,7 +182,10 @@ def make_frames_part(session: Session, request: Request, run: Run) -> dict[str, 
         )
     except BoresightError as refusal:
         return _page(FramePage(why=GONE.format(refusal), worst=worst, address=asked))
-    return _page(_laid_out(view, worst, {"frame": str(chosen), **asked}))
+    page = _laid_out(view, worst, {"frame": str(chosen), **asked})
+    if telemetry_sets.has_images(session, run.telemetry_set_id):
+        page = replace(page, image=f"/telemetry/{run.telemetry_set_id}/images/{int(chosen)}.png")
+    return _page(page)
 
 
 def _page(page: FramePage) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from markupsafe import Markup
 from starlette.datastructures import QueryParams
 
 from boresight.calibration.calibration import Calibration, Inputs
+from boresight.calibration.exports import EXPORT_FORMATS
 from boresight.calibration.options import get_method_title
 from boresight.console.access.dependencies import Reading, Who, csrf, get_server
 from boresight.console.approvals import gates
@@ -502,6 +503,7 @@ def run_page(request: Request, session: Reading, actor: Who, run_id: int, part: 
         part=part,
         tabs=list_tabs(run_id, part, result, note_queries.count_notes(session, "runs", run_id)),
         advice=result.advice if result else [],
+        camera_formats=[form for form in EXPORT_FORMATS.values() if not form.needs_attitudes],
         no_result=review.why_nothing,
         wide=WIDE,
         **PARTS[part].gather(review),

@@ -39,8 +39,8 @@ def off_detector_finding(off: OffDetector, sensor: Sensor) -> Finding | None:
         return Finding("OFF_DETECTOR", "CAUTION" if off.beyond_cut else "NORMAL", off.sentence(), off.stars, rows)
     sentence = (
         f"{counted(off.stars, 'matched star lies', 'matched stars lie')} off the detector of {sensor.name} by up to "
-        f"{off.farthest_px:.3g} px, where at most {off.most:,} may be left out, so that no calibration takes the set: choose the "
-        "right sensor, exchange rows and columns, or delete the rows."
+        f"{off.farthest_px:.3g} px, where at most {off.most:,} may be left out, so that no calibration takes the set: exchange "
+        "rows and columns, correct the sensor's, or delete the rows."
     )
     return Finding("OFF_DETECTOR", "SERIOUS", sentence, off.stars, rows)
 
@@ -63,9 +63,12 @@ def repeated_stars(inputs: QualityInputs) -> Finding | None:
     if not len(later):
         return None
     what = counted(len(later), "row names", "rows name")
-    sentence = f"{what} a star already named in the exposure: leave star_id empty where it is wrong."
+    sentence = (
+        f"{what} a star already named in the exposure: the detection nearest to the star's place keeps it when stars are verified; "
+        "leave star_id empty where it is wrong."
+    )
     return Finding(
-        "REPEATED_STARS", "SERIOUS", sentence, len(later), row_numbers(inputs, _marked(inputs, matched[later]))
+        "REPEATED_STARS", "CAUTION", sentence, len(later), row_numbers(inputs, _marked(inputs, matched[later]))
     )
 
 

@@ -6,10 +6,10 @@ import numpy as np
 
 from boresight.estimation import MINIMUM_STARS
 from boresight.telemetry.quality.inputs import Finding, QualityInputs, Severity, counted, marked_rows, row_numbers
+from boresight.telemetry.schema import MAGNITUDES
 
 _MANY_UNMATCHED = 0.5
 _MANY_EXPOSURES = 0.2
-_MAGNITUDES = (-2.0, 20.0)
 _MAGNITUDE_MISMATCH = 2.0
 _ENOUGH_MAGNITUDES = 20
 #: Spread across over spread along, below which a calibration calls stars collinear too.
@@ -20,7 +20,10 @@ def nothing_matched(inputs: QualityInputs) -> Finding | None:
     """Find a set in which no row names a star."""
     if inputs.matched.any():
         return None
-    sentence = "No row names a star: give star_id (Hipparcos numbers), or ra_deg and dec_deg."
+    sentence = (
+        "No row names a star: a calibration has to recognise them by themselves; diagnose the set to see whether it can, or give "
+        "star_id (Hipparcos numbers), or ra_deg and dec_deg."
+    )
     return Finding("NO_MATCHES", "SERIOUS", sentence, len(inputs.telemetry))
 
 
@@ -38,8 +41,8 @@ def few_stars(inputs: QualityInputs) -> Finding | None:
     if count == exposures:
         severity = "SERIOUS"
         sentence = (
-            f"Every exposure has fewer than {MINIMUM_STARS} usable stars: nothing can be calibrated from this set, match more "
-            "stars or choose another."
+            f"Every exposure has fewer than {MINIMUM_STARS} usable stars with a name: a calibration has to recognise them by "
+            "themselves; diagnose the set to see whether it can."
         )
     marked = np.zeros(len(inputs.telemetry), dtype=np.bool_)
     marked[inputs.exposures.start[few]] = True
@@ -96,8 +99,8 @@ def absurd_magnitudes(inputs: QualityInputs) -> Finding | None:
     magnitude = inputs.telemetry.magnitude
     if magnitude is None:
         return None
-    absurd = (magnitude < _MAGNITUDES[0]) | (magnitude > _MAGNITUDES[1])
-    said = "outside {:g} to {:g}: leave the cell empty where there is no measurement.".format(*_MAGNITUDES)
+    absurd = (magnitude < MAGNITUDES[0]) | (magnitude > MAGNITUDES[1])
+    said = "outside {:g} to {:g}: leave the cell empty where there is no measurement.".format(*MAGNITUDES)
     return marked_rows(inputs, "MAGNITUDE_RANGE", "CAUTION", absurd, ("magnitude lies", "magnitudes lie"), said)
 
 
@@ -106,7 +109,7 @@ def mismatched_magnitudes(inputs: QualityInputs) -> Finding | None:
     magnitude, index = inputs.telemetry.magnitude, inputs.index
     if magnitude is None or index is None or inputs.catalogue is None:
         return None
-    known = (index >= 0) & (magnitude >= _MAGNITUDES[0]) & (magnitude <= _MAGNITUDES[1])
+    known = (index >= 0) & (magnitude >= MAGNITUDES[0]) & (magnitude <= MAGNITUDES[1])
     if known.sum() < _ENOUGH_MAGNITUDES:
         return None
     difference = np.full(len(magnitude), np.nan)

@@ -1,0 +1,135 @@
+"""`boresight extract`: images in, telemetry out; and images in the place of telemetry for the other commands."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from boresight.cli.importing import read_by_profile
+from boresight.cli.output import FORMATS, check_writable, json_option, refuse_standard_output, tell, write_json
+from boresight.errors import RefusedInputError
+from boresight.images.limits import is_image
+from boresight.library import functions as library
+from boresight.library.progress import Report, progress
+
+if TYPE_CHECKING:
+    from boresight.library.inputs import TelemetrySource
+    from boresight.library.results import Extraction
+
+FILE = click.Path(path_type=Path)
+#: The choices of an extraction, for every command that takes images.
+_CHOICES: Sequence[Callable[..., Any]] = (
+    click.option(
+        "--threshold", type=click.FloatRange(3.0, 1000.0), default=8.0, show_default=True,
+        help="Of images: signal-to-noise ratio of the faintest star.",
+    ),
+    click.option(
+        "--most-stars", type=click.IntRange(4, 5000), default=200, show_default=True,
+        help="Of images: the brightest stars of each that are kept.",
+    ),
+    click.option("--times", type=FILE, help="Of images: CSV with image and time_utc, mid-exposure."),
+    click.option(
+        "--gain", "gain_e_per_dn", type=click.FloatRange(1e-3, 1e4),
+        help="Of images: electrons a DN; from EGAIN, the sensor file or the images if left out.",
+    ),
+    click.option(
+        "--saturation", "saturation_dn", type=click.FloatRange(1.0, 1e9), help="Of images: DN from which a pixel is full.",
+    ),
+    click.option("--raw-bits", type=click.IntRange(8, 16), help="Of raw images: bits of a number."),
+    click.option("--raw-order", type=click.Choice(["little", "big"]), help="Of raw images: order of two bytes."),
+    click.option("--raw-header", type=click.IntRange(0, 1 << 20), help="Of raw images: bytes before the first number."),
+    click.option(
+        "--processes", type=click.IntRange(1, 64), help="Of images: processes that extract; one a core if left out."
+    ),
+)  # fmt: skip
+
+
+def extraction_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of an extraction to a command."""
+    for option in reversed(_CHOICES):
+        command = option(command)
+    return command
+
+
+pictures_option = click.option(
+    "--pictures", type=FILE, help="Of images: folder for each image with its stars and residuals over it, SVG."
+)
+
+
+def take_extraction_choices(choices: dict[str, Any]) -> dict[str, Any]:
+    """Take the choices of an extraction out of a command's, as the library's function wants them."""
+    names = ("threshold", "most_stars", "times", "gain_e_per_dn", "saturation_dn", "processes")
+    taken = {name: choices.pop(name) for name in names}
+    raw = {"bits": choices.pop("raw_bits"), "byte_order": choices.pop("raw_order")}
+    raw["header_bytes"] = choices.pop("raw_header")
+    given = {name: value for name, value in raw.items() if value is not None}
+    return {**taken, "raw": given or None}
+
+
+@contextmanager
+def telemetry_of(
+    paths: Sequence[Path], profile: str | None, sensor: Path, choices: dict[str, Any], report: Report
+) -> Iterator[TelemetrySource]:
+    """Yield the telemetry that was named, by its profile where it has one, or what is extracted from images that were named."""
+    if profile is not None and len(paths) == 1:
+        yield read_by_profile(paths[0], profile, sensor)
+        return
+    if not any(is_image(path) for path in paths):
+        if len(paths) > 1:
+            raise RefusedInputError(
+                f"{len(paths)} files were named, and only images can be several: name one telemetry file, as {paths[0].name}."
+            )
+        yield paths[0]
+        return
+    if others := [path for path in paths if not is_image(path)]:
+        raise RefusedInputError(f"{others[0].name} is no image, and others are: name images, or one telemetry file.")
+    with tempfile.TemporaryDirectory() as folder:
+        found = library.extract(paths, sensor, progress=report, **choices)
+        place = Path(folder) / "images.parquet"
+        found.save(place)
+        for sentence in found.sentences:
+            click.echo(f"boresight: {sentence}", err=True)
+        yield place
+
+
+@click.command()
+@click.argument("images", type=FILE, nargs=-1, required=True)
+@click.option("--sensor", "sensor_file", type=FILE, required=True, help="Sensor file, JSON.")
+@click.option("--out", type=FILE, required=True, help="Telemetry to write: .csv or .parquet.")
+@extraction_options
+@pictures_option
+@json_option
+def extract(
+    images: tuple[Path, ...], sensor_file: Path, out: Path, pictures: Path | None, json_file: str | None, **choices: Any
+) -> None:
+    """Extract the stars of IMAGES (FITS, PNG, TIFF or raw numbers) into telemetry.
+
+    Each image is a frame. Its rows carry centroid, sigma_px, magnitude of the instrument, flux, peak, background, covariance,
+    whether the star is saturated, and the image's name and SHA-256. Hot and dead pixels are told from the set itself; trails,
+    blended and misshapen objects are left out and counted.
+    """
+    refuse_standard_output(out, "Telemetry of images")
+    check_writable(json_file)
+    check_writable(out, FORMATS.get(out.suffix.lower(), ""))
+    if out.suffix.lower() not in {".csv", ".parquet"}:
+        raise RefusedInputError(f"{out.name} says no format: end the name with .csv or .parquet.")
+    with progress("reading the images") as report:
+        taken = take_extraction_choices(choices)
+        found = library.extract(images, sensor_file, progress=report, **taken)
+        found.save(out)
+        if pictures is not None:
+            library.draw_images(images, sensor_file, found, pictures, raw=taken["raw"])
+    write_json(found.to_dict(), json_file)
+    if json_file != "-":
+        _tell(found, out)
+
+
+def _tell(found: Extraction, out: Path) -> None:
+    for sentence in found.sentences:
+        tell(sentence, out)
+    tell(f"Wrote {out}", out)

@@ -1,0 +1,3 @@
+"""From images to telemetry: reading them, what is wrong with the detector's pixels, stars and their centroids."""
+
+from __future__ import annotations

@@ -1,0 +1,119 @@
+"""A set of images with the telemetry that was extracted from it, in one ZIP file: what a server keeps, and what people may upload.
+
+The images are stored as they are, for they hardly compress, in the order of their names and without times of their own, so that
+the same images make the same bytes. Beside them `telemetry.parquet` says which image is which frame.
+"""
+
+from __future__ import annotations
+
+import shutil
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from boresight.errors import NotFoundError, RefusedInputError
+from boresight.images.extraction import Extraction
+from boresight.images.limits import ImageLimits, ImageSource, is_image
+from boresight.images.picture import make_picture
+from boresight.images.reading import read_image
+from boresight.telemetry.read.readers import read_telemetry, write_parquet
+from boresight.telemetry.sensors import Sensor
+
+TELEMETRY = "telemetry.parquet"
+#: ZIP knows no earlier time.
+NO_TIME = (1980, 1, 1, 0, 0, 0)
+MOST_COMPRESSION = 200
+LONGEST_NAME = 200
+COPIED_BYTES = 1 << 20
+
+
+def unpack(path: Path, name: str, folder: Path, limits: ImageLimits) -> list[ImageSource]:
+    """Unpack the images of an archive into a folder; everything else in it is left.
+
+    Raises
+    ------
+    RefusedInputError
+        When there are too many, they are too large or say one size and have another, or the archive is damaged.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = [one for one in archive.infolist() if _is_wanted(one)]
+            _refuse_members(members, name, limits)
+            sources = []
+            for number, member in enumerate(members):
+                place = folder / f"{number}"
+                with archive.open(member) as packed, place.open("wb") as file:
+                    shutil.copyfileobj(packed, file, COPIED_BYTES)
+                sources.append(ImageSource(place, _base(member.filename)))
+    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+        raise RefusedInputError(
+            f"{name} is a damaged ZIP, has a password, or packs in a way that is not read ({error}): pack the images again."
+        ) from error
+    return sources
+
+
+def _is_wanted(member: zipfile.ZipInfo) -> bool:
+    return not member.is_dir() and not _base(member.filename).startswith(".") and is_image(Path(_base(member.filename)))
+
+
+def _base(name: str) -> str:
+    return PurePosixPath(name.replace("\\", "/")).name[-LONGEST_NAME:]
+
+
+def _refuse_members(members: list[zipfile.ZipInfo], name: str, limits: ImageLimits) -> None:
+    """Refuse by what an archive says of its members, before any is unpacked; none can be larger than it says."""
+    if not members:
+        raise RefusedInputError(f"{name} holds no image: pack FITS, PNG, TIFF or raw files.")
+    if len(members) > limits.images:
+        raise RefusedInputError(
+            f"{name} holds {len(members):,} images, at most {limits.images:,} are taken at once: split the set."
+        )
+    whole = sum(one.file_size for one in members)
+    packed = max(1, sum(one.compress_size for one in members))
+    if max(one.file_size for one in members) > limits.file_bytes or whole > min(
+        limits.images * limits.file_bytes, MOST_COMPRESSION * packed
+    ):
+        raise RefusedInputError(
+            f"{name} would unpack to {whole / 1e6:,.0f} MB, more than images of its size have: split the set."
+        )
+
+
+def pack(sources: Sequence[ImageSource], extraction: Extraction, place: Path) -> None:
+    """Write images and what was extracted from them into an archive."""
+    with zipfile.ZipFile(place, "w", zipfile.ZIP_STORED) as archive:
+        for source in sorted(sources, key=lambda one: one.name):
+            with (
+                source.path.open("rb") as file,
+                archive.open(zipfile.ZipInfo(source.name, NO_TIME), "w", force_zip64=True) as packed,
+            ):
+                shutil.copyfileobj(file, packed, COPIED_BYTES)
+        table = place.with_name(f"{place.name}.table")
+        write_parquet(extraction.telemetry, table)
+        archive.writestr(zipfile.ZipInfo(TELEMETRY, NO_TIME), table.read_bytes())
+        table.unlink()
+
+
+def draw_image(path: Path, sensor: Sensor, frame: int, limits: ImageLimits, folder: Path) -> bytes:
+    """Return the image of a frame of an archive as a PNG of 8 bits, stretched so that sky and faint stars are seen.
+
+    Raises
+    ------
+    NotFoundError
+        When the archive has no image of this frame.
+    """
+    with zipfile.ZipFile(path) as archive:
+        if TELEMETRY not in archive.namelist():
+            raise NotFoundError("This set holds no images of its frames.")
+        table = folder / TELEMETRY
+        table.write_bytes(archive.read(TELEMETRY))
+        telemetry = read_telemetry(table)
+        rows = np.flatnonzero(telemetry.frame == frame)
+        if not len(rows):
+            raise NotFoundError(f"There is no image of frame {frame}.")
+        name = str(telemetry.unknown["image"][int(rows[0])].as_py())
+        place = folder / "image"
+        with archive.open(name) as packed, place.open("wb") as file:
+            shutil.copyfileobj(packed, file, COPIED_BYTES)
+    return make_picture(read_image(place, sensor, name=name, limits=limits).dn)

@@ -1,0 +1,1 @@
+"""Importing: what other programs write, by a mapping profile, as telemetry."""

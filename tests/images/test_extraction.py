@@ -1,0 +1,122 @@
+"""From files of images to telemetry and to a calibration in one command; what cannot be used is named, each file."""
+
+import hashlib
+import json
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import stats
+
+import boresight as bs
+from boresight.errors import RefusedInputError
+from boresight.images.detection import DetectionOptions
+from boresight.images.extraction import IMAGE_COLUMNS, extract
+from boresight.images.limits import ImageLimits, ImageSource
+from boresight.sky.identification import available
+from boresight.telemetry.read.readers import read_telemetry
+from tests.cli.conftest import accepted, assert_refused, boresight, data_folder  # noqa: F401 - fixtures
+from tests.images.files import write_fits
+
+FREE = ("s", "f_m", "u0_px", "v0_px", "k1", "k2")
+
+
+@pytest.fixture(scope="session")
+def images(folder):
+    return sorted(folder.glob("*.fits"))
+
+
+def test_each_image_is_a_frame_in_the_order_of_time_and_keeps_its_hash(folder, images, tmp_path):
+    found = bs.extract(images[::-1], folder / "camera.json", processes=1, progress=False)
+    assert [image.name for image in found.images] == [path.name for path in images]
+    for suffix in ("csv", "parquet"):
+        found.save(tmp_path / f"t.{suffix}")
+        read = read_telemetry(tmp_path / f"t.{suffix}")
+        assert tuple(read.unknown) == IMAGE_COLUMNS
+        hashes = dict(zip(read.frame.tolist(), read.unknown["image_sha256"].to_pylist(), strict=True))
+        assert hashes == {k: hashlib.sha256(path.read_bytes()).hexdigest() for k, path in enumerate(images)}
+        assert np.array_equal(read.row_px, found.telemetry.row_px)
+        assert np.array_equal(read.sigma_px, found.telemetry.sigma_px)
+    assert found.to_dict()["hot_pixels"] > 0
+    assert "stars" in repr(found)
+
+
+def test_several_processes_say_what_one_says(folder, images):
+    one, two = (bs.extract(images[:3], folder / "camera.json", processes=n, progress=False) for n in (1, 2))
+    assert one.to_dict() == two.to_dict()
+    assert np.array_equal(one.telemetry.col_px, two.telemetry.col_px)
+
+
+def test_every_image_that_cannot_be_used_is_named(images, night, tmp_path):
+    for name in ("bad-1.fits", "bad-2.fits"):
+        (tmp_path / name).write_bytes(b"SIMPLE  = nothing")
+    sources = [ImageSource(path, path.name) for path in [*images[:2], *sorted(tmp_path.iterdir()), images[2]]]
+    with pytest.raises(RefusedInputError, match=r"bad-"):
+        extract(sources, night.sensor, DetectionOptions())
+    with pytest.raises(RefusedInputError, match="at most 2"):
+        extract(sources, night.sensor, DetectionOptions(), limits=ImageLimits(images=2))
+    with pytest.raises(RefusedInputError, match="Two images"):
+        extract([sources[0], sources[0]], night.sensor, DetectionOptions())
+    with pytest.raises(RefusedInputError):
+        extract([], night.sensor, DetectionOptions())
+    with pytest.raises(RefusedInputError, match="list of times"):
+        extract(sources[:1], night.sensor, DetectionOptions(), times={})
+
+
+def test_images_without_a_time_keep_their_order_and_say_so(folder, hard_images, tmp_path):
+    paths = []
+    for image in hard_images[:3]:
+        paths.append(tmp_path / f"img-{9 - image.frame}.png")
+        Image.fromarray(image.dn).save(paths[-1])
+    found = bs.extract(paths, folder / "camera.json", gain_e_per_dn=1.0, processes=1, progress=False)
+    assert [image.name for image in found.images] == [path.name for path in paths]
+    assert found.telemetry.time_utc is None
+    assert any("--times" in sentence for sentence in found.sentences)
+
+
+@pytest.mark.skipif(not available(), reason="lost in space is an extra")
+def test_one_command_leads_from_a_hard_night_to_a_calibration(boresight, folder, images, night, tmp_path):  # noqa: F811 - a fixture
+    out = tmp_path / "c.json"
+    done = boresight("calibrate", *images, "--sensor", folder / "camera.json", "--processes", 1, "--json", out)
+    accepted(done)
+    found = json.loads(out.read_text())
+    assert found["status"] == "converged"
+    assert found["frames"] == len(images)
+    truth = dict(zip(("s", "f_m", "u0_px", "v0_px", "k1", "k2"), night.truth[:6].tolist(), strict=True))
+    e = np.array([found["parameters"][name] - truth[name] for name in FREE])
+    nees = e @ np.linalg.solve(np.array(found["covariance"]["matrix"]), e)
+    assert nees < stats.chi2.ppf(1 - 1e-5, len(FREE))
+    assert found["chi2_per_dof"] < 1.3
+
+
+@pytest.mark.skipif(not available(), reason="lost in space is an extra")
+def test_match_takes_images(boresight, folder, images, tmp_path):  # noqa: F811 - a fixture
+    out, pictures = tmp_path / "matched.csv", tmp_path / "pictures"
+    words = ("--sensor", folder / "camera.json", "--processes", 1, "--out", out, "--pictures", pictures)
+    accepted(boresight("match", *images[:2], *words))
+    drawn = ET.parse(pictures / f"{images[0].name}.svg").getroot()  # noqa: S314 - our own file
+    named = [one.text for one in drawn.iter("{http://www.w3.org/2000/svg}title")]
+    stars = len(list(drawn.iter("{http://www.w3.org/2000/svg}circle")))
+    residuals = len(list(drawn.iter("{http://www.w3.org/2000/svg}line")))
+    assert 5 < residuals == sum("HIP" in text for text in named) < stars
+    assert_refused(boresight("match", out, *words[:2], "--out", tmp_path / "again.csv", "--pictures", pictures))
+    read = read_telemetry(out)
+    assert set(IMAGE_COLUMNS) <= set(read.unknown)
+    assert (read.star_id > 0).sum() > 10
+
+
+def test_the_command_writes_telemetry_and_refuses_a_mixture(boresight, folder, images, tmp_path):  # noqa: F811 - a fixture
+    out = tmp_path / "t.csv"
+    sensor = folder / "camera.json"
+    accepted(boresight("extract", *images[:1], "--sensor", sensor, "--processes", 1, "--out", out))
+    assert len(read_telemetry(out)) > 20
+    assert_refused(boresight("extract", *images[:1], "--sensor", sensor, "--out", tmp_path / "t.png"))
+    assert_refused(boresight("calibrate", images[0], out, "--sensor", sensor))
+    assert_refused(boresight("calibrate", out, out, "--sensor", sensor))
+
+
+def test_a_header_says_the_gain_and_the_white_level(hard_images, folder, tmp_path):
+    path = write_fits(tmp_path / "a.fits", hard_images[0], EGAIN=2.5, SATURATE=3000.0)
+    found = bs.extract([path], folder / "camera.json", processes=1, progress=False).to_dict()
+    assert (found["gain_e_per_dn"], found["gain_estimated"], found["saturation_dn"]) == (2.5, False, 3000.0)
