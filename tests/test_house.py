@@ -104,7 +104,9 @@ def test_test_folders_mirror_the_source():
     strange = [
         str(folder)
         for folder in folders
-        if folder.parts[0] not in whole and folder.name != "vectors" and not (ROOT / "backend" / "boresight" / folder).is_dir()
+        if folder.parts[0] not in whole
+        and folder.name != "vectors"
+        and not (ROOT / "backend" / "boresight" / folder).is_dir()
     ]
     assert strange == []
 
